@@ -9,21 +9,13 @@ from numpy.typing import NDArray
 from gelgap.sim.audit import audit_contact
 from gelgap.sim.gel_model import GelModel, build_gel_model
 from gelgap.sim.membrane import Diagnostics
-from gelgap.sim.mesh import (
-    GelMesh,
-    box_mesh,
-    graded_spacings,
-    half_disc_mesh,
-    layer_depths,
-    ordered_for_elimination,
-)
+from gelgap.sim.mesh import ordered_for_elimination
 from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem_mesh import mesh_for
 
 _FRICTIONLESS = 1e-5
 # A state is only called converged if its out-of-balance force, over the indenter's, is below this.
 _LARGEST_RESIDUAL = 1e-2
-# The sphere of 1.5 mm at 1 mm depth, for which the qualities' lengths are given, meets the plane in this radius.
-_REFERENCE_CONTACT_MM = math.sqrt(2.0)
 _FIRST_STEPS = (0.2, 0.5)
 
 
@@ -65,7 +57,7 @@ class Solution:
 def solve(problem: ContactProblem) -> Solution:
     """Solve the problem from the undeformed gel."""
     zone = problem.sphere_radius_mm + max(math.hypot(x, y) for x, y, _ in problem.waypoints_mm) + 0.4
-    mesh = ordered_for_elimination(_mesh(problem), zone)
+    mesh = ordered_for_elimination(mesh_for(problem), zone)
     gel = build_gel_model(
         mesh,
         young_modulus_mpa=problem.young_modulus_mpa,
@@ -78,34 +70,6 @@ def solve(problem: ContactProblem) -> Solution:
     indentation = _Indentation(gel, problem)
     records = tuple(indentation.move_to(np.array(waypoint)) for waypoint in problem.waypoints_mm)
     return Solution(problem=problem, rest_mm=mesh.vertices_mm[mesh.surface, :2], records=records)
-
-
-def _mesh(problem: ContactProblem) -> GelMesh:
-    """Mesh the gel finely where it will be touched; vertices lie no closer than the largest contact deserves."""
-    quality = problem.quality
-    reach = max(math.hypot(x, y) for x, y, _ in problem.waypoints_mm)
-    depth = max(-z for _, _, z in problem.waypoints_mm)
-    radius = problem.sphere_radius_mm
-    contact = math.sqrt(max(radius**2 - max(radius - depth, 0.0) ** 2, 0.0))
-    scale = min(radius / 1.5, problem.thickness_mm / 3.0)
-    spacing = quality.surface_mm * max(scale, contact / _REFERENCE_CONTACT_MM)
-    first_layer = min(spacing * quality.layer_mm / quality.surface_mm, problem.thickness_mm / 6)
-    layers = layer_depths(problem.thickness_mm, first_layer, quality.layer_growth)
-    fine = 1.15 * contact + reach + 2 * spacing
-    if problem.pad_mm is None:
-        radius = max(3.3 * problem.thickness_mm, 1.5 * fine)
-        return half_disc_mesh(radius, fine, spacing, layers, quality.sectors)
-    x_min, x_max, y_min, y_max = problem.pad_mm
-    spacing *= 1.6
-    x_mm = _axis(x_min, x_max, spacing, fine)
-    half = y_max == -y_min and all(y == 0 for _, y, _ in problem.waypoints_mm)
-    y_mm = graded_spacings(y_max, spacing, fine) if half else _axis(y_min, y_max, spacing, fine)
-    return box_mesh(x_mm, y_mm, layers, half=half)
-
-
-def _axis(low: float, high: float, spacing: float, fine: float) -> NDArray[np.float64]:
-    below, above = graded_spacings(-low, spacing, fine), graded_spacings(high, spacing, fine)
-    return np.concatenate([-below[::-1], above[1:]])
 
 
 @dataclass(frozen=True)
