@@ -264,6 +264,9 @@ class _Indentation:
                 slip_mm=float(self._slipped_mm.max()),
                 elastic_energy_mj=audit.elastic_energy_mj,
                 min_volume_ratio=audit.min_volume_ratio,
+                imbalance=audit.imbalance,
+                coulomb_excess=audit.coulomb_excess,
+                tension=audit.tension,
             )
         sound = finite and diagnostics.residual < _LARGEST_RESIDUAL and diagnostics.min_volume_ratio > 0
         return Record(

@@ -26,7 +26,9 @@ class Diagnostics:
     `residual` is the largest out-of-balance nodal force over the indenter's force; `sticking_fraction` the share of
     the normal force carried by nodes that stick; `slip_mm` the largest sideways slip of a contact node along the path
     so far; `elastic_energy_mj` the energy stored in the gel, mJ; `min_volume_ratio` the smallest element's volume over
-    its rest volume.
+    its rest volume. `imbalance` is the difference of the forces on indenter and backing over the indenter's;
+    `coulomb_excess` by how much, relative to friction, the worst contact node exceeds Coulomb's bound (negative if none
+    does); `tension` the largest pull on a contact node over the largest push.
     """
 
     residual: float = 0.0
@@ -35,6 +37,9 @@ class Diagnostics:
     slip_mm: float = 0.0
     elastic_energy_mj: float = 0.0
     min_volume_ratio: float = 1.0
+    imbalance: float = 0.0
+    coulomb_excess: float = -1.0
+    tension: float = 0.0
 
 
 @dataclass(frozen=True)
