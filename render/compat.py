@@ -127,8 +127,7 @@ def import_pyrender() -> tuple[types.ModuleType, str]:
         _add_osmesa_context_attributes()
     else:
         _prepare_egl()
-    if not hasattr(np, "infty"):
-        np.inf = np.inf
+    vars(np).setdefault("infty", np.inf)
     if "pyrender" not in sys.modules:
         viewer = types.ModuleType("pyrender.viewer")
         viewer.Viewer = None

@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from gelgap.assets import load_preset
 from gelgap.render.camera import Camera
-from gelgap.render.spectrum import Spectrum, camera_rgb
+from gelgap.render.led_cache import cached_camera_rgb
+from gelgap.render.spectrum import Spectrum
 
 Vector = tuple[float, float, float]
 Length = Annotated[float, Field(gt=0, le=200)]
@@ -117,7 +118,7 @@ class Illumination(BaseModel):
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""
-        rgb = camera_rgb(
+        rgb = cached_camera_rgb(
             tuple(led.spectrum for led in self.leds), camera.sensitivity, camera.white_balance_cct_k
         )
         return camera.exposure * np.array([led.drive for led in self.leds])[:, None] * np.array(rgb)

@@ -9,6 +9,7 @@ from gelgap.assets import list_presets
 from gelgap.render.camera import Camera
 from gelgap.render.gap import picture_gap, reference_gap
 from gelgap.render.illumination import Illumination, Led
+from gelgap.render.led_cache import cached_camera_rgb
 from gelgap.render.markers import marker_rest_mm
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor
@@ -45,6 +46,23 @@ def test_bad_spectra_are_refused():
         TableSpectrum(wavelength_nm=(500, 400), power=(1, 1))
     with pytest.raises(ValueError, match="no power between"):
         camera_rgb((TableSpectrum(wavelength_nm=(300, 350), power=(1, 1)),), NIKON, None)
+
+
+def test_led_colours_are_kept_on_disk_and_a_damaged_file_is_computed_anew(tmp_path, monkeypatch):
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
+    spectra = (PeakSpectrum(peak_nm=611, width_nm=17), WhiteSpectrum(cct_k=4321))
+    truth = camera_rgb(spectra, NIKON, None)
+    assert cached_camera_rgb(spectra, NIKON, None) == truth
+    (file,) = tmp_path.iterdir()
+    monkeypatch.setattr("gelgap.render.led_cache.camera_rgb", lambda *_: pytest.fail("computed again"))
+    assert cached_camera_rgb(spectra, NIKON, None) == truth
+    monkeypatch.setattr("gelgap.render.led_cache.camera_rgb", camera_rgb)
+    assert cached_camera_rgb(spectra, NIKON, 5000.0) != truth
+    for damage in ("", "[[1, 2, 3]]", '[["a", 1, 2], [1, 2, 3]]', "7"):
+        file.write_text(damage)
+        assert cached_camera_rgb(spectra, NIKON, None) == truth
+    monkeypatch.setenv("GELGAP_CACHE", "/proc/nowhere")
+    assert cached_camera_rgb(spectra, NIKON, None) == truth
 
 
 @pytest.mark.parametrize("kind", ["bar", "disc", "point"])

@@ -78,6 +78,15 @@ compat.choose_platform()
     assert "libosmesa6" in result.stderr
 
 
+def test_pyrender_finds_what_this_numpy_lacks():
+    code = """
+from gelgap.render.compat import import_pyrender
+pyrender, _ = import_pyrender()
+print(pyrender.Mesh([]).bounds.shape)
+"""
+    assert run(code).stdout.strip() == "(2, 3)"
+
+
 def test_rendering_modules_import_no_heavy_package():
     code = """
 import sys
