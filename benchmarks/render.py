@@ -5,6 +5,7 @@ gain fitted, since its light has no unit. Times are medians of processor time in
 thread, from a displacement to the 8-bit picture; wall time stands beside them.
 """
 
+import hashlib
 import statistics
 import time
 from collections.abc import Callable
@@ -16,8 +17,10 @@ import numpy as np
 from gelgap.assets import asset_path
 from gelgap.benchmarks.path_tracer import stored_reference, trace
 from gelgap.benchmarks.render_scenes import (
+    DRAWN_SCENES,
     GLOSSY_SCENES,
     MATT_SCENES,
+    SENSOR_SCENES,
     STORED_SCENES,
     RenderScene,
     sphere_dent,
@@ -136,16 +139,27 @@ class StockPyrender:
         self._renderer.delete()
 
 
-def references(quick: bool) -> dict[RenderScene, np.ndarray]:
-    """Return the path-traced pictures: stored small ones, or all scenes at 320×240."""
+def references(quick: bool, out_dir: Path) -> dict[RenderScene, np.ndarray]:
+    """Return the path-traced pictures: stored small ones, or all scenes at 320×240, kept in `out_dir` for a rerun."""
     if quick:
         return {scene: stored_reference(scene) for scene in STORED_SCENES}
-    found = {}
-    for scene in MATT_SCENES + GLOSSY_SCENES:
+    scenes = MATT_SCENES + GLOSSY_SCENES + DRAWN_SCENES + SENSOR_SCENES
+    return {scene: kept_trace(scene, SAMPLES_PER_PIXEL, 0, out_dir / "path-traced") for scene in scenes}
+
+
+def kept_trace(scene: RenderScene, samples_per_pixel: int, seed: int, folder: Path) -> np.ndarray:
+    """Return a scene's path-traced picture from a file named by all that it depends on, or trace it anew."""
+    text = f"{scene.sensor()!r} {scene.light()!r} {SIZES_PX[0]} {samples_per_pixel} {seed}".encode()
+    key = hashlib.sha256(text + b"".join(array.tobytes() for array in scene.membrane())).hexdigest()[:16]
+    file = folder / f"{key}.npy"
+    if not file.exists():
         started = time.perf_counter()
-        found[scene] = trace(scene, SIZES_PX[0], SAMPLES_PER_PIXEL)
+        picture = trace(scene, SIZES_PX[0], samples_per_pixel, seed)
         print(f"  path-traced {scene.name} in {time.perf_counter() - started:.0f} s", flush=True)
-    return found
+        folder.mkdir(parents=True, exist_ok=True)
+        np.save(folder / "unfinished.npy", picture)
+        (folder / "unfinished.npy").replace(file)
+    return np.load(file)
 
 
 def accuracy(truth: dict[RenderScene, np.ndarray], out_dir: Path) -> dict[str, dict[str, PictureError]]:
@@ -161,7 +175,7 @@ def accuracy(truth: dict[RenderScene, np.ndarray], out_dir: Path) -> dict[str, d
             found[quality] = picture_error(picture, reference)
             if quality == "standard":
                 sheet.append((scene, reference, picture))
-        if scene.roughness is None:
+        if scene.matt:
             renderer = MembraneRenderer(scene.sensor(), scene.light(), size_px)
             found["no shadows"] = picture_error(without_shadows(renderer, membrane), reference)
             stock = StockPyrender(scene, size_px)
@@ -339,7 +353,7 @@ def run(quick: bool, out_dir: Path) -> None:
     """Measure errors and run times, print the tables and write JSON, a plot and a contact sheet to `out_dir`."""
     out_dir.mkdir(parents=True, exist_ok=True)
     repeats = 9 if quick else 31
-    truth = references(quick)
+    truth = references(quick, out_dir)
     errors = accuracy(truth, out_dir)
     results: dict[str, object] = {"errors": errors}
     times = speed(repeats)
@@ -358,7 +372,8 @@ def run(quick: bool, out_dir: Path) -> None:
     }
     if not quick:
         scene = next(iter(truth))
-        noise = picture_error(trace(scene, SIZES_PX[0], SAMPLES_PER_PIXEL, seed=5), truth[scene])
+        again = kept_trace(scene, SAMPLES_PER_PIXEL, 5, out_dir / "path-traced")
+        noise = picture_error(again, truth[scene])
         results["reference_noise"] = noise
         ms, error = path_tracer_at_equal_time(truth)
         summary["path tracer, 4 samples"] = (ms, error.psnr_db, error.psnr_db, 100 * error.mean)
