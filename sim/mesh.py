@@ -1,11 +1,16 @@
-"""Hexahedral meshes of the pad around a contact axis, and their split into tetrahedra that do not lock."""
+"""Layers of prisms around a contact axis, cut off at the pad's edges, and split into tetrahedra that do not lock."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-_HEX_FACES = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
+# Corners of each plane cell, counterclockwise.
+Cells = Sequence[NDArray[np.int64]]
+
+# A vertex that a pad's edge misses by less than this share of a cell is moved onto it.
+_SNAP = 0.35
 
 
 @dataclass(frozen=True)
@@ -78,11 +83,35 @@ def half_disc_mesh(
     `sectors` is the number of cells around the half circle, a multiple of 4; `layers_mm` the z of the layers from 0
     down.
     """
-    core_cells = sectors // 4
-    core_mm = 1.1 * core_cells * spacing_mm
-    rings = core_mm + graded_spacings(radius_mm - core_mm, spacing_mm, fine_radius_mm - core_mm)
-    plane, quads = _butterfly(core_cells, core_mm, rings[1:])
-    return _crossed(*_extruded(plane, quads, layers_mm), half=True)
+    plane, quads = _half_disc(radius_mm, fine_radius_mm, spacing_mm, sectors)
+    return _crossed(plane, tuple(quads), layers_mm, half=True)
+
+
+def pad_mesh(
+    pad_mm: tuple[float, float, float, float],
+    radius_mm: float,
+    fine_radius_mm: float,
+    spacing_mm: float,
+    layers_mm: NDArray[np.float64],
+    sectors: int,
+    *,
+    half: bool,
+) -> GelMesh:
+    """Mesh the part of the pad (x min, x max, y min, y max) within `radius_mm` of the axis: a disc cut at the edges.
+
+    The axis may lie on an edge of the pad. `sectors` is the number of cells around half a circle; of a pad that is
+    symmetric to y = 0, `half` meshes y ≥ 0 alone.
+    """
+    x_min, x_max, y_min, y_max = pad_mm
+    plane, quads = _half_disc(radius_mm, fine_radius_mm, spacing_mm, sectors)
+    cells = list(quads)
+    edges = [(0, 1.0, x_max), (0, -1.0, -x_min), (1, 1.0, y_max)]
+    if not half:
+        plane, cells = _mirrored(plane, quads)
+        edges.append((1, -1.0, -y_min))
+    for axis, sign, distance in edges:
+        plane, cells = _cut(plane, cells, axis, sign, distance)
+    return _crossed(plane, cells, layers_mm, half=half)
 
 
 def box_mesh(
@@ -96,7 +125,7 @@ def box_mesh(
     plane = np.stack(np.meshgrid(x_mm, y_mm, indexing="ij"), -1).reshape(-1, 2)
     index = np.arange(len(plane)).reshape(len(x_mm), len(y_mm))
     quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)
-    return _crossed(*_extruded(plane, quads, layers_mm), half=half)
+    return _crossed(plane, tuple(quads), layers_mm, half=half)
 
 
 def graded_spacings(
@@ -158,9 +187,11 @@ def _butterfly(
     return plane, np.concatenate(quads)
 
 
-def _extruded(
-    plane: NDArray[np.float64], quads: NDArray[np.int64], layers_mm: NDArray[np.float64]
+def half_disc_hexahedra(
+    radius_mm: float, fine_radius_mm: float, spacing_mm: float, layers_mm: NDArray[np.float64], sectors: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the nodes (n, 3) and hexahedra (m, 8) that `half_disc_mesh` splits."""
+    plane, quads = _half_disc(radius_mm, fine_radius_mm, spacing_mm, sectors)
     points = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in layers_mm])
     hexes = [
         np.concatenate([quads + (layer + 1) * len(plane), quads + layer * len(plane)], axis=1)
@@ -169,19 +200,110 @@ def _extruded(
     return points, np.concatenate(hexes)
 
 
-def _crossed(points: NDArray[np.float64], hexes: NDArray[np.int64], *, half: bool) -> GelMesh:
-    """Split each hexahedron into 24 tetrahedra around its centre and its six face centres, which does not lock."""
-    faces = hexes[:, _HEX_FACES].reshape(-1, 4)
-    unique, face_of = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
-    vertices = np.concatenate([points, points[unique].mean(axis=1), points[hexes].mean(axis=1)])
-    face_centre = len(points) + face_of.ravel()
-    body_centre = len(points) + len(unique) + np.repeat(np.arange(len(hexes)), 6)
-    tetrahedra = np.stack(
-        [np.stack([faces[:, a], faces[:, (a + 1) % 4], face_centre, body_centre], axis=1) for a in range(4)],
-        axis=1,
-    ).reshape(-1, 4)
-    corner = vertices[tetrahedra]
-    edges = corner[:, 1:] - corner[:, :1]
-    inverted = np.linalg.det(edges) < 0
-    tetrahedra[inverted] = tetrahedra[inverted][:, [0, 2, 1, 3]]
-    return GelMesh(vertices_mm=vertices, tetrahedra=tetrahedra.astype(np.int32), half=half)
+def _half_disc(
+    radius_mm: float, fine_radius_mm: float, spacing_mm: float, sectors: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    core_cells = sectors // 4
+    core_mm = 1.1 * core_cells * spacing_mm
+    rings = core_mm + graded_spacings(radius_mm - core_mm, spacing_mm, fine_radius_mm - core_mm)
+    return _butterfly(core_cells, core_mm, rings[1:])
+
+
+def _mirrored(
+    plane: NDArray[np.float64], cells: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]:
+    """Add the mirror image of a half plane's cells in y = 0."""
+    off_axis = plane[:, 1] > 0
+    image = np.where(off_axis, len(plane) + np.cumsum(off_axis) - 1, np.arange(len(plane)))
+    return np.concatenate([plane, plane[off_axis] * [1, -1]]), [*cells, *image[cells][:, ::-1]]
+
+
+def _cut(
+    plane: NDArray[np.float64], cells: Cells, axis: int, sign: float, distance: float
+) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]:
+    """Cut away what lies beyond the line sign · coordinate = distance, once vertices near it are moved onto it."""
+    plane = _snapped(plane, cells, axis, sign, distance)
+    beyond = sign * plane[:, axis] - distance
+    points, crossing, kept = list(plane), {}, []
+    for cell in cells:
+        if (beyond[cell] >= 0).all():
+            continue
+        corners = []
+        for a, b in zip(cell, np.roll(cell, -1), strict=True):
+            if beyond[a] <= 0:
+                corners.append(a)
+            if beyond[a] * beyond[b] < 0:
+                edge = (min(a, b), max(a, b))
+                if edge not in crossing:
+                    share = beyond[a] / (beyond[a] - beyond[b])
+                    point = plane[a] + share * (plane[b] - plane[a])
+                    point[axis] = sign * distance
+                    crossing[edge] = len(points)
+                    points.append(point)
+                corners.append(crossing[edge])
+        kept.append(np.array(corners))
+    used = np.unique(np.concatenate(kept))
+    number = np.full(len(points), -1)
+    number[used] = np.arange(len(used))
+    return np.array(points)[used], [number[cell] for cell in kept]
+
+
+def _snapped(
+    plane: NDArray[np.float64], cells: Cells, axis: int, sign: float, distance: float
+) -> NDArray[np.float64]:
+    """Move vertices onto the line where it would cut off less than `_SNAP` of an edge."""
+    start = np.concatenate(cells)
+    end = np.concatenate([np.roll(cell, -1) for cell in cells])
+    beyond = sign * plane[:, axis] - distance
+    crosses = beyond[start] * beyond[end] < 0
+    start, end = start[crosses], end[crosses]
+    share = beyond[start] / (beyond[start] - beyond[end])
+    moved = np.concatenate([start[share < _SNAP], end[share > 1 - _SNAP]])
+    plane = plane.copy()
+    plane[moved, axis] = sign * distance
+    return plane
+
+
+def _crossed(
+    plane: NDArray[np.float64], cells: Cells, layers_mm: NDArray[np.float64], *, half: bool
+) -> GelMesh:
+    """Stack layers of prisms on plane cells, and split each prism so that it does not lock.
+
+    A prism gets a vertex in its centre and one in the centre of each face: 24 tetrahedra if it is a hexahedron.
+    """
+    count, levels = len(plane), len(layers_mm)
+    start = np.concatenate(cells)
+    end = np.concatenate([np.roll(cell, -1) for cell in cells])
+    cell = np.repeat(np.arange(len(cells)), [len(corners) for corners in cells])
+    sides, side = np.unique(np.sort(np.stack([start, end], 1), axis=1), axis=0, return_inverse=True)
+    centre = np.stack([np.bincount(cell, plane[start, axis]) / np.bincount(cell) for axis in (0, 1)], 1)
+    middle = 0.5 * (layers_mm[:-1] + layers_mm[1:])
+    blocks = [
+        (plane, layers_mm),
+        (centre, layers_mm),
+        (plane[sides].mean(axis=1), middle),
+        (centre, middle),
+    ]
+    vertices = np.concatenate(
+        [np.column_stack([np.tile(xy, (len(z), 1)), np.repeat(z, len(xy))]) for xy, z in blocks]
+    )
+    first = np.cumsum([0, *(len(xy) * len(z) for xy, z in blocks)])
+    tetrahedra = []
+    for level in range(levels - 1):
+        a, b = level * count + start, level * count + end
+        below_a, below_b = a + count, b + count
+        top = first[1] + level * len(cells) + cell
+        face = first[2] + level * len(sides) + side.ravel()
+        body = first[3] + level * len(cells) + cell
+        tetrahedra += [
+            np.stack(corners, axis=1)
+            for corners in (
+                (b, a, top, body),
+                (below_a, below_b, top + len(cells), body),
+                (a, b, face, body),
+                (b, below_b, face, body),
+                (below_b, below_a, face, body),
+                (below_a, a, face, body),
+            )
+        ]
+    return GelMesh(vertices_mm=vertices, tetrahedra=np.concatenate(tetrahedra).astype(np.int32), half=half)

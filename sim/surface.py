@@ -55,17 +55,14 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
         rest = np.concatenate([rest, rest[mirrored] * [1, -1]])
         displacement = np.concatenate([displacement, displacement[mirrored] * [1, -1, 1]])
     low, high = rest.min(axis=0), rest.max(axis=0)
-    rim = np.abs(low).max() if problem.pad_mm is None else np.hypot(*np.maximum(-low, high))
-    radius = _radius(np.arange(np.ceil(_row(np.array(rim))) + 1))
+    rim = float(np.hypot(*rest.T).max())
+    reach = rim if problem.pad_mm is None else np.hypot(*np.maximum(-low, high))
+    radius = _radius(np.arange(np.ceil(_row(np.array(reach))) + 1))
     turn = np.linspace(0, np.pi, _SECTORS + 1) if half else np.linspace(0, 2 * np.pi, 2 * _SECTORS + 1)
-    x, y = np.outer(radius, np.cos(turn)), np.outer(radius, np.sin(turn))
-    if problem.pad_mm is None:
-        inside = np.minimum(
-            1.0, rim * np.cos(np.pi / (2 * problem.quality.sectors)) * 0.999 / np.maximum(radius, 1e-9)
-        )[:, None]
-        x, y = x * inside, y * inside
-    else:
-        x, y = np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])
+    # The mesh is a polygon, cut at the pad's edges: points beyond it take the displacement of its rim.
+    meshed = np.minimum(radius, 0.999 * rim * np.cos(np.pi / (2 * problem.quality.sectors)))
+    x, y = np.outer(meshed, np.cos(turn)), np.outer(meshed, np.sin(turn))
+    x, y = np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])
     values = CloughTocher2DInterpolator(rest, displacement)(np.stack([x, y], -1))
     return PolarTable(displacement_mm=values.astype(np.float32), half=half)
 

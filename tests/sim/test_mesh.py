@@ -1,0 +1,76 @@
+"""Meshes: volume, conformity, order of the tetrahedra, and pads that are cut at their edges."""
+
+import numpy as np
+import pytest
+
+from gelgap.sim.mesh import GelMesh, half_disc_mesh, layer_depths, ordered_for_elimination, pad_mesh
+
+LAYERS = layer_depths(3.0, 0.2, 1.5)
+PADS = {
+    "centred": (-5.0, 5.0, -4.0, 4.0),
+    "beside a corner": (-8.75, 1.25, -6.6, 1.4),
+    "on an edge": (-20.0, 0.0, -10.0, 10.0),
+    "on a corner": (-20.0, 0.0, -20.0, 0.0),
+    "a hair from a corner": (-20.0, 0.02, -20.0, 0.3),
+}
+
+
+def _volumes(mesh: GelMesh) -> np.ndarray:
+    corners = mesh.vertices_mm[mesh.tetrahedra]
+    return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+
+
+def _open_faces(mesh: GelMesh) -> np.ndarray:
+    """Return the vertices (n, 3) of faces that belong to one tetrahedron alone."""
+    faces = np.concatenate([np.delete(mesh.tetrahedra, k, axis=1) for k in range(4)])
+    unique, count = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
+    assert count.max() == 2
+    return unique[count == 1]
+
+
+@pytest.mark.parametrize("name", PADS)
+def test_a_pad_is_filled_without_gaps(name: str) -> None:
+    x_min, x_max, y_min, y_max = PADS[name]
+    mesh = pad_mesh(PADS[name], 9.9, 2.5, 0.4, LAYERS, 8, half=False)
+    volume = _volumes(mesh)
+    assert volume.min() > 0
+    whole = pad_mesh((-30.0, 30.0, -30.0, 30.0), 9.9, 2.5, 0.4, LAYERS, 8, half=False)
+    disc = _volumes(whole).sum()
+    if name == "centred":
+        assert volume.sum() == pytest.approx(10 * 8 * 3)
+    elif name == "on an edge":
+        assert volume.sum() == pytest.approx(disc / 2)
+    else:
+        assert disc / 4 - 1e-6 < volume.sum() < disc
+    for axis, low, high in ((0, x_min, x_max), (1, y_min, y_max)):
+        assert mesh.vertices_mm[:, axis].min() >= low
+        assert mesh.vertices_mm[:, axis].max() <= high
+    centres = mesh.vertices_mm[_open_faces(mesh)].mean(axis=1)
+    inside = (np.abs(centres[:, 0] - [[x_min], [x_max]]) > 1e-9).all(axis=0)
+    inside &= (np.abs(centres[:, 1] - [[y_min], [y_max]]) > 1e-9).all(axis=0)
+    inside &= (np.abs(centres[:, 2] - [[0.0], [-3.0]]) > 1e-9).all(axis=0)
+    assert (np.hypot(*centres[inside, :2].T) > 0.9 * 9.9).all()
+
+
+def test_half_a_pad_is_half_of_it() -> None:
+    halves, whole = (
+        pad_mesh((-4.0, 6.0, -5.0, 5.0), 9.9, 2.5, 0.4, LAYERS, 8, half=half) for half in (True, False)
+    )
+    assert 2 * _volumes(halves).sum() == pytest.approx(_volumes(whole).sum())
+    assert halves.vertices_mm[:, 1].min() == 0
+    assert len(halves.symmetry_plane) > 0
+
+
+def test_a_pad_with_far_edges_is_the_disc() -> None:
+    disc = half_disc_mesh(9.9, 2.5, 0.4, LAYERS, 8)
+    pad = pad_mesh((-30.0, 30.0, -30.0, 30.0), 9.9, 2.5, 0.4, LAYERS, 8, half=True)
+    np.testing.assert_array_equal(pad.vertices_mm, disc.vertices_mm)
+    np.testing.assert_array_equal(pad.tetrahedra, disc.tetrahedra)
+
+
+def test_a_new_order_of_vertices_is_the_same_mesh() -> None:
+    mesh = half_disc_mesh(9.9, 2.5, 0.4, LAYERS, 8)
+    ordered = ordered_for_elimination(mesh, 2.0)
+    assert np.sort(_volumes(ordered)) == pytest.approx(np.sort(_volumes(mesh)))
+    first = ordered.vertices_mm[: np.sum(np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= 2.0)]
+    assert (first[:, 2] == 0).all()
