@@ -33,6 +33,14 @@ class ContactProblem:
     quality: Quality
 
     @property
+    def half(self) -> bool:
+        """Whether gel and waypoints are symmetric to y = 0, so that y ≥ 0 is all that is solved."""
+        if self.pad_mm is None:
+            return True
+        _, _, y_min, y_max = self.pad_mm
+        return y_max == -y_min and all(y == 0 for _, y, _ in self.waypoints_mm)
+
+    @property
     def key(self) -> str:
         """A hash of the physics."""
         text = json.dumps({"method": _METHOD_VERSION, **asdict(self)}, sort_keys=True)

@@ -33,6 +33,4 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
     disc = max(_DISC_THICKNESSES * problem.thickness_mm, 1.5 * fine)
     if problem.pad_mm is None:
         return half_disc_mesh(disc, fine, spacing, layers, quality.sectors)
-    _, _, y_min, y_max = problem.pad_mm
-    half = y_max == -y_min and all(y == 0 for _, y, _ in problem.waypoints_mm)
-    return pad_mesh(problem.pad_mm, disc, fine, spacing, layers, quality.sectors, half=half)
+    return pad_mesh(problem.pad_mm, disc, fine, spacing, layers, quality.sectors, half=problem.half)

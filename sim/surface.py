@@ -48,7 +48,7 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
     from scipy.interpolate import CloughTocher2DInterpolator
 
     problem = solution.problem
-    half = bool(solution.rest_mm[:, 1].min() > -1e-9)
+    half = problem.half
     rest, displacement = solution.rest_mm, record.displacement_mm.astype(float)
     if half:
         mirrored = rest[:, 1] > 1e-9
@@ -92,19 +92,23 @@ def contact_radius_mm(solution: Solution, record: Record) -> float:
     """Return the deformed radius at which the normal pressure vanishes.
 
     Near the edge of a smooth contact the pressure goes as √(a² − r²), so the normal force carried outside of radius
-    r goes as (a² − r²)^(3/2): its power 2/3 is a straight line in r² that meets zero at a².
+    r goes as (a² − r²)^(3/2): its power 2/3 is a straight line in r² that meets zero at a². Radii count from the
+    centre of the force, and from the indenter's axis where the pad's edge cuts the contact off.
     """
     force = record.normal_force_n.astype(float)
     loaded = force > 0
     if loaded.sum() < 3:
         return 0.0
-    position = solution.rest_mm[loaded] + record.displacement_mm[loaded, :2]
+    rest = solution.rest_mm[loaded]
+    position = rest + record.displacement_mm[loaded, :2]
     force = force[loaded]
-    if solution.rest_mm[:, 1].min() > -1e-9:
+    cut_off = _on_edge(rest, solution.problem.pad_mm).any()
+    if solution.problem.half:
         on_plane = position[:, 1] < 1e-9
         position = np.concatenate([position, position[~on_plane] * [1, -1]])
         force = np.concatenate([force, force[~on_plane]])
-    square = ((position - (force @ position) / force.sum()) ** 2).sum(axis=1)
+    centre = record.indenter_mm[:2] if cut_off else (force @ position) / force.sum()
+    square = ((position - centre) ** 2).sum(axis=1)
     order = np.argsort(-square)
     square, force = square[order], force[order]
     outside = np.cumsum(force) - 0.5 * force
@@ -114,3 +118,11 @@ def contact_radius_mm(solution: Solution, record: Record) -> float:
         edge = share > 0
     slope, offset = np.polyfit(square[edge], share[edge] ** (2 / 3), 1)
     return float(np.sqrt(max(-offset / slope, 0.0))) if slope < 0 else float(np.sqrt(square.max()))
+
+
+def _on_edge(
+    rest_mm: NDArray[np.float64], pad_mm: tuple[float, float, float, float] | None
+) -> NDArray[np.bool_]:
+    if pad_mm is None:
+        return np.zeros(len(rest_mm), dtype=bool)
+    return (np.abs(rest_mm[:, [0, 0, 1, 1]] - np.array(pad_mm)) < 1e-9).any(axis=1)

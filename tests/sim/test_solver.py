@@ -121,6 +121,18 @@ def test_a_soft_mount_takes_part_of_the_way() -> None:
     assert reached == pytest.approx(0.2 + mounted.force_n[2] / 1.0, abs=3e-3)
 
 
+def test_a_contact_on_the_pads_rim_is_about_half_a_contact() -> None:
+    inside, on_rim = (
+        solve_pose(GEL, BALL, Pose(depth_mm=0.4, point_y_mm=y), "draft", ALONE) for y in (0.0, 10.0)
+    )
+    assert on_rim.converged
+    assert 0.3 < on_rim.force_n[2] / inside.force_n[2] < 0.55
+    assert on_rim.force_n[1] < -0.1 * abs(on_rim.force_n[2])
+    assert abs(on_rim.force_n[0]) < 1e-3 * abs(on_rim.force_n[2])
+    assert on_rim.contact_radius_mm == pytest.approx(inside.contact_radius_mm, rel=0.15)
+    assert np.isfinite(on_rim.displacement_mm).all()
+
+
 def test_load_control_finds_the_depth_of_a_force() -> None:
     pose = pose_for_force(GEL, BALL, 0.2, quality="draft")
     assert -solve_pose(GEL, BALL, pose, "draft").force_n[2] == pytest.approx(0.2, rel=0.03)
