@@ -1,14 +1,17 @@
 """`gelgap cache`: what physics is kept on disk, and clearing it."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from gelgap.sim.cache import CacheEntry
 
 
 @dataclass(frozen=True)
 class Cache:
-    """Say how much solved physics is kept on disk, or clear it.
+    """List the solved physics that is kept on disk, or clear it.
 
     The folder is $GELGAP_CACHE, else gelgap in $XDG_CACHE_HOME, else ~/.cache/gelgap.
     """
@@ -18,8 +21,43 @@ class Cache:
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
-        from gelgap.sim.cache import cache_use, clear_cache
+        from gelgap.sim.cache import cache_entries, cache_use, clear_cache
 
+        if not self.clear:
+            for entry in cache_entries():
+                print(_line(entry))
         use = clear_cache() if self.clear else cache_use()
         verb = "deleted" if self.clear else "holds"
         print(f"{use.folder} {verb} {use.solutions} solutions, {use.bytes / 1e6:.1f} MB")
+
+
+def _line(entry: "CacheEntry") -> str:
+    head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {_age(entry.age_s)}"
+    problem = entry.problem
+    if problem is None:
+        return f"{head}  damaged"
+    pad = "edges far"
+    if problem.pad_mm is not None:
+        x_min, x_max, y_min, y_max = problem.pad_mm
+        at = 0.0 - (x_min + x_max) / 2, 0.0 - (y_min + y_max) / 2
+        pad = f"at ({at[0]:g}, {at[1]:g}) of a pad of {x_max - x_min:g} × {y_max - y_min:g} mm"
+    depths = [-z for _, _, z in problem.waypoints_mm]
+    mount = problem.mount_stiffness_n_per_mm
+    parts = [
+        problem.quality.name,
+        f"{len(problem.waypoints_mm)} pose{"s" * (len(depths) > 1)} to {max(depths):g} mm",
+        f"sphere {2 * problem.sphere_radius_mm:g} mm",
+        f"gel {problem.thickness_mm:g} mm, E {problem.young_modulus_mpa:.4g} MPa, ν {problem.poisson_ratio:.4g}",
+        f"friction {problem.friction:g}",
+        *([] if mount is None else [f"mount {mount:g} N/mm"]),
+        pad,
+        *([] if entry.current else ["of another version: not used"]),
+    ]
+    return f"{head}  {'; '.join(parts)}"
+
+
+def _age(seconds: float) -> str:
+    for size, unit in ((86400, "d"), (3600, "h"), (60, "min")):
+        if seconds >= size:
+            return f"{seconds / size:5.1f} {unit:3}"
+    return f"{max(seconds, 0.0):5.0f} s  "

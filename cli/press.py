@@ -2,13 +2,14 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
+DEFAULT_DEPTH_MM = 0.6
 OVERRIDES = (
     "young_modulus_mpa",
     "poisson_ratio",
@@ -47,8 +48,10 @@ class Press:
     """Form of the neo-Hookean energy. Default: isochoric, as silicone behaves; the other is MuJoCo's own."""
     indenter_diameter_mm: float = 3.0
     """Diameter of the sphere in mm."""
-    depth_mm: float = 0.6
-    """Commanded depth below first contact in mm, at least 0."""
+    depth_mm: float | None = None
+    """Commanded depth below first contact in mm, at least 0. Default 0.6."""
+    normal_force_n: Annotated[float | None, tyro.conf.arg(aliases=["--force-n"])] = None
+    """Load control: press to this normal force in N (positive) instead of to a depth, then drag at that depth."""
     shear_x_mm: float = 0.0
     """Commanded sideways travel along x after the press, in mm."""
     shear_y_mm: float = 0.0
@@ -69,8 +72,10 @@ class Press:
         from gelgap.sim.elastomer import Elastomer
         from gelgap.sim.indenter import Sphere
         from gelgap.sim.path import Pose
-        from gelgap.sim.solver import solve_pose
+        from gelgap.sim.solver import pose_for_force, solve_pose
 
+        if self.depth_mm is not None and self.normal_force_n is not None:
+            raise ValueError("depth_mm and normal_force_n are both given: give one of them")
         base = Elastomer.preset(self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
         given = {name: value for name in OVERRIDES if (value := getattr(self, name)) is not None}
         elastomer = Elastomer(**base | given)
@@ -78,10 +83,14 @@ class Press:
         pose = Pose(
             point_x_mm=self.point_x_mm,
             point_y_mm=self.point_y_mm,
-            depth_mm=self.depth_mm,
+            depth_mm=DEFAULT_DEPTH_MM if self.depth_mm is None else self.depth_mm,
             shear_x_mm=self.shear_x_mm,
             shear_y_mm=self.shear_y_mm,
         )
+        if self.normal_force_n is not None:
+            point = (pose.point_x_mm, pose.point_y_mm)
+            pressed = pose_for_force(elastomer, indenter, self.normal_force_n, point, self.quality)
+            pose = replace(pose, depth_mm=pressed.depth_mm)
         state = solve_pose(elastomer, indenter, pose, quality=self.quality)
         if self.save is not None:
             state.save(self.save)
@@ -102,8 +111,10 @@ class Press:
 
 def _table(report: dict) -> str:
     fx, fy, fz = report["force_n"]
+    depth = report["settings"]["pose"]["depth_mm"]
     return "\n".join(
         [
+            f"depth           {depth:.4g} mm",
             f"force           Fx {fx:+.4f}  Fy {fy:+.4f}  Fz {fz:+.4f} N",
             f"contact radius  {report['contact_radius_mm']:.3f} mm",
             f"converged       {'yes' if report['converged'] else 'NO: do not trust these figures'}",

@@ -3,10 +3,23 @@
 import os
 import pickle
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelgap.sim.indentation import Solution
+from gelgap.sim.problem import ContactProblem
+
+_DAMAGED = (
+    OSError,
+    pickle.UnpicklingError,
+    EOFError,
+    AttributeError,
+    ImportError,
+    IndexError,
+    TypeError,
+    ValueError,
+)
 
 
 @dataclass(frozen=True)
@@ -16,6 +29,17 @@ class CacheUse:
     folder: Path
     solutions: int
     bytes: int
+
+
+@dataclass(frozen=True)
+class CacheEntry:
+    """One cached file: `problem` is None if it is damaged; `current` says whether this version would take it."""
+
+    key: str
+    bytes: int
+    age_s: float
+    problem: ContactProblem | None
+    current: bool
 
 
 def cache_folder() -> Path:
@@ -28,12 +52,8 @@ def cache_folder() -> Path:
 
 def load_solution(key: str) -> Solution | None:
     """Return the cached solution of that key; None if there is none or its file is damaged."""
-    try:
-        with _path(key).open("rb") as file:
-            solution = pickle.load(file)
-    except (OSError, pickle.UnpicklingError, EOFError, AttributeError, ImportError, IndexError, TypeError):
-        return None
-    return solution if isinstance(solution, Solution) and solution.problem.key == key else None
+    solution = _read(_path(key))
+    return solution if solution is not None and solution.problem.key == key else None
 
 
 def store_solution(solution: Solution) -> None:
@@ -56,6 +76,21 @@ def cache_use() -> CacheUse:
     return CacheUse(cache_folder(), len(files), sum(file.stat().st_size for file in files))
 
 
+def cache_entries() -> tuple[CacheEntry, ...]:
+    """Read what each cached file is, newest first."""
+    entries = []
+    for file in cache_folder().glob("*.solution"):
+        try:
+            about = file.stat()
+        except FileNotFoundError:
+            continue
+        solution = _read(file)
+        problem = None if solution is None else solution.problem
+        current = problem is not None and problem.key == file.stem
+        entries.append(CacheEntry(file.stem, about.st_size, time.time() - about.st_mtime, problem, current))
+    return tuple(sorted(entries, key=lambda entry: entry.age_s))
+
+
 def clear_cache() -> CacheUse:
     """Delete all cached solutions and return what there was."""
     use = cache_use()
@@ -67,3 +102,12 @@ def clear_cache() -> CacheUse:
 
 def _path(key: str) -> Path:
     return cache_folder() / f"{key}.solution"
+
+
+def _read(path: Path) -> Solution | None:
+    try:
+        with path.open("rb") as file:
+            solution = pickle.load(file)
+    except _DAMAGED:
+        return None
+    return solution if isinstance(solution, Solution) else None

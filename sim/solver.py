@@ -20,6 +20,10 @@ from gelgap.sim.sharing import (
     placed_state,
 )
 
+# How near load control comes to its force, and after how many corrections it gives up.
+_LOAD_TOLERANCE = 0.01
+_LOAD_CORRECTIONS = 4
+
 
 def solve_pose(
     elastomer: Elastomer,
@@ -92,14 +96,15 @@ def pose_for_force(
     """Return the pose whose depth gives a target normal force (load control); positive N, whatever Fz's sign.
 
     One descent in steps of a thirtieth of the thickness, down to a third of it, is solved and inverted by a monotone
-    cubic.
+    cubic. The depth found is solved for itself, on the mesh that it deserves, and corrected until its force is within
+    1 % of the target.
 
     Raises
     ------
     ValueError
         If the force is not positive or larger than the deepest press gives.
     RuntimeError
-        If the descent does not converge.
+        If the descent does not converge, or no depth comes within 1 %.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -118,5 +123,14 @@ def pose_for_force(
             f"normal_force_n = {normal_force_n:g}: must be at most {force[-1]:.4g} N on this gel"
         )
     # Force grows about as depth^1.5, so its power 2/3 is nearly straight.
-    depth = float(PchipInterpolator(force ** (2 / 3), depths)(normal_force_n ** (2 / 3)))
-    return Pose(depth_mm=depth, **place)
+    depth_of = PchipInterpolator(force ** (2 / 3), depths)
+    sought = normal_force_n
+    for _ in range(_LOAD_CORRECTIONS + 1):
+        pose = Pose(depth_mm=round(float(depth_of(min(sought, force[-1]) ** (2 / 3))), 6), **place)
+        reached = -solve_pose(elastomer, indenter, pose, quality, sharing).force_n[2]
+        if abs(reached / normal_force_n - 1) <= _LOAD_TOLERANCE:
+            return pose
+        sought *= normal_force_n / reached
+    raise RuntimeError(
+        f"load control did not come within {100 * _LOAD_TOLERANCE:g} % of {normal_force_n:g} N"
+    )

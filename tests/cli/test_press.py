@@ -1,0 +1,35 @@
+"""`gelgap press` under load control."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from gelgap.cli.main import main
+
+
+def test_press_to_a_force(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
+    main(["press", "--force-n", "0.2", "--quality", "draft", "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert report["force_n"][2] == pytest.approx(-0.2, rel=0.01)
+    assert 0.2 < report["settings"]["pose"]["depth_mm"] < 0.6
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--depth-mm", "0.2"], ("depth_mm", "normal_force_n")),
+        (["--force-n", "-1"], ("normal_force_n", "-1")),
+    ],
+)
+def test_bad_load_control_is_refused(
+    options: list[str], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["press", "--force-n", "0.2", *options])
+    assert stop.value.code == 2
+    message = capsys.readouterr().err
+    assert all(word in message for word in words)
