@@ -45,7 +45,7 @@ def _line(entry: "CacheEntry") -> str:
     mount = problem.mount_stiffness_n_per_mm
     parts = [
         problem.quality.name,
-        f"{len(problem.waypoints_mm)} pose{"s" * (len(depths) > 1)} to {max(depths):g} mm",
+        f"{len(problem.waypoints_mm)} poses, deepest {max(depths):g} mm",
         f"sphere {2 * problem.sphere_radius_mm:g} mm",
         f"gel {problem.thickness_mm:g} mm, E {problem.young_modulus_mpa:.4g} MPa, ν {problem.poisson_ratio:.4g}",
         f"friction {problem.friction:g}",
