@@ -128,7 +128,7 @@ def adapt_frames(
         if folder is not None and (folder / RECORD).is_file():
             runs.append(load_run(folder))
             continue
-        stage1, stage1_s = _stage1(source, source_train, profile, seed, weights, out, progress)
+        stage1, stage1_s = shared_stage1(source, source_train, profile, seed, weights, out, progress)
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
         start = time.perf_counter()
@@ -188,7 +188,7 @@ def prepare_stage1(
     (0 if it was there). Runs started in parallel afterwards find it."""
     frames = load_frames(source, profile)
     train, _ = split_source(frames, profile, seed)
-    return _stage1(frames, train, profile, seed, weights, Path(out_dir), progress)[1]
+    return shared_stage1(frames, train, profile, seed, weights, Path(out_dir), progress)[1]
 
 
 def run_key(
@@ -200,16 +200,27 @@ def run_key(
     weights: str | Path | None,
 ) -> str:
     """Return the hash of everything that decides a run's result: data, method, hyperparameters, seed,
-    weights."""
+    weights. Settings of other methods are left out."""
+    own = {name: values for name, values in profile.settings.items() if name == method}
     content = {
         "source": [source.name, source.digest, len(source)],
         "target": None if target is None else [target.name, target.digest, len(target)],
         "method": method,
-        "profile": profile.model_dump(mode="json", exclude={"name"}),
+        "profile": profile.model_dump(mode="json", exclude={"name"}) | {"settings": own},
         "seed": seed,
         "weights": None if weights is None else hashlib.sha256(Path(weights).read_bytes()).hexdigest(),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def stage1_profile(profile: Profile) -> Profile:
+    """Return the profile with all that stage 1 does not depend on at its default: equal ones share a checkpoint."""
+    stage2_only = {name for name in Profile.model_fields if name.startswith(("adapt_", "transfer_"))}
+    stage2_only |= {"batch_statistics", "classification_weight", "classification_feedback"}
+    stage2_only |= {"regression_weight", "settings"}
+    return profile.replace(
+        **{name: Profile.model_fields[name].get_default(call_default_factory=True) for name in stage2_only}
+    )
 
 
 def versions() -> dict[str, str]:
@@ -218,28 +229,25 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **packages}
 
 
-def _stage1(
+def shared_stage1(
     source: Frames,
     source_train: Frames,
     profile: Profile,
     seed: int,
     weights: str | Path | None,
     out: Path | None,
-    progress: Progress,
+    progress: Progress = silent,
 ) -> tuple[ForceModel, float]:
-    """Return the shared stage-1 model and the time it took now (0 if its checkpoint was there)."""
+    """Return the stage-1 model of a source and the time it took now (0 if its checkpoint was there).
+
+    `source_train` are the frames of `source` that it may learn from; without `out` nothing is kept.
+    """
     start = time.perf_counter()
     if out is None:
         return train_source(
             source_train, profile, seed, weights, progress=progress
         ), time.perf_counter() - start
-    stage2_only = {name for name in Profile.model_fields if name.startswith(("adapt_", "transfer_"))}
-    stage2_only |= {"batch_statistics", "classification_weight", "classification_feedback"}
-    stage2_only |= {"regression_weight", "settings"}
-    defaults = {
-        name: Profile.model_fields[name].get_default(call_default_factory=True) for name in stage2_only
-    }
-    key = run_key(source, None, "stage1", profile.replace(**defaults), seed, weights)
+    key = run_key(source, None, "stage1", stage1_profile(profile), seed, weights)
     path = out / "stage1" / f"{source.name}-{seed}-{key[:8]}.pt"
     if path.is_file():
         return ForceModel.load(path), 0.0

@@ -3,6 +3,8 @@
 [1] Sugiyama, Krauledat, Müller, "Covariate shift adaptation by importance weighted cross validation", JMLR 8, 2007.
 [2] You, Wang, Long, Jordan, "Towards accurate model selection in deep unsupervised domain adaptation" (DEV), ICML 2019.
 [3] Ben-David et al., "Analysis of representations for domain adaptation", NIPS 2006.
+[4] Zhong, Fan, Yang, Verscheure, Ren, "Cross validation framework to choose amongst models and datasets for transfer
+    learning", ECML 2010; the reverse model here is a nearest-neighbour regression in the feature space.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,18 +13,25 @@ from dataclasses import dataclass
 import numpy as np
 
 ALARM_SPREAD = 0.3
+ALARM_RANK = 0.3
+_NEIGHBOURS = 5
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """What a selector sees: features (n, D), squared errors (n,) and predictions (n, 3) of held-out source frames,
-    features (m, D) and predictions (m, 3) of target frames; no target label."""
+    """What a selector sees: features (n, D), forces and predictions (n, 3) of held-out source frames, features (m, D)
+    and predictions (m, 3) of target frames; no target label."""
 
     source_features: np.ndarray
-    source_error: np.ndarray
+    source_force_n: np.ndarray
     source_prediction_n: np.ndarray
     target_features: np.ndarray
     target_prediction_n: np.ndarray
+
+    @property
+    def source_error(self) -> np.ndarray:
+        """Squared errors (n,) of the source frames, each axis over the variance of its force, mean over the axes."""
+        return _relative_error(self.source_prediction_n, self.source_force_n)
 
 
 def source_risk(candidate: Candidate) -> float:
@@ -65,10 +74,33 @@ def proxy_a_distance(candidate: Candidate) -> float:
     return float(2 * (1 - 2 * min(1 - accuracy, 0.5)))
 
 
+def reverse_validation(candidate: Candidate) -> float:
+    """Return the error on the source of a model that learnt from the target's predictions alone (reverse validation
+    [4]): aligned features with right predictions lead back to the source's forces."""
+    from sklearn.neighbors import KNeighborsRegressor
+
+    neighbours = min(_NEIGHBOURS, len(candidate.target_features))
+    reverse = KNeighborsRegressor(neighbours, weights="distance")
+    reverse.fit(candidate.target_features, candidate.target_prediction_n)
+    return float(_relative_error(reverse.predict(candidate.source_features), candidate.source_force_n).mean())
+
+
 def spread_alarm(candidate: Candidate) -> bool:
     """Return whether target predictions spread over less than 30 % of the source predictions' deviation."""
     source, target = candidate.source_prediction_n.std(axis=0), candidate.target_prediction_n.std(axis=0)
     return bool((target < ALARM_SPREAD * source).any())
+
+
+def rank_alarm(candidate: Candidate) -> bool:
+    """Return whether the target features' effective rank is below 30 % of the source features'."""
+    import torch
+
+    from gelgap.adapt.stage import effective_rank
+
+    source, target = (
+        effective_rank(torch.from_numpy(x)) for x in (candidate.source_features, candidate.target_features)
+    )
+    return target < ALARM_RANK * source
 
 
 SELECTORS = {
@@ -77,11 +109,36 @@ SELECTORS = {
     "DEV": deep_embedded_validation,
     "feature MMD": feature_mmd,
     "A-distance": proxy_a_distance,
+    "reverse validation": reverse_validation,
 }
 
 
+def scores(candidate: Candidate) -> dict[str, float]:
+    """Return what every selector makes of a candidate; lower is better."""
+    return {name: score(candidate) for name, score in SELECTORS.items()}
+
+
+def alarm(candidate: Candidate) -> bool:
+    """Return whether the candidate looks like a constant predictor or has lost its features."""
+    return spread_alarm(candidate) or rank_alarm(candidate)
+
+
+def best_of(values: Sequence[float], alarms: Sequence[bool]) -> int:
+    """Return the index of the lowest score among candidates without an alarm (among all, if all have one).
+
+    Raises
+    ------
+    ValueError
+        If there is no candidate.
+    """
+    if not len(values):
+        raise ValueError("there is no candidate to select from")
+    warned = np.asarray(alarms, bool)
+    return int(np.argmin(np.where(warned & ~warned.all(), np.inf, np.asarray(values, float))))
+
+
 def select(candidates: Sequence[Candidate], selector: str) -> int:
-    """Return the index of the lowest score among candidates without a spread alarm (among all, if all have one).
+    """Return the index of the candidate that a selector chooses.
 
     Raises
     ------
@@ -90,17 +147,19 @@ def select(candidates: Sequence[Candidate], selector: str) -> int:
     """
     if selector not in SELECTORS:
         raise ValueError(f"selector {selector!r} is unknown; known selectors: {', '.join(SELECTORS)}")
-    if not candidates:
-        raise ValueError("there is no candidate to select from")
-    scores = np.array([SELECTORS[selector](candidate) for candidate in candidates])
-    alarms = np.array([spread_alarm(candidate) for candidate in candidates])
-    return int(np.argmin(np.where(alarms & ~alarms.all(), np.inf, scores)))
+    values = [SELECTORS[selector](candidate) for candidate in candidates]
+    return best_of(values, [alarm(candidate) for candidate in candidates])
 
 
 def regrets(candidates: Sequence[Candidate], target_error_n: Sequence[float]) -> Mapping[str, float]:
     """Return, per selector, the target error of its choice minus that of the best candidate, N. Uses target labels."""
     error = np.asarray(target_error_n, float)
     return {name: float(error[select(candidates, name)] - error.min()) for name in SELECTORS}
+
+
+def _relative_error(prediction_n: np.ndarray, force_n: np.ndarray) -> np.ndarray:
+    variance = np.maximum(force_n.var(axis=0), 1e-12)
+    return ((prediction_n - force_n) ** 2 / variance).mean(axis=1)
 
 
 def _both(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,8 @@
 resumable."""
 
 import contextlib
+import ctypes
+import functools
 import math
 import os
 import time
@@ -19,12 +21,17 @@ from gelgap.adapt.progress import Progress
 from gelgap.adapt.schedules import learning_rate_factor
 
 MAX_SKIPPED_IN_A_ROW = 20
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 COLLAPSED_SPREAD = 0.05
 HEALTHY_SPREAD = 0.3
 
 
 class FeatureCollapse(RuntimeError):
     """The features no longer tell one force from another: the network predicts a constant."""
+
+
+class TrainingDiverged(RuntimeError):
+    """Losses or gradients were not finite for many steps in a row."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +90,26 @@ def prediction_spread(prediction: Tensor, force: Tensor) -> float:
     return float((prediction.std(dim=0)[varies] / label_std[varies]).mean())
 
 
+@functools.cache
+def keep_freed_memory() -> bool:
+    """Have glibc keep freed memory for the next step, and say whether it could be told so.
+
+    By default every activation above 128 kB is mapped and unmapped anew: each page is zeroed again in each step.
+    """
+    try:
+        set_option = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return False
+    # 32 MiB is the most that glibc takes as the threshold above which memory is mapped.
+    options = {_M_MMAP_THRESHOLD: 2**25, _M_TRIM_THRESHOLD: 2**31 - 1, _M_TOP_PAD: 2**26}
+    done = [set_option(option, value) for option, value in options.items()]
+    return all(done)
+
+
 @contextlib.contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Run with so many CPU threads."""
+    """Run with so many CPU threads, and without giving memory back between steps."""
+    keep_freed_memory()
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -123,6 +147,7 @@ def run_stage(
     progress: Progress,
     resume_file: Path | None,
     watch_collapse: bool,
+    watch: Callable[[int], None] | None = None,
 ) -> list[EpochRecord]:
     """Train in place for some epochs and return their records.
 
@@ -135,10 +160,12 @@ def run_stage(
         Maps the step's number (over all epochs) and a batch to its loss.
     resume_file
         Written after every epoch, read at the start if it exists.
+    watch
+        Called with the number of each finished epoch; it must not change the network.
 
     Raises
     ------
-    RuntimeError
+    TrainingDiverged
         If 20 steps in a row had a loss or gradient that was not finite.
     FeatureCollapse
         If `watch_collapse` and a network that told forces apart has become a constant predictor.
@@ -179,7 +206,7 @@ def run_stage(
                     values = ", ".join(
                         f"{name} = {float(value.detach()):.3g}" for name, value in result.parts.items()
                     )
-                    raise RuntimeError(
+                    raise TrainingDiverged(
                         f"{title}: {bad_in_a_row} steps in a row had a loss or gradient that is not "
                         f"finite ({values}, gradient norm {norm:.3g}); lower the learning "
                         f"rate or the transfer weight"
@@ -205,6 +232,8 @@ def run_stage(
             _check_collapse(title, records)
         if resume_file is not None:
             _store(resume_file, network, extra, optimizer, records, number)
+        if watch is not None:
+            watch(epoch + 1)
         message = "  ".join(f"{name} {value:.4f}" for name, value in record.losses.items())
         progress(title, epoch + 1, epochs, message + (f"  {skipped} steps skipped" if skipped else ""))
     return records

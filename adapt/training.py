@@ -2,7 +2,7 @@
 pictures."""
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -156,6 +156,7 @@ def adapt(
     seed: int | None = None,
     resume_file: Path | None = None,
     progress: Progress = silent,
+    watch: Callable[[int, ForceModel], None] | None = None,
 ) -> ForceModel:
     """Stage 2: return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
 
@@ -165,6 +166,8 @@ def adapt(
         Training frames of both domains. Only a method that declares `uses_target_labels` reads target labels.
     profile, seed
         Those of the stage-1 model unless given; the network's part of the profile must be the same.
+    watch
+        Called after each epoch with its number and the model that stopping there would give.
 
     Raises
     ------
@@ -179,6 +182,16 @@ def adapt(
     chosen = make_method(method, profile, model.n_classes)
     network = copy.deepcopy(model.network)
     adaptation = Adaptation(network, profile, method, source, target, seed, resume_file, progress)
+    if watch is not None:
+
+        def show(epoch: int) -> None:
+            now = replace(model, network=network, profile=profile, seed=seed, method=method)
+            per_domain = profile.batch_statistics == "per_domain"
+            stopped = with_statistics_of(now, target) if per_domain else copy.deepcopy(now)
+            stopped.network.eval()
+            watch(epoch, stopped)
+
+        adaptation.watch = show
     if chosen.uses_target:
         check_same_size(source, target)
     source.check_labels()
@@ -213,6 +226,7 @@ class Adaptation:
     seed: int
     resume_file: Path | None = None
     progress: Progress = silent
+    watch: Callable[[int], None] | None = None
     records: list[EpochRecord] = field(default_factory=list)
 
     @property
@@ -301,6 +315,7 @@ class Adaptation:
             progress=self.progress,
             resume_file=self.resume_file,
             watch_collapse=True,
+            watch=self.watch,
         )
         if profile.batch_statistics == "per_domain":
             self.estimate_target_statistics()
@@ -329,6 +344,13 @@ class Adaptation:
         while True:
             yield from epoch_order(m, size, self.seed, 3, cycle)[offset:]
             cycle, offset = cycle + 1, 0
+
+
+def with_statistics_of(model: ForceModel, frames: Frames) -> ForceModel:
+    """Return a copy of a model whose batch normalisation has the statistics of these frames' pictures."""
+    network = copy.deepcopy(model.network)
+    estimate_statistics(network, Pictures(frames, model.profile, model.device), model.seed)
+    return replace(model, network=network)
 
 
 @torch.no_grad()

@@ -1,14 +1,22 @@
 """The adaptation benchmark: the paper's nine groups, every method, several seeds; resumable, one run a core."""
 
-import json
 import math
-import time
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from gelgap.benchmarks.adaptation_jobs import Job, Line, run_missing
+from gelgap.benchmarks.adaptation_statistics import (
+    CAVEAT,
+    bootstrap_interval,
+    compare,
+    critical_difference,
+    friedman_p,
+    ranks,
+)
 from gelgap.benchmarks.tables import print_table
 
 GROUPS = (
@@ -34,262 +42,358 @@ PAPER_MAE_N = {
 
 PAPER_METHODS = ("source-only", "adabn", "dann", "daregram", "dsan", "supervised")
 SEEDS = (0, 1, 2)
-BOOTSTRAPS = 2000
+MINUTES_A_SEED = 30.0
+LEAST_R2 = (0.8, 0.8, 0.9)
+"""What supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
 
 
 @dataclass(frozen=True)
-class Job:
-    """One run to do: a method on a group with a seed."""
+class ResultTable:
+    """A table as it is printed and as it goes into a report."""
 
-    source: str
-    target: str
-    method: str
-    seed: int
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    note: str = ""
+
+    def show(self) -> None:
+        """Print it."""
+        print_table(self.title, self.header, self.rows, self.note)
 
 
 @dataclass(frozen=True)
-class Line:
-    """One finished run as a line of `runs.jsonl`."""
+class GroupOracles:
+    """What paired contacts say of a group: mean absolute errors per axis, N, without any learning."""
 
-    key: str
-    source: str
-    target: str
-    method: str
-    seed: int
-    profile: str
-    mae_n: tuple[float, float, float]
-    r2: tuple[float, float, float]
-    constant_mean_n: float
-    source_held_out_r2: tuple[float, float, float] | None
-    stage2_s: float
-    skipped_steps: int
-    problem: str | None
-    versions: dict[str, str]
+    pose_n: tuple[float, float, float]
+    geometry_n: tuple[float, float, float]
 
-    @property
-    def mean_mae_n(self) -> float:
-        """Mean over the axes, N; NaN where the features collapsed."""
-        return float(np.mean(self.mae_n))
+    def comparable(self, group: tuple[str, str]) -> bool:
+        """Whether perfect alignment of poses could reach what the paper reports for DSAN."""
+        if group not in GROUPS:
+            return True
+        return float(np.mean(self.pose_n)) <= PAPER_MAE_N["dsan"][GROUPS.index(group)]
 
 
-def stage1_job(data: Path, out: Path, profile: str, source: str, seed: int) -> float:
-    """Train one shared stage-1 checkpoint (in a worker)."""
-    from gelgap.adapt.profile import Profile
-    from gelgap.adapt.runs import prepare_stage1
-
-    return prepare_stage1(data / source, Profile.preset(profile), seed, out)
-
-
-def adapt_job(data: Path, out: Path, profile: str, job: Job) -> Line:
-    """Do one run (in a worker); a collapse is a result, not a failure."""
-    from gelgap.adapt.runs import adapt_folders, versions
-    from gelgap.adapt.stage import FeatureCollapse
-
-    try:
-        (run,) = adapt_folders(
-            data / job.source, data / job.target, [job.method], profile, job.seed, out_dir=out
-        )
-    except FeatureCollapse as collapse:
-        nothing = (math.nan,) * 3
-        return Line(
-            "", **asdict(job), profile=profile, mae_n=nothing, r2=nothing, constant_mean_n=math.nan,
-            source_held_out_r2=None, stage2_s=math.nan, skipped_steps=0, problem=str(collapse), versions=versions(),
-        )  # fmt: skip
-    return Line(
-        key=run.key,
-        **asdict(job),
-        profile=profile,
-        mae_n=run.target_test.mae_n,
-        r2=run.target_test.r2,
-        constant_mean_n=run.target_constant_mean.mean_mae_n,
-        source_held_out_r2=None if run.source_held_out is None else run.source_held_out.r2,
-        stage2_s=run.wall_s["stage2"],
-        skipped_steps=run.skipped_steps,
-        problem=None,
-        versions=run.versions,
-    )
-
-
-def read_lines(path: Path) -> list[Line]:
-    """Read finished runs; a last line that was cut off by a kill is left out."""
-    if not path.is_file():
-        return []
-    lines = []
-    for text in path.read_text(encoding="utf-8").splitlines():
-        try:
-            content = json.loads(text)
-        except json.JSONDecodeError:
-            continue
-        for name in ("mae_n", "r2", "source_held_out_r2"):
-            content[name] = None if content[name] is None else tuple(content[name])
-        lines.append(Line(**content))
-    return lines
-
-
-def missing_jobs(
-    groups: Iterable[tuple[str, str]],
-    methods: Sequence[str],
-    seeds: Sequence[int],
-    profile: str,
-    done: Iterable[Line],
-) -> list[Job]:
-    """Return the runs of the plan that no finished line covers, groups of one seed together."""
-    finished = {
-        (line.source, line.target, line.method, line.seed) for line in done if line.profile == profile
-    }
-    plan = [Job(s, t, m, seed) for seed in seeds for s, t in groups for m in methods]
-    return [job for job in plan if (job.source, job.target, job.method, job.seed) not in finished]
-
-
-def run_missing(
-    data: Path,
-    out: Path,
-    profile: str,
-    groups: Sequence[tuple[str, str]],
-    methods: Sequence[str],
-    seeds: Sequence[int],
-    scheduler: str | None = None,
-) -> list[Line]:
-    """Do what is missing on Dask workers, one run a core, and return all lines of the plan.
-
-    Each finished run is one line of `out/runs.jsonl`; a run that was killed goes on from its last epoch.
-    """
-    from dask.distributed import as_completed
-
-    from gelgap.domains.cluster import dask_client
-
-    out.mkdir(parents=True, exist_ok=True)
-    record = out / "runs.jsonl"
-    jobs = missing_jobs(groups, methods, seeds, profile, read_lines(record))
-    if jobs:
-        start = time.perf_counter()
-        with dask_client(scheduler, None) as client:
-            stage1 = {
-                (job.source, job.seed): client.submit(
-                    stage1_job, data, out, profile, job.source, job.seed, pure=False
-                )
-                for job in jobs
-            }
-            runs = [
-                client.submit(_after, stage1[job.source, job.seed], data, out, profile, job, pure=False)
-                for job in jobs
-            ]
-            for count, future in enumerate(as_completed(runs, loop=client.loop), 1):
-                line = future.result()
-                with record.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(asdict(line)) + "\n")
-                print(
-                    f"{count}/{len(jobs)}  {line.source} → {line.target}  {line.method}  seed {line.seed}: "
-                    f"{line.problem or f'{line.mean_mae_n:.3f} N'}  ({time.perf_counter() - start:.0f} s)",
-                    flush=True,
-                )
-    wanted = {(s, t, m, seed) for s, t in groups for m in methods for seed in seeds}
-    return [
-        line
-        for line in read_lines(record)
-        if line.profile == profile and (line.source, line.target, line.method, line.seed) in wanted
-    ]
-
-
-def _after(stage1_s: float, data: Path, out: Path, profile: str, job: Job) -> Line:
-    return adapt_job(data, out, profile, job)
-
-
-def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """Return the 95 % bootstrap interval of the mean of values (n,)."""
-    rng = np.random.default_rng(seed)
-    means = values[rng.integers(0, len(values), (BOOTSTRAPS, len(values)))].mean(axis=1)
-    low, high = np.quantile(means, [0.025, 0.975])
-    return float(low), float(high)
-
-
-def summarise(lines: Sequence[Line], methods: Sequence[str]) -> dict[str, dict[str, object]]:
-    """Return per method: mean MAE over groups, bootstrap interval over groups, reduction from source-only, mean rank.
-
-    A collapsed run makes its group's mean, and the method's, NaN: it is not counted as anything else.
-    """
-    groups = sorted({(line.source, line.target) for line in lines})
-    table = np.array([[_mean_error(lines, group, method) for group in groups] for method in methods])
-    ranks = 1 + (table[:, None, :] > table[None, :, :]).sum(axis=1)
-    plain = table[methods.index("source-only")].mean() if "source-only" in methods else None
-    return {
-        method: {
-            "mean_n": float(table[i].mean()),
-            "interval_n": bootstrap_interval(table[i]),
-            "reduction": None if plain is None else float(1 - table[i].mean() / plain),
-            "rank": float(ranks[i].mean()),
-        }
-        for i, method in enumerate(methods)
-    }
-
-
-def _mean_error(lines: Sequence[Line], group: tuple[str, str], method: str) -> float:
-    values = [ln.mean_mae_n for ln in lines if (ln.source, ln.target, ln.method) == (*group, method)]
-    return float(np.mean(values)) if values else math.nan
-
-
-def print_results(
-    lines: Sequence[Line], data: Path, groups: Sequence[tuple[str, str]], methods: Sequence[str]
-) -> None:
-    """Print the groups' table with constant mean and pose oracle, and the methods' summary beside the paper's."""
-    from gelgap.adapt.evaluation import evaluate_predictions
-    from gelgap.adapt.oracles import paired_forces
+def group_oracles(data: Path, groups: Sequence[tuple[str, str]]) -> dict[tuple[str, str], GroupOracles]:
+    """Return both oracles of every group."""
+    from gelgap.adapt.oracles import Presses, geometry_oracle, pose_oracle
     from gelgap.domains.dataset import open_domain
 
+    domains = {name: open_domain(data / name) for name in dict.fromkeys(n for group in groups for n in group)}
+    presses = {name: Presses.of(domain) for name, domain in domains.items()}
+    return {
+        (s, t): GroupOracles(
+            pose_oracle(presses[s], presses[t]).mae_n, geometry_oracle(presses[s], presses[t]).mae_n
+        )
+        for s, t in groups
+    }
+
+
+@dataclass(frozen=True)
+class Results:
+    """The finished runs of some groups and methods, and the oracles of the groups.
+
+    Arrays are (methods, groups, seeds); a run that is missing or collapsed is NaN.
+    """
+
+    lines: Sequence[Line]
+    groups: Sequence[tuple[str, str]]
+    methods: Sequence[str]
+    seeds: Sequence[int]
+    oracles: dict[tuple[str, str], GroupOracles]
+
+    @cached_property
+    def found(self) -> dict[Job, Line]:
+        return {line.job: line for line in self.lines}
+
+    def line(self, group: tuple[str, str], method: str, seed: int) -> Line | None:
+        return self.found.get(Job(*group, method, seed))
+
+    def values(self, of) -> np.ndarray:
+        """Return `of(line)` for every method, group and seed; NaN where there is no such run."""
+
+        def value(line: Line | None):
+            return of(line) if line is not None and line.problem is None else math.nan
+
+        return np.array(
+            [[[value(self.line(g, m, s)) for s in self.seeds] for g in self.groups] for m in self.methods]
+        )
+
+    @cached_property
+    def errors_n(self) -> np.ndarray:
+        """Mean MAE over the axes, N."""
+        return self.values(lambda line: line.mean_mae_n)
+
+    @cached_property
+    def constant_mean_n(self) -> np.ndarray:
+        """Error (groups,) of predicting the source's mean force, N, mean over the seeds' test frames."""
+        return np.nanmean(self.values(lambda line: float(np.mean(line.constant_mean_n))), axis=(0, 2))
+
+    def of(self, method: str) -> np.ndarray:
+        """Return the errors (groups, seeds) of one method, N."""
+        return self.errors_n[list(self.methods).index(method)]
+
+
+def jobs_of(groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds: Sequence[int]) -> list[Job]:
+    """Return the runs of the table, one seed after the other."""
+    return [Job(s, t, m, seed) for seed in seeds for s, t in groups for m in methods]
+
+
+def result_tables(results: Results) -> list[ResultTable]:
+    """Return all tables about the groups."""
+    tables = [check_table(results), group_table(results), axis_table(results), oracle_table(results)]
+    if {"source-only", "supervised"} <= set(results.methods):
+        tables.append(closed_table(results))
+    if "source-only" in results.methods:
+        tables.append(summary_table(results))
+    if "dsan" in results.methods and len(results.groups) > 2:
+        tables.append(paired_table(results))
+    return [*tables, time_table(results)]
+
+
+def _spread(values: np.ndarray) -> str:
+    """Return mean ± standard deviation over seeds; how many collapsed, if any did."""
+    lost = int(np.isnan(values).sum())
+    good = values[~np.isnan(values)]
+    if not len(good):
+        return "–"
+    text = f"{good.mean():.3f}" + (f" ± {good.std(ddof=1):.3f}" if len(good) > 1 else "")
+    return text + (f" ({lost} missing)" if lost else "")
+
+
+def group_table(results: Results) -> ResultTable:
+    """The paper's main table beside what needs no learning."""
     rows = []
-    for source, target in groups:
-        of_group = [line for line in lines if (line.source, line.target) == (source, target)]
-        in_source, in_target = paired_forces(open_domain(data / source), open_domain(data / target))
-        oracle = evaluate_predictions(
-            in_target, in_source, open_domain(data / target).force_range_n
-        ).mean_mae_n
-        cells = [
-            np.array([line.mean_mae_n for line in of_group if line.method == method]) for method in methods
-        ]
+    for i, group in enumerate(results.groups):
+        oracles = results.oracles[group]
         rows.append(
             [
-                f"{source} → {target}"
-                + (" *" if oracle > PAPER_MAE_N["dsan"][GROUPS.index((source, target))] else ""),
-                float(np.mean([line.constant_mean_n for line in of_group])),
-                oracle,
-                *(
-                    f"{x.mean():.3f} ± {x.std(ddof=1):.3f}" if len(x) > 1 else f"{x.mean():.3f}"
-                    for x in cells
-                ),
+                " → ".join(group) + ("" if oracles.comparable(group) else " *"),
+                f"{results.constant_mean_n[i]:.3f}",
+                *(_spread(errors) for errors in results.errors_n[:, i]),
+                f"{np.mean(oracles.pose_n):.3f}",
+                f"{np.mean(oracles.geometry_n):.3f}",
             ]
         )
-    print_table(
-        "Mean MAE on the target's test frames, N",
-        ["group", "constant mean", "pose oracle", *methods],
-        rows,
-        note="± standard deviation over seeds; * pose oracle worse than the paper's DSAN: not comparable",
+    mean = np.nanmean(results.errors_n, axis=(1, 2))
+    both = [[np.mean(o.pose_n), np.mean(o.geometry_n)] for o in results.oracles.values()]
+    rows.append(
+        ["mean", f"{results.constant_mean_n.mean():.3f}", *(f"{x:.3f}" for x in mean)]
+        + [f"{x:.3f}" for x in np.mean(both, axis=0)]
     )
-    summary = summarise(lines, methods)
+    apart = [" → ".join(g) for g in results.groups if not results.oracles[g].comparable(g)]
+    return ResultTable(
+        "Mean MAE on the target's test frames, N",
+        ["group", "constant mean", *results.methods, "pose oracle", "geometry oracle"],
+        rows,
+        "± standard deviation over seeds. A group marked * has a pose oracle worse than the paper's DSAN figure and is "
+        f"not comparable; here: {', '.join(apart) or 'none'}.",
+    )
+
+
+def axis_table(results: Results) -> ResultTable:
+    """Error and R² per axis, mean over groups and seeds."""
+    mae = np.nanmean(results.values(lambda line: line.mae_n[0]), axis=(1, 2))
+    per_axis = [np.nanmean(results.values(lambda ln, a=a: ln.mae_n[a]), axis=(1, 2)) for a in range(3)]
+    r2 = [np.nanmean(results.values(lambda ln, a=a: ln.r2[a]), axis=(1, 2)) for a in range(3)]
+    widths = (1.5, 1.5, 3.0)
+    constant = [np.nanmean(results.values(lambda line, a=a: line.constant_mean_n[a])) for a in range(3)]
+    rows = [
+        ["constant mean", *(f"{n:.3f} ({100 * n / w:.1f} %)" for n, w in zip(constant, widths, strict=True))]
+    ]
+    rows[0] += ["–"] * 3
+    for i in range(len(mae)):
+        rows.append(
+            [
+                results.methods[i],
+                *(f"{v[i]:.3f} ({100 * v[i] / w:.1f} %)" for v, w in zip(per_axis, widths, strict=True)),
+                *(f"{v[i]:.2f}" for v in r2),
+            ]
+        )
+    for name in ("pose", "geometry"):
+        values = np.mean([getattr(o, f"{name}_n") for o in results.oracles.values()], axis=0)
+        cells = [f"{n:.3f} ({100 * n / w:.1f} %)" for n, w in zip(values, widths, strict=True)]
+        rows.append([f"{name} oracle", *cells, "–", "–", "–"])
+    return ResultTable(
+        "Per axis, mean over groups and seeds: MAE in N (% of the range) and R²",
+        ["method", "Fx", "Fy", "Fz", "R² x", "R² y", "R² z"],
+        rows,
+    )
+
+
+def oracle_table(results: Results) -> ResultTable:
+    """Both oracles per group and axis."""
+    rows = [
+        [
+            " → ".join(group),
+            *(f"{x:.4f}" for x in (*o.pose_n, *o.geometry_n)),
+            "yes" if o.comparable(group) else "no",
+        ]
+        for group, o in results.oracles.items()
+    ]
+    names = [f"{kind} {axis}" for kind in ("pose", "geometry") for axis in ("Fx", "Fy", "Fz")]
+    return ResultTable(
+        "Oracles per axis, MAE in N",
+        ["group", *names, "comparable"],
+        rows,
+        "Pose: the source's force at the same command. Geometry: the source gel's force at the target's contact.",
+    )
+
+
+def closed_table(results: Results) -> ResultTable:
+    """The share of the gap from source-only to supervised that each method closes, not capped."""
+    from gelgap.adapt.oracles import gap_closed
+
+    own = [m for m in results.methods if m not in ("source-only", "supervised")]
+    plain, ceiling = (np.nanmean(results.of(m), axis=1) for m in ("source-only", "supervised"))
+
+    def share(method: str, i: int) -> str:
+        value = gap_closed(plain[i], float(np.nanmean(results.of(method)[i])), ceiling[i])
+        return "–" if math.isnan(value) else f"{100 * value:.0f} %"
+
+    rows = [[" → ".join(g), *(share(m, i) for m in own)] for i, g in enumerate(results.groups)]
+    mean = [100 * gap_closed(plain.mean(), float(np.nanmean(results.of(m))), ceiling.mean()) for m in own]
+    return ResultTable(
+        "Share of the gap from source-only to supervised-on-target that is closed",
+        ["group", *own],
+        [*rows, ["of the means", *(f"{value:.0f} %" for value in mean)]],
+        "Not capped: above 100 % a method is better than supervised, below 0 worse than source-only.",
+    )
+
+
+def summary_table(results: Results) -> ResultTable:
+    """Mean, interval, reduction and rank of each method, beside the paper's."""
+    plain = np.nanmean(results.of("source-only"))
+    learned = [i for i, m in enumerate(results.methods) if m != "supervised"]
+    by_group = np.nanmean(results.errors_n, axis=2)
+    mean_ranks = dict(
+        zip([results.methods[i] for i in learned], ranks(by_group[learned]).mean(axis=1), strict=True)
+    )
     paper = {name: float(np.mean(values)) for name, values in PAPER_MAE_N.items()}
-    print_table(
-        "Over the groups",
-        [
-            "method",
-            "mean N",
-            "95 % interval",
-            "against source-only",
-            "mean rank",
-            "paper N",
-            "paper's change",
-        ],
-        [
+    paper_ranks = dict(zip(paper, ranks(np.array(list(PAPER_MAE_N.values()))).mean(axis=1), strict=True))
+    rows = []
+    for i, method in enumerate(results.methods):
+        errors = results.errors_n[i]
+        low, high = bootstrap_interval(errors)
+        rows.append(
             [
                 method,
-                values["mean_n"],
-                "{:.3f}…{:.3f}".format(*values["interval_n"]),
-                None if values["reduction"] is None else f"{100 * (0.0 - values['reduction']):+.0f} %",
-                values["rank"],
-                paper.get(method),
-                f"{100 * (paper[method] / paper['source-only'] - 1):+.0f} %" if method in paper else None,
+                f"{np.nanmean(errors):.3f}",
+                "–" if math.isnan(low) else f"{low:.3f}…{high:.3f}",
+                f"{100 * (np.nanmean(errors) / plain - 1):+.0f} %",
+                f"{mean_ranks[method]:.2f}" if method in mean_ranks else "–",
+                f"{paper[method]:.3f}" if method in paper else "–",
+                f"{100 * (paper[method] / paper['source-only'] - 1):+.0f} %" if method in paper else "–",
+                f"{paper_ranks[method]:.2f}" if method in paper else "–",
             ]
-            for method, values in summary.items()
+        )
+    return ResultTable(
+        "Over the groups, beside the paper",
+        [
+            "method",
+            "mean, N",
+            "95 % interval",
+            "change",
+            "mean rank",
+            "paper, N",
+            "paper's change",
+            "paper's rank",
         ],
-        note="groups share domains, so that they are not independent: interval and ranks describe, they do not test",
+        rows,
+        "Change against source-only. Interval: bootstrap over groups, then seeds. Rank: over groups, means of seeds, "
+        "supervised left out; the paper's among its four.",
+    )
+
+
+def paired_table(results: Results, against: str = "dsan") -> ResultTable:
+    """Paired tests of every method against DSAN, Friedman's test and the critical difference."""
+    found = compare(results.errors_n, list(results.methods), results.groups, against)
+    rows = [
+        [
+            f"{c.first} − {c.second}",
+            f"{c.difference_n:+.4f}",
+            f"{c.wins} of {c.cases}",
+            f"{c.p_groups:.3f}",
+            f"{c.p_runs:.2g}",
+            f"{c.leaving_out[0]:+.4f}…{c.leaving_out[1]:+.4f}",
+        ]
+        for c in found
+    ]
+    own = [i for i, m in enumerate(results.methods) if m != "supervised"]
+    by_group = np.nanmean(results.errors_n[own], axis=2)
+    note = (
+        f"Friedman's test over the groups, {len(own)} methods: p = {friedman_p(by_group):.2g}; critical difference of "
+        f"mean ranks (Nemenyi, 5 %): {critical_difference(len(own), len(results.groups)):.2f}. {CAVEAT}"
+    )
+    return ResultTable(
+        f"Paired differences from {against}, N",
+        ["difference", "mean, N", "groups better", "p over groups", "p over runs", "leaving out a domain"],
+        rows,
+        note,
+    )
+
+
+def check_table(results: Results) -> ResultTable:
+    """Whether the profile counts: R² of supervised-on-target and of source-only on its source, and the time a seed."""
+    rows = []
+
+    def add(what: str, domain: str, r2: np.ndarray) -> None:
+        mean, worst = r2.mean(axis=0), r2.min(axis=0)
+        good = bool((mean >= LEAST_R2).all())
+        cells = [f"{m:.2f} (≥ {w:.2f})" for m, w in zip(mean, worst, strict=True)]
+        rows.append([what, domain, *cells, "yes" if good else "NO"])
+
+    sound = [line for line in results.lines if line.problem is None]
+    for domain in dict.fromkeys(group[1] for group in results.groups):
+        own = [ln.r2 for ln in sound if (ln.job.method, ln.job.target) == ("supervised", domain)]
+        if own:
+            add("supervised on target", domain, np.array(own))
+    for domain in dict.fromkeys(group[0] for group in results.groups):
+        own = [
+            ln.source_held_out_r2
+            for ln in sound
+            if (ln.job.method, ln.job.source) == ("source-only", domain) and ln.source_held_out_r2
+        ]
+        if own:
+            add("source-only on held-out source", domain, np.array(own))
+    minutes = core_minutes_a_seed(results) / 2
+    met = "yes" if minutes <= MINUTES_A_SEED else "NO"
+    rows.append(["a seed, four methods", f"{minutes:.1f} min on 2 cores", "–", "–", "–", met])
+    return ResultTable(
+        "Does the profile count?",
+        ["condition", "domain", "R² x", "R² y", "R² z", "met"],
+        rows,
+        "Needed in the mean over runs: R² of at least 0.8 in Fx and Fy and 0.9 in Fz (the worst run is in brackets), "
+        f"and at most {MINUTES_A_SEED:g} minutes a seed on two cores (training time over two).",
+    )
+
+
+def core_minutes_a_seed(results: Results) -> float:
+    """Return the training time of one seed of the paper's four methods in minutes of one core."""
+    four = [line for line in results.lines if line.job.method in PAPER_MAE_N and line.problem is None]
+    seeds = len({line.job.seed for line in four}) or 1
+    stage1: dict[tuple[str, int], float] = {}
+    for line in results.lines:
+        key = (line.job.source, line.job.seed)
+        stage1[key] = max(stage1.get(key, 0.0), line.stage1_s)
+    return (sum(stage1.values()) + sum(line.stage2_s for line in four)) / seeds / 60
+
+
+def time_table(results: Results) -> ResultTable:
+    """Error against training time."""
+    stage1 = [line.stage1_s for line in results.lines if line.stage1_s > 0]
+    shared = float(np.median(stage1)) if stage1 else math.nan
+    rows = []
+    for i, method in enumerate(results.methods):
+        own = [line.stage2_s for line in results.lines if line.job.method == method and line.problem is None]
+        stage2 = float(np.median(own)) if own else math.nan
+        rows.append([method, f"{np.nanmean(results.errors_n[i]):.3f}", f"{shared:.1f}", f"{stage2:.1f}"])
+    return ResultTable(
+        "Target MAE against training time",
+        ["method", "mean MAE, N", "stage 1, s", "stage 2, s"],
+        rows,
+        "Medians of one core's wall time on a shared machine; stage 1 is shared by all methods of a source and seed.",
     )
 
 
@@ -308,5 +412,6 @@ def run(quick: bool, out_dir: Path) -> None:
     seeds = SEEDS[:1] if quick else SEEDS
     data, out = out_dir / "adaptation" / f"data-{preset}", out_dir / "adaptation" / preset
     print(generate_recipes(preset_recipes(preset, quality="standard", seed=0), data))
-    lines = run_missing(data, out, preset, groups, PAPER_METHODS, seeds)
-    print_results(lines, data, groups, PAPER_METHODS)
+    lines = run_missing(data, out, preset, jobs_of(groups, PAPER_METHODS, seeds))
+    for table in result_tables(Results(lines, groups, PAPER_METHODS, seeds, group_oracles(data, groups))):
+        table.show()

@@ -18,7 +18,9 @@ from gelgap.adapt.selection import (
     feature_mmd,
     importance_weighted_risk,
     proxy_a_distance,
+    rank_alarm,
     regrets,
+    reverse_validation,
     select,
     source_risk,
 )
@@ -28,10 +30,11 @@ RANGE = np.array([[-0.75, 0.75], [-0.75, 0.75], [-3, 0]])
 
 def candidate(shift: float, error: float = 1.0, spread: float = 1.0) -> Candidate:
     rng = np.random.default_rng(0)
+    source_force = rng.standard_normal((150, 3))
     return Candidate(
         source_features=rng.standard_normal((150, 5)),
-        source_error=error * rng.random(150),
-        source_prediction_n=rng.standard_normal((150, 3)),
+        source_force_n=source_force,
+        source_prediction_n=source_force + error * rng.standard_normal((150, 3)),
         target_features=rng.standard_normal((120, 5)) + shift,
         target_prediction_n=spread * rng.standard_normal((120, 3)),
     )
@@ -80,6 +83,25 @@ def test_discrepancies_see_a_shift():
     assert feature_mmd(candidate(2)) > 5 * feature_mmd(candidate(0))
     assert proxy_a_distance(candidate(3)) > 1.5
     assert proxy_a_distance(candidate(0)) < 0.5
+
+
+def test_reverse_validation_knows_features_that_lead_back():
+    rng = np.random.default_rng(1)
+    source, target = rng.standard_normal((200, 3)), rng.standard_normal((400, 3))
+
+    def predicting(target_force: np.ndarray) -> Candidate:
+        return Candidate(source, source, source, target, target_force)
+
+    assert reverse_validation(predicting(target)) < 0.2
+    assert reverse_validation(predicting(-target)) > 2
+    assert reverse_validation(predicting(np.zeros_like(target))) == pytest.approx(1, abs=0.1)
+
+
+def test_rank_alarm():
+    healthy = candidate(0)
+    line = replace(healthy, target_features=np.outer(np.arange(120.0), np.ones(5)))
+    assert not rank_alarm(healthy)
+    assert rank_alarm(line)
 
 
 def test_selection_avoids_constant_predictors_and_reports_regret():

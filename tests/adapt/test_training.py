@@ -13,7 +13,7 @@ from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs
+from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs, run_key, stage1_profile
 from gelgap.adapt.stage import FeatureCollapse
 from gelgap.adapt.training import adapt, train_source
 
@@ -47,6 +47,19 @@ def test_adaptation_is_deterministic(stage1, source, target, method):
     np.testing.assert_array_equal(weights(first), weights(second))
     changed = np.abs(weights(first) - weights(stage1)).max() > 0
     assert changed == (method != "source-only")
+
+
+@pytest.mark.parametrize("statistics", ["joint", "per_domain"])
+def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, target, statistics):
+    profile = stage1.profile.replace(batch_statistics=statistics)
+    seen = {}
+    model = adapt(
+        stage1, source, target, "coral", profile, watch=lambda epoch, m: seen.update({epoch: weights(m)})
+    )
+    assert sorted(seen) == list(range(1, profile.adapt_epochs + 1))
+    np.testing.assert_array_equal(seen[profile.adapt_epochs], weights(model))
+    unwatched = adapt(stage1, source, target, "coral", profile)
+    np.testing.assert_array_equal(weights(model), weights(unwatched))
 
 
 class Forbidden(np.ndarray):
@@ -195,6 +208,19 @@ def test_runs_are_folders_and_nothing_is_computed_twice(source, target, profile,
     assert arrays["target_features"].shape[1] == short.feature_dim
     with pytest.raises(FileNotFoundError, match="holds no finished adaptation run"):
         load_runs(tmp_path / "stage1")
+
+
+def test_the_key_knows_the_methods_own_settings_alone(source, target, profile):
+    heavier = profile.replace(settings={"dsan": {"transfer_weight": 0.5}})
+    keys = {
+        (method, p is heavier): run_key(source, target, method, p, 0, None)
+        for method in ("dsan", "adabn")
+        for p in (profile, heavier)
+    }
+    assert keys["dsan", True] != keys["dsan", False]
+    assert keys["adabn", True] == keys["adabn", False]
+    assert stage1_profile(heavier) == stage1_profile(profile.replace(adapt_epochs=7))
+    assert stage1_profile(profile.replace(source_epochs=7)) != stage1_profile(profile)
 
 
 @pytest.mark.parametrize("by", ["random", "point"])
