@@ -33,7 +33,7 @@ from gelgap.render.inpainting import detect_markers, inpaint_biharmonic, inpaint
 from gelgap.render.rasterizer import rasterizer_for
 from gelgap.render.renderer import QUALITIES, MembraneRenderer
 from gelgap.render.sensor import Sensor
-from gelgap.render.shading import irradiance
+from gelgap.render.shading import direct_light
 from gelgap.render.surface import deformed_surface, displacement_on
 
 SIZES_PX = ((320, 240), (640, 480))
@@ -83,7 +83,7 @@ def without_shadows(renderer: MembraneRenderer, membrane) -> np.ndarray:
     """Render with the LEDs' area and cosines but as if nothing stood in their way."""
     surface = renderer._surface(*membrane, "membrane")
     level = replace(surface, height_mm=np.zeros_like(surface.height_mm))
-    light = irradiance(level, renderer._samples, renderer._shadows, None)
+    light = direct_light(level, renderer._samples, renderer._shadows, None).irradiance
     return renderer._gather(renderer._geometry(surface), light @ renderer._lambert_to_linear)
 
 

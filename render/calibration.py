@@ -15,7 +15,7 @@ import numpy as np
 from gelgap.render.camera import Camera
 from gelgap.render.illumination import Illumination, Led
 from gelgap.render.imaging import srgb_decode, srgb_slope
-from gelgap.render.plastic import REFRACTIVE_INDEX, interface_tables, specular_brdf, transmitted_share
+from gelgap.render.plastic import REFRACTIVE_INDEX, highlight, interface_shares, shadowing, transmitted_share
 from gelgap.render.sensor import Sensor
 from gelgap.render.shading import ShadowDetail, led_samples
 from gelgap.render.spectrum import RgbSpectrum
@@ -62,7 +62,7 @@ class _Samples:
 
 
 @numba.njit(cache=True)
-def _point_terms(positions, normals, nodes, camera, roughness, eta, table, scale, out):
+def _point_terms(positions, normals, nodes, camera, roughness, eta, shares, scale, out):
     """Fill out[point, led] = (Lambert, plastic base, plastic highlight) per unit radiance; each / π but the last."""
     for p in range(len(positions)):
         px, py, pz = positions[p]
@@ -70,10 +70,12 @@ def _point_terms(positions, normals, nodes, camera, roughness, eta, table, scale
         vx, vy, vz = camera[0] - px, camera[1] - py, camera[2] - pz
         inverse = 1 / np.sqrt(vx * vx + vy * vy + vz * vz)
         vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
-        cosine_out = nx * vx + ny * vy + nz * vz
-        share_out = scale * transmitted_share(cosine_out, table)
+        # A guess may look along the sphere's flank; nothing is seen there.
+        cosine_out = max(nx * vx + ny * vy + nz * vz, 1e-3)
+        share_out = scale * transmitted_share(cosine_out, shares)
+        shadowing_out = shadowing(cosine_out, roughness) / (4 * cosine_out)
         for led in range(len(nodes)):
-            lambert, base, highlight = 0.0, 0.0, 0.0
+            lambert, base, glossy = 0.0, 0.0, 0.0
             for k in range(nodes.shape[2]):
                 if nodes[led, 6, k] < 0:
                     break
@@ -81,19 +83,21 @@ def _point_terms(positions, normals, nodes, camera, roughness, eta, table, scale
                 r2 = x * x + y * y + z * z
                 inverse = 1 / np.sqrt(r2)
                 cosine_in = (nx * x + ny * y + nz * z) * inverse
-                lit = cosine_in / r2
+                solid_angle = 1 / r2
                 if nodes[led, 6, k] > 0:
                     away = nodes[led, 3, k] * x + nodes[led, 4, k] * y + nodes[led, 5, k] * z
-                    lit *= -away * inverse * nodes[led, 6, k]
-                if cosine_in <= 0 or lit <= 0:
+                    solid_angle *= -away * inverse * nodes[led, 6, k]
+                if cosine_in <= 0 or solid_angle <= 0:
                     continue
-                lambert += lit
-                base += lit * transmitted_share(cosine_in, table) * share_out
+                lambert += solid_angle * cosine_in
+                base += solid_angle * cosine_in * transmitted_share(cosine_in, shares) * share_out
                 in_dot_out = (x * vx + y * vy + z * vz) * inverse
-                highlight += lit * specular_brdf(cosine_in, cosine_out, in_dot_out, roughness, eta)
+                glossy += solid_angle * highlight(
+                    cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta
+                )
             out[p, led, 0] = lambert / np.pi
             out[p, led, 1] = base / np.pi
-            out[p, led, 2] = highlight
+            out[p, led, 2] = glossy
 
 
 class _Problem:
@@ -188,7 +192,7 @@ def point_terms(
     light = Illumination.model_construct(leds=leds)
     emitters = light.emitters(sensor.camera, np.ones((len(leds), 3)))
     samples = led_samples(emitters, ShadowDetail(strip_width_mm=2.0, fewest_strips=3, march_step_mm=1.0))
-    table, scale = interface_tables(sensor.coating.roughness)
+    shares, scale = interface_shares(sensor.coating.roughness)
     out = np.empty((len(positions_mm), len(leds), 3))
     _point_terms(
         positions_mm,
@@ -197,7 +201,7 @@ def point_terms(
         np.asarray(sensor.camera.position_mm),
         np.float32(sensor.coating.roughness),
         np.float32(REFRACTIVE_INDEX),
-        table,
+        shares,
         scale,
         out,
     )

@@ -3,20 +3,76 @@
 import numba
 import numpy as np
 
-from gelgap.render.plastic import REFRACTIVE_INDEX, interface_tables, specular_brdf, transmitted_share
-from gelgap.render.shading import LedSamples, ShadowDetail, may_be_hidden, occluders_of, visible_parts
+from gelgap.render.plastic import REFRACTIVE_INDEX, highlight, interface_shares, shadowing, transmitted_share
+from gelgap.render.shading import LedSamples, Light, ShadowDetail, occluders_of, visible_parts
 from gelgap.render.surface import Surface
+
+
+@numba.njit(cache=True, fastmath=True, inline="always")
+def _open_gloss(px, py, pz, nx, ny, nz, vx, vy, vz, nodes, led, shares, shadowing_out, roughness, eta):
+    """Return base and highlight of an LED in full view; its nodes lie side by side, as for the irradiance."""
+    zero = np.float32(0)
+    cosine_out = nx * vx + ny * vy + nz * vz
+    base, glossy = zero, zero
+    for k in range(nodes.shape[2]):
+        qx, qy, qz = nodes[led, 0, k] - px, nodes[led, 1, k] - py, nodes[led, 2, k] - pz
+        r2 = qx * qx + qy * qy + qz * qz
+        inverse = np.float32(1) / np.sqrt(r2)
+        cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
+        away = -(nodes[led, 3, k] * qx + nodes[led, 4, k] * qy + nodes[led, 5, k] * qz) * inverse
+        solid_angle = nodes[led, 6, k] * (away if away > zero else zero) / r2
+        cosine_in = cosine_in if cosine_in > zero else zero
+        in_dot_out = (qx * vx + qy * vy + qz * vz) * inverse
+        base += solid_angle * cosine_in * transmitted_share(cosine_in, shares)
+        glossy += solid_angle * highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta)
+    return base, glossy
+
+
+@numba.njit(cache=True, fastmath=True)
+def _partial_gloss(
+    px, py, pz, nx, ny, nz, vx, vy, vz, strips, begin, end, parts, shares, shadowing_out, roughness, eta
+):
+    """Return base and highlight from the visible intervals of an LED's strips."""
+    one, zero = np.float32(1), np.float32(0)
+    gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
+    weight = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
+    cosine_out = nx * vx + ny * vy + nz * vz
+    base, glossy = zero, zero
+    for k in range(begin, end):
+        s0, s1 = parts[k - begin, 0], parts[k - begin, 1]
+        if s1 <= s0:
+            continue
+        ex, ey, ez = strips[k, 3] - strips[k, 0], strips[k, 4] - strips[k, 1], strips[k, 5] - strips[k, 2]
+        for g in range(3):
+            w = s0 + (s1 - s0) * gauss[g]
+            qx = strips[k, 0] + w * ex - px
+            qy = strips[k, 1] + w * ey - py
+            qz = strips[k, 2] + w * ez - pz
+            r2 = qx * qx + qy * qy + qz * qz
+            inverse = one / np.sqrt(r2)
+            cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
+            if strips[k, 9] == zero:
+                solid_angle = weight[g] / r2
+            else:
+                away = -(strips[k, 6] * qx + strips[k, 7] * qy + strips[k, 8] * qz) * inverse
+                solid_angle = weight[g] * (s1 - s0) * strips[k, 9] * away / r2
+            if cosine_in <= zero or solid_angle <= zero:
+                continue
+            in_dot_out = (qx * vx + qy * vy + qz * vz) * inverse
+            base += solid_angle * cosine_in * transmitted_share(cosine_in, shares)
+            glossy += solid_angle * highlight(
+                cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta
+            )
+    return base, glossy
 
 
 @numba.njit(cache=True, fastmath=True)
 def _gloss(
-    positions, normals, changed, height, x0, y0, spacing, strips, first_strip, outlines, step, camera, roughness, eta,
-    table, scale, out,
+    positions, normals, changed, height, x0, y0, spacing, strips, first_strip, nodes, outlines, step, camera,
+    irradiance, share, shares, scale, roughness, eta, out,
 ):  # fmt: skip
-    """Overwrite out[row, column, led] = (base, highlight) where the surface changed or may be shadowed."""
+    """Overwrite out[row, column, led] = (base, highlight) where the surface changed or an LED is partly hidden."""
     one, zero = np.float32(1), np.float32(0)
-    gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
-    weight = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
     rows, columns, _ = positions.shape
     flat_height = height.ravel()
     occluders = np.empty((len(outlines), 8), np.float32)
@@ -30,52 +86,47 @@ def _gloss(
             inverse = one / np.sqrt(vx * vx + vy * vy + vz * vz)
             vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
             cosine_out = nx * vx + ny * vy + nz * vz
-            share_out = transmitted_share(cosine_out, table) * scale
+            if cosine_out <= zero:
+                out[j, i] = zero
+                continue
+            share_out, shadowing_out = zero, zero
             for led in range(len(outlines)):
-                if not changed[j, i] and not may_be_hidden(px, py, -pz, outlines[led], occluders[led]):
+                visible = share[j, i, led]
+                if visible == one and not changed[j, i]:
                     continue
-                begin, end = first_strip[led], first_strip[led + 1]
-                visible_parts(
-                    px, py, pz, nx, ny, nz, flat_height, columns, x0, y0, spacing, occluders[led], strips,
-                    begin, end, step, parts,
-                )  # fmt: skip
-                base, highlight = zero, zero
-                for k in range(begin, end):
-                    s0, s1 = parts[k - begin, 0], parts[k - begin, 1]
-                    if s1 <= s0:
-                        continue
-                    ex, ey, ez = (
-                        strips[k, 3] - strips[k, 0],
-                        strips[k, 4] - strips[k, 1],
-                        strips[k, 5] - strips[k, 2],
-                    )
-                    for g in range(3):
-                        w = s0 + (s1 - s0) * gauss[g]
-                        qx = strips[k, 0] + w * ex - px
-                        qy = strips[k, 1] + w * ey - py
-                        qz = strips[k, 2] + w * ez - pz
-                        r2 = qx * qx + qy * qy + qz * qz
-                        inverse = one / np.sqrt(r2)
-                        cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
-                        if strips[k, 9] == zero:
-                            solid_angle = weight[g] / r2
-                        else:
-                            away = -(strips[k, 6] * qx + strips[k, 7] * qy + strips[k, 8] * qz) * inverse
-                            solid_angle = weight[g] * (s1 - s0) * strips[k, 9] * away / r2
-                        if cosine_in <= zero or solid_angle <= zero:
-                            continue
-                        in_dot_out = (qx * vx + qy * vy + qz * vz) * inverse
-                        lit = solid_angle * cosine_in
-                        base += lit * transmitted_share(cosine_in, table) * share_out
-                        highlight += lit * specular_brdf(cosine_in, cosine_out, in_dot_out, roughness, eta)
-                out[j, i, led, 0] = base
-                out[j, i, led, 1] = highlight
+                if irradiance[j, i, led] == zero:
+                    out[j, i, led] = zero
+                    continue
+                if visible > zero and not changed[j, i]:
+                    out[j, i, led] *= visible
+                    continue
+                if share_out == zero:
+                    share_out = transmitted_share(cosine_out, shares) * scale
+                    shadowing_out = shadowing(cosine_out, roughness) / (np.float32(4) * cosine_out)
+                if visible > zero and nodes[led, 6, 0] > zero:
+                    base, glossy = _open_gloss(
+                        px, py, pz, nx, ny, nz, vx, vy, vz, nodes, led, shares, shadowing_out, roughness, eta
+                    )  # fmt: skip
+                    base, glossy = base * visible, glossy * visible
+                else:
+                    begin, end = first_strip[led], first_strip[led + 1]
+                    visible_parts(
+                        px, py, pz, nx, ny, nz, flat_height, columns, x0, y0, spacing, occluders[led], strips,
+                        begin, end, step, parts,
+                    )  # fmt: skip
+                    base, glossy = _partial_gloss(
+                        px, py, pz, nx, ny, nz, vx, vy, vz, strips, begin, end, parts, shares, shadowing_out,
+                        roughness, eta,
+                    )  # fmt: skip
+                out[j, i, led, 0] = base * share_out
+                out[j, i, led, 1] = glossy
 
 
 def gloss(
     surface: Surface,
     samples: LedSamples,
     detail: ShadowDetail,
+    light: Light,
     camera_mm: tuple[float, float, float],
     roughness: float,
     reference: np.ndarray | None,
@@ -83,7 +134,8 @@ def gloss(
     """Return (rows, columns, leds, 2) float32 of rough plastic per unit LED radiance.
 
     The first value times albedo/π is the radiance that the base sends to the camera; the second is that of the
-    highlight. As for `irradiance`, what the contact did not change is taken from `reference`.
+    highlight. `light` is that of the same surface: it knows which LEDs are hidden. What the contact did not change is
+    taken from `reference`.
     """
     lattice = surface.lattice
     if reference is None:
@@ -91,7 +143,7 @@ def gloss(
         changed, out = np.ones(shape, bool), np.zeros((*shape, len(samples.outlines), 2), np.float32)
     else:
         changed, out = surface.changed, reference.copy()
-    table, scale = interface_tables(roughness)
+    shares, scale = interface_shares(roughness)
     _gloss(
         surface.positions_mm,
         surface.normals,
@@ -102,13 +154,16 @@ def gloss(
         np.float32(lattice.spacing_mm),
         samples.strips,
         samples.first_strip,
+        samples.nodes,
         samples.outlines,
         np.float32(detail.march_step_mm),
         np.asarray(camera_mm, np.float32),
+        light.irradiance,
+        light.visible,
+        shares,
+        np.float32(scale),
         np.float32(roughness),
         np.float32(REFRACTIVE_INDEX),
-        table,
-        np.float32(scale),
         out,
     )
     return out

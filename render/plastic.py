@@ -12,6 +12,7 @@ import numpy as np
 
 REFRACTIVE_INDEX = 1.49 / 1.000277
 TABLE_SIZE = 64
+TERMS = 7
 
 
 def _fresnel(cosine: np.ndarray, eta: float) -> np.ndarray:
@@ -55,56 +56,82 @@ def _through_interface(cosine: float, roughness: float, eta: float) -> tuple[flo
 
 
 @lru_cache(maxsize=16)
-def interface_tables(roughness: float) -> tuple[np.ndarray, float]:
-    """Return the transmitted share at TABLE_SIZE equally spaced cosines 0…1, and the base's scale.
+def interface_shares(roughness: float) -> tuple[np.ndarray, float]:
+    """Return the transmitted share as a polynomial in the cosine (TERMS coefficients, from c⁰), and the base's scale.
 
-    The base reflects albedo/π × scale × (share transmitted in) × (share transmitted out).
+    The base reflects albedo/π × scale × (share transmitted in) × (share transmitted out). The polynomial is fitted to
+    share × cosine, as it is used: within 5e-4 for a roughness of 0.1, 1e-4 from 0.2 on.
     """
     cosines = np.maximum(np.linspace(0, 1, TABLE_SIZE), 1e-3)
     transmitted = np.array([_through_interface(c, roughness, REFRACTIVE_INDEX)[1] for c in cosines])
+    powers = cosines[:, None] ** np.arange(TERMS)
+    coefficients = np.linalg.lstsq(cosines[:, None] * powers, cosines * transmitted, rcond=None)[0]
     # The mean over the table is how the path tracer integrates; a finer rule would make the base 1–2 % brighter.
     inside = np.array([_through_interface(c, roughness, 1 / REFRACTIVE_INDEX)[0] for c in cosines])
     internal = 2 * float((inside * cosines).mean())
-    return transmitted.astype(np.float32), 1 / ((1 - internal) * REFRACTIVE_INDEX**2)
+    return coefficients.astype(np.float32), 1 / ((1 - internal) * REFRACTIVE_INDEX**2)
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
-def _g1(cosine, roughness):
+def transmitted_share(cosine, coefficients):
+    """Return the share of light that the interface transmits."""
+    share = coefficients[TERMS - 1]
+    for k in range(TERMS - 2, -1, -1):
+        share = share * cosine + coefficients[k]
+    return share
+
+
+@numba.njit(cache=True, fastmath=True, inline="always")
+def shadowing(cosine, roughness):
+    """Return `_smith_g1` without a branch, so that loops over it run in vector registers."""
     one = np.float32(1)
-    tangent = np.sqrt(max(one - cosine * cosine, np.float32(1e-12))) / max(cosine, np.float32(1e-6))
-    a = one / (roughness * tangent)
-    if a >= np.float32(1.6):
-        return one
-    return (np.float32(3.535) * a + np.float32(2.181) * a * a) / (
+    positive = cosine if cosine > np.float32(1e-6) else np.float32(1e-6)
+    sine2 = one - positive * positive
+    sine2 = sine2 if sine2 > np.float32(1e-12) else np.float32(1e-12)
+    a = positive / (roughness * np.sqrt(sine2))
+    a = a if a < np.float32(1.6) else np.float32(1.6)
+    share = (np.float32(3.535) * a + np.float32(2.181) * a * a) / (
         one + np.float32(2.276) * a + np.float32(2.577) * a * a
     )
+    return share if share < one else one
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
-def transmitted_share(cosine, table):
-    """Look up the share of light that the interface transmits."""
-    at = min(max(cosine, np.float32(0)), np.float32(1)) * np.float32(len(table) - 1)
-    k = min(np.int64(at), len(table) - 2)
-    return table[k] + (table[k + 1] - table[k]) * (at - np.float32(k))
+def _exp_minus(t):
+    """Return e^−t for t ≥ 0, within 2e-4 of what matters (t ≤ 5), by (1 + t/32 + …)³²: no call within a loop."""
+    one = np.float32(1)
+    x = (t if t < np.float32(60) else np.float32(60)) * np.float32(1 / 32)
+    p = one + x * (one + x * (np.float32(1 / 2) + x * np.float32(1 / 6)))
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    p *= p
+    return one / p
 
 
-@numba.njit(cache=True, fastmath=True)
-def specular_brdf(cosine_in, cosine_out, in_dot_out, roughness, eta):
-    """Return the interface's microfacet BRDF (1/sr), by the angles of both directions to the normal and each other."""
+@numba.njit(cache=True, fastmath=True, inline="always")
+def highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta):
+    """Return the interface's microfacet BRDF × cosine_in × 4 cosine_out; both cosines must be positive.
+
+    Angles are those of both directions to the normal and to each other.
+    """
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
-    if cosine_in <= zero or cosine_out <= zero:
-        return zero
     # |in + out|² = 2 (1 + in·out)
-    length = np.sqrt(np.float32(2) * (one + in_dot_out))
-    if length <= np.float32(1e-6):
-        return zero
-    tilt = min((cosine_in + cosine_out) / length, one)
-    facing = min(half * length, one)
-    tilt2, rough2 = tilt * tilt, roughness * roughness
-    distribution = np.exp(-(one - tilt2) / (tilt2 * rough2)) / (np.float32(np.pi) * rough2 * tilt2 * tilt2)
-    transmitted = np.sqrt(max(one - (one - facing * facing) / (eta * eta), zero))
-    parallel = (facing - eta * transmitted) / (facing + eta * transmitted)
-    perpendicular = (eta * facing - transmitted) / (eta * facing + transmitted)
+    length2 = np.float32(2) * (one + in_dot_out)
+    length2 = length2 if length2 > np.float32(1e-6) else np.float32(1e-6)
+    both = cosine_in + cosine_out
+    tilt2 = both * both / length2
+    tilt2 = tilt2 if tilt2 < one else one
+    facing2 = np.float32(0.25) * length2
+    facing2 = facing2 if facing2 < one else one
+    facing = np.sqrt(facing2)
+    rough2 = roughness * roughness
+    inverse = one / (tilt2 * rough2)
+    distribution = _exp_minus((one - tilt2) * inverse) * inverse / (np.float32(np.pi) * tilt2)
+    inside2 = one - (one - facing2) / (eta * eta)
+    inside = np.sqrt(inside2 if inside2 > zero else zero)
+    parallel = (facing - eta * inside) / (facing + eta * inside)
+    perpendicular = (eta * facing - inside) / (eta * facing + inside)
     fresnel = half * (parallel * parallel + perpendicular * perpendicular)
-    shadowing = _g1(cosine_in, roughness) * _g1(cosine_out, roughness)
-    return fresnel * distribution * shadowing / (np.float32(4) * cosine_in * cosine_out)
+    return fresnel * distribution * shadowing(cosine_in, roughness) * shadowing_out

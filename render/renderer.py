@@ -12,7 +12,7 @@ from gelgap.render.lattice import Lattice
 from gelgap.render.markers import marker_rest_mm
 from gelgap.render.rasterizer import rasterizer_for
 from gelgap.render.sensor import Sensor
-from gelgap.render.shading import ShadowDetail, irradiance, led_samples
+from gelgap.render.shading import Light, ShadowDetail, direct_light, led_samples
 from gelgap.render.surface import Surface, displacement_on, shared_surface
 
 Quality = Literal["draft", "standard", "fine"]
@@ -98,19 +98,20 @@ class MembraneRenderer:
         )
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
         flat = self._surface_on_lattice(self._flat, "reference")
-        self._reference_irradiance = irradiance(flat, self._samples, self._shadows, None)
-        self._reference_gloss = self._gloss(flat, None) if coating.specular > 0 else None
+        light = direct_light(flat, self._samples, self._shadows, None)
+        self._reference_irradiance = light.irradiance
+        self._reference_gloss = self._gloss(flat, light, None) if coating.specular > 0 else None
 
-    def _gloss(self, surface: Surface, reference: np.ndarray | None) -> np.ndarray:
+    def _gloss(self, surface: Surface, light: Light, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
-        return gloss(surface, self._samples, self._shadows, camera_mm, roughness, reference)
+        return gloss(surface, self._samples, self._shadows, light, camera_mm, roughness, reference)
 
     def _radiance(self, surface: Surface) -> np.ndarray:
         """Return (rows, columns, 3) float32: linear camera RGB of every vertex of the shaded grid, without markers."""
-        by_led = irradiance(surface, self._samples, self._shadows, self._reference_irradiance)
-        linear = by_led @ self._lambert_to_linear
+        light = direct_light(surface, self._samples, self._shadows, self._reference_irradiance)
+        linear = light.irradiance @ self._lambert_to_linear
         if self._reference_gloss is not None:
-            by_led = self._gloss(surface, self._reference_gloss)
+            by_led = self._gloss(surface, light, self._reference_gloss)
             linear += by_led[..., 0] @ self._base_to_linear + by_led[..., 1] @ self._highlight_to_linear
         return linear
 

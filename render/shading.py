@@ -109,6 +109,18 @@ def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSampl
     )
 
 
+@dataclass(frozen=True)
+class Light:
+    """Direct light on a surface, both (rows, columns, leds) float32.
+
+    `irradiance` is per unit radiance of each LED, sr; `visible` is 1 where a vertex sees the whole LED, and below 1
+    (negative where the share is not known) where it does not.
+    """
+
+    irradiance: np.ndarray
+    visible: np.ndarray
+
+
 @numba.njit(cache=True, fastmath=True)
 def occluders_of(height, x0, y0, spacing, outlines, out):
     """Fill out[led] with what can hide an LED: x and y bounds, centre, radius, top.
@@ -345,6 +357,7 @@ def _irradiance(
     outlines,
     step,
     out,
+    share,
 ):
     """Overwrite out[row, column, led] (irradiance per unit radiance, sr) where the surface changed or may be shadowed.
 
@@ -360,7 +373,7 @@ def _irradiance(
     occluders_of(height, x0, y0, spacing, outlines, occluders)
     parts = np.empty((len(strips), 2), np.float32)
     # The visible share of each LED; negative where it says nothing about the neighbours.
-    share = np.full((rows, columns, leds), one, np.float32)
+    share[:] = one
     for stride in (4, 2, 1):
         for j in range(0, rows, stride):
             for i in range(0, columns, stride):
@@ -404,13 +417,13 @@ def _irradiance(
                         out[j, i, led] = total
 
 
-def irradiance(
+def direct_light(
     surface: Surface, samples: LedSamples, detail: ShadowDetail, reference: np.ndarray | None
-) -> np.ndarray:
-    """Return (rows, columns, leds) float32 irradiance per unit radiance of each LED.
+) -> Light:
+    """Return the light of each LED on the surface.
 
-    Where the contact neither moved the surface nor can shadow it, `reference` (the same of the undeformed membrane) is
-    taken; without a reference every vertex is computed.
+    Where the contact neither moved the surface nor can shadow it, `reference` (the irradiance of the undeformed
+    membrane) is taken; without a reference every vertex is computed.
     """
     lattice = surface.lattice
     if reference is None:
@@ -418,6 +431,7 @@ def irradiance(
         changed, out = np.ones(shape, bool), np.zeros((*shape, len(samples.outlines)), np.float32)
     else:
         changed, out = surface.changed, reference.copy()
+    visible = np.empty_like(out)
     _irradiance(
         surface.positions_mm,
         surface.normals,
@@ -432,5 +446,6 @@ def irradiance(
         samples.outlines,
         np.float32(detail.march_step_mm),
         out,
+        visible,
     )
-    return out
+    return Light(out, visible)

@@ -13,7 +13,7 @@ from gelgap.render.led_cache import cached_camera_rgb
 from gelgap.render.markers import marker_rest_mm
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor
-from gelgap.render.shading import ShadowDetail, irradiance, led_samples
+from gelgap.render.shading import ShadowDetail, direct_light, led_samples
 from gelgap.render.spectrum import PeakSpectrum, RgbSpectrum, TableSpectrum, WhiteSpectrum, camera_rgb
 from gelgap.render.variation import Variation, vary_illumination, vary_sensor
 
@@ -80,7 +80,7 @@ def test_irradiance_of_a_small_led_follows_the_inverse_square(renderer, kind):
     emitters = Illumination(leds=(led,)).emitters(Camera())
     detail = ShadowDetail(1.0, 3, 0.3)
     flat = renderer()._surface_on_lattice(renderer()._flat, "flat")
-    found = irradiance(flat, led_samples(emitters, detail), detail, None)[..., 0]
+    found = direct_light(flat, led_samples(emitters, detail), detail, None).irradiance[..., 0]
     way = np.array(led.position_mm) - flat.positions_mm
     r = np.linalg.norm(way, axis=-1)
     area = {"bar": 0.02, "disc": np.pi * 0.01, "point": 1.0}[kind]

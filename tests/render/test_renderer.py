@@ -129,8 +129,10 @@ def test_shadows_fall_away_from_the_light(dent):
     assert before == pytest.approx(1, abs=0.1)
 
 
-def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch):
-    render = renderer("i0")
+@pytest.mark.parametrize("specular", [0.0, 1.0])
+def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch, specular):
+    sensor = renderer("i0").sensor.model_copy(update={"coating": Coating(specular=specular, roughness=0.3)})
+    render = MembraneRenderer(sensor, renderer("i0").illumination)
     for case in (dent(0.2), dent(1.0, (0.5, 0.2), (1.0, -0.5))):
         fast = render.picture(*case).astype(int)
         everything = MembraneRenderer(render.sensor, render.illumination)
