@@ -96,14 +96,16 @@ def pad_mesh(
     sectors: int,
     *,
     half: bool,
+    ring_growth: float = 1.5,
 ) -> GelMesh:
     """Mesh the part of the pad (x min, x max, y min, y max) within `radius_mm` of the axis: a disc cut at the edges.
 
     The axis may lie on an edge of the pad. `sectors` is the number of cells around half a circle; of a pad that is
-    symmetric to y = 0, `half` meshes y ≥ 0 alone.
+    symmetric to y = 0, `half` meshes y ≥ 0 alone. Beyond `fine_radius_mm` each ring is `ring_growth` wider than the one
+    before.
     """
     x_min, x_max, y_min, y_max = pad_mm
-    plane, quads = _half_disc(radius_mm, fine_radius_mm, spacing_mm, sectors)
+    plane, quads = _half_disc(radius_mm, fine_radius_mm, spacing_mm, sectors, ring_growth)
     cells = list(quads)
     edges = [(0, 1.0, x_max), (0, -1.0, -x_min), (1, 1.0, y_max)]
     if not half:
@@ -201,11 +203,11 @@ def half_disc_hexahedra(
 
 
 def _half_disc(
-    radius_mm: float, fine_radius_mm: float, spacing_mm: float, sectors: int
+    radius_mm: float, fine_radius_mm: float, spacing_mm: float, sectors: int, growth: float = 1.5
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     core_cells = sectors // 4
     core_mm = 1.1 * core_cells * spacing_mm
-    rings = core_mm + graded_spacings(radius_mm - core_mm, spacing_mm, fine_radius_mm - core_mm)
+    rings = core_mm + graded_spacings(radius_mm - core_mm, spacing_mm, fine_radius_mm - core_mm, growth)
     return _butterfly(core_cells, core_mm, rings[1:])
 
 

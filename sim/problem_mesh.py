@@ -9,28 +9,39 @@ from gelgap.sim.problem import ContactProblem
 _REFERENCE_CONTACT_MM = math.sqrt(2.0)
 # Gel further from the contact than this does not matter, and is not meshed.
 _DISC_THICKNESSES = 3.3
-# A whole pad's factor takes five times the work of half a disc's, so it is meshed more coarsely.
+# MuJoCo's factor of a whole pad takes five times the work of half a disc's, so that the pad is meshed more coarsely:
+# vertices further apart by a factor, and cells that grow faster away from the contact.
 _PAD_COARSENING = {"draft": 1.25, "standard": 1.6, "fine": 1.6}
-_PAD_LAYER_GROWTH = 1.5
+_PAD_GROWTH = 1.8
 
 
 def mesh_for(problem: ContactProblem) -> GelMesh:
     """Mesh the gel finely where it will be touched; vertices lie no closer than the largest contact deserves."""
-    quality = problem.quality
+    quality, whole = problem.quality, problem.pad_mm is not None
     reach = max(math.hypot(x, y) for x, y, _ in problem.waypoints_mm)
     depth = max(-z for _, _, z in problem.waypoints_mm)
     radius = problem.sphere_radius_mm
     contact = math.sqrt(max(radius**2 - max(radius - depth, 0.0) ** 2, 0.0))
     scale = max(min(radius / 1.5, problem.thickness_mm / 3.0), contact / _REFERENCE_CONTACT_MM)
-    growth = quality.layer_growth
-    if problem.pad_mm is not None:
+    if whole:
         scale *= _PAD_COARSENING[quality.name]
-        growth = max(growth, _PAD_LAYER_GROWTH)
     spacing = quality.surface_mm * scale
-    first_layer = min(quality.layer_mm * scale, problem.thickness_mm / 6)
-    layers = layer_depths(problem.thickness_mm, first_layer, growth)
-    fine = 1.15 * contact + reach + 2 * spacing
+    layers = layer_depths(
+        problem.thickness_mm,
+        min(quality.layer_mm * scale, problem.thickness_mm / 6),
+        _PAD_GROWTH if whole else quality.layer_growth,
+    )
+    fine = 1.15 * contact + reach + (1 if whole else 2) * spacing
     disc = max(_DISC_THICKNESSES * problem.thickness_mm, 1.5 * fine)
-    if problem.pad_mm is None:
+    if not whole:
         return half_disc_mesh(disc, fine, spacing, layers, quality.sectors)
-    return pad_mesh(problem.pad_mm, disc, fine, spacing, layers, quality.sectors, half=problem.half)
+    return pad_mesh(
+        problem.pad_mm,
+        disc,
+        fine,
+        spacing,
+        layers,
+        quality.sectors,
+        half=problem.half,
+        ring_growth=_PAD_GROWTH,
+    )

@@ -46,6 +46,7 @@ class PolarTable:
 def polar_table(solution: Solution, record: Record) -> PolarTable:
     """Recover the membrane between the vertices by a C¹ piecewise cubic and tabulate it."""
     from scipy.interpolate import CloughTocher2DInterpolator
+    from scipy.spatial import cKDTree
 
     problem = solution.problem
     half = problem.half
@@ -63,7 +64,10 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
     meshed = np.minimum(radius, 0.999 * rim * np.cos(np.pi / (2 * problem.quality.sectors)))
     x, y = np.outer(meshed, np.cos(turn)), np.outer(meshed, np.sin(turn))
     x, y = np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])
-    values = CloughTocher2DInterpolator(rest, displacement)(np.stack([x, y], -1))
+    points = np.stack([x, y], -1)
+    values = CloughTocher2DInterpolator(rest, displacement)(points)
+    outside = np.isnan(values[..., 0])
+    values[outside] = displacement[cKDTree(rest).query(points[outside])[1]]
     return PolarTable(displacement_mm=values.astype(np.float32), half=half)
 
 
