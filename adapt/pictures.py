@@ -46,3 +46,18 @@ class Pictures:
             reference = ((self.reference - self.mean) / self.std).expand_as(images)
             pictures = torch.cat([images, reference], dim=1 if self.pairing == "channels" else 2)
         return pictures.contiguous(memory_format=torch.channels_last)
+
+
+def mix_colours(pictures: Tensor, share: float, rng: np.random.Generator) -> Tensor:
+    """Turn the colours of a random share of network inputs (B, channels, h, w) by a random rotation or reflection.
+
+    Under lamps of other colours in other places each channel sees the membrane's slopes along other directions; mixed
+    channels show a network many such lights, so that it must read forces from what they share.
+    """
+    chosen = torch.from_numpy(rng.random(len(pictures)) < share).to(pictures.device)
+    turns, _ = np.linalg.qr(rng.standard_normal((len(pictures), 3, 3)))
+    turns = torch.from_numpy(turns.astype(np.float32)).to(pictures.device)
+    matrices = torch.where(chosen[:, None, None], turns, torch.eye(3, device=pictures.device))
+    colours = pictures.unflatten(1, (-1, 3))
+    mixed = torch.einsum("nij,ngjhw->ngihw", matrices, colours).flatten(1, 2)
+    return mixed.contiguous(memory_format=torch.channels_last)

@@ -58,6 +58,12 @@ class Profile(BaseModel):
     transfer_ramp: float = Field(
         10.0, ge=0, description="γ of λ_t's ramp 2/(1+e^(−γp))−1 over the steps after the warm-up; 0: no ramp"
     )
+    colour_mixing: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="share of source frames whose colours are turned at random, a stand-in for other lights",
+    )
     batch_statistics: Literal["joint", "per_domain"] = Field(
         "joint",
         description="stage 2 normalises source and target as one batch, or each by itself (then the final "

@@ -200,13 +200,17 @@ def run_key(
     weights: str | Path | None,
 ) -> str:
     """Return the hash of everything that decides a run's result: data, method, hyperparameters, seed,
-    weights. Settings of other methods are left out."""
+    weights. Settings of other methods are left out, and so are fields at their default: a field that a later version
+    adds does not change the key."""
     own = {name: values for name, values in profile.settings.items() if name == method}
+    hyperparameters = profile.replace(settings=own).model_dump(
+        mode="json", exclude={"name"}, exclude_defaults=True
+    )
     content = {
         "source": [source.name, source.digest, len(source)],
         "target": None if target is None else [target.name, target.digest, len(target)],
         "method": method,
-        "profile": profile.model_dump(mode="json", exclude={"name"}) | {"settings": own},
+        "profile": hyperparameters,
         "seed": seed,
         "weights": None if weights is None else hashlib.sha256(Path(weights).read_bytes()).hexdigest(),
     }

@@ -16,7 +16,7 @@ from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import make_method, transfer_weight
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import Activations, ForceNetwork, make_network
-from gelgap.adapt.pictures import Pictures
+from gelgap.adapt.pictures import Pictures, mix_colours
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.resnet import load_imagenet_weights
@@ -114,6 +114,7 @@ def train_source(
 
         def step(number: int, batch: tuple[Tensor, np.ndarray]) -> StepResult:
             pictures, indices = batch
+            pictures = _mixed(pictures, profile, seed, 1, number)
             with _autocast(profile, device):
                 features = network.features(pictures)
             features = features.float()
@@ -136,6 +137,8 @@ def train_source(
             resume_file=resume_file,
             watch_collapse=False,
         )
+        if profile.colour_mixing:
+            estimate_statistics(network, domain.pictures, seed)
     return ForceModel(
         network=network.eval(),
         profile=profile,
@@ -278,6 +281,7 @@ class Adaptation:
 
         def step(number: int, batch: tuple[Tensor, Tensor, np.ndarray, np.ndarray]) -> StepResult:
             pictures_s, pictures_t, indices_s, indices_t = batch
+            pictures_s = _mixed(pictures_s, profile, self.seed, 2, number)
             with _autocast(profile, device):
                 if profile.batch_statistics == "joint":
                     features = network.features(torch.cat([pictures_s, pictures_t]))
@@ -367,6 +371,15 @@ def estimate_statistics(network: nn.Module, pictures: Pictures, seed: int) -> No
     network.eval()
     for norm, momentum in zip(norms, momenta, strict=True):
         norm.momentum = momentum
+
+
+def _mixed(pictures: Tensor, profile: Profile, *key: int) -> Tensor:
+    """Return a source batch with the profile's share of colours mixed, a function of the key alone."""
+    if profile.colour_mixing == 0:
+        return pictures
+    return mix_colours(
+        pictures, profile.colour_mixing, np.random.default_rng(np.random.SeedSequence([7, *key]))
+    )
 
 
 def _autocast(profile: Profile, device: torch.device) -> torch.autocast:

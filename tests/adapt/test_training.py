@@ -12,6 +12,7 @@ from gelgap.adapt.frames import split_indices, split_source
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
 from gelgap.adapt.model import ForceModel
+from gelgap.adapt.pictures import mix_colours
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs, run_key, stage1_profile
 from gelgap.adapt.stage import FeatureCollapse
@@ -262,3 +263,21 @@ def test_bad_profiles():
         Profile(target_split=(0.6, 0.3, 0.3))
     with pytest.raises(ValueError, match="at least 32 px"):
         Profile(image_size_px=(16, 16))
+
+
+def test_mixed_colours_are_turned_not_stretched():
+    pictures = torch.rand(40, 6, 5, 7, generator=torch.Generator().manual_seed(0))
+    mixed = mix_colours(pictures, 0.5, np.random.default_rng(0))
+    length = [p.unflatten(1, (-1, 3)).square().sum(dim=2) for p in (pictures, mixed)]
+    torch.testing.assert_close(*length)
+    same = (mixed == pictures).flatten(1).all(dim=1)
+    assert 10 < int(same.sum()) < 30
+    torch.testing.assert_close(mix_colours(pictures, 0.0, np.random.default_rng(0)), pictures)
+
+
+def test_training_with_mixed_colours_is_deterministic(source, profile):
+    mixing = profile.replace(source_epochs=2, colour_mixing=0.5)
+    first, second = (train_source(source, mixing, seed=0) for _ in range(2))
+    np.testing.assert_array_equal(weights(first), weights(second))
+    plain = train_source(source, mixing.replace(colour_mixing=0.0), seed=0)
+    assert np.abs(weights(first) - weights(plain)).max() > 1e-3
