@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px"]
+OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Generate:
     size: tuple[int, int] = (320, 240)
     """Width and height of the pictures in pixels."""
     columns: tuple[OptionalColumn, ...] = ()
-    """Optional columns to write as well; a data set pays only for what it needs."""
+    """Optional columns to write as well; `diagnostics`: how each pose was solved. A data set pays only for these."""
     contacts: Literal["paired", "independent"] = "paired"
     """The same poses in every domain, or each domain its own draw."""
     rendered_without_markers: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False

@@ -21,11 +21,12 @@ class Inspect:
     html: Path | None = None
     """Write one self-contained page of pictures and plots (of one domain)."""
     gap_to: Path | None = None
-    """Folder of another domain: the page shows the gap between the two."""
+    """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""
 
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
-        from gelgap.domains.inspection import domain_folders, inspect_domain, verify_domain
+        from gelgap.domains.dataset import open_domain
+        from gelgap.domains.inspection import domain_folders, gap_rows, inspect_domain, verify_domain
         from gelgap.domains.overview import write_overview
 
         folders = domain_folders(self.folder)
@@ -38,6 +39,10 @@ class Inspect:
             raise RuntimeError(f"damaged: {listed}. The same gelgap generate command repairs it")
         for folder in folders:
             print(inspect_domain(folder))
+            if self.gap_to is not None:
+                print(f"  gap from {self.gap_to}:")
+                for what, value in gap_rows(open_domain(folder), open_domain(self.gap_to)):
+                    print(f"    {what}: {value}")
         if self.verify:
             print("every file is what its manifest says")
         if self.html is not None:

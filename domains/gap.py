@@ -14,12 +14,13 @@ class DomainGap:
     """The gap from a base domain to another.
 
     `modulus_ratio` is E over the base's E; `colour_difference` the mean CIEDE2000 between the two reference pictures
-    without markers and noise; `markers` says whether they are `equal`, `added` or `removed`, `fields` which fields of
-    the configuration differ.
+    without markers and noise, `colour_difference_p95` its 95th percentile over the pixels; `markers` says whether they
+    are `equal`, `added` or `removed`, `fields` which fields of the configuration differ.
     """
 
     modulus_ratio: float
     colour_difference: float
+    colour_difference_p95: float
     markers: str
     fields: tuple[str, ...]
 
@@ -28,7 +29,8 @@ class DomainGap:
 
     def __str__(self) -> str:
         return (
-            f"modulus × {self.modulus_ratio:.3g}, colour difference {self.colour_difference:.2f} (CIEDE2000), "
+            f"modulus × {self.modulus_ratio:.3g}, colour difference {self.colour_difference:.2f} "
+            f"(mean CIEDE2000; 95th percentile {self.colour_difference_p95:.2f}), "
             f"markers {self.markers}"
         )
 
@@ -42,6 +44,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     return DomainGap(
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
         colour_difference=round(colours.mean, 3),
+        colour_difference_p95=round(colours.percentile_95, 3),
         markers={(True, False): "added", (False, True): "removed"}.get(changed, "equal"),
         fields=tuple(differing_fields(base.configuration(), other.configuration())),
     )

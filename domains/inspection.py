@@ -1,5 +1,6 @@
 """What a data set holds: counts, ranges, what is unusual, and whether its files are intact."""
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,6 +91,49 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
 def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     """Read every byte of a generated domain and return what differs from its manifest; empty if all is intact."""
     return tuple(DomainFolder(folder).damages())
+
+
+def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:
+    """Return (what, value) of the gap from `base`: colours, and, where known, modulus, markers and forces.
+
+    Raises
+    ------
+    ValueError
+        If their pictures have different sizes.
+    """
+    from gelgap.render.gap import picture_gap
+
+    seen = picture_gap(base.reference, frames.reference)
+    rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
+    if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):
+        from gelgap.domains.gap import domain_gap
+        from gelgap.domains.splits import paired_contacts
+
+        gap = domain_gap(base.recipe, frames.recipe)
+        rows += [
+            (
+                "the same without markers and noise",
+                _colours(gap.colour_difference, gap.colour_difference_p95),
+            ),
+            ("modulus ratio", f"{gap.modulus_ratio:.4g}"),
+            ("markers", gap.markers),
+            ("fields that differ", _in_short(gap.fields)),
+        ]
+        mine, theirs = paired_contacts(frames, base)
+        if len(mine):
+            change = np.abs(frames.force_n[mine] - base.force_n[theirs]).mean(axis=0)
+            text = ", ".join(f"F{axis} {value:.4f}" for axis, value in zip("xyz", change, strict=True))
+            rows.append((f"mean force difference of {len(mine)} paired contacts, N", text))
+    return rows
+
+
+def _colours(mean: float, percentile_95: float) -> str:
+    return f"mean {mean:.2f}, 95th percentile {percentile_95:.2f}"
+
+
+def _in_short(fields: tuple[str, ...]) -> str:
+    counts = Counter(field.split(".")[0] for field in fields)
+    return ", ".join(f"{name} ({count})" if count > 1 else name for name, count in counts.items()) or "none"
 
 
 def _is_data(path: Path) -> bool:

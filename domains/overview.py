@@ -4,7 +4,6 @@ import base64
 import html
 import io
 import json
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
-from gelgap.domains.inspection import inspect_domain
+from gelgap.domains.inspection import gap_rows, inspect_domain
 from gelgap.domains.schema import encode_png
 
 if TYPE_CHECKING:
@@ -237,33 +236,9 @@ def _left_out(frames: LabelledFrames) -> str:
 
 
 def _gap(frames: LabelledFrames, other: LabelledFrames) -> str:
-    from gelgap.render.gap import picture_gap
-
-    rows = [
-        ("reference pictures, mean CIEDE2000", f"{picture_gap(other.reference, frames.reference).mean:.2f}")
-    ]
-    if isinstance(frames, GeneratedDomain) and isinstance(other, GeneratedDomain):
-        from gelgap.domains.gap import domain_gap
-        from gelgap.domains.splits import paired_contacts
-
-        gap = domain_gap(other.recipe, frames.recipe)
-        rows += [
-            ("the same without markers and noise", f"{gap.colour_difference:.2f}"),
-            ("modulus ratio", f"{gap.modulus_ratio:.4g}"),
-            ("markers", gap.markers),
-            ("fields that differ", _in_short(gap.fields)),
-        ]
-        mine, theirs = paired_contacts(frames, other)
-        if len(mine):
-            change = np.abs(frames.force_n[mine] - other.force_n[theirs]).mean(axis=0)
-            text = ", ".join(f"{name} {value:.4f}" for name, value in zip(_AXES, change, strict=True))
-            rows.append((f"mean force difference of {len(mine)} paired contacts, N", text))
-    return f"<p>From {html.escape(other.name)} to {html.escape(frames.name)}:</p>" + _table(rows)
-
-
-def _in_short(fields: tuple[str, ...]) -> str:
-    counts = Counter(field.split(".")[0] for field in fields)
-    return ", ".join(f"{name} ({count})" if count > 1 else name for name, count in counts.items()) or "none"
+    return f"<p>From {html.escape(other.name)} to {html.escape(frames.name)}:</p>" + _table(
+        gap_rows(frames, other)
+    )
 
 
 def _provenance(frames: LabelledFrames) -> str:

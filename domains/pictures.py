@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from gelgap.render.renderer import MembraneRenderer
     from gelgap.sim.membrane import MembraneState
 
+# One holds the light of the undeformed membrane, some 0.2 MB for three LEDs.
+KEPT_RENDERERS = 32
+
 
 def led_to_camera(recipe: DomainRecipe) -> np.ndarray:
     """Return the (n_leds, 3) matrix of a recipe's light; imports colour-science, so call it once, not in workers."""
@@ -28,7 +31,7 @@ def renderer_of(recipe: DomainRecipe, matrix: np.ndarray) -> "MembraneRenderer":
     return _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality, rows)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=KEPT_RENDERERS)
 def _renderer(
     sensor: Sensor, illumination: Illumination, size_px: tuple[int, int], quality: str, matrix: tuple
 ) -> "MembraneRenderer":
@@ -68,7 +71,11 @@ def picture_cells(
     )
     return [
         {"image": picture_cell(encode_png(_without_markers(picture) if recipe.inpainted_from else picture))}
-        | {column: _optional_cell(column, recipe, renderer, state) for column in recipe.columns}
+        | {
+            column: _optional_cell(column, recipe, renderer, state)
+            for column in recipe.columns
+            if column != "diagnostics"
+        }
         for recipe in recipes
     ]
 

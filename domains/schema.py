@@ -1,5 +1,6 @@
 """The columns of a domain's Parquet shards, and how pictures become bytes."""
 
+import dataclasses
 import io
 import json
 from collections.abc import Sequence
@@ -8,12 +9,15 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
+from gelgap.sim.membrane import Diagnostics
+
 SCHEMA_VERSION = 1
 
 PAPER_FORCE_RANGE_N = ((-0.75, 0.75), (-0.75, 0.75), (-3.0, 0.0))
 """The paper's fixed ranges of Fx, Fy, Fz in N."""
 
-OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px"]
+OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
+"""What a domain may also hold; `diagnostics` is one column for each field of the solver's `Diagnostics`."""
 
 # A row group is what a reader must take from disk to see one frame: small, so that random access stays cheap.
 ROWS_PER_GROUP = 32
@@ -47,17 +51,23 @@ FRAME_COLUMNS: dict[str, pa.DataType] = {
     "split": pa.string(),
     "image": _PICTURE,
 }
-OPTIONAL_COLUMNS: dict[OptionalColumn, pa.DataType] = {
-    "height_map": _PICTURE,
-    "contact_mask": _PICTURE,
-    "marker_rest_mm": _POINTS,
-    "marker_px": _POINTS,
+DIAGNOSTICS_COLUMNS = {
+    field.name: pa.int32() if field.type is int else pa.float64() for field in dataclasses.fields(Diagnostics)
+}
+OPTIONAL_COLUMNS: dict[OptionalColumn, dict[str, pa.DataType]] = {
+    "height_map": {"height_map": _PICTURE},
+    "contact_mask": {"contact_mask": _PICTURE},
+    "marker_rest_mm": {"marker_rest_mm": _POINTS},
+    "marker_px": {"marker_px": _POINTS},
+    "diagnostics": DIAGNOSTICS_COLUMNS,
 }
 
 
 def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
     """Return the Arrow schema of a shard, with the metadata by which Hugging Face `datasets` decodes pictures."""
-    columns = FRAME_COLUMNS | {name: OPTIONAL_COLUMNS[name] for name in OPTIONAL_COLUMNS if name in optional}
+    columns = dict(FRAME_COLUMNS)
+    for name, added in OPTIONAL_COLUMNS.items():
+        columns |= added if name in optional else {}
     features = {name: _huggingface_feature(kind) for name, kind in columns.items()}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
     return pa.schema([pa.field(name, kind) for name, kind in columns.items()], metadata=metadata)

@@ -1,14 +1,14 @@
 """From contacts to shards: what a worker does with a batch of frames. Imports neither torch nor colour-science."""
 
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gelgap.domains.acquisition import generator
-from gelgap.domains.pictures import picture_cells, same_picture
+from gelgap.domains.pictures import KEPT_RENDERERS, picture_cells, same_picture
 from gelgap.domains.plan import FrameBatch, solve_plan
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.domains.schema import encode_shard
@@ -53,43 +53,45 @@ def render_batch(batch: FrameBatch, matrices: Sequence[np.ndarray], solutions: d
     pictures: dict[Hashable, list[int]] = {}
     for index, recipe in enumerate(batch.recipes):
         pictures.setdefault(same_picture(recipe), []).append(index)
+    lights = list(pictures.values())
     shards: list[Shard | None] = [None] * len(batch.recipes)
-    # Light by light, so that a worker holds the renderer of one light at a time, however many a sweep has.
-    for members in pictures.values():
-        recipes = [batch.recipes[index] for index in members]
-        made = _shards(recipes, matrices[members[0]], batch.shard, frames, states)
-        for index, shard in zip(members, made, strict=True):
+    for start in range(0, len(lights), KEPT_RENDERERS):
+        for index, shard in _shards_of_lights(
+            lights[start : start + KEPT_RENDERERS], batch, matrices, states
+        ):
             shards[index] = shard
     return shards
 
 
-def _shards(
-    recipes: Sequence[DomainRecipe],
-    matrix: np.ndarray,
-    file: str,
-    frames: range,
+def _shards_of_lights(
+    lights: Sequence[Sequence[int]],
+    batch: FrameBatch,
+    matrices: Sequence[np.ndarray],
     states: Sequence["MembraneState"],
-) -> list[Shard]:
-    rows: list[list[dict[str, Any]]] = [[] for _ in recipes]
-    unrenderable: dict[int, str] = {}
-    for frame, state in zip(frames, states, strict=True):
-        cells: list[dict[str, Any]] = [{"converged": False} for _ in recipes]
-        if state.converged:
-            try:
-                cells = picture_cells(recipes, matrix, frame, state)
-            except ValueError as error:
-                unrenderable[frame] = str(error)
-        for recipe, own_rows, own_cells in zip(recipes, rows, cells, strict=True):
-            own_rows.append(_labels(recipe, frame, state) | own_cells)
-    if len(unrenderable) > len(frames) / 2:
-        frame, reason = next(iter(unrenderable.items()))
-        raise RuntimeError(
-            f"domain {recipes[0].name}: {len(unrenderable)} of {len(frames)} frames cannot be rendered; "
-            f"frame {frame}: {reason}"
-        )
-    return [
-        _shard(recipe, file, own_rows, unrenderable) for recipe, own_rows in zip(recipes, rows, strict=True)
-    ]
+) -> Iterator[tuple[int, Shard]]:
+    """Yield (recipe, shard). Contact by contact, so that a membrane is rastered once for all lights that fall on it."""
+    rows: dict[int, list[dict[str, Any]]] = {index: [] for members in lights for index in members}
+    unrenderable: list[dict[int, str]] = [{} for _ in lights]
+    for frame, state in zip(range(batch.start, batch.stop), states, strict=True):
+        for members, refused in zip(lights, unrenderable, strict=True):
+            recipes = [batch.recipes[index] for index in members]
+            cells: list[dict[str, Any]] = [{"converged": False} for _ in recipes]
+            if state.converged:
+                try:
+                    cells = picture_cells(recipes, matrices[members[0]], frame, state)
+                except ValueError as error:
+                    refused[frame] = str(error)
+            for index, recipe, own_cells in zip(members, recipes, cells, strict=True):
+                rows[index].append(_labels(recipe, frame, state) | own_cells)
+    for members, refused in zip(lights, unrenderable, strict=True):
+        if len(refused) > len(batch) / 2:
+            frame, reason = next(iter(refused.items()))
+            raise RuntimeError(
+                f"domain {batch.recipes[members[0]].name}: {len(refused)} of {len(batch)} frames cannot be rendered; "
+                f"frame {frame}: {reason}"
+            )
+        for index in members:
+            yield index, _shard(batch.recipes[index], batch.shard, rows[index], refused)
 
 
 def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> dict[str, Any]:
@@ -117,7 +119,8 @@ def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> dict[st
         "contact_radius_mm": float(state.contact_radius_mm),
         "split": _splits(len(recipe.path.poses), recipe.seed)[frame],
         "image": None,
-    } | dict.fromkeys(recipe.columns)
+        **(asdict(state.diagnostics) if "diagnostics" in recipe.columns else {}),
+    }
 
 
 def _measured_force(recipe: DomainRecipe, frame: int, state: "MembraneState") -> list[float]:

@@ -18,7 +18,7 @@ TINY = ContactPath(
     angles_deg=tuple(30.0 * k for k in range(12)),
 )
 SETTINGS = {"quality": "draft", "render_quality": "draft", "size_px": (80, 60)}
-EVERY_COLUMN = ("contact_mask", "height_map", "marker_px", "marker_rest_mm")
+EVERY_COLUMN = ("contact_mask", "diagnostics", "height_map", "marker_px", "marker_rest_mm")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,3 +1,4 @@
+import dataclasses
 import os
 import pickle
 import shutil
@@ -9,6 +10,7 @@ import pytest
 
 from gelgap.domains.dataset import open_domain
 from gelgap.domains.schema import decode_picture, encode_png
+from gelgap.sim.membrane import Diagnostics
 
 
 def test_frames_have_the_labels_of_their_pose(data: Path):
@@ -56,6 +58,11 @@ def test_optional_columns_are_there_when_asked_for_and_refused_when_not(data: Pa
     moved = frames.marker_px(4) - frames.marker_px(0)
     assert frames.marker_rest_mm(4).shape == moved.shape == (88, 2)
     assert 0 < np.nanmax(np.abs(moved)) < 2
+    solved = {field.name for field in dataclasses.fields(Diagnostics)}
+    assert solved <= frames.columns.keys()
+    assert frames.columns["elastic_energy_mj"][frames.columns["depth_mm"] > 0].min() > 0
+    assert frames.columns["iterations"].dtype == np.int32
+    assert not solved & open_domain(data / "mb0i1").columns.keys()
     with pytest.raises(ValueError, match="without the column 'height_map'"):
         open_domain(data / "mb0i1").height_map_mm(0)
 
