@@ -13,6 +13,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_LATEX = {
+    "_": r"\_",
+    r"λ\_t": r"$\lambda_t$",
+    "%": r"\%",
+    "→": r"$\to$",
+    "±": r"$\pm$",
+    "×": r"$\times$",
+    "≥": r"$\ge$",
+    "<": "$<$",
+    "²": "$^2$",
+    "…": "--",
+    "–": "--",
+    "−": "$-$",
+}
+"""What tables use beyond ASCII letters, and how LaTeX says it; in this order."""
+
+
 def force_scatter(
     true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], path: str | Path | None = None
 ) -> "Figure":
@@ -109,13 +126,9 @@ def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return a LaTeX tabular (booktabs)."""
 
     def line(cells: Sequence[str]) -> str:
-        text = (
-            " & ".join(cells)
-            .replace("→", r"$\to$")
-            .replace("±", r"$\pm$")
-            .replace("–", "--")
-            .replace("_", r"\_")
-        )
+        text = " & ".join(cells)
+        for character, command in _LATEX.items():
+            text = text.replace(character, command)
         return text + r" \\"
 
     body = [r"\begin{tabular}{l" + "r" * (len(header) - 1) + "}", r"\toprule", line(header), r"\midrule"]

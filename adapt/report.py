@@ -5,9 +5,13 @@ import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gelgap.adapt.figures import error_rows, feature_tsne, force_scatter, latex_table, markdown_table
 from gelgap.adapt.runs import Run, load_predictions, load_runs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _STYLE = (
     "body{font:15px/1.5 sans-serif;max-width:70em;margin:2em auto;padding:0 1em;color:#222}"
@@ -32,13 +36,26 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
     (out / "report.md").write_text(f"# Adaptation runs\n\n{markdown}", encoding="utf-8")
     latex = "\n".join(f"% {title}\n{latex_table(header, rows)}" for title, header, rows in tables)
     (out / "report.tex").write_text(latex, encoding="utf-8")
-    page = [f"<!doctype html><meta charset='utf-8'><title>Adaptation runs</title><style>{_STYLE}</style>"]
-    page += ["<h1>Adaptation runs</h1>"]
-    page += [f"<h2>{html.escape(title)}</h2>{_html_table(header, rows)}" for title, header, rows in tables]
-    page += _figures(runs)
     path = out / "report.html"
-    path.write_text("\n".join(page), encoding="utf-8")
+    content = [(title, header, rows, "") for title, header, rows in tables]
+    path.write_text(html_page("Adaptation runs", content, _figures(runs)), encoding="utf-8")
     return path
+
+
+def html_page(
+    title: str,
+    tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]], str]],
+    figures: Sequence[tuple[str, "Figure"]],
+) -> str:
+    """Return one self-contained page: tables as (title, header, rows, note), figures as (caption, figure)."""
+    style = f"<style>{_STYLE}</style>"
+    page = [f"<!doctype html><meta charset='utf-8'><title>{html.escape(title)}</title>{style}"]
+    page.append(f"<h1>{html.escape(title)}</h1>")
+    for name, header, rows, note in tables:
+        page.append(f"<h2>{html.escape(name)}</h2>{_html_table(header, rows)}<p>{html.escape(note)}</p>")
+    for caption, figure in figures:
+        page += [f"<h2>{html.escape(caption)}</h2>", _image(figure)]
+    return "\n".join(page)
 
 
 def report_tables(runs: Sequence[Run]) -> list[tuple[str, list[str], list[list[str]]]]:
@@ -92,9 +109,9 @@ def _html_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f"<table><tr>{head}</tr>{body}</table>"
 
 
-def _figures(runs: Sequence[Run]) -> list[str]:
+def _figures(runs: Sequence[Run]) -> list[tuple[str, "Figure"]]:
     """Return, for each group's first seed, the scatter and the t-SNE of its methods."""
-    parts = []
+    figures = []
     for group in dict.fromkeys(run.group for run in runs):
         of_group = [run for run in runs if run.group == group]
         seed = min(run.seed for run in of_group)
@@ -102,11 +119,14 @@ def _figures(runs: Sequence[Run]) -> list[str]:
         truth = next(iter(arrays.values()))["target_true_n"]
         scatter = force_scatter(truth, {method: a["target_predicted_n"] for method, a in arrays.items()})
         plane = feature_tsne({m: (a["source_features"], a["target_features"]) for m, a in arrays.items()})
-        parts += [f"<h2>{html.escape(group)}, seed {seed}</h2>", _image(scatter), _image(plane)]
-    return parts
+        figures += [
+            (f"{group}, seed {seed}: predicted against true force", scatter),
+            (f"{group}, seed {seed}: features of both domains", plane),
+        ]
+    return figures
 
 
-def _image(figure) -> str:
+def _image(figure: "Figure") -> str:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
+    figure.savefig(buffer, format="png", dpi=80)
     return f'<img alt="" src="data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}">'

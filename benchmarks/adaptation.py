@@ -1,5 +1,6 @@
 """The adaptation benchmark: the paper's nine groups, every method, several seeds; resumable, one run a core."""
 
+import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -128,11 +129,27 @@ class Results:
     @cached_property
     def constant_mean_n(self) -> np.ndarray:
         """Error (groups,) of predicting the source's mean force, N, mean over the seeds' test frames."""
-        return np.nanmean(self.values(lambda line: float(np.mean(line.constant_mean_n))), axis=(0, 2))
+        return mean_of(self.values(lambda line: float(np.mean(line.constant_mean_n))), axis=(0, 2))
 
     def of(self, method: str) -> np.ndarray:
         """Return the errors (groups, seeds) of one method, N."""
         return self.errors_n[list(self.methods).index(method)]
+
+
+def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
+    """Return the mean of what is there; NaN where nothing is."""
+    there = ~np.isnan(values)
+    count = there.sum(axis=axis)
+    return np.where(count > 0, np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
+
+
+def over_groups(values: np.ndarray) -> np.ndarray:
+    """Return the mean over groups of the means over seeds of (…, groups, seeds); NaN where a group has no run."""
+    return mean_of(values, axis=-1).mean(axis=-1)
+
+
+def _number(value: float, form: str = ".3f") -> str:
+    return "–" if math.isnan(value) else f"{value:{form}}"
 
 
 def jobs_of(groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds: Sequence[int]) -> list[Job]:
@@ -176,10 +193,10 @@ def group_table(results: Results) -> ResultTable:
                 f"{np.mean(oracles.geometry_n):.3f}",
             ]
         )
-    mean = np.nanmean(results.errors_n, axis=(1, 2))
+    mean = over_groups(results.errors_n)
     both = [[np.mean(o.pose_n), np.mean(o.geometry_n)] for o in results.oracles.values()]
     rows.append(
-        ["mean", f"{results.constant_mean_n.mean():.3f}", *(f"{x:.3f}" for x in mean)]
+        ["mean", f"{results.constant_mean_n.mean():.3f}", *(_number(x) for x in mean)]
         + [f"{x:.3f}" for x in np.mean(both, axis=0)]
     )
     apart = [" → ".join(g) for g in results.groups if not results.oracles[g].comparable(g)]
@@ -194,21 +211,20 @@ def group_table(results: Results) -> ResultTable:
 
 def axis_table(results: Results) -> ResultTable:
     """Error and R² per axis, mean over groups and seeds."""
-    mae = np.nanmean(results.values(lambda line: line.mae_n[0]), axis=(1, 2))
-    per_axis = [np.nanmean(results.values(lambda ln, a=a: ln.mae_n[a]), axis=(1, 2)) for a in range(3)]
-    r2 = [np.nanmean(results.values(lambda ln, a=a: ln.r2[a]), axis=(1, 2)) for a in range(3)]
+    per_axis = [over_groups(results.values(lambda ln, a=a: ln.mae_n[a])) for a in range(3)]
+    r2 = [over_groups(results.values(lambda ln, a=a: ln.r2[a])) for a in range(3)]
     widths = (1.5, 1.5, 3.0)
-    constant = [np.nanmean(results.values(lambda line, a=a: line.constant_mean_n[a])) for a in range(3)]
+    constant = [mean_of(results.values(lambda line, a=a: line.constant_mean_n[a])) for a in range(3)]
     rows = [
         ["constant mean", *(f"{n:.3f} ({100 * n / w:.1f} %)" for n, w in zip(constant, widths, strict=True))]
     ]
     rows[0] += ["–"] * 3
-    for i in range(len(mae)):
+    for i in range(len(results.methods)):
         rows.append(
             [
                 results.methods[i],
                 *(f"{v[i]:.3f} ({100 * v[i] / w:.1f} %)" for v, w in zip(per_axis, widths, strict=True)),
-                *(f"{v[i]:.2f}" for v in r2),
+                *(_number(v[i], ".2f") for v in r2),
             ]
         )
     for name in ("pose", "geometry"):
@@ -246,27 +262,27 @@ def closed_table(results: Results) -> ResultTable:
     from gelgap.adapt.oracles import gap_closed
 
     own = [m for m in results.methods if m not in ("source-only", "supervised")]
-    plain, ceiling = (np.nanmean(results.of(m), axis=1) for m in ("source-only", "supervised"))
+    plain, ceiling = (mean_of(results.of(m), axis=1) for m in ("source-only", "supervised"))
 
     def share(method: str, i: int) -> str:
-        value = gap_closed(plain[i], float(np.nanmean(results.of(method)[i])), ceiling[i])
+        value = gap_closed(plain[i], float(mean_of(results.of(method)[i])), ceiling[i])
         return "–" if math.isnan(value) else f"{100 * value:.0f} %"
 
     rows = [[" → ".join(g), *(share(m, i) for m in own)] for i, g in enumerate(results.groups)]
-    mean = [100 * gap_closed(plain.mean(), float(np.nanmean(results.of(m))), ceiling.mean()) for m in own]
+    shares = [100 * gap_closed(plain.mean(), float(over_groups(results.of(m))), ceiling.mean()) for m in own]
     return ResultTable(
         "Share of the gap from source-only to supervised-on-target that is closed",
         ["group", *own],
-        [*rows, ["of the means", *(f"{value:.0f} %" for value in mean)]],
+        [*rows, ["of the means", *(_number(value, ".0f") + " %" for value in shares)]],
         "Not capped: above 100 % a method is better than supervised, below 0 worse than source-only.",
     )
 
 
 def summary_table(results: Results) -> ResultTable:
     """Mean, interval, reduction and rank of each method, beside the paper's."""
-    plain = np.nanmean(results.of("source-only"))
+    plain = over_groups(results.of("source-only"))
     learned = [i for i, m in enumerate(results.methods) if m != "supervised"]
-    by_group = np.nanmean(results.errors_n, axis=2)
+    by_group = mean_of(results.errors_n, axis=2)
     mean_ranks = dict(
         zip([results.methods[i] for i in learned], ranks(by_group[learned]).mean(axis=1), strict=True)
     )
@@ -279,9 +295,9 @@ def summary_table(results: Results) -> ResultTable:
         rows.append(
             [
                 method,
-                f"{np.nanmean(errors):.3f}",
+                _number(over_groups(errors)),
                 "–" if math.isnan(low) else f"{low:.3f}…{high:.3f}",
-                f"{100 * (np.nanmean(errors) / plain - 1):+.0f} %",
+                _number(100 * (over_groups(errors) / plain - 1), "+.0f") + " %",
                 f"{mean_ranks[method]:.2f}" if method in mean_ranks else "–",
                 f"{paper[method]:.3f}" if method in paper else "–",
                 f"{100 * (paper[method] / paper['source-only'] - 1):+.0f} %" if method in paper else "–",
@@ -321,7 +337,7 @@ def paired_table(results: Results, against: str = "dsan") -> ResultTable:
         for c in found
     ]
     own = [i for i, m in enumerate(results.methods) if m != "supervised"]
-    by_group = np.nanmean(results.errors_n[own], axis=2)
+    by_group = mean_of(results.errors_n[own], axis=2)
     note = (
         f"Friedman's test over the groups, {len(own)} methods: p = {friedman_p(by_group):.2g}; critical difference of "
         f"mean ranks (Nemenyi, 5 %): {critical_difference(len(own), len(results.groups)):.2f}. {CAVEAT}"
@@ -388,7 +404,7 @@ def time_table(results: Results) -> ResultTable:
     for i, method in enumerate(results.methods):
         own = [line.stage2_s for line in results.lines if line.job.method == method and line.problem is None]
         stage2 = float(np.median(own)) if own else math.nan
-        rows.append([method, f"{np.nanmean(results.errors_n[i]):.3f}", f"{shared:.1f}", f"{stage2:.1f}"])
+        rows.append([method, _number(over_groups(results.errors_n[i])), f"{shared:.1f}", f"{stage2:.1f}"])
     return ResultTable(
         "Target MAE against training time",
         ["method", "mean MAE, N", "stage 1, s", "stage 2, s"],
@@ -398,20 +414,69 @@ def time_table(results: Results) -> ResultTable:
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Generate the data if they are missing, do the missing runs, print the tables.
+    """Generate the data if they are missing, do the missing runs, print the tables and write the report.
 
-    `quick` is one group of the smoke data with one seed; else the nine groups of the `cpu` data with three.
+    `quick` is one group of the smoke data with one seed. Else everything: the nine groups of the `cpu` data with three
+    seeds, the search over transfer weights, the ablation, gap curves, and what cheaper data cost.
     """
+    from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps, adaptation_search
     from gelgap.benchmarks.adaptation_speed import print_speed
     from gelgap.domains.generate import generate_recipes
     from gelgap.domains.recipe import preset_recipes
 
     preset = "smoke" if quick else "cpu"
     print_speed(preset)
-    groups = (("mb0i0", "wmb1i1"),) if quick else GROUPS
-    seeds = SEEDS[:1] if quick else SEEDS
     data, out = out_dir / "adaptation" / f"data-{preset}", out_dir / "adaptation" / preset
     print(generate_recipes(preset_recipes(preset, quality="standard", seed=0), data))
-    lines = run_missing(data, out, preset, jobs_of(groups, PAPER_METHODS, seeds))
-    for table in result_tables(Results(lines, groups, PAPER_METHODS, seeds, group_oracles(data, groups))):
+    if quick:
+        run_table(data, out, GROUPS[6:7], SEEDS[:1])
+        return
+    run_table(data, out, GROUPS, SEEDS)
+    adaptation_search.run(data, out)
+    adaptation_ablation.run(data, out)
+    adaptation_gaps.run(out / "gaps")
+    adaptation_cost.run(out / "cost")
+    write_report(out)
+
+
+def run_table(
+    data: Path,
+    out: Path,
+    groups: Sequence[tuple[str, str]],
+    seeds: Sequence[int],
+    methods: Sequence[str] = PAPER_METHODS,
+    workers: int | None = None,
+    minutes: float = math.inf,
+) -> None:
+    """Do the table's missing runs, with the profile that `out` is named after, and print all tables."""
+    from gelgap.benchmarks.adaptation_results import load_results, write_oracles
+
+    write_oracles(out, group_oracles(data, GROUPS if len(groups) > 1 else groups))
+    run_missing(data, out, out.name, jobs_of(groups, methods, seeds), workers=workers, minutes=minutes)
+    if not (out / "runs.jsonl").is_file():
+        return
+    for table in result_tables(load_results(out)):
         table.show()
+
+
+def write_report(out: Path) -> None:
+    """Write the report and say where it is."""
+    from gelgap.benchmarks.adaptation_results import write_benchmark_report
+
+    print(f"wrote {write_benchmark_report(out)}")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(
+        description="The nine groups in pieces: what is missing, for so many minutes."
+    )
+    parser.add_argument("--data", type=Path, required=True, help="folder of the four domains")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="records; named after the profile, such as …/cpu"
+    )
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
+    parser.add_argument("--methods", nargs="+", default=list(PAPER_METHODS))
+    parser.add_argument("--workers", type=int, help="processes; default: one a core")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
+    chosen = parser.parse_args()
+    run_table(chosen.data, chosen.out, GROUPS, chosen.seeds, chosen.methods, chosen.workers, chosen.minutes)

@@ -92,11 +92,11 @@ def _cells(own: Sequence[Line]) -> list[str]:
 
 
 def run(
-    data: Path, out: Path, seeds: Sequence[int], workers: int | None = None, minutes: float = math.inf
+    data: Path, out: Path, seeds: Sequence[int] = (0,), workers: int | None = None, minutes: float = math.inf
 ) -> list[Line]:
     """Do the missing runs and print the table."""
     lines = run_missing(
-        data, out, "cpu", ablation_jobs(GROUPS, seeds), record=RECORD, workers=workers, minutes=minutes
+        data, out, out.name, ablation_jobs(GROUPS, seeds), record=RECORD, workers=workers, minutes=minutes
     )
     ablation_table(lines, GROUPS).show()
     return lines

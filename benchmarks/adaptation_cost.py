@@ -1,6 +1,7 @@
 """What cheaper data cost an adaptation: draft physics or rendering, independent instead of paired contacts."""
 
 import argparse
+import json
 import math
 import time
 from collections.abc import Sequence
@@ -77,6 +78,11 @@ def measure(
     return Cost(variant, report.frames, generate_s, report.solves, errors, train_s)
 
 
+def load_costs(path: Path) -> list[Cost]:
+    """Read what `run` wrote."""
+    return [Cost(**content) for content in json.loads(path.read_text(encoding="utf-8"))]
+
+
 def cost_table(costs: Sequence[Cost]) -> ResultTable:
     """Every method's error on every kind of data, and its rank within it."""
     names = [m for m in METHODS if m != "supervised"]
@@ -95,7 +101,11 @@ def cost_table(costs: Sequence[Cost]) -> ResultTable:
 
 
 def run(
-    out_dir: Path, seeds: Sequence[int], workers: int | None, minutes: float, variants: Sequence[str]
+    out_dir: Path,
+    seeds: Sequence[int] = (0,),
+    workers: int | None = None,
+    minutes: float = math.inf,
+    variants: Sequence[str] = tuple(VARIANTS),
 ) -> None:
     """Measure the variants, write `cost.json`, print the table."""
     start = time.perf_counter()

@@ -1,18 +1,21 @@
 """Choosing transfer weight and epoch without target labels: an equal grid for every method, and what choices cost."""
 
+import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
+from gelgap.benchmarks.adaptation import ResultTable
 from gelgap.benchmarks.adaptation_jobs import Job, run_missing
-from gelgap.benchmarks.tables import print_table
 
 WEIGHTS = (0.0003, 0.003, 0.03, 0.3, 3.0)
 """The grid of transfer weights, the same for every method."""
 
+RECORD = "search.jsonl"
 EVERY = 2
 """Candidates are taken after every second epoch."""
 
@@ -186,15 +189,54 @@ def regret_rows(lines: Sequence[SearchLine], default_weight: float) -> tuple[lis
     return ["chosen by", *methods, "mean", "worst"], [row(rule) for rule in by_rule]
 
 
-def run_search(data: Path, out: Path, profile: str, groups, methods, seeds, **how) -> list[SearchLine]:
-    """Do the grid's missing runs and return all of them."""
+def search_tables(lines: Sequence[SearchLine], default_weight: float = 0.003) -> list[ResultTable]:
+    """Return errors by weight and the regret of every rule; the default is the profile's weight."""
+    groups = dict.fromkeys(f"{line.job.source} → {line.job.target}" for line in lines)
+    where = f"{', '.join(groups)}; {len({line.job.seed for line in lines})} seed(s)."
+    return [
+        ResultTable(
+            "Target MAE after the last epoch by transfer weight, N", *weight_rows(lines), f"Mean over {where}"
+        ),
+        ResultTable(
+            "Regret of choosing weight and epoch without target labels, N",
+            *regret_rows(lines, default_weight),
+            f"Error of the choice less that of the best among {len(WEIGHTS)} weights and all epochs; mean over {where}",
+        ),
+    ]
+
+
+def run(
+    data: Path,
+    out: Path,
+    methods: Sequence[str] = SEARCH_METHODS,
+    seeds: Sequence[int] = (0,),
+    groups: Sequence[tuple[str, str]] = SEARCH_GROUPS,
+    workers: int | None = None,
+    minutes: float = math.inf,
+) -> list[SearchLine]:
+    """Do the grid's missing runs and print the tables."""
     jobs = search_jobs(groups, methods, seeds)
-    return run_missing(data, out, profile, jobs, search_job, SearchLine, "search.jsonl", **how)
+    lines = run_missing(
+        data, out, out.name, jobs, search_job, SearchLine, RECORD, workers=workers, minutes=minutes
+    )
+    if lines:
+        for table in search_tables(lines):
+            table.show()
+    return lines
 
 
-def print_search(lines: Sequence[SearchLine], default_weight: float) -> None:
-    """Print errors by weight and the regret of every rule."""
-    header, rows = weight_rows(lines)
-    print_table("Target MAE after the last epoch by transfer weight, N", header, rows)
-    header, rows = regret_rows(lines, default_weight)
-    print_table(f"Regret against the target's labels, N ({len(WEIGHTS)} weights × epochs)", header, rows)
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, required=True, help="folder of the four domains")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="records; named after the profile, such as …/cpu"
+    )
+    parser.add_argument("--methods", nargs="+", default=list(SEARCH_METHODS))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--workers", type=int, help="processes; default: one a core")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
+    chosen = parser.parse_args()
+    # Workers must find the job and its line by the module's own name.
+    import_module("gelgap.benchmarks.adaptation_search").run(
+        chosen.data, chosen.out, chosen.methods, chosen.seeds, workers=chosen.workers, minutes=chosen.minutes
+    )

@@ -10,6 +10,9 @@ import tyro
 class Report:
     """Write tables and figures of the runs that `gelgap adapt` and `gelgap benchmark adaptation` left in a folder.
 
+    A folder with the benchmark's records gets the benchmark's report: the groups beside the paper, oracles, tests,
+    selectors, gap curves.
+
     Example: gelgap report runs
     """
 
@@ -21,5 +24,7 @@ class Report:
     def run(self, started: float) -> None:
         """Write the report and say where it is."""
         from gelgap.adapt.report import write_report
+        from gelgap.benchmarks.adaptation_results import is_benchmark, write_benchmark_report
 
-        print(f"wrote {write_report(self.runs, self.out)}")
+        write = write_benchmark_report if is_benchmark(self.runs) else write_report
+        print(f"wrote {write(self.runs, self.out)}")
