@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelgap.benchmarks.tables import write_json
+
 DOMAINS = ("mb0i0", "wmb0i0")
 _CHILD = """
 import sys
@@ -27,16 +29,25 @@ if __name__ == "__main__":
     print("written", report.frames_written, "of", report.frames)
 """
 _DEADLINE_S = 300.0
+# The data set takes some 28 MB: the disk is full early, midway and near the end.
+_SMALL_DISK_MB = (2, 9, 20)
+
+
+class ImpossibleHere(Exception):
+    """The machine does not let a fault be made, for want of rights."""
 
 
 @dataclass(frozen=True)
 class FaultResult:
-    """One fault: tries, in how many the run itself survived, frames lost and files that differ after a rerun."""
+    """One fault: tries, in how many the run itself survived, and what a rerun of the same command left.
+
+    No tries: this machine does not let the fault be made.
+    """
 
     fault: str
     tries: int
     survived: int
-    frames_kept: int
+    shards_kept: int
     frames_lost: int
     files_different: int
 
@@ -53,11 +64,16 @@ def run(quick: bool, out_dir: Path) -> tuple[FaultResult, ...]:
     tries = 1 if quick else 3
     results = []
     for fault, strike in FAULTS.items():
-        survived = kept = lost = different = 0
+        survived = kept = lost = different = made = 0
         for attempt in range(tries):
             folder = out_dir / "struck"
             shutil.rmtree(folder, ignore_errors=True)
-            survived += strike(folder, whole, attempt)
+            try:
+                survived += strike(folder, whole, attempt)
+            except ImpossibleHere as reason:
+                print(f"{fault}: {reason}")
+                break
+            made += 1
             safe = sum(path.stat().st_size > 0 for path in folder.glob("*/frames-*.parquet"))
             kept += safe
             _finish(folder)
@@ -65,11 +81,12 @@ def run(quick: bool, out_dir: Path) -> tuple[FaultResult, ...]:
             lost += _frames(whole) - _frames(folder)
             different += sum(found.get(name) != value for name, value in expected.items())
             different += len(found.keys() - expected.keys())
-        results.append(FaultResult(fault, tries, survived, kept, lost, different))
+        results.append(FaultResult(fault, made, survived, kept, lost, different))
         print(_row(results[-1]), flush=True)
     print("\n" + _HEADER)
     for result in results:
         print(_row(result))
+    write_json(out_dir / "faults.json", results)
     return tuple(results)
 
 
@@ -78,7 +95,7 @@ _HEADER = f"{'fault':38} {'tries':>6} {'survived':>9} {'shards kept':>12} {'fram
 
 def _row(result: FaultResult) -> str:
     return (
-        f"{result.fault:38} {result.tries:6d} {result.survived:9d} {result.frames_kept:12d} "
+        f"{result.fault:38} {result.tries:6d} {result.survived:9d} {result.shards_kept:12d} "
         f"{result.frames_lost:12d} {result.files_different:16d}"
     )
 
@@ -199,6 +216,25 @@ def _kill_scheduler(folder: Path, whole: Path, attempt: int) -> bool:
 
 
 def _fill_disk(folder: Path, whole: Path, attempt: int) -> bool:
+    """Generate into a small file system of its own until it is full; then move what is there to where there is room."""
+    disk = folder.with_name("small-disk")
+    disk.mkdir(exist_ok=True)
+    size = f"size={_SMALL_DISK_MB[attempt % len(_SMALL_DISK_MB)]}m"
+    mounting = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", size, "tmpfs", str(disk)], capture_output=True, text=True, check=False
+    )
+    if mounting.returncode:
+        raise ImpossibleHere(f"no small file system could be mounted ({mounting.stderr.strip()})")
+    try:
+        survived = _end(_start(disk))
+        shutil.copytree(disk, folder)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+        disk.rmdir()
+    return survived
+
+
+def _refuse_writes(folder: Path, whole: Path, attempt: int) -> bool:
     """Limit the size of a file that the process may write: the kernel then refuses a write as on a full disk."""
     child = subprocess.Popen(
         [
@@ -243,7 +279,8 @@ FAULTS: dict[str, Callable[[Path, Path, int], bool]] = {
     "kill -9 of the scheduler": _kill_scheduler,
     "kill -9 of the client": _kill_client,
     "Ctrl-C": _interrupt,
-    "full disk (write refused)": _fill_disk,
+    "full disk (small file system)": _fill_disk,
+    "write refused (file size limit)": _refuse_writes,
     "two generators on one folder": _two_generators,
     "truncated shard (survived: detected)": _damage(lambda data: data[: len(data) // 3]),
     "bit-flipped shard (survived: detected)": _damage(

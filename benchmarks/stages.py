@@ -35,7 +35,7 @@ class StageClock:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Time what happens inside, and sample the memory of this process and its children meanwhile."""
-        sampler = _MemorySampler()
+        sampler = MemorySampler()
         started = time.perf_counter()
         try:
             with sampler:
@@ -44,15 +44,19 @@ class StageClock:
             self.stages.append(Stage(name, time.perf_counter() - started, sampler.peak_bytes / MIB))
 
 
-class _MemorySampler:
-    """Samples the resident memory of this process and all its children until it is left."""
+class MemorySampler:
+    """Samples the resident memory of this process and all its children until it is left.
+
+    `peak_bytes` is the most that all had together, `peak_child_bytes` the most that one child had.
+    """
 
     def __init__(self) -> None:
         self.peak_bytes = 0
+        self.peak_child_bytes = 0
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._sample, daemon=True)
 
-    def __enter__(self) -> "_MemorySampler":
+    def __enter__(self) -> "MemorySampler":
         self._thread.start()
         return self
 
@@ -68,9 +72,12 @@ class _MemorySampler:
             total = 0
             for member in [process, *process.children(recursive=True)]:
                 try:
-                    total += member.memory_info().rss
+                    resident = member.memory_info().rss
                 except psutil.NoSuchProcess:
                     continue
+                total += resident
+                if member is not process:
+                    self.peak_child_bytes = max(self.peak_child_bytes, resident)
             self.peak_bytes = max(self.peak_bytes, total)
             if self._done.wait(SAMPLING_PERIOD_S):
                 return

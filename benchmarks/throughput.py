@@ -1,20 +1,24 @@
 """How fast domains are made and read, what sharing saves, and what a picture costs by PNG setting."""
 
+import json
 import os
 import resource
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from gelgap.benchmarks.stages import MIB, MemorySampler
 from gelgap.benchmarks.tables import print_table, write_json
 from gelgap.domains.dataset import LabelledFrames, open_domain
-from gelgap.domains.estimate import estimate
-from gelgap.domains.generate import generate_recipes
+from gelgap.domains.estimate import estimate, load_steps
+from gelgap.domains.folder import DomainFolder
+from gelgap.domains.generate import generate_recipes, package_versions
 from gelgap.domains.plan import plan_generation
 from gelgap.domains.progress import shown_progress
 from gelgap.domains.recipe import DomainRecipe, preset_recipes
@@ -25,7 +29,10 @@ BATCH = 32
 
 @dataclass(frozen=True)
 class GenerationRun:
-    """One generation. `cpu_share` is the workers' CPU time over wall time times workers."""
+    """One generation. `cpu_share` is the workers' CPU time over wall time times workers; `client_s` the client's own.
+
+    `pieces` is 1 unless the benchmark was interrupted and taken up again, which costs another start of the workers.
+    """
 
     what: str
     workers: int
@@ -34,8 +41,11 @@ class GenerationRun:
     wall_s: float
     frames_per_s: float
     cpu_share: float
+    client_s: float
     peak_mib_a_worker: float
     disk_mb: float
+    unconverged: int
+    pieces: int
 
 
 @dataclass(frozen=True)
@@ -59,35 +69,62 @@ class PngCost:
 def run(quick: bool, out_dir: Path) -> None:
     """Measure generation, reading and encoding; print tables and write `throughput.json`.
 
-    The full form makes the paper's four domains at standard quality; the quick one the smoke data set at draft
-    quality. Solves start from an empty cache of the benchmark's own.
+    The full form makes the paper's four domains at standard quality, gel by gel; the quick one the smoke data set at
+    draft quality. Solves start from an empty cache of the benchmark's own. A run that was interrupted is taken up by
+    the next one; one that ended is measured anew.
     """
     folder = Path(out_dir) / "throughput"
-    shutil.rmtree(folder, ignore_errors=True)
     preset, quality = ("smoke", "draft") if quick else ("paper", "standard")
     recipes = preset_recipes(preset, quality=quality)
+    log = RunLedger(folder / "unfinished.json", [preset, quality, package_versions()])
+    if not log.found:
+        shutil.rmtree(folder, ignore_errors=True)
     with _own_cache(folder / "solves"):
-        expected = estimate(recipes)
-        print(f"planned:\n{expected}\n")
-        solving = _generation("solves and frames", recipes, folder / "data", None)
-        runs = [solving]
+        if not log.found:
+            print(f"planned:\n{estimate(recipes)}\n", flush=True)
+        runs = [
+            _generation(" + ".join(recipe.name for recipe in group), group, folder / "data", None, log)
+            for group in _by_gel(recipes)
+        ]
         light = [recipe.model_copy(update={"seed": 1}) for recipe in (recipes[:1] if quick else recipes[3:])]
+        scaling = []
         for workers in (1, 2):
-            what = f"frames alone, {workers} worker{'s'[: workers - 1]}"
-            runs.append(_generation(what, light, folder / f"workers-{workers}", workers))
+            what = f"{light[0].name} again, solves known, {workers} worker{'s'[: workers - 1]}"
+            scaling.append(_generation(what, light, folder / f"workers-{workers}", workers, log))
         alone = _cost_alone(recipes)
     frames = open_domain(folder / "data" / recipes[0].name)
     rates = _reading_rates(frames)
     costs = _png_costs(frames)
+    whole = _together(runs)
+    columns = (
+        "run",
+        "workers",
+        "solves",
+        "frames",
+        "s",
+        "frames/s",
+        "CPU share",
+        "client s",
+        "MiB a worker",
+        "MB on disk",
+        "unconverged",
+        "pieces",
+    )
+    core_h = whole.wall_s * whole.workers * whole.cpu_share / 3600
     print_table(
         f"Generation of {preset} at {quality} quality",
-        ("run", "workers", "solves", "frames", "s", "frames/s", "CPU share", "MiB a worker", "MB on disk"),
-        [list(vars(row).values()) for row in runs],
-        note=(
-            f"nothing shared (each contact solved and each frame rendered alone; extrapolated from one "
-            f"solve and a few frames): {alone / 3600:.1f} h of a core; shared: "
-            f"{solving.wall_s * solving.workers * solving.cpu_share / 3600:.2f} h"
-        ),
+        columns,
+        [list(vars(row).values()) for row in (*runs, whole, *scaling)],
+        note="aims for the paper's four domains: 1200 s, 1500 MiB a worker, 3500 MB",
+    )
+    print_table(
+        "What sharing saved, hours of one core",
+        ("way", "solving", "rendering", "together", "over shared"),
+        [
+            ["each frame solved and rendered alone", *alone, sum(alone), sum(alone) / core_h],
+            ["shared", None, None, core_h, 1.0],
+        ],
+        note="alone: extrapolated from one solve's time a load step and a few frames of each domain",
     )
     print_table(
         f"Reading at {READING_SIZE_PX} px on one core",
@@ -101,8 +138,60 @@ def run(quick: bool, out_dir: Path) -> None:
     )
     write_json(
         Path(out_dir) / "throughput.json",
-        {"generation": runs, "reading": rates, "png": costs, "alone_s": alone},
+        {
+            "generation": [*runs, whole],
+            "scaling": scaling,
+            "reading": rates,
+            "png": costs,
+            "alone_core_h": alone,
+            "shared_core_h": core_h,
+        },
     )
+    log.close()
+
+
+def _by_gel(recipes: Sequence[DomainRecipe]) -> list[list[DomainRecipe]]:
+    """Return the domains of each gel: they share solves, and where their light is the same, pictures."""
+    groups: dict[str, list[DomainRecipe]] = {}
+    for recipe in recipes:
+        groups.setdefault(recipe.elastomer.model_dump_json(), []).append(recipe)
+    return list(groups.values())
+
+
+@dataclass
+class _Taken:
+    """What the pieces of one run have taken so far."""
+
+    wall_s: float = 0.0
+    worker_s: float = 0.0
+    client_s: float = 0.0
+    peak_bytes: int = 0
+    solves: int = 0
+    pieces: int = 0
+
+
+class RunLedger:
+    """What each run of the benchmark has taken, on disk, so that an interrupted benchmark can go on."""
+
+    def __init__(self, path: Path, plan: Sequence[Any]):
+        self._path, self._plan = path, json.loads(json.dumps(plan))
+        self._taken: dict[str, dict[str, Any]] = {}
+        try:
+            stored = json.loads(path.read_text(encoding="utf-8"))
+            self.found = stored["plan"] == self._plan
+            self._taken = stored["taken"] if self.found else {}
+        except (OSError, ValueError, KeyError):
+            self.found = False
+
+    def taken(self, what: str) -> _Taken:
+        return _Taken(**self._taken.get(what, {}))
+
+    def note(self, what: str, taken: _Taken) -> None:
+        self._taken[what] = vars(taken)
+        write_json(self._path, {"plan": self._plan, "taken": self._taken})
+
+    def close(self) -> None:
+        self._path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -118,37 +207,86 @@ def _own_cache(folder: Path) -> Iterator[None]:
             os.environ["GELGAP_CACHE"] = before
 
 
-def _generation(what: str, recipes: list[DomainRecipe], out_dir: Path, workers: int | None) -> GenerationRun:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    with shown_progress() as progress:
-        report = generate_recipes(recipes, out_dir, workers=workers, progress=progress)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+def _generation(
+    what: str, recipes: Sequence[DomainRecipe], out_dir: Path, workers: int | None, log: RunLedger
+) -> GenerationRun:
+    taken = log.taken(what)
+    manifests = [DomainFolder(out_dir / recipe.name) for recipe in recipes]
+    done = all(folder.exists() and folder.read_manifest()["complete"] for folder in manifests)
+    if not (taken.pieces and done):
+        taken.solves = max(taken.solves, len(plan_generation(recipes).solves))
+        taken.pieces += 1
+        children = resource.getrusage(resource.RUSAGE_CHILDREN)
+        own_s, start = time.process_time(), time.perf_counter()
+        sampler = MemorySampler()
+        try:
+            with sampler, shown_progress() as progress:
+                generate_recipes(recipes, out_dir, workers=workers, progress=progress)
+        finally:
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            taken.wall_s += time.perf_counter() - start
+            taken.client_s += time.process_time() - own_s
+            taken.worker_s += after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
+            taken.peak_bytes = max(taken.peak_bytes, sampler.peak_child_bytes)
+            log.note(what, taken)
     count = workers or len(os.sched_getaffinity(0))
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    manifest = [folder.read_manifest() for folder in manifests]
+    frames = sum(one["frames"] for one in manifest)
     return GenerationRun(
         what=what,
         workers=count,
-        solves=report.solves,
-        frames=report.frames_written,
-        wall_s=report.wall_s,
-        frames_per_s=report.frames_written / report.wall_s,
-        cpu_share=cpu_s / (report.wall_s * count),
-        # The kernel keeps the largest of all children so far.
-        peak_mib_a_worker=after.ru_maxrss / 1024,
-        disk_mb=report.bytes_written / 1e6,
+        solves=taken.solves,
+        frames=frames,
+        wall_s=taken.wall_s,
+        frames_per_s=frames / taken.wall_s,
+        cpu_share=taken.worker_s / (taken.wall_s * count),
+        client_s=taken.client_s,
+        peak_mib_a_worker=taken.peak_bytes / MIB,
+        disk_mb=sum(entry["bytes"] for one in manifest for entry in one["files"].values()) / 1e6,
+        unconverged=sum(one["unconverged"] for one in manifest),
+        pieces=taken.pieces,
     )
 
 
-def _cost_alone(recipes: list[DomainRecipe]) -> float:
-    """Return the core seconds of making each frame on its own, from one uncached solve and sampled frames."""
+def _together(runs: Sequence[GenerationRun]) -> GenerationRun:
+    wall_s, frames = sum(run.wall_s for run in runs), sum(run.frames for run in runs)
+    return GenerationRun(
+        what="together, one after another",
+        workers=runs[0].workers,
+        solves=sum(run.solves for run in runs),
+        frames=frames,
+        wall_s=wall_s,
+        frames_per_s=frames / wall_s,
+        cpu_share=sum(run.cpu_share * run.wall_s for run in runs) / wall_s,
+        client_s=sum(run.client_s for run in runs),
+        peak_mib_a_worker=max(run.peak_mib_a_worker for run in runs),
+        disk_mb=sum(run.disk_mb for run in runs),
+        unconverged=sum(run.unconverged for run in runs),
+        pieces=sum(run.pieces for run in runs),
+    )
+
+
+def _cost_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
+    """Return the core hours of solving and of rendering each frame on its own, extrapolated from samples.
+
+    A solve is sampled on the shallowest problem, uncached; a frame alone takes the load steps of its own contact.
+    """
     from gelgap.sim.indentation import solve
 
-    plan = plan_generation(recipes)
-    start = time.perf_counter()
-    solve(next(iter(plan.solves.values())).problem)
-    solve_s = time.perf_counter() - start
-    each = [estimate([recipe]) for recipe in recipes]
-    return sum(one.contacts * solve_s + one.frame_core_s for one in each)
+    problems = [solve.problem for solve in plan_generation(recipes).solves.values()]
+    problem = min(problems, key=lambda problem: -problem.waypoints_mm[0][2])
+    travel_mm = float(np.linalg.norm(np.array(problem.waypoints_mm)[:, :2], axis=1).max())
+    start = time.process_time()
+    solve(problem)
+    step_s = (time.process_time() - start) / load_steps(
+        problem.quality, -problem.waypoints_mm[0][2], travel_mm
+    )
+    steps = sum(
+        load_steps(problem.quality, pose.depth_mm, pose.radius_mm)
+        for recipe in recipes
+        for pose in recipe.path.poses
+    )
+    return step_s * steps / 3600, sum(estimate([recipe]).frame_core_s for recipe in recipes) / 3600
 
 
 def _reading_rates(frames: LabelledFrames) -> list[Rate]:
