@@ -163,7 +163,7 @@ def plot_groups(results: Results) -> "Figure":
     axes.hlines(pose, place - 0.4, place + 0.4, "k", label="pose oracle")
     axes.set_xticks(place, ["\n→ ".join(group) for group in results.groups], fontsize=8)
     axes.set_ylabel("target MAE, N")
-    axes.legend(fontsize=8, ncols=4)
+    figure.legend(loc="outside upper center", fontsize=8, ncols=len(results.methods) + 2)
     return figure
 
 

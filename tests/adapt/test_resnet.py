@@ -1,9 +1,12 @@
 """The ResNets: torchvision's keys and sizes, ImageNet weights from a file, width and input channels."""
 
+import numpy as np
 import pytest
 import torch
 
+from gelgap.adapt.profile import Profile
 from gelgap.adapt.resnet import load_imagenet_weights, make_resnet
+from gelgap.adapt.runs import adapt_frames, run_key
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])
@@ -56,3 +59,18 @@ def test_width_scales_the_feature():
 def test_unknown_backbone():
     with pytest.raises(ValueError, match="known backbones: resnet18, resnet50"):
         make_resnet("vgg")
+
+
+def test_paper_profile_runs_on_imagenet_weights(source, target, tmp_path):
+    """Both stages of the paper's profile, three steps each: ResNet-50, bfloat16, weights from a file."""
+    paper = Profile.preset("paper")
+    assert (paper.backbone, paper.precision, paper.image_size_px) == ("resnet50", "bfloat16", (256, 256))
+    short = paper.replace(batch_size=4, source_epochs=1, adapt_epochs=1, threads=1)
+    weights = tmp_path / "resnet50.pth"
+    torch.save({**make_resnet("resnet50").state_dict(), "fc.weight": torch.zeros(1000, 2048)}, weights)
+    few = [frames.take(np.arange(14)) for frames in (source, target)]
+    (run,) = adapt_frames(*few, ["dsan"], short, weights=weights)
+    assert [record["skipped_steps"] for record in run.history] == [0, 0]
+    assert run.history[1]["losses"].keys() == {"regression", "classification", "transfer"}
+    assert np.isfinite(run.target_test.mae_n).all()
+    assert run_key(*few, "dsan", short, 0, weights) == run.key != run_key(*few, "dsan", short, 0, None)

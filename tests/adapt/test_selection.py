@@ -8,7 +8,6 @@ from sklearn.metrics import mean_absolute_error, r2_score
 
 from gelgap.adapt.evaluation import evaluate_predictions
 from gelgap.adapt.figures import error_rows, feature_tsne, force_scatter, latex_table, markdown_table
-from gelgap.adapt.oracles import gap_closed, pose_oracle
 from gelgap.adapt.report import write_report
 from gelgap.adapt.runs import adapt_frames
 from gelgap.adapt.selection import (
@@ -56,21 +55,6 @@ def test_evaluation_of_nothing_or_of_nan():
         evaluate_predictions(np.zeros((2, 3)), np.array([[0, 0, 0], [np.nan, 0, 0]]), RANGE)
     constant = evaluate_predictions(np.zeros((4, 3)), np.ones((4, 3)), RANGE)
     assert np.isnan(constant.r2).all()
-
-
-def test_pose_oracle_is_the_force_scale(source):
-    harder = replace(source, force_n=source.force_n * 1.1)
-    shuffled = harder.take(np.random.default_rng(0).permutation(len(harder)))
-    result = pose_oracle(source, shuffled)
-    assert result.mae_n[2] == pytest.approx(0.1 / 1.1 * np.abs(shuffled.force_n[:, 2]).mean(), rel=1e-3)
-    with pytest.raises(ValueError, match="share no contact"):
-        pose_oracle(source, replace(source, point_id=source.point_id + 100))
-
-
-def test_gap_closed_is_not_capped():
-    assert gap_closed(0.4, 0.2, 0.1) == pytest.approx(2 / 3)
-    assert gap_closed(0.4, 0.05, 0.1) > 1
-    assert np.isnan(gap_closed(0.1, 0.2, 0.2))
 
 
 def test_weighted_risks_without_a_shift_are_the_source_risk():
