@@ -31,10 +31,16 @@ def variations() -> tuple[Variation, ...]:
     def dsan(name: str, **changes) -> Variation:
         return Variation(name, "dsan", tuple(changes.items()))
 
-    mixed = {"colour_mixing": 0.5}
+    def each(name: str, **changes) -> tuple[Variation, ...]:
+        methods = {"source-only": "source-only", "AdaBN": "adabn", "DSAN": "dsan", "supervised": "supervised"}
+        return tuple(
+            Variation(f"{name}: {m}", method, tuple(changes.items())) for m, method in methods.items()
+        )
+
     return (
         dsan("DSAN as in the profile"),
         Variation("AdaBN: no transfer loss", "adabn"),
+        *each("mixed colours", colour_mixing=0.5),
         Variation("classes: groups of depth and direction", "dsan-coarse"),
         Variation("classes: soft, by force", "dsan-soft"),
         Variation("classes: none (MK-MMD)", "dan"),
@@ -48,16 +54,13 @@ def variations() -> tuple[Variation, ...]:
         dsan("no ramp", transfer_ramp=0.0),
         dsan("classification's whole gradient (the paper)", classification_feedback=1.0),
         dsan("joint statistics", batch_statistics="joint"),
-        Variation("mixed colours, source-only", "source-only", tuple(mixed.items())),
-        Variation("mixed colours, AdaBN", "adabn", tuple(mixed.items())),
-        dsan("mixed colours, DSAN", **mixed),
-        Variation("mixed colours, supervised", "supervised", tuple(mixed.items())),
+        *each("split by contact point", split_by="point"),
     )
 
 
 def ablation_jobs(groups: Sequence[tuple[str, str]], seeds: Sequence[int]) -> list[Job]:
     """Return all runs."""
-    return [Job(s, t, v.method, seed, v.changes) for seed in seeds for s, t in groups for v in variations()]
+    return [Job(s, t, v.method, seed, v.changes) for seed in seeds for v in variations() for s, t in groups]
 
 
 def ablation_table(lines: Sequence[Line], groups: Sequence[tuple[str, str]]) -> ResultTable:
