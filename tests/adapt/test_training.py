@@ -1,6 +1,7 @@
 """Two-stage training: it learns, is deterministic, resumes, keeps target pictures apart, names its errors."""
 
 import copy
+import platform
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from gelgap.adapt.model import ForceModel
 from gelgap.adapt.pictures import mix_colours
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs, run_key, stage1_profile
-from gelgap.adapt.stage import FeatureCollapse
+from gelgap.adapt.stage import FeatureCollapse, keep_freed_memory
 from gelgap.adapt.training import adapt, train_source
 
 
@@ -281,3 +282,7 @@ def test_training_with_mixed_colours_is_deterministic(source, profile):
     np.testing.assert_array_equal(weights(first), weights(second))
     plain = train_source(source, mixing.replace(colour_mixing=0.0), seed=0)
     assert np.abs(weights(first) - weights(plain)).max() > 1e-3
+
+
+def test_freed_memory_is_kept_where_the_c_library_is_glibc():
+    assert keep_freed_memory() == (platform.libc_ver()[0] == "glibc")
