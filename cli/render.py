@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from gelgap.render.sensor import Sensor
 
 ARRAYS = ("x_mm", "y_mm", "displacement_mm")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class Render:
         from gelgap.render.imaging import encode, sensor_noise
         from gelgap.render.renderer import MembraneRenderer
 
+        self._check_outputs()
         membrane = load_membrane(self.state)
         sensor = load_sensor(self.sensor)
         if self.illumination is None:
@@ -64,8 +66,20 @@ class Render:
         if self.noise_seed is not None:
             linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.noise_seed))
         if not cv2.imwrite(str(self.output), encode(linear)[..., ::-1]):
-            raise RuntimeError(f"{self.output} could not be written; does its folder exist?")
+            raise RuntimeError(f"{self.output} could not be written")
         print(f"wrote {self.output}" + (f" and {self.linear}" if self.linear else ""))
+
+    def _check_outputs(self) -> None:
+        """Refuse what could not be written before anything is computed."""
+        if self.output.suffix.lower() not in PICTURE_SUFFIXES:
+            raise ValueError(
+                f"output is {self.output}; a picture's name must end in {', '.join(PICTURE_SUFFIXES)}"
+            )
+        if self.noise_seed is not None and self.noise_seed < 0:
+            raise ValueError(f"noise_seed is {self.noise_seed}; it must be 0 or more")
+        for path in (self.output, self.linear):
+            if path is not None and not path.parent.is_dir():
+                raise FileNotFoundError(f"the folder of {path} does not exist; create it first")
 
 
 def load_sensor(name: str) -> "Sensor":

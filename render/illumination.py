@@ -3,7 +3,7 @@
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -94,6 +94,25 @@ class Led(BaseModel):
         return np.stack([level * length / 2, across * height / 2])
 
 
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Return a TOML file's values.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no TOML; the message names the file and the line.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist; expected a TOML file")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is no TOML: {error}") from None
+
+
 class Illumination(BaseModel):
     """All LEDs of a sensor."""
 
@@ -113,8 +132,7 @@ class Illumination(BaseModel):
     @classmethod
     def load(cls, path: str | Path) -> "Illumination":
         """Read an illumination TOML file."""
-        path = Path(path)
-        return cls(**{"name": path.stem, **tomllib.loads(path.read_text(encoding="utf-8"))})
+        return cls(**{"name": Path(path).stem, **read_toml(path)})
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""

@@ -1,6 +1,5 @@
 """A sensor: camera, coating and markers, and, where it has its own, the LEDs; one readable TOML file each."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -8,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from gelgap.assets import load_preset
 from gelgap.render.camera import Camera
-from gelgap.render.illumination import Illumination
+from gelgap.render.illumination import Illumination, read_toml
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]
@@ -62,5 +61,4 @@ class Sensor(BaseModel):
     @classmethod
     def load(cls, path: str | Path) -> "Sensor":
         """Read a sensor TOML file."""
-        path = Path(path)
-        return cls(**{"name": path.stem, **tomllib.loads(path.read_text(encoding="utf-8"))})
+        return cls(**{"name": Path(path).stem, **read_toml(path)})
