@@ -29,7 +29,7 @@ class Generate:
     sweep: Path | None = None
     """A TOML that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
     path: str = "cpu"
-    """Contact path of the named domains (see: gelgap presets paths)."""
+    """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: Literal["draft", "standard", "fine"] = "standard"
     """Quality of the physics."""
     seed: int = 0

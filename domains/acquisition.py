@@ -64,14 +64,6 @@ class DrawnErrors:
         )
 
 
-@dataclass(frozen=True)
-class Poses:
-    """A list of poses under a name: what remains of a path when its contacts are no longer on a grid."""
-
-    name: str
-    poses: tuple[Pose, ...]
-
-
 def generator(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> np.random.Generator:
     """Return the random numbers of one domain, frame and purpose: independent of who draws them, and when."""
     words = [

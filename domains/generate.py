@@ -21,7 +21,7 @@ from gelgap.domains.progress import Progress, Silent
 from gelgap.domains.recipe import DomainRecipe, make_recipes
 from gelgap.domains.schema import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.shard import Shard
-from gelgap.sim.path import ContactPath
+from gelgap.sim.path import ContactPath, PosePath
 
 PACKAGES = (
     "gelgap",
@@ -80,7 +80,7 @@ class GenerationReport:
 
 def generate(
     domains: Iterable[str | Domain],
-    path: str | ContactPath,
+    path: str | ContactPath | PosePath,
     out_dir: Path | str,
     *,
     quality: str = "standard",

@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from gelgap.domains.acquisition import Poses
 from gelgap.domains.folder import canonical_json, shard_name
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
-from gelgap.sim.path import ContactPath
+from gelgap.sim.path import ContactPath, PosePath
 
 if TYPE_CHECKING:
     from gelgap.sim.sharing import Solve, SolvePlan
@@ -99,7 +98,7 @@ def solve_plan(recipe: DomainRecipe) -> "SolvePlan":
 
 @lru_cache(maxsize=8)
 def _solve_plan(
-    elastomer: Elastomer, indenter: Sphere, path: ContactPath | Poses, quality: str
+    elastomer: Elastomer, indenter: Sphere, path: ContactPath | PosePath, quality: str
 ) -> "SolvePlan":
     from gelgap.sim.sharing import plan_solves
 

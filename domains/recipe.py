@@ -12,7 +12,6 @@ from gelgap.domains.acquisition import (
     AcquisitionError,
     Contacts,
     DrawnErrors,
-    Poses,
     draw_errors,
     independent_poses,
 )
@@ -23,7 +22,7 @@ from gelgap.render.illumination import Illumination
 from gelgap.render.sensor import Sensor
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
-from gelgap.sim.path import ContactPath, Pose
+from gelgap.sim.path import ContactPath, Pose, PosePath, load_path
 from gelgap.sim.quality import QualityName
 from gelgap.sim.settings import Settings
 
@@ -42,7 +41,7 @@ class DomainRecipe(Settings):
     )
     elastomer: Elastomer
     indenter: Sphere = Sphere()
-    path: ContactPath
+    path: ContactPath | PosePath
     quality: QualityName = Field("standard", description="of the physics")
     sensor: Sensor
     illumination: Illumination
@@ -79,24 +78,30 @@ class DomainRecipe(Settings):
         """Return the poses as a rig would record them, one a frame."""
         if self.contacts == "paired":
             return self.path.poses
+        if isinstance(self.path, PosePath):
+            raise ValueError(
+                f"contacts = 'independent': needs a path on a grid, and {self.path.name} lists its poses"
+            )
         return independent_poses(self.path, self.seed, self.picture_name)
 
     def drawn_errors(self) -> DrawnErrors:
         return draw_errors(self.acquisition, self.seed, self.picture_name)
 
-    def solved_path(self) -> ContactPath | Poses:
+    def solved_path(self) -> ContactPath | PosePath:
         """Return the contacts that really happen, one a frame."""
         errors = self.drawn_errors()
         off = not any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg))
         if off and self.contacts == "paired":
             return self.path
         commanded = self.commanded_poses()
-        return Poses(self.path.name, commanded if off else tuple(errors.actual(pose) for pose in commanded))
+        return PosePath(
+            self.path.name, commanded if off else tuple(errors.actual(pose) for pose in commanded)
+        )
 
 
 def make_recipes(
     domains: Iterable[str | Domain],
-    path: str | ContactPath = "cpu",
+    path: str | ContactPath | PosePath = "cpu",
     *,
     inpainted: Sequence[str] = INPAINTED_IN_THE_PAPER,
     sensor: str | Sensor = "paper",
@@ -110,7 +115,7 @@ def make_recipes(
     domains
         Names like `mb0i0`.
     path
-        A path preset's name, or a path.
+        A path preset's name, a TOML file's, or a path.
     inpainted
         Domains without markers that are made, as in the paper, by inpainting the domain with markers; pass `()` to
         have every domain rendered.
@@ -131,7 +136,7 @@ def make_recipes(
         raise ValueError("no domain was named; name at least one, for example mb0i0")
     if len(set(parsed)) < len(parsed):
         raise ValueError(f"a domain is named twice in {', '.join(map(str, parsed))}; name each once")
-    contact_path = ContactPath.preset(path) if isinstance(path, str) else path
+    contact_path = load_path(path) if isinstance(path, str) else path
     seen_through = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
     return tuple(
         DomainRecipe(

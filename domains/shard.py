@@ -139,12 +139,14 @@ def _commanded(recipe: DomainRecipe) -> tuple[Pose, ...]:
 
 @lru_cache(maxsize=8)
 def _trajectories(recipe: DomainRecipe) -> tuple[tuple[int, int], ...]:
-    """Return (trajectory, step) of each frame: one straight way sideways at one point, depth and direction."""
-    numbers: dict[tuple[int, float, float], int] = {}
+    """Return (trajectory, step) of each frame: the path's, or one way sideways at a point, depth and direction."""
+    numbers: dict[tuple, int] = {}
     steps: dict[int, int] = {}
     found = []
     for pose in recipe.path.poses:
         way = (pose.point_id, pose.depth_mm, pose.angle_deg if pose.radius_mm else -1.0)
+        if pose.trajectory is not None:
+            way = ("trajectory", pose.trajectory)
         number = numbers.setdefault(way, len(numbers))
         steps[number] = steps.get(number, -1) + 1
         found.append((number, steps[number]))

@@ -1,10 +1,12 @@
-"""Contact paths: the list of poses that the indenter visits, each reached straight down and then sideways."""
+"""Contact paths: the poses that the indenter visits, on the paper's grid, along trajectories, or at random."""
 
 import math
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from pathlib import Path
+from typing import Any, Self
 
 from gelgap.assets import load_preset
 
@@ -22,7 +24,8 @@ class Pose:
     """One commanded contact: at a point of the pad, `depth_mm` down, then sideways by the shear in one straight line.
 
     `contact_class` is 0 for the reference without contact, 1 + 72·depth index + 12·radius index + angle index on the
-    paper's grid, and `NO_CLASS` elsewhere.
+    paper's grid, and `NO_CLASS` elsewhere. Poses of one `trajectory` are visited in their order, each in a straight
+    line from the one before, and friction remembers the way.
     """
 
     depth_mm: float
@@ -32,6 +35,7 @@ class Pose:
     point_y_mm: float = 0.0
     point_id: int = 0
     contact_class: int = NO_CLASS
+    trajectory: int | None = None
 
     def __post_init__(self) -> None:
         for field in ("depth_mm", "shear_x_mm", "shear_y_mm", "point_x_mm", "point_y_mm"):
@@ -75,9 +79,10 @@ class ContactPath:
         ValueError
             If there is no such preset; the message lists the known ones.
         """
-        values = load_preset("paths", name)
-        values.pop("description", None)
-        return cls(name=name, **{field: tuple(map(float, numbers)) for field, numbers in values.items()})
+        path = load_path(name)
+        if not isinstance(path, cls):
+            raise ValueError(f"path preset {name!r} lists poses and is no grid: use load_path")
+        return path
 
     @cached_property
     def poses(self) -> tuple[Pose, ...]:
@@ -100,6 +105,156 @@ class ContactPath:
                         )
                     )
         return poses
+
+
+@dataclass(frozen=True)
+class PosePath:
+    """Any poses under a name, in the order of their frames."""
+
+    name: str
+    poses: tuple[Pose, ...]
+
+    @classmethod
+    def from_trajectories(cls, name: str, trajectories: Sequence[Mapping[str, Any]]) -> Self:
+        """Return a path of trajectories {"point_mm": (x, y), "waypoints_mm": ((shear x, shear y, depth), …)}.
+
+        A reference without contact comes before each. The first waypoint is reached straight down and then sideways.
+
+        Raises
+        ------
+        ValueError
+            If a trajectory lacks waypoints, or something in it is no list of numbers of that length.
+        """
+        points: dict[tuple[float, ...], int] = {}
+        poses = []
+        for number, trajectory in enumerate(trajectories):
+            where = f"trajectory {number} of path {name}"
+            if unknown := trajectory.keys() - {"point_mm", "waypoints_mm"}:
+                raise ValueError(
+                    f"{where}: unknown field {sorted(unknown)[0]}; known: point_mm, waypoints_mm"
+                )
+            x, y = point = _numbers(trajectory.get("point_mm", (0.0, 0.0)), 2, f"point_mm of {where}")
+            waypoints = trajectory.get("waypoints_mm")
+            if not waypoints:
+                raise ValueError(f"waypoints_mm of {where} = {waypoints!r}: must list at least one waypoint")
+            index = points.setdefault(point, len(points))
+            place = {"point_x_mm": x, "point_y_mm": y, "point_id": _point_id(x, y, index)}
+            poses.append(Pose(depth_mm=0.0, contact_class=0, **place))
+            for waypoint in waypoints:
+                shear_x, shear_y, depth = _numbers(waypoint, 3, f"a waypoint of {where}")
+                poses.append(
+                    Pose(depth_mm=depth, shear_x_mm=shear_x, shear_y_mm=shear_y, trajectory=number, **place)
+                )
+        return cls(name, tuple(poses))
+
+    @classmethod
+    def random(
+        cls,
+        name: str,
+        *,
+        number: int,
+        seed: int = 0,
+        point_x_mm: Sequence[float] = (0.0, 0.0),
+        point_y_mm: Sequence[float] = (0.0, 0.0),
+        depth_mm: Sequence[float] = (0.05, 1.0),
+        radius_mm: Sequence[float] = (0.0, 0.6),
+    ) -> Self:
+        """Return a reference without contact and `number` poses drawn evenly from ranges, in any direction.
+
+        The same seed always gives the same poses. Every pose has a depth of its own and so a solve of its own.
+
+        Raises
+        ------
+        ValueError
+            If the number is below 1, or a range is no pair that rises.
+        """
+        import numpy as np
+
+        if not isinstance(number, int) or number < 1:
+            raise ValueError(f"number = {number!r} of path {name}: must be a whole number from 1")
+        ranges = {
+            "point_x_mm": point_x_mm,
+            "point_y_mm": point_y_mm,
+            "depth_mm": depth_mm,
+            "radius_mm": radius_mm,
+        }
+        low, high = [], []
+        for field, values in ranges.items():
+            start, stop = _numbers(values, 2, f"{field} of path {name}")
+            if stop < start:
+                raise ValueError(f"{field} = {list(values)!r} of path {name}: must rise from its first value")
+            low.append(start)
+            high.append(stop)
+        rng = np.random.default_rng(np.random.SeedSequence([seed, number]))
+        drawn = np.round(rng.uniform([*low, 0.0], [*high, 360.0], (number, 5)), 6)
+        poses = [Pose(depth_mm=0.0, contact_class=0, point_id=_point_id(math.nan, math.nan, 0))]
+        for index, (x, y, depth, radius, angle) in enumerate(map(tuple, drawn.tolist())):
+            shear = round(radius * _cosine(angle), 9), round(radius * _cosine(angle - 90.0), 9)
+            poses.append(
+                Pose(
+                    depth_mm=depth,
+                    shear_x_mm=shear[0],
+                    shear_y_mm=shear[1],
+                    point_x_mm=x,
+                    point_y_mm=y,
+                    point_id=_point_id(x, y, index + 1),
+                )
+            )
+        return cls(name, tuple(poses))
+
+
+def load_path(name: str) -> ContactPath | PosePath:
+    """Return the path of a TOML file (a name that ends in .toml) or of a preset.
+
+    The TOML holds the lists of a `ContactPath`, or `[[trajectories]]` as `PosePath.from_trajectories` takes them, or
+    `[random]` with the arguments of `PosePath.random`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If there is no such preset (the message lists the known ones), or the file does not describe a path.
+    """
+    if name.endswith(".toml"):
+        file = Path(name)
+        if not file.is_file():
+            raise FileNotFoundError(f"path file {name} does not exist")
+        try:
+            values = tomllib.loads(file.read_text(encoding="utf-8"))
+        except tomllib.TOMLDecodeError as error:
+            raise ValueError(f"path file {name} is no TOML: {error}") from None
+        name = file.stem
+    else:
+        values = load_preset("paths", name)
+    values.pop("description", None)
+    if values.keys() == {"trajectories"}:
+        return PosePath.from_trajectories(name, values["trajectories"])
+    if values.keys() == {"random"}:
+        try:
+            return PosePath.random(name, **values["random"])
+        except TypeError as error:
+            raise ValueError(f"[random] of path {name}: {error}") from None
+    fields = ("points_x_mm", "points_y_mm", "depths_mm", "radii_mm", "angles_deg")
+    if values.keys() != set(fields):
+        raise ValueError(
+            f"path {name} holds {', '.join(values) or 'nothing'}: must hold {', '.join(fields)}, or [[trajectories]], "
+            "or [random]"
+        )
+    return ContactPath(
+        name, **{field: _numbers(values[field], None, f"{field} of path {name}") for field in fields}
+    )
+
+
+def _numbers(values: Any, length: int | None, what: str) -> tuple[float, ...]:
+    """Return the values as floats, or raise ValueError if they are not `length` numbers (None: at least one)."""
+    sound = isinstance(values, (list, tuple)) and all(
+        isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        for value in values
+    )
+    if not sound or (len(values) != length if length is not None else not values):
+        raise ValueError(f"{what} = {values!r}: must be {'a list of' if length is None else length} numbers")
+    return tuple(map(float, values))
 
 
 def _cosine(angle_deg: float) -> float:

@@ -17,8 +17,8 @@ class ContactProblem:
     """A sphere led through waypoints over a gel, in a frame with the contact point as its origin.
 
     `young_modulus_mpa` and `poisson_ratio` are those of MuJoCo's energy. `pad_mm` is (x min, x max, y min, y max) of
-    the pad around the contact point; None stands for a pad without edges, a disc whose rim is too far to matter, and
-    then all waypoints lie in the plane y = 0. `waypoints_mm` are commanded displacements (x, y, z) of the indenter from
+    the pad around the contact point; None stands for a pad without edges, a disc whose rim is too far to matter.
+    `waypoints_mm` are commanded displacements (x, y, z) of the indenter from
     touching the gel; a state is recorded at each.
     """
 
@@ -35,9 +35,7 @@ class ContactProblem:
     @property
     def half(self) -> bool:
         """Whether gel and waypoints are symmetric to y = 0, so that y ≥ 0 is all that is solved."""
-        if self.pad_mm is None:
-            return True
-        _, _, y_min, y_max = self.pad_mm
+        _, _, y_min, y_max = self.pad_mm or (0.0, 0.0, 0.0, 0.0)
         return y_max == -y_min and all(y == 0 for _, y, _ in self.waypoints_mm)
 
     @property

@@ -17,7 +17,7 @@ _PAD_GROWTH = 1.8
 
 def mesh_for(problem: ContactProblem) -> GelMesh:
     """Mesh the gel finely where it will be touched; vertices lie no closer than the largest contact deserves."""
-    quality, whole = problem.quality, problem.pad_mm is not None
+    quality, whole = problem.quality, not (problem.pad_mm is None and problem.half)
     reach = max(math.hypot(x, y) for x, y, _ in problem.waypoints_mm)
     depth = max(-z for _, _, z in problem.waypoints_mm)
     radius = problem.sphere_radius_mm
@@ -36,7 +36,7 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
     if not whole:
         return half_disc_mesh(disc, fine, spacing, layers, quality.sectors)
     return pad_mesh(
-        problem.pad_mm,
+        problem.pad_mm or (-math.inf, math.inf, -math.inf, math.inf),
         disc,
         fine,
         spacing,

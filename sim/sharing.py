@@ -14,7 +14,7 @@ from gelgap.sim.indentation import Solution, solve
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState, grid_axes
 from gelgap.sim.mesh_stiffness import mesh_moduli
-from gelgap.sim.path import ContactPath, Pose
+from gelgap.sim.path import ContactPath, Pose, PosePath
 from gelgap.sim.problem import ContactProblem, Waypoint
 from gelgap.sim.quality import quality_named
 from gelgap.sim.surface import PolarTable, contact_radius_mm, polar_table, pressed_onto_sphere
@@ -102,7 +102,7 @@ class SolvePlan:
 def plan_solves(
     elastomer: Elastomer,
     indenter: Sphere,
-    path: ContactPath,
+    path: ContactPath | PosePath,
     quality: str = "standard",
     sharing: Sharing | None = None,
 ) -> SolvePlan:
@@ -111,7 +111,7 @@ def plan_solves(
     Raises
     ------
     ValueError
-        If a pose lies off the pad or deeper than it allows, or there is no such quality.
+        If a pose lies off the pad or deeper than it allows, a trajectory leaves its point, or there is no such quality.
     """
     sharing = sharing or Sharing()
     poses = path.poses
@@ -119,7 +119,11 @@ def plan_solves(
         check_pose(elastomer, indenter, pose)
     groups: dict[tuple, list[tuple[float, int]]] = {}
     frames: dict[int, NDArray[np.float64]] = {}
+    trajectories: dict[int, list[int]] = {}
     for index, pose in enumerate(poses):
+        if pose.trajectory is not None:
+            trajectories.setdefault(pose.trajectory, []).append(index)
+            continue
         if pose.depth_mm == 0:
             continue
         origin, frame, pad = canonical_contact(elastomer, pose, sharing)
@@ -141,7 +145,44 @@ def plan_solves(
         for radius, index in members:
             placements[index] = Placement(len(solves), radii.index(radius), frames[index])
         solves.append(Solve(problem, sharing.cache))
+    for members in trajectories.values():
+        problem, frame, records = visiting_problem(
+            elastomer, indenter, tuple(poses[index] for index in members), quality, sharing
+        )
+        if problem is None:
+            continue
+        for index, record in zip(members, records, strict=True):
+            if poses[index].depth_mm:
+                placements[index] = Placement(len(solves), record, frame)
+        solves.append(Solve(problem, sharing.cache))
     return SolvePlan(elastomer, indenter, poses, tuple(solves), tuple(placements))
+
+
+def visiting_problem(
+    elastomer: Elastomer, indenter: Sphere, poses: tuple[Pose, ...], quality: str, sharing: Sharing
+) -> tuple[ContactProblem | None, NDArray[np.float64], tuple[int, ...]]:
+    """Return the problem of poses that are visited one after the other, the canonical frame, and each pose's record.
+
+    The first pose is reached straight down and then sideways, each further one in a straight line. Without a pose in
+    contact there is no problem.
+
+    Raises
+    ------
+    ValueError
+        If the poses do not share one contact point.
+    """
+    if len({(pose.point_x_mm, pose.point_y_mm) for pose in poses}) > 1:
+        raise ValueError("poses: must share one contact point to be visited in one go")
+    _, frame, pad = canonical_contact(elastomer, max(poses, key=lambda pose: pose.radius_mm), sharing)
+    ways = [np.round(frame.T @ np.array([pose.shear_x_mm, pose.shear_y_mm]), 12) + 0.0 for pose in poses]
+    waypoints = [(float(x), float(y), -pose.depth_mm) for (x, y), pose in zip(ways, poses, strict=True)]
+    sideways = ways[0].any()
+    if sideways:
+        waypoints.insert(0, (0.0, 0.0, waypoints[0][2]))
+    records = tuple(range(int(sideways), len(waypoints)))
+    if not any(pose.depth_mm for pose in poses):
+        return None, frame, records
+    return contact_problem(elastomer, indenter, pad, tuple(waypoints), quality, sharing), frame, records
 
 
 def check_pose(elastomer: Elastomer, indenter: Sphere, pose: Pose) -> None:

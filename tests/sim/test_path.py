@@ -1,11 +1,11 @@
 """Contact paths: counts, order, numbering and bad input."""
 
 import math
+from pathlib import Path
 
 import pytest
 
-from gelgap.assets import list_presets
-from gelgap.sim.path import ContactPath, Pose
+from gelgap.sim.path import ContactPath, Pose, PosePath, load_path
 
 
 @pytest.mark.parametrize(
@@ -23,8 +23,8 @@ def test_the_paper_path_numbers_every_class_once_a_point() -> None:
         assert sorted(classes) == list(range(361))
 
 
-@pytest.mark.parametrize("name", list_presets("paths"))
-def test_every_preset_is_part_of_the_paper_path(name: str) -> None:
+@pytest.mark.parametrize("name", ["sparse", "cpu", "smoke"])
+def test_grids_are_part_of_the_paper_path(name: str) -> None:
     paper = {(pose.point_id, pose.contact_class): pose for pose in ContactPath.preset("paper").poses}
     for pose in ContactPath.preset(name).poses:
         assert paper[pose.point_id, pose.contact_class] == pose
@@ -46,3 +46,68 @@ def test_angles_turn_from_x_towards_y() -> None:
 def test_a_depth_must_be_a_number_from_zero(value: float) -> None:
     with pytest.raises(ValueError, match="depth_mm"):
         Pose(depth_mm=value)
+
+
+def test_trajectories_keep_their_order_and_start_from_a_reference(tmp_path: Path) -> None:
+    file = tmp_path / "corner.toml"
+    file.write_text(
+        """
+        [[trajectories]]
+        point_mm = [1, 2]
+        waypoints_mm = [[0, 0, 0.3], [0.2, 0, 0.3], [0.2, 0.1, 0.4]]
+        [[trajectories]]
+        waypoints_mm = [[0.1, 0, 0.2]]
+        """
+    )
+    path = load_path(str(file))
+    assert path.name == "corner"
+    assert [pose.trajectory for pose in path.poses] == [None, 0, 0, 0, None, 1]
+    assert [pose.depth_mm for pose in path.poses] == [0, 0.3, 0.3, 0.4, 0, 0.2]
+    assert (path.poses[3].shear_x_mm, path.poses[3].shear_y_mm) == (0.2, 0.1)
+    assert {pose.point_id for pose in path.poses[:4]} != {pose.point_id for pose in path.poses[4:]}
+
+
+def test_random_poses_follow_their_seed_and_ranges() -> None:
+    ranges = {"depth_mm": (0.2, 0.4), "radius_mm": (0.1, 0.3), "point_x_mm": (-1.0, 1.0)}
+    path = PosePath.random("drawn", number=50, seed=3, **ranges)
+    assert path == PosePath.random("drawn", number=50, seed=3, **ranges)
+    assert path != PosePath.random("drawn", number=50, seed=4, **ranges)
+    assert len(path.poses) == 51
+    for pose in path.poses[1:]:
+        assert 0.2 <= pose.depth_mm <= 0.4
+        assert 0.1 - 1e-6 <= pose.radius_mm <= 0.3 + 1e-6
+        assert abs(pose.point_x_mm) <= 1
+        assert pose.point_y_mm == 0
+    assert max(pose.angle_deg for pose in path.poses) > 270
+
+
+@pytest.mark.parametrize("name", ["loops", "random"])
+def test_presets_that_list_poses(name: str) -> None:
+    assert len(load_path(name).poses) > 10
+    with pytest.raises(ValueError, match="no grid"):
+        ContactPath.preset(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[[trajectories]]\nwaypoints_mm = []", "waypoints_mm"),
+        ("[[trajectories]]\nwaypoints_mm = [[0, 0]]", "3 numbers"),
+        ("[[trajectories]]\nway = 1", "way"),
+        ("[random]\nnumber = 0", "number"),
+        ("[random]\nnumber = 2\ndepth_mm = [0.4, 0.2]", "depth_mm"),
+        ("[random]\ncount = 2", "count"),
+        ("depths_mm = [0.1]", "points_x_mm"),
+        ("=", "no TOML"),
+    ],
+)
+def test_a_bad_path_file_is_refused(text: str, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=words):
+        load_path(str(file))
+
+
+def test_a_missing_path_file_is_named() -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        load_path("nowhere.toml")

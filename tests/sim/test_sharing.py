@@ -9,7 +9,7 @@ import pytest
 from gelgap.sim.cache import cache_use, clear_cache, load_solution, store_solution
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
-from gelgap.sim.path import ContactPath
+from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.sharing import Sharing, SolvePlan, plan_solves
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
@@ -80,6 +80,33 @@ def test_every_pose_is_served(cache: Path) -> None:
     assert not list(cache.glob("*.tmp"))
     clear_cache()
     assert cache_use().solutions == 0
+
+
+def test_a_trajectory_is_one_solve_that_remembers_its_way(cache: Path) -> None:
+    there_and_back = [(0.0, 0.0, 0.2), (0.2, 0.0, 0.2), (0.0, 0.0, 0.2)]
+    path = PosePath.from_trajectories(
+        "way", [{"waypoints_mm": there_and_back}, {"waypoints_mm": [(y, x, d) for x, y, d in there_and_back]}]
+    )
+    plan = _plan(path=path)
+    assert len(plan.solves) == 2
+    solution = plan.solves[0].run()
+    assert solution.problem.half
+    states = [plan.state(index, solution) for index in range(4)]
+    assert not states[0].displacement_mm.any()
+    assert states[2].force_n[0] > 0
+    # Friction at 0.5 slips on this way, so on the way back it pulls against it.
+    assert states[3].force_n[0] < -0.1 * abs(states[3].force_n[2])
+    assert plan.solve_key(1) == plan.solve_key(3)
+    assert plan.solves[1].problem.waypoints_mm == plan.solves[0].problem.waypoints_mm
+
+
+def test_a_trajectory_around_a_corner_needs_the_whole_gel() -> None:
+    path = PosePath.from_trajectories(
+        "corner", [{"waypoints_mm": [(0.0, 0.0, 0.2), (0.1, 0.0, 0.2), (0.1, 0.1, 0.2)]}]
+    )
+    (solve,) = _plan(path=path).solves
+    assert solve.problem.pad_mm is None
+    assert not solve.problem.half
 
 
 def _store_concurrently(solution) -> None:
