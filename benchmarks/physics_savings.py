@@ -6,6 +6,7 @@ waits for the 10,830 solves of the paper's path with nothing shared.
 
 import math
 import os
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,6 +33,10 @@ OFF = {
 GEL = Elastomer(young_modulus_mpa=0.6, poisson_ratio=0.49, friction=0.8)
 CORNER = Pose(depth_mm=0.6, point_x_mm=3.75, point_y_mm=2.6)
 TRAVEL_MM = 0.3
+# How far an edge may be, in thicknesses of 3 mm, and the pose whose change is measured: the path's largest.
+EDGE_DISTANCES = (2.0, 2.4, 2.75, 3.2)
+LARGEST_POSE = Pose(depth_mm=1.0, shear_x_mm=0.6)
+REACH_MM = 5.0
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,18 @@ class Saving:
 
 
 @dataclass(frozen=True)
+class EdgeEffect:
+    """What edges at a distance change in the largest pose: components of force in %, the membrane within 5 mm in µm."""
+
+    where: str
+    thicknesses: float
+    fx_percent: float
+    fz_percent: float
+    surface_rms_um: float
+    surface_worst_um: float
+
+
+@dataclass(frozen=True)
 class Savings:
     """All savings at one quality, and the paper's path as measured."""
 
@@ -55,6 +72,7 @@ class Savings:
     path_again_s: float
     states_per_s: float
     path_solves: int
+    edges: tuple[EdgeEffect, ...]
 
 
 def measure(quick: bool, processes: int, cache_folder: Path) -> Savings:
@@ -75,7 +93,47 @@ def measure(quick: bool, processes: int, cache_folder: Path) -> Savings:
         ([s.name, s.solves, s.core_s_per_pose, s.force_error_percent, s.surface_error_um] for s in savings),
         note="errors: what the saving changes in a pose at the outermost point, 0.6 mm deep, 0.3 mm sideways",
     )
-    return Savings(quality, savings, first_s, again_s, rate, len(plan.solves))
+    edges = () if quick else tuple(edge_effects(processes))
+    if edges:
+        print_table(
+            "What translation neglects, draft: edges on both sides of a contact, 1 mm deep and 0.6 mm sideways",
+            ["edges", "thicknesses away", "Fx %", "Fz %", "surface rms µm", "worst µm"],
+            (
+                [
+                    e.where,
+                    e.thicknesses,
+                    e.fx_percent,
+                    e.fz_percent,
+                    e.surface_rms_um,
+                    e.surface_worst_um,
+                ]
+                for e in edges
+            ),
+            note="change against the same pose on a pad of 100 × 100 mm; surface: within 5 mm of the contact point",
+        )
+    return Savings(quality, savings, first_s, again_s, rate, len(plan.solves), edges)
+
+
+def edge_effects(processes: int) -> Iterator[EdgeEffect]:
+    """Yield what edges change, ahead and behind a drag or beside it, by their distance."""
+    sizes = {("far", math.inf): (100.0, 100.0)}
+    for thicknesses in EDGE_DISTANCES:
+        width = 2 * thicknesses * GEL.thickness_mm
+        sizes["ahead and behind", thicknesses] = (width, 100.0)
+        sizes["on both sides", thicknesses] = (100.0, width)
+    alone = Sharing(translation=False, cache=False)
+    jobs = [
+        Job(where, GEL.model_copy(update={"pad_size_mm": size}), (LARGEST_POSE,), "draft", sharing=alone)
+        for (where, _), size in sizes.items()
+    ]
+    far, *others = (outcome.states[0] for outcome in solve_jobs(jobs, processes))
+    x, y = np.meshgrid(far.x_mm, far.y_mm)
+    for ((where, thicknesses), (width, height)), state in zip(list(sizes.items())[1:], others, strict=True):
+        near = (np.hypot(x, y) <= REACH_MM) & (np.abs(x) <= width / 2) & (np.abs(y) <= height / 2)
+        change = 1e3 * np.linalg.norm((state.displacement_mm - far.displacement_mm)[near], axis=-1)
+        fx, _, fz = 100 * (state.force_n / np.where(far.force_n, far.force_n, 1.0) - 1)
+        rms = float(np.sqrt((change**2).mean()))
+        yield EdgeEffect(where, thicknesses, float(fx), float(fz), rms, float(change.max()))
 
 
 def points(savings: Savings) -> list[Point]:
