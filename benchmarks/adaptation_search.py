@@ -114,8 +114,9 @@ class Choice:
 def choices(lines: Sequence[SearchLine], default_weight: float) -> list[Choice]:
     """Return what each rule chooses among all weights and epochs of one group, method and seed.
 
-    Rules: the default weight's last epoch, each selector, the selector's weight at its last epoch, and the target's
-    labels (the oracle). A run that collapsed counts with the epochs before.
+    Rules: the target's labels (the oracle), the last epoch of the default weight, the last epoch of the weight that
+    reverse validation likes best there (how the profiles' weights were found), and each selector among all candidates.
+    A run that collapsed counts with the epochs before.
     """
     from gelgap.adapt.selection import SELECTORS, best_of
 
@@ -135,6 +136,14 @@ def choices(lines: Sequence[SearchLine], default_weight: float) -> list[Choice]:
     found = [choice("target labels (oracle)", int(error.argmin()))]
     default = [i for i, c in enumerate(pool) if c[0] == default_weight and c[1] == last]
     found += [choice("last epoch, default weight", default[0])] if default else []
+    ended = [i for i, c in enumerate(pool) if c[1] == last]
+    rule = "reverse validation"
+    found.append(
+        choice(
+            f"last epoch, weight by {rule}",
+            ended[best_of([pool[i][3][rule] for i in ended], [pool[i][4] for i in ended])],
+        )
+    )
     for name in SELECTORS:
         chosen = best_of([c[3][name] for c in pool], [c[4] for c in pool])
         found.append(choice(name, chosen))
