@@ -115,7 +115,7 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
                 "the same without markers and noise",
                 _colours(gap.colour_difference, gap.colour_difference_p95),
             ),
-            ("modulus ratio", f"{gap.modulus_ratio:.4g}"),
+            ("modulus", f"× {gap.modulus_ratio:.4g}"),
             ("markers", gap.markers),
             ("fields that differ", _in_short(gap.fields)),
         ]

@@ -8,11 +8,13 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from gelgap.domains.folder import write_whole
 from gelgap.domains.gap import domain_gap
 from gelgap.domains.recipe import DomainRecipe, make_recipes
+from gelgap.render.variation import Variation, vary_illumination, vary_sensor
 from gelgap.sim.settings import Settings
 
 SWEEP_FILE = "sweep.json"
@@ -50,9 +52,15 @@ class Sweep(Settings):
     base: str = Field(description="a domain by its name, such as mb0i0")
     path: str = "smoke"
     method: Literal["grid", "one-at-a-time", "latin-hypercube"] = "grid"
-    samples: Annotated[int, Field(ge=1, le=10_000)] = Field(8, description="of a Latin hypercube")
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the Latin hypercube")
-    factors: tuple[Factor, ...] = Field(min_length=1)
+    samples: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        8, description="of a Latin hypercube, and of draws without factors"
+    )
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the Latin hypercube and the draws")
+    factors: tuple[Factor, ...] = ()
+    variation: Variation | None = Field(
+        None,
+        description="how much LEDs and coat of every variant are drawn around the base's, before its factors",
+    )
 
     @classmethod
     def load(cls, file: Path | str) -> Self:
@@ -76,6 +84,8 @@ class Sweep(Settings):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if not self.factors and self.variation is None:
+            raise ValueError("a sweep needs factors, a variation, or both")
         hypercube = self.method == "latin-hypercube"
         wrong = [factor.field for factor in self.factors if (factor.range is None) == hypercube]
         if wrong:
@@ -87,6 +97,9 @@ class Sweep(Settings):
 
     def points(self) -> Iterator[dict[str, Value]]:
         """Yield the factors' values of each variant, by field; the base itself is not among them."""
+        if not self.factors:
+            yield from ({} for _ in range(self.samples))
+            return
         match self.method:
             case "grid":
                 for values in product(*(factor.values for factor in self.factors)):
@@ -131,9 +144,17 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
         if base.inpainted_from:
             # The pictures with markers that are inpainted are this variant's own, with noise of their own.
             configuration["inpainted_from"] = f"{name}-with-markers"
+        if sweep.variation is not None:
+            rng = np.random.default_rng([sweep.seed, number])
+            drawn = {
+                "illumination": vary_illumination(base.illumination, sweep.variation, rng),
+                "sensor": vary_sensor(base.sensor, sweep.variation, rng),
+            }
+            configuration |= {part: settings.model_dump(mode="json") for part, settings in drawn.items()}
         for field, value in values.items():
             _change(configuration, field.split("."), value, changes[field], field)
-        variants.append(Variant(DomainRecipe(**configuration), values))
+        drawn_as = {"draw": number} if sweep.variation is not None else {}
+        variants.append(Variant(DomainRecipe(**configuration), drawn_as | values))
     return tuple(variants)
 
 

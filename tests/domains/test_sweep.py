@@ -107,3 +107,20 @@ def test_without_markers_or_light_changed_the_gap_is_only_the_modulus():
         other.elastomer.young_modulus_mpa / one.elastomer.young_modulus_mpa, rel=1e-5
     )
     assert gap.colour_difference == 0
+
+
+def test_leds_and_coat_are_drawn_around_the_base_and_repeat(tmp_path: Path):
+    text = 'base = "mb0i0"\nsamples = 3\nseed = 5\n[variation]\nled_drive = 0.2\nyellowing = 0.5\n'
+    once, again = (sweep_variants(load(tmp_path, text), size_px=(80, 60)) for _ in range(2))
+    assert [one.recipe for one in once] == [other.recipe for other in again]
+    base, *drawn = [variant.recipe for variant in once]
+    assert len({recipe.illumination.model_dump_json() for recipe in (base, *drawn)}) == 4
+    assert all(recipe.sensor.coating.albedo[2] < recipe.sensor.coating.albedo[0] for recipe in drawn)
+    assert len(plan_generation((base, *drawn)).solves) == len(plan_generation([base]).solves)
+    assert once[2].values == {"draw": 2}
+    with_factor = text.replace("[variation]", "[[factors]]\nfield = 'markers'\nvalues = [false]\n[variation]")
+    (_, variant) = sweep_variants(load(tmp_path, with_factor), size_px=(80, 60))
+    assert not variant.recipe.markers
+    assert variant.recipe.illumination == drawn[0].illumination
+    with pytest.raises(ValueError, match="needs factors, a variation, or both"):
+        load(tmp_path, 'base = "mb0i0"\n')
