@@ -5,10 +5,12 @@ from itertools import product
 
 from gelgap.assets import list_presets
 
+OWN_LIGHT = "own"
+
 
 @dataclass(frozen=True, order=True)
 class Domain:
-    """An elastomer × an illumination × markers, by the names of their presets."""
+    """An elastomer × an illumination × markers, by the names of their presets; illumination `own` is the sensor's."""
 
     elastomer: str
     illumination: str
@@ -36,7 +38,8 @@ class Domain:
             raise ValueError(
                 f"domain {name!r} is unknown; a name is m or wm (with or without markers), then an elastomer "
                 f"({', '.join(list_presets('elastomers'))}), then an illumination "
-                f"({', '.join(list_presets('illuminations'))}), for example mb0i0 or wmb1i1"
+                f"({', '.join(list_presets('illuminations'))}, or {OWN_LIGHT}: the sensor's own), for example mb0i0 or "
+                "wmb1i1"
             )
         return found[name]
 
@@ -46,6 +49,6 @@ def known_domains() -> tuple[Domain, ...]:
     return tuple(
         Domain(elastomer, illumination, markers)
         for elastomer, illumination, markers in product(
-            list_presets("elastomers"), list_presets("illuminations"), (True, False)
+            list_presets("elastomers"), (*list_presets("illuminations"), OWN_LIGHT), (True, False)
         )
     )

@@ -15,7 +15,7 @@ from gelgap.domains.acquisition import (
     draw_errors,
     independent_poses,
 )
-from gelgap.domains.domain import Domain
+from gelgap.domains.domain import OWN_LIGHT, Domain
 from gelgap.domains.folder import canonical_json
 from gelgap.domains.schema import PAPER_FORCE_RANGE_N, OptionalColumn
 from gelgap.render.illumination import Illumination
@@ -113,7 +113,7 @@ def make_recipes(
     Parameters
     ----------
     domains
-        Names like `mb0i0`.
+        Names like `mb0i0`; `mb0own` is lit by the sensor's own LEDs.
     path
         A path preset's name, a TOML file's, or a path.
     inpainted
@@ -144,7 +144,7 @@ def make_recipes(
             elastomer=Elastomer.preset(domain.elastomer),
             path=contact_path,
             sensor=seen_through,
-            illumination=Illumination.preset(domain.illumination),
+            illumination=_light(domain, seen_through),
             markers=domain.markers,
             inpainted_from=domain.name.removeprefix("w") if domain.name in inpainted else None,
             columns=tuple(sorted(columns)),
@@ -152,6 +152,17 @@ def make_recipes(
         )
         for domain in parsed
     )
+
+
+def _light(domain: Domain, sensor: Sensor) -> Illumination:
+    if domain.illumination != OWN_LIGHT:
+        return Illumination.preset(domain.illumination)
+    if sensor.illumination is None:
+        raise ValueError(
+            f"domain {domain.name}: sensor {sensor.name!r} has no LEDs of its own; give it an [illumination], choose "
+            "another sensor, or name an illumination preset"
+        )
+    return sensor.illumination
 
 
 def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:

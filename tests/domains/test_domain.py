@@ -2,6 +2,7 @@ import pytest
 
 from gelgap.domains.domain import Domain, known_domains
 from gelgap.domains.recipe import make_recipes, preset_recipes
+from gelgap.render.sensor import Sensor
 
 
 def test_a_name_says_what_the_domain_is():
@@ -28,6 +29,13 @@ def test_wmb0i0_is_inpainted_by_default_and_rendered_on_request():
     assert make_recipes(["wmb0i0"], "smoke")[0].inpainted_from == "mb0i0"
     assert make_recipes(["wmb0i0"], "smoke", inpainted=())[0].inpainted_from is None
     assert make_recipes(["wmb1i1"], "smoke")[0].inpainted_from is None
+
+
+def test_own_is_the_light_of_the_sensors_own_file():
+    (recipe,) = make_recipes(["wmb1own"], "smoke", sensor="digit-like")
+    assert recipe.illumination == Sensor.preset("digit-like").illumination
+    with pytest.raises(ValueError, match="'paper' has no LEDs of its own"):
+        make_recipes(["mb0own"], "smoke")
 
 
 @pytest.mark.parametrize(
