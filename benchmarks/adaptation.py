@@ -152,6 +152,10 @@ def _number(value: float, form: str = ".3f") -> str:
     return "–" if math.isnan(value) else f"{value:{form}}"
 
 
+def _share(error_n: float, width_n: float) -> str:
+    return "–" if math.isnan(error_n) else f"{error_n:.3f} ({100 * error_n / width_n:.1f} %)"
+
+
 def jobs_of(groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds: Sequence[int]) -> list[Job]:
     """Return the runs of the table, one seed after the other."""
     return [Job(s, t, m, seed) for seed in seeds for s, t in groups for m in methods]
@@ -215,21 +219,19 @@ def axis_table(results: Results) -> ResultTable:
     r2 = [over_groups(results.values(lambda ln, a=a: ln.r2[a])) for a in range(3)]
     widths = (1.5, 1.5, 3.0)
     constant = [mean_of(results.values(lambda line, a=a: line.constant_mean_n[a])) for a in range(3)]
-    rows = [
-        ["constant mean", *(f"{n:.3f} ({100 * n / w:.1f} %)" for n, w in zip(constant, widths, strict=True))]
-    ]
+    rows = [["constant mean", *(_share(n, w) for n, w in zip(constant, widths, strict=True))]]
     rows[0] += ["–"] * 3
     for i in range(len(results.methods)):
         rows.append(
             [
                 results.methods[i],
-                *(f"{v[i]:.3f} ({100 * v[i] / w:.1f} %)" for v, w in zip(per_axis, widths, strict=True)),
+                *(_share(v[i], w) for v, w in zip(per_axis, widths, strict=True)),
                 *(_number(v[i], ".2f") for v in r2),
             ]
         )
     for name in ("pose", "geometry"):
         values = np.mean([getattr(o, f"{name}_n") for o in results.oracles.values()], axis=0)
-        cells = [f"{n:.3f} ({100 * n / w:.1f} %)" for n, w in zip(values, widths, strict=True)]
+        cells = [_share(n, w) for n, w in zip(values, widths, strict=True)]
         rows.append([f"{name} oracle", *cells, "–", "–", "–"])
     return ResultTable(
         "Per axis, mean over groups and seeds: MAE in N (% of the range) and R²",
