@@ -6,6 +6,7 @@ import pytest
 from gelgap.domains.acquisition import AcquisitionError, draw_errors
 from gelgap.domains.dataset import open_domain
 from gelgap.domains.recipe import make_recipes
+from gelgap.domains.shard import _trajectories
 from gelgap.domains.splits import paired_contacts
 from gelgap.sim.path import ContactPath
 
@@ -84,3 +85,20 @@ def test_a_path_of_one_level_has_no_room_to_move_in():
     path = ContactPath("one", (0.0,), (0.0,), (0.4,), (0.2,), (0.0, 180.0))
     alone = make_recipes(["mb0i0"], path, contacts="independent")[0]
     assert {pose.depth_mm for pose in alone.commanded_poses()} == {0.0, 0.4}
+
+
+def test_listed_poses_keep_their_trajectories_and_cannot_be_drawn_independently() -> None:
+    (paired,) = make_recipes(["mb0i0"], "loops")
+    numbers = _trajectories(paired)
+    assert [numbers[index] for index in (0, 1, 2, 5, 6, 7, 11)] == [
+        (0, 0),
+        (1, 0),
+        (1, 1),
+        (1, 4),
+        (2, 0),
+        (3, 0),
+        (3, 4),
+    ]
+    (drawn,) = make_recipes(["mb0i0"], "loops", contacts="independent")
+    with pytest.raises(ValueError, match="contacts = 'independent'"):
+        drawn.commanded_poses()
