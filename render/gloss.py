@@ -4,15 +4,31 @@ import numba
 import numpy as np
 
 from gelgap.render.plastic import REFRACTIVE_INDEX, highlight, interface_shares, shadowing, transmitted_share
-from gelgap.render.shading import LedSamples, Light, ShadowDetail, occluders_of, visible_parts
+from gelgap.render.shading import GENTLE_NORMAL, LedSamples, Light, ShadowDetail, occluders_of, visible_parts
 from gelgap.render.surface import Surface
+
+# Where the surface is nearly flat, gloss is computed this far apart and interpolated: within one code value at standard
+# quality and a roughness from 0.2 on.
+SMOOTH_MM = 0.4
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
-def _open_gloss(px, py, pz, nx, ny, nz, vx, vy, vz, nodes, led, shares, shadowing_out, roughness, eta):
+def _to_camera(px, py, pz, camera):
+    """Return the unit vector from a point to the camera."""
+    vx, vy, vz = camera[0] - px, camera[1] - py, camera[2] - pz
+    inverse = np.float32(1) / np.sqrt(vx * vx + vy * vy + vz * vz)
+    return vx * inverse, vy * inverse, vz * inverse
+
+
+@numba.njit(cache=True, fastmath=True)
+def _open_gloss(px, py, pz, nx, ny, nz, camera, nodes, led, shares, scale, roughness, eta):
     """Return base and highlight of an LED in full view; its nodes lie side by side, as for the irradiance."""
     zero = np.float32(0)
+    vx, vy, vz = _to_camera(px, py, pz, camera)
     cosine_out = nx * vx + ny * vy + nz * vz
+    if cosine_out <= zero:
+        return zero, zero
+    shadowing_out = shadowing(cosine_out, roughness) / (np.float32(4) * cosine_out)
     base, glossy = zero, zero
     for k in range(nodes.shape[2]):
         qx, qy, qz = nodes[led, 0, k] - px, nodes[led, 1, k] - py, nodes[led, 2, k] - pz
@@ -25,18 +41,20 @@ def _open_gloss(px, py, pz, nx, ny, nz, vx, vy, vz, nodes, led, shares, shadowin
         in_dot_out = (qx * vx + qy * vy + qz * vz) * inverse
         base += solid_angle * cosine_in * transmitted_share(cosine_in, shares)
         glossy += solid_angle * highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta)
-    return base, glossy
+    return base * transmitted_share(cosine_out, shares) * scale, glossy
 
 
 @numba.njit(cache=True, fastmath=True)
-def _partial_gloss(
-    px, py, pz, nx, ny, nz, vx, vy, vz, strips, begin, end, parts, shares, shadowing_out, roughness, eta
-):
+def _partial_gloss(px, py, pz, nx, ny, nz, camera, strips, begin, end, parts, shares, scale, roughness, eta):
     """Return base and highlight from the visible intervals of an LED's strips."""
     one, zero = np.float32(1), np.float32(0)
     gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
     weight = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
+    vx, vy, vz = _to_camera(px, py, pz, camera)
     cosine_out = nx * vx + ny * vy + nz * vz
+    if cosine_out <= zero:
+        return zero, zero
+    shadowing_out = shadowing(cosine_out, roughness) / (np.float32(4) * cosine_out)
     base, glossy = zero, zero
     for k in range(begin, end):
         s0, s1 = parts[k - begin, 0], parts[k - begin, 1]
@@ -63,51 +81,97 @@ def _partial_gloss(
             glossy += solid_angle * highlight(
                 cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta
             )
-    return base, glossy
+    return base * transmitted_share(cosine_out, shares) * scale, glossy
+
+
+@numba.njit(cache=True, fastmath=True)
+def _coarse_gloss(
+    positions, normals, changed, camera, nodes, shares, scale, roughness, eta, out, stride, gentle, coarse
+):
+    """Fill coarse[row, column, led] with what every stride-th, nearly flat vertex sends if nothing hides the LED."""
+    rows, columns = gentle.shape
+    for row in range(rows):
+        for column in range(columns):
+            j, i = row * stride, column * stride
+            px, py, pz = positions[j, i, 0], positions[j, i, 1], positions[j, i, 2]
+            nx, ny, nz = normals[j, i, 0], normals[j, i, 1], normals[j, i, 2]
+            gentle[row, column] = nz < np.float32(-GENTLE_NORMAL)
+            if not gentle[row, column]:
+                continue
+            for led in range(len(nodes)):
+                base, glossy = out[j, i, led, 0], out[j, i, led, 1]
+                if changed[j, i]:
+                    base, glossy = _open_gloss(
+                        px, py, pz, nx, ny, nz, camera, nodes, led, shares, scale, roughness, eta
+                    )
+                coarse[row, column, led, 0], coarse[row, column, led, 1] = base, glossy
 
 
 @numba.njit(cache=True, fastmath=True)
 def _gloss(
     positions, normals, changed, height, x0, y0, spacing, strips, first_strip, nodes, outlines, step, camera,
-    irradiance, share, shares, scale, roughness, eta, out,
+    irradiance, visible, shares, scale, roughness, eta, stride, out,
 ):  # fmt: skip
-    """Overwrite out[row, column, led] = (base, highlight) where the surface changed or an LED is partly hidden."""
+    """Overwrite out[row, column, led] = (base, highlight) where the surface changed or an LED is partly hidden.
+
+    Where the surface is nearly flat, light in full view is computed for every stride-th vertex and interpolated, and
+    what is partly hidden is the visible share of it.
+    """
     one, zero = np.float32(1), np.float32(0)
     rows, columns, _ = positions.shape
+    leds = len(outlines)
     flat_height = height.ravel()
-    occluders = np.empty((len(outlines), 8), np.float32)
+    occluders = np.empty((leds, 8), np.float32)
     occluders_of(height, x0, y0, spacing, outlines, occluders)
     parts = np.empty((len(strips), 2), np.float32)
+    gentle = np.empty(((rows - 1) // stride + 1, (columns - 1) // stride + 1), np.bool_)
+    coarse = np.empty((*gentle.shape, leds, 2), np.float32)
+    _coarse_gloss(
+        positions, normals, changed, camera, nodes, shares, scale, roughness, eta, out, stride, gentle, coarse
+    )
+    inverse_stride = np.float32(1 / stride)
     for j in range(rows):
+        north = min(j // stride, gentle.shape[0] - 2)
+        fv = np.float32(j - north * stride) * inverse_stride
         for i in range(columns):
+            west = min(i // stride, gentle.shape[1] - 2)
+            fu = np.float32(i - west * stride) * inverse_stride
             px, py, pz = positions[j, i, 0], positions[j, i, 1], positions[j, i, 2]
             nx, ny, nz = normals[j, i, 0], normals[j, i, 1], normals[j, i, 2]
-            vx, vy, vz = camera[0] - px, camera[1] - py, camera[2] - pz
-            inverse = one / np.sqrt(vx * vx + vy * vy + vz * vz)
-            vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
-            cosine_out = nx * vx + ny * vy + nz * vz
-            if cosine_out <= zero:
-                out[j, i] = zero
-                continue
-            share_out, shadowing_out = zero, zero
-            for led in range(len(outlines)):
-                visible = share[j, i, led]
-                if visible == one and not changed[j, i]:
+            smooth = (
+                nz < np.float32(-GENTLE_NORMAL)
+                and fu <= one
+                and fv <= one
+                and gentle[north, west]
+                and gentle[north, west + 1]
+                and gentle[north + 1, west]
+                and gentle[north + 1, west + 1]
+            )
+            w00, w10, w01, w11 = (one - fu) * (one - fv), fu * (one - fv), (one - fu) * fv, fu * fv
+            for led in range(leds):
+                share = visible[j, i, led]
+                if share == one and not changed[j, i]:
                     continue
                 if irradiance[j, i, led] == zero:
                     out[j, i, led] = zero
                     continue
-                if visible > zero and not changed[j, i]:
-                    out[j, i, led] *= visible
+                if share > zero and not changed[j, i]:
+                    out[j, i, led] *= share
                     continue
-                if share_out == zero:
-                    share_out = transmitted_share(cosine_out, shares) * scale
-                    shadowing_out = shadowing(cosine_out, roughness) / (np.float32(4) * cosine_out)
-                if visible > zero and nodes[led, 6, 0] > zero:
+                if nodes[led, 6, 0] > zero and share > zero:
+                    if smooth:
+                        for k in range(2):
+                            out[j, i, led, k] = share * (
+                                w00 * coarse[north, west, led, k]
+                                + w10 * coarse[north, west + 1, led, k]
+                                + w01 * coarse[north + 1, west, led, k]
+                                + w11 * coarse[north + 1, west + 1, led, k]
+                            )
+                        continue
                     base, glossy = _open_gloss(
-                        px, py, pz, nx, ny, nz, vx, vy, vz, nodes, led, shares, shadowing_out, roughness, eta
-                    )  # fmt: skip
-                    base, glossy = base * visible, glossy * visible
+                        px, py, pz, nx, ny, nz, camera, nodes, led, shares, scale, roughness, eta
+                    )
+                    base, glossy = base * share, glossy * share
                 else:
                     begin, end = first_strip[led], first_strip[led + 1]
                     visible_parts(
@@ -115,10 +179,10 @@ def _gloss(
                         begin, end, step, parts,
                     )  # fmt: skip
                     base, glossy = _partial_gloss(
-                        px, py, pz, nx, ny, nz, vx, vy, vz, strips, begin, end, parts, shares, shadowing_out,
-                        roughness, eta,
+                        px, py, pz, nx, ny, nz, camera, strips, begin, end, parts, shares, scale, roughness,
+                        eta,
                     )  # fmt: skip
-                out[j, i, led, 0] = base * share_out
+                out[j, i, led, 0] = base
                 out[j, i, led, 1] = glossy
 
 
@@ -164,6 +228,7 @@ def gloss(
         np.float32(scale),
         np.float32(roughness),
         np.float32(REFRACTIVE_INDEX),
+        max(round(SMOOTH_MM / lattice.spacing_mm), 1),
         out,
     )
     return out
