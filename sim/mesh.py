@@ -45,30 +45,26 @@ def ordered_for_elimination(mesh: GelMesh, last_mm: float) -> GelMesh:
     """Renumber the vertices so that MuJoCo's sparse Cholesky factor fills little and is cheap to update.
 
     MuJoCo eliminates from the last vertex to the first. Surface vertices within `last_mm` of the axis, where contacts
-    come and go, are numbered first; the rest follow in reverse order of minimum degree, the bonded ones at the end.
+    come and go, are numbered first; the rest follow in reverse order of elimination, the bonded ones at the end.
     """
     from scipy import sparse
-    from scipy.sparse.linalg import splu
+
+    from gelgap.sim.elimination import elimination_order
 
     vertices, tetrahedra = mesh.vertices_mm, mesh.tetrahedra
     count = len(vertices)
-    pairs = sparse.coo_matrix(
+    pairs = sparse.coo_array(
         (
             np.ones(16 * len(tetrahedra)),
             (np.repeat(tetrahedra, 4, axis=1).ravel(), np.tile(tetrahedra, 4).ravel()),
         ),
         shape=(count, count),
-    ).tocsc()
+    ).tocsr()
     place = np.full(count, 1)
     place[mesh.surface[np.hypot(*vertices[mesh.surface, :2].T) <= last_mm]] = 0
     place[mesh.bottom] = 2
     inner = np.flatnonzero(place == 1)
-    graph = pairs[inner][:, inner]
-    dominant = graph + sparse.diags_array(np.asarray(graph.sum(axis=0)).ravel())
-    factors = splu(
-        dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-    elimination = inner[np.argsort(factors.perm_c)]
+    elimination = inner[elimination_order(pairs[inner][:, inner], vertices[inner])]
     order = np.concatenate([np.flatnonzero(place == 0), elimination[::-1], np.flatnonzero(place == 2)])
     number = np.empty(count, dtype=np.int32)
     number[order] = np.arange(count, dtype=np.int32)

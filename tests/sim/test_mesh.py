@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
+from gelgap.sim.elimination import elimination_order
 from gelgap.sim.mesh import GelMesh, half_disc_mesh, layer_depths, ordered_for_elimination, pad_mesh
 
 LAYERS = layer_depths(3.0, 0.2, 1.5)
@@ -74,3 +77,20 @@ def test_a_new_order_of_vertices_is_the_same_mesh() -> None:
     assert np.sort(_volumes(ordered)) == pytest.approx(np.sort(_volumes(mesh)))
     first = ordered.vertices_mm[: np.sum(np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= 2.0)]
     assert (first[:, 2] == 0).all()
+
+
+def test_dissection_fills_the_factor_less_than_minimum_degree() -> None:
+    mesh = pad_mesh((-12.0, 12.0, -10.0, 10.0), 9.9, 2.5, 0.4, LAYERS, 8, half=False)
+    count = len(mesh.vertices_mm)
+    rows, columns = np.repeat(mesh.tetrahedra, 4, axis=1).ravel(), np.tile(mesh.tetrahedra, 4).ravel()
+    graph = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+    order = elimination_order(graph, mesh.vertices_mm)
+    np.testing.assert_array_equal(np.sort(order), np.arange(count))
+    dominant = graph + sparse.diags_array(graph.sum(axis=0))
+
+    def work(matrix: sparse.csr_array, ordering: str) -> float:
+        options = {"SymmetricMode": True}
+        factor = splu(matrix.tocsc(), permc_spec=ordering, diag_pivot_thresh=0.0, options=options)
+        return float((np.diff(factor.L.indptr).astype(float) ** 2).sum())
+
+    assert work(dominant[order][:, order], "NATURAL") < 0.9 * work(dominant, "MMD_AT_PLUS_A")
