@@ -4,24 +4,34 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import maximum_bipartite_matching
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 # Parts of the mesh this small are ordered by minimum degree.
 _LEAF = 100
 _DIRECTIONS = 8
 
 
-def elimination_order(graph: sparse.csr_array, points_mm: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the order in which to eliminate the vertices of a mesh around the z axis.
+def elimination_order(
+    graph: sparse.csr_array, points_mm: NDArray[np.float64], last: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the order in which to eliminate the vertices of a mesh around the z axis, `last` (k,) at the end.
 
-    `graph` (n, n) has an entry for every pair of vertices that share a tetrahedron, `points_mm` is (n, 3). The mesh is
-    halved by few vertices, which are eliminated last, its halves likewise (George 1973, SIAM J. Numer. Anal. 10:345).
-    Cuts through the median of the points along upright planes, cylinders and levels are tried, each with the smallest
-    set of vertices that separates its sides.
+    `graph` (n, n) has an entry for every pair of vertices that share a tetrahedron, `points_mm` is (n, 3). Minimum
+    degree competes with nested dissection (George 1973, SIAM J. Numer. Anal. 10:345): the mesh is halved by few
+    vertices, which are eliminated after its halves, and these likewise. Cuts through the median of the points along
+    upright planes, cylinders and levels are tried, each with the smallest set of vertices that separates its sides.
     """
-    order: list[NDArray[np.int64]] = []
-    _dissect(graph.tocsr(), points_mm, np.arange(len(points_mm)), order)
-    return np.concatenate(order)
+    inner = np.setdiff1d(np.arange(len(points_mm)), last)
+    dissected: list[NDArray[np.int64]] = []
+    _dissect(graph, points_mm, inner, dissected)
+    by_degree = inner[_minimum_degree(graph[inner][:, inner])]
+    orders = [np.concatenate([order, last]) for order in (np.concatenate(dissected), by_degree)]
+    return min(orders, key=lambda order: factor_work(graph[order][:, order]))
+
+
+def factor_work(graph: sparse.csr_array) -> float:
+    """Return what eliminating the vertices of a graph in their order costs: the sum of its columns' squared lengths."""
+    return float((np.diff(_factors(graph, "NATURAL").L.indptr).astype(float) ** 2).sum())
 
 
 def _dissect(
@@ -85,8 +95,10 @@ def _vertex_cover(pairs: sparse.csr_array) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _minimum_degree(graph: sparse.csr_array) -> NDArray[np.int64]:
-    dominant = graph + sparse.diags_array(np.asarray(graph.sum(axis=0)).ravel())
-    factors = splu(
-        dominant.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-    return np.argsort(factors.perm_c)
+    return np.argsort(_factors(graph, "MMD_AT_PLUS_A").perm_c)
+
+
+def _factors(graph: sparse.csr_array, ordering: str) -> SuperLU:
+    dominant = graph + sparse.diags_array(graph.sum(axis=0))
+    options = {"SymmetricMode": True}
+    return splu(dominant.tocsc(), permc_spec=ordering, diag_pivot_thresh=0.0, options=options)

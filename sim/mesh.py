@@ -63,9 +63,11 @@ def ordered_for_elimination(mesh: GelMesh, last_mm: float) -> GelMesh:
     place = np.full(count, 1)
     place[mesh.surface[np.hypot(*vertices[mesh.surface, :2].T) <= last_mm]] = 0
     place[mesh.bottom] = 2
-    inner = np.flatnonzero(place == 1)
-    elimination = inner[elimination_order(pairs[inner][:, inner], vertices[inner])]
-    order = np.concatenate([np.flatnonzero(place == 0), elimination[::-1], np.flatnonzero(place == 2)])
+    moving = np.flatnonzero(place < 2)
+    elimination = elimination_order(
+        pairs[moving][:, moving], vertices[moving], last=np.flatnonzero(place[moving] == 0)
+    )
+    order = np.concatenate([moving[elimination[::-1]], np.flatnonzero(place == 2)])
     number = np.empty(count, dtype=np.int32)
     number[order] = np.arange(count, dtype=np.int32)
     return GelMesh(vertices_mm=vertices[order], tetrahedra=number[tetrahedra], half=mesh.half)
