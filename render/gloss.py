@@ -4,12 +4,16 @@ import numba
 import numpy as np
 
 from gelgap.render.plastic import REFRACTIVE_INDEX, highlight, interface_shares, shadowing, transmitted_share
-from gelgap.render.shading import GENTLE_NORMAL, LedSamples, Light, ShadowDetail, occluders_of, visible_parts
+from gelgap.render.shading import (
+    GENTLE_NORMAL,
+    LedSamples,
+    Light,
+    ShadowDetail,
+    occluders_of,
+    smooth_stride,
+    visible_parts,
+)
 from gelgap.render.surface import Surface
-
-# Where the surface is nearly flat, gloss is computed this far apart and interpolated: within one code value at standard
-# quality and a roughness from 0.2 on.
-SMOOTH_MM = 0.4
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
@@ -228,7 +232,7 @@ def gloss(
         np.float32(scale),
         np.float32(roughness),
         np.float32(REFRACTIVE_INDEX),
-        max(round(SMOOTH_MM / lattice.spacing_mm), 1),
+        smooth_stride(lattice.spacing_mm),
         out,
     )
     return out

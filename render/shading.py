@@ -24,6 +24,10 @@ GENTLE_NORMAL = 0.9994
 # The visible share of a partly hidden LED stays below 1, which says that it is in full view.
 SHADED = np.float32(0.99999)
 
+# Where the surface is nearly flat, light in full view is computed this far apart and interpolated: within one code
+# value at standard quality (of gloss: from a roughness of 0.2 on).
+SMOOTH_MM = 0.4
+
 
 @dataclass(frozen=True)
 class ShadowDetail:
@@ -107,6 +111,11 @@ def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSampl
         nodes=np.array([_open_nodes(emitter) for emitter in emitters], np.float32),
         outlines=np.array(outlines, np.float32),
     )
+
+
+def smooth_stride(spacing_mm: float) -> int:
+    """Return how many vertices lie between those for which light in full view is computed on nearly flat places."""
+    return max(round(SMOOTH_MM / spacing_mm), 1)
 
 
 @dataclass(frozen=True)
@@ -343,6 +352,32 @@ def _partial_irradiance(px, py, pz, nx, ny, nz, strips, begin, end, parts):
 
 
 @numba.njit(cache=True, fastmath=True)
+def _coarse_irradiance(positions, normals, changed, nodes, reference, apart, smooth, ratio):
+    """Fill ratio[row, column, led]: light in full view over the undeformed membrane's, for every apart-th vertex.
+
+    `smooth` says where that may be interpolated: where the surface is nearly flat and sees the whole front of the LED.
+    """
+    zero, one = np.float32(0), np.float32(1)
+    rows, columns, leds = smooth.shape
+    for row in range(rows):
+        for column in range(columns):
+            j, i = row * apart, column * apart
+            px, py, pz = positions[j, i, 0], positions[j, i, 1], positions[j, i, 2]
+            nx, ny, nz = normals[j, i, 0], normals[j, i, 1], normals[j, i, 2]
+            gentle = nz < np.float32(-GENTLE_NORMAL)
+            for led in range(leds):
+                before, total, lowest = reference[j, i, led], one, one
+                smooth[row, column, led] = False
+                if not gentle or before <= zero:
+                    continue
+                ratio[row, column, led] = one
+                if changed[j, i]:
+                    total, lowest = _open_irradiance(px, py, pz, nx, ny, nz, nodes, led)
+                    ratio[row, column, led] = total / before
+                smooth[row, column, led] = lowest > zero
+
+
+@numba.njit(cache=True, fastmath=True)
 def _irradiance(
     positions,
     normals,
@@ -356,6 +391,7 @@ def _irradiance(
     nodes,
     outlines,
     step,
+    apart,
     out,
     share,
 ):
@@ -363,7 +399,8 @@ def _irradiance(
 
     Only every fourth vertex surely walks to the horizon; then every second, then all. Vertices are skipped where those
     around them see the whole LED, and, where the surface is nearly flat and so the shadow soft, every second vertex
-    gives the others its visible share of the LED.
+    gives the others its visible share of the LED. Light in full view, too, is interpolated where the surface is nearly
+    flat: as the ratio to what `out` holds at first, the undeformed membrane's, for every apart-th vertex (0: never).
     """
     zero, one = np.float32(0), np.float32(1)
     rows, columns, _ = positions.shape
@@ -374,6 +411,12 @@ def _irradiance(
     parts = np.empty((len(strips), 2), np.float32)
     # The visible share of each LED; negative where it says nothing about the neighbours.
     share[:] = one
+    cell = max(apart, 1)
+    smooth = np.zeros(((rows - 1) // cell + 1, (columns - 1) // cell + 1, leds), np.bool_)
+    ratio = np.empty(smooth.shape, np.float32)
+    if apart > 0:
+        _coarse_irradiance(positions, normals, changed, nodes, out, apart, smooth, ratio)
+    inverse_cell = one / np.float32(cell)
     for stride in (4, 2, 1):
         for j in range(0, rows, stride):
             for i in range(0, columns, stride):
@@ -385,12 +428,28 @@ def _irradiance(
                 west, north = i - i % (2 * stride), j - j % (2 * stride)
                 east = min(i + i % (2 * stride), columns - 1)
                 south = min(j + j % (2 * stride), rows - 1)
+                row, column = min(j // cell, smooth.shape[0] - 2), min(i // cell, smooth.shape[1] - 2)
+                fu = np.float32(i - column * cell) * inverse_cell
+                fv = np.float32(j - row * cell) * inverse_cell
+                within = gentle and changed[j, i] and fu <= one and fv <= one
                 for led in range(leds):
                     doubtful = may_be_hidden(px, py, -pz, outlines[led], occluders[led])
                     if not changed[j, i] and not doubtful:
                         continue
                     total, lowest = out[j, i, led], one
-                    if changed[j, i]:
+                    if (
+                        within
+                        and smooth[row, column, led]
+                        and smooth[row, column + 1, led]
+                        and smooth[row + 1, column, led]
+                        and smooth[row + 1, column + 1, led]
+                    ):
+                        upper = ratio[row, column, led]
+                        upper += (ratio[row, column + 1, led] - upper) * fu
+                        lower = ratio[row + 1, column, led]
+                        lower += (ratio[row + 1, column + 1, led] - lower) * fu
+                        total *= upper + (lower - upper) * fv
+                    elif changed[j, i]:
                         total, lowest = _open_irradiance(px, py, pz, nx, ny, nz, nodes, led)
                     if lowest > zero and not doubtful:
                         out[j, i, led] = total
@@ -445,6 +504,7 @@ def direct_light(
         samples.nodes,
         samples.outlines,
         np.float32(detail.march_step_mm),
+        0 if reference is None else smooth_stride(lattice.spacing_mm),
         out,
         visible,
     )

@@ -144,6 +144,20 @@ def test_partial_shading_equals_shading_everything(renderer, dent, monkeypatch, 
         assert np.abs(everything.picture(*case).astype(int) - fast).max() <= 1
 
 
+@pytest.mark.parametrize("name", list_presets("sensors"))
+def test_light_interpolated_on_gentle_slopes_is_that_computed_at_every_vertex(dent, monkeypatch, name):
+    sensor = Sensor.preset(name)
+    light = sensor.illumination or Illumination.preset("i0")
+    x, y, displacement = dent(0.7, (0.3, 0.1), (1.5, -1.0))
+    # As a real membrane does, this one bulges all over.
+    bulge = 0.06 * np.exp(-((x[None, :] / 4) ** 2) - (y[:, None] / 4) ** 2)
+    membrane = x, y, displacement + np.stack([0.3 * bulge, -0.3 * bulge, bulge], axis=-1)
+    quick = MembraneRenderer(sensor, light).picture(*membrane).astype(int)
+    monkeypatch.setattr("gelgap.render.shading.smooth_stride", lambda spacing_mm: 1)
+    monkeypatch.setattr("gelgap.render.gloss.smooth_stride", lambda spacing_mm: 1)
+    assert np.abs(MembraneRenderer(sensor, light).picture(*membrane).astype(int) - quick).max() <= 1
+
+
 def test_bytes_do_not_depend_on_what_was_rendered_before(renderer, dent):
     first = renderer("i1").picture(*dent(0.6), rng=np.random.default_rng(5))
     for name in ("i0", "i2"):
