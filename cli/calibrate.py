@@ -43,6 +43,8 @@ class Calibrate:
         from gelgap.cli.render import load_sensor
         from gelgap.render.calibration import calibrate, save_sensor
 
+        if not self.output.parent.is_dir():
+            raise FileNotFoundError(f"the folder of {self.output} does not exist; create it first")
         sensor = load_sensor(self.sensor)
         fit = calibrate(sensor, read_picture(self.reference), read_presses(self.presses), self.fit_gloss)
         save_sensor(fit.sensor, self.output)

@@ -59,9 +59,9 @@ class Generate:
             raise ValueError(
                 "--out is missing: name the folder that gets the domains, for example --out data"
             )
-        if bool(self.domains) == bool(self.preset):
+        if sum(map(bool, (self.domains, self.preset, self.sweep))) != 1:
             raise ValueError(
-                "name either domains (for example mb0i0 wmb1i1) or a --preset (smoke, cpu, paper)"
+                "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file"
             )
 
         from gelgap.cli.render import load_sensor

@@ -33,15 +33,16 @@ class Inspect:
         if self.html is not None and len(folders) > 1:
             names = ", ".join(folder.name for folder in folders)
             raise ValueError(f"--html shows one domain; {self.folder} holds {names}: name one of them")
+        base = open_domain(self.gap_to) if self.gap_to is not None else None
         damages = {folder: verify_domain(folder) for folder in folders} if self.verify else {}
         if any(damages.values()):
             listed = "; ".join(f"{folder.name}/{damage}" for folder in folders for damage in damages[folder])
             raise RuntimeError(f"damaged: {listed}. The same gelgap generate command repairs it")
         for folder in folders:
             print(inspect_domain(folder))
-            if self.gap_to is not None:
+            if base is not None:
                 print(f"  gap from {self.gap_to}:")
-                for what, value in gap_rows(open_domain(folder), open_domain(self.gap_to)):
+                for what, value in gap_rows(open_domain(folder), base):
                     print(f"    {what}: {value}")
         if self.verify:
             print("every file is what its manifest says")

@@ -35,6 +35,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["generate", "mb0i0"], ("--out",)),
         (["generate", "--out", "never"], ("preset",)),
         (["generate", "--preset", "huge", "--out", "never"], ("huge", "smoke")),
+        (["generate", "mb0i0", "--sweep", "s.toml", "--out", "never"], ("one of", "--sweep")),
         (["presets", "gels"], ("gels", "elastomers")),
         (["adapt", "--source", "a", "--target", "b", "--method", "magic"], ("magic", "dsan")),
     ],
@@ -104,3 +105,13 @@ def test_presets_lists_every_kind(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(["presets"], capsys)
     assert code == 0
     assert all(name in out for name in ("b0", "b2", "i0", "i2", "paper", "sparse"))
+
+
+def test_a_sweep_file_is_planned(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    sweep = tmp_path / "light.toml"
+    sweep.write_text('base = "mb0i0"\npath = "smoke"\n[[factors]]\nfield = "markers"\nvalues = [false]\n')
+    command = ["generate", "--sweep", str(sweep), "--size", "64", "48", "--out", str(tmp_path / "data")]
+    code, out, err = run([*command, "--dry-run"], capsys)
+    assert code == 0, err
+    assert "mb0i0, light-001" in out
+    assert not (tmp_path / "data").exists()
