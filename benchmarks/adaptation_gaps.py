@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from gelgap.domains.recipe import DomainRecipe
 
 BASE = "mb0i0"
-PATH = "sparse"
+PATH = PROFILE = "smoke"
 METHODS = ("source-only", "adabn", "dsan", "daregram")
 RESULTS = "gaps.json"
 
@@ -192,7 +192,7 @@ def gap_table(results: GapResults) -> ResultTable:
         if gap.domain in results.errors_n
     ]
     return ResultTable(
-        f"Gap curves from {BASE}: target MAE, N",
+        f"Gap curves from {BASE}, profile {PROFILE}: target MAE, N",
         ["gap", "size", "constant mean", *results.methods, "pose oracle"],
         rows,
         "Size: "
@@ -292,7 +292,7 @@ def plot_gaps(results: GapResults) -> "Figure":
 
 
 def run(
-    out_dir: Path, seeds: Sequence[int] = (0,), workers: int | None = None, minutes: float = math.inf
+    out_dir: Path, seeds: Sequence[int] = (0, 1, 2), workers: int | None = None, minutes: float = math.inf
 ) -> None:
     """Generate the domains, do the missing runs, write `gaps.json` and print the tables."""
     from gelgap.domains.generate import generate_recipes
@@ -302,7 +302,7 @@ def run(
     print(generate_recipes(found.recipes, data, workers=workers))
     targets = [recipe.name for recipe in found.recipes]
     jobs = [Job(BASE, target, method, seed) for seed in seeds for method in METHODS for target in targets]
-    lines = run_missing(data, out, "cpu", jobs, workers=workers, minutes=minutes)
+    lines = run_missing(data, out, PROFILE, jobs, workers=workers, minutes=minutes)
     done = [m for m in METHODS if any(line.job.method == m for line in lines)]
     results = collect(found, lines, data, done)
     write_json(out_dir / RESULTS, results)
@@ -313,7 +313,7 @@ def run(
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("benchmark-results/gaps"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--workers", type=int, help="processes; default: one a core")
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
     chosen = parser.parse_args()
