@@ -15,7 +15,7 @@ import numpy as np
 from gelgap.domains import dar_ots
 from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
 from gelgap.domains.inspection import domain_folders, inspect_domain
-from gelgap.domains.schema import encode_png
+from gelgap.domains.schema import DIAGNOSTICS_COLUMNS, encode_png
 
 _JPEG_QUALITY = 95
 _SAMPLES_PER_TAR = 1000
@@ -203,6 +203,7 @@ def _data_card(domains: list[GeneratedDomain]) -> str:
         "commanded contact `x_mm, y_mm, depth_mm, radius_mm, angle_deg, shear_x_mm, shear_y_mm`, `contact_class` (0 is "
         "without contact), `point_id`, `trajectory_id`, `step`. x points right and y down in the picture. "
         "`reference.png` in each folder is the picture without contact.",
+        *_optional_columns(domains),
         "",
         "The split is random by seed; neighbouring poses look alike, so split by `point_id` for an honest test.",
         "",
@@ -210,6 +211,22 @@ def _data_card(domains: list[GeneratedDomain]) -> str:
         "",
     ]
     return "\n".join([*front, *text])
+
+
+def _optional_columns(domains: list[GeneratedDomain]) -> list[str]:
+    """Return what the card says of optional columns: the height map's scale is in no other file of the export."""
+    scale = domains[0].manifest["height_map"]
+    meanings = {
+        "height_map": f"`height_map`: height towards the camera in mm is {scale['offset_mm']:g} + {scale['step_mm']:g} × "
+        "code",
+        "contact_mask": "`contact_mask`: 255 where the sphere touches",
+        "marker_rest_mm": "`marker_rest_mm`: (x, y) of each dot on the undeformed membrane, mm",
+        "marker_px": "`marker_px`: (x, y) of each dot in the picture, pixel centres at +0.5",
+        "diagnostics": f"how the pose was solved: {', '.join(f'`{name}`' for name in DIAGNOSTICS_COLUMNS)}",
+    }
+    used = {column for frames in domains for column in frames.optional_columns}
+    told = [text for column, text in meanings.items() if column in used]
+    return ["", f"Optional columns, where a domain has them: {'; '.join(told)}."] if told else []
 
 
 FORMATS: dict[str, Callable[[Iterable[LabelledFrames], Path], None]] = {

@@ -51,6 +51,8 @@ def test_the_hugging_face_folder_loads_by_its_card(data: Path, tmp_path: Path):
     assert np.array_equal(np.asarray(frame["image"]), original.picture(index))
     card = (tmp_path / "out" / "README.md").read_text()
     assert "| wmb0i0 | 26 | 0 | " in card
+    assert "-0.5 + 0.0001 × code" in card
+    assert "`elastic_energy_mj`" in card
 
 
 def test_an_unknown_format_and_a_full_folder_are_refused(data: Path, tmp_path: Path):
