@@ -217,8 +217,8 @@ def _optional_columns(domains: list[GeneratedDomain]) -> list[str]:
     """Return what the card says of optional columns: the height map's scale is in no other file of the export."""
     scale = domains[0].manifest["height_map"]
     meanings = {
-        "height_map": f"`height_map`: height towards the camera in mm is {scale['offset_mm']:g} + {scale['step_mm']:g} × "
-        "code",
+        "height_map": f"`height_map`: height towards the camera in mm is {scale['offset_mm']:g} + "
+        f"{scale['step_mm']:g} × code",
         "contact_mask": "`contact_mask`: 255 where the sphere touches",
         "marker_rest_mm": "`marker_rest_mm`: (x, y) of each dot on the undeformed membrane, mm",
         "marker_px": "`marker_px`: (x, y) of each dot in the picture, pixel centres at +0.5",
