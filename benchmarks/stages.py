@@ -47,12 +47,14 @@ class StageClock:
 class MemorySampler:
     """Samples the resident memory of this process and all its children until it is left.
 
-    `peak_bytes` is the most that all had together, `peak_child_bytes` the most that one child had.
+    `peak_bytes` is the most that all had together, `peak_child_bytes` the most that one child had, `own_s` the
+    processor time that the sampling itself took.
     """
 
     def __init__(self) -> None:
         self.peak_bytes = 0
         self.peak_child_bytes = 0
+        self.own_s = 0.0
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._sample, daemon=True)
 
@@ -79,5 +81,6 @@ class MemorySampler:
                 if member is not process:
                     self.peak_child_bytes = max(self.peak_child_bytes, resident)
             self.peak_bytes = max(self.peak_bytes, total)
+            self.own_s = time.thread_time()
             if self._done.wait(SAMPLING_PERIOD_S):
                 return

@@ -225,7 +225,7 @@ def _generation(
         finally:
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             taken.wall_s += time.perf_counter() - start
-            taken.client_s += time.process_time() - own_s
+            taken.client_s += time.process_time() - own_s - sampler.own_s
             taken.worker_s += after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
             taken.peak_bytes = max(taken.peak_bytes, sampler.peak_child_bytes)
             log.note(what, taken)
