@@ -35,7 +35,7 @@ VARIANTS = {
 
 @dataclass(frozen=True)
 class Cost:
-    """One kind of data: its methods' errors (N, one a seed), and the time that it took to make (NaN if it was there)."""
+    """One kind of data: its methods' errors (N, one a seed), and the time it took to make (NaN if it was there)."""
 
     variant: str
     frames: int
@@ -89,8 +89,8 @@ def cost_table(costs: Sequence[Cost]) -> ResultTable:
         f"The same adaptation on cheaper data, {SOURCE} → {TARGET}, profile {PROFILE}: target MAE, N",
         ["data", *METHODS, "order", "made in, s", "training a seed, s"],
         rows,
-        f"{costs[0].frames // 2} frames a domain; ± standard deviation over seeds. Physics that was in the cache makes the "
-        "time of the data short. Fine physics is left out for its time.",
+        f"{costs[0].frames // 2} frames a domain; ± standard deviation over seeds. Physics found in the cache "
+        "makes the time of the data short. Fine physics is left out for its time.",
     )
 
 

@@ -92,11 +92,8 @@ def test_report_of_all_parts(tmp_path):
     job = Job(*adaptation_ablation.GROUPS[0], variation.method, 0, variation.changes)
     append_line(folder / adaptation_ablation.RECORD, Line(job, "cpu", {}, problem="the features collapsed"))
     write_json(folder / "gaps" / adaptation_gaps.RESULTS, crossed(lambda c: 0.1))
-    costs = [
-        adaptation_cost.Cost(
-            "standard", 200, 1.0, 8, dict.fromkeys(adaptation_cost.METHODS, [0.2, 0.3]), 60.0
-        )
-    ]
+    errors = {method: [0.2, 0.3] for method in adaptation_cost.METHODS}
+    costs = [adaptation_cost.Cost("standard", 200, 1.0, 8, errors, 60.0)]
     write_json(folder / "cost" / adaptation_cost.RESULTS, [asdict(cost) for cost in costs])
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 4
