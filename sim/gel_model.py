@@ -15,7 +15,7 @@ _MASS_RATIO = 0.33
 _HEAVY = 1e7
 _LOCKED = 1e12
 # The contact's inverse weights, scaled so that contacts are stiff against the gel's static stiffness.
-_INVWEIGHT_SCALE = 1e-2
+_INVWEIGHT_SCALE = 1e-3
 # Nodes this near the ball are constrained not to enter it.
 _NEAR = 0.2
 _CONTACT = 'solref="1e-3 1" solimp="0.9999 0.9999 0.001 0.5 2"'

@@ -17,6 +17,10 @@ _FRICTIONLESS = 1e-5
 # A state is only called converged if its out-of-balance force, over the indenter's, is below this.
 _LARGEST_RESIDUAL = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
+# A settled node that carries force lies on the sphere to this, mm; one still further off after so many iterations
+# has left it.
+_AFLOAT_MM = 2e-3
+_RELEASE_AFTER = 6
 
 
 @dataclass(frozen=True)
@@ -72,19 +76,6 @@ def solve(problem: ContactProblem) -> Solution:
     return Solution(problem=problem, rest_mm=mesh.vertices_mm[mesh.surface, :2], records=records)
 
 
-@dataclass(frozen=True)
-class _Held:
-    """What friction holds nodes to in a load step: (ngeom,) which nodes, and (ngeom, 3) their slip before touching."""
-
-    start: NDArray[np.float64]
-    nodes: NDArray[np.bool_]
-    free_slip_mm: NDArray[np.float64]
-
-    @classmethod
-    def at_start(cls, qpos: NDArray[np.float64], touching: NDArray[np.bool_]) -> "_Held":
-        return cls(qpos, touching.copy(), np.zeros((len(touching), 3)))
-
-
 class _Indentation:
     """The state of one indentation under way."""
 
@@ -100,6 +91,7 @@ class _Indentation:
         self._sides = 2.0 if gel.mesh.half else 1.0
         self._touching = np.zeros(gel.model.ngeom, dtype=bool)
         self._slipped_mm = np.zeros(gel.model.ngeom)
+        self._released = np.zeros(gel.model.ngeom, dtype=bool)
 
     def move_to(self, target: NDArray[np.float64]) -> Record:
         """Lead the indenter to `target` in load steps along a straight line, and record the equilibrium there."""
@@ -124,16 +116,18 @@ class _Indentation:
         """Take one load step: iterate to equilibrium at the command, and say whether it was reached."""
         gel, data, quality = self._gel, self._data, self._problem.quality
         way, self._command = command - self._command, command
+        tolerance = quality.shear_tolerance if way[:2].any() else quality.press_tolerance
         compliant = self._problem.mount_stiffness_n_per_mm is not None
         if compliant:
             gel.model.qpos_spring[gel.ball_qpos] = command
             way = np.zeros(3)
-        held = _Held.at_start(np.array(data.qpos), self._touching)
+        start = np.array(data.qpos)
+        self._released[:] = False
         force = np.full(3, np.inf)
         for iteration in range(quality.max_iterations):
             data.qvel[:] = 0
             data.qvel[gel.ball_dof] = way if iteration == 0 else 0
-            self._iterate(held, first=iteration == 0)
+            afloat_mm = self._iterate(iteration)
             if not compliant:
                 data.qpos[gel.ball_qpos] = command
             if not np.all(np.isfinite(data.qpos)):
@@ -141,91 +135,54 @@ class _Indentation:
             new_force = -np.array(data.qfrc_constraint[gel.ball_dof])
             change = np.linalg.norm(new_force - force)
             force = new_force
-            if iteration > 0 and change <= quality.force_tolerance * np.linalg.norm(force):
-                self._close_load_step(held)
+            settled = change <= tolerance * np.linalg.norm(force) and afloat_mm <= _AFLOAT_MM
+            if iteration > 0 and settled:
+                self._close_load_step(start)
                 return True
         return False
 
-    def _close_load_step(self, held: "_Held") -> None:
-        """Note which nodes touch, and what they slipped in this load step."""
+    def _close_load_step(self, start: NDArray[np.float64]) -> None:
+        """Note which nodes touch, and what those that touched before slipped since the load step's start."""
         nodes = self._nodes()
+        stayed = self._touching.copy()
         self._touching = np.zeros_like(self._touching)
         self._touching[nodes] = self._normal_force_rows() > 0
+        stayed &= self._touching
         if len(nodes):
-            slip = np.linalg.norm(self._slip(held, nodes), axis=1)
-            self._slipped_mm[nodes] += np.where(held.nodes[nodes] & self._touching[nodes], slip, 0.0)
+            moved = np.zeros(self._data.nefc)
+            self._mujoco.mj_mulJacVec(self._gel.model, self._data, moved, self._data.qpos - start)
+            slip = np.linalg.norm(moved.reshape(-1, 3)[:, 1:], axis=1)
+            self._slipped_mm[nodes] += np.where(stayed[nodes], slip, 0.0)
         self._slipped_mm[~self._touching] = 0.0
 
-    def _iterate(self, held: "_Held", *, first: bool) -> None:
-        """Take one Newton iteration of the static problem: a MuJoCo step of 1 s from rest.
+    def _iterate(self, iteration: int) -> float:
+        """Take one Newton iteration of the static problem, a MuJoCo step of 1 s from rest.
 
-        Two things are added to MuJoCo's own step. Nodes that come near the ball are constrained before they touch
-        it, so that an iteration ends on the surface of the ball instead of finding the contact one iteration late.
-        And friction pulls a node back by all that it has slipped since the load step began, or since it touched, not
-        only by its slip in the present iteration: the backward Euler form of Coulomb's law.
+        Returns how far off the sphere the iteration found nodes that it left with a force, mm.
+
+        Nodes that come near the ball are constrained before they touch it, so that an iteration ends on the surface
+        of the ball instead of finding the contact one iteration late; a node new to the contact slides in freely.
+        MuJoCo's convex friction cone lets a node that slips by s in an iteration rise by μ s, and holds one that
+        should leave the ball for as long as it slips (Anitescu 2006, Math. Program. 105:113): a node that stays off
+        the ball is therefore released from friction, and one that rises as it slips must settle on it.
         """
         mujoco, model, data = self._mujoco, self._gel.model, self._data
         mujoco.mj_fwdPosition(model, data)
         if data.ncon:
             nodes = self._nodes()
-            entering = ~self._touching[nodes]
             data.contact.includemargin[:] = 0
-            if first:
-                data.contact.friction[entering, :2] = _FRICTIONLESS
+            if iteration == 0:
+                data.contact.friction[~self._touching[nodes], :2] = _FRICTIONLESS
+            elif iteration >= _RELEASE_AFTER:
+                self._released[nodes] |= data.contact.dist > _AFLOAT_MM
+                data.contact.friction[self._released[nodes], :2] = _FRICTIONLESS
             mujoco.mj_makeConstraint(model, data)
-            self._pull_back(held, nodes)
         mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
         data.qacc_warmstart[:] = data.qacc
         self._iterations += 1
-        if first and data.ncon:
-            self._note_entries(held, nodes, entering)
-
-    def _slip(self, held: "_Held", nodes: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return (ncon, 2): how far each contact's node has slipped on the ball since it was held."""
-        data = self._data
-        way = np.zeros(data.nefc)
-        self._mujoco.mj_mulJacVec(self._gel.model, data, way, data.qpos - held.start)
-        side = np.where(data.contact.geom[:, 1] == nodes, 1.0, -1.0)
-        free = held.free_slip_mm[nodes] * side[:, None]
-        axes = data.contact.frame.reshape(-1, 3, 3)
-        return way.reshape(-1, 3)[:, 1:] - np.einsum("ijk,ik->ij", axes[:, 1:], free)
-
-    def _pull_back(self, held: "_Held", nodes: NDArray[np.int64]) -> None:
-        """Give the friction rows of held nodes their slip so far as a position error to be undone."""
-        data = self._data
-        slip = self._slip(held, nodes)
-        is_held = held.nodes[nodes]
-        normal = np.flatnonzero(is_held) * 3
-        for row in (1, 2):
-            data.efc_pos[normal + row] = slip[is_held, row - 1]
-            data.efc_KBIP[normal + row, 0] = data.efc_KBIP[normal, 0]
-
-    def _note_entries(self, held: "_Held", nodes: NDArray[np.int64], entering: NDArray[np.bool_]) -> None:
-        """Hold the nodes that touched in this load step from where they touched.
-
-        The edge of the contact runs over the nodes at an even pace while the gap ahead of it opens as distance^(3/2),
-        so a node whose gap was g when the step began touches after the share (g / g at the final edge)^(2/3) of the
-        step; at first contact radius² grows evenly, and so the share is g / g at the edge. Up to then the node
-        slipped freely, as it did in this iteration.
-        """
-        data, gel = self._data, self._gel
-        pressed = self._normal_force_rows() > 0
-        gap = np.maximum(data.contact.dist, 0.0)
-        entered = entering & pressed
-        if not entered.any():
-            return
-        ahead = gap[entering & ~pressed]
-        inside = gap[entered].max()
-        edge = 0.5 * (inside + max(ahead.min(), inside)) if len(ahead) else inside
-        pace = 2 / 3 if self._touching.any() else 1.0
-        share = np.minimum((gap[entered] / max(edge, 1e-12)) ** pace, 1.0)
-        first_dof = gel.vertex_dof[gel.vertex_of_geom[nodes[entered]]]
-        move = data.qpos - held.start
-        relative = move[first_dof[:, None] + np.arange(3)] - move[gel.ball_dof]
-        held.nodes[nodes[entered]] = True
-        held.free_slip_mm[nodes[entered]] = share[:, None] * relative
+        return float(np.abs(data.contact.dist[self._normal_force_rows() > 0]).max(initial=0.0))
 
     def _nodes(self) -> NDArray[np.int64]:
         """Return each contact's node geom."""

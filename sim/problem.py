@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from gelgap.sim.quality import Quality
 
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 7
+_METHOD_VERSION = 8
 
 Waypoint = tuple[float, float, float]
 

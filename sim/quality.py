@@ -11,7 +11,9 @@ class Quality:
     """Lengths in mm for a contact of a 1.5 mm sphere on a 3 mm pad; other scenes scale the mesh to theirs.
 
     `surface_mm` is the spacing of the membrane's vertices around the contact, `layer_mm` the thickness of the first
-    layer, each further one `layer_growth` thicker, `sectors` the number of cells around half a circle.
+    layer, each further one `layer_growth` thicker, `sectors` the number of cells around half a circle. A load step is
+    settled when an iteration changes the force by less than a share of it: the tolerance, smaller where the indenter
+    goes sideways, since slip settles more slowly.
     """
 
     name: str
@@ -21,14 +23,15 @@ class Quality:
     sectors: int
     press_step_mm: float
     shear_step_mm: float
-    force_tolerance: float
+    press_tolerance: float
+    shear_tolerance: float
     max_iterations: int
 
 
 QUALITIES = {
-    "draft": Quality("draft", 0.4, 0.2, 1.5, 8, 0.2, 0.1, 3e-3, 16),
-    "standard": Quality("standard", 0.25, 0.12, 1.25, 8, 0.1, 0.1, 1e-3, 20),
-    "fine": Quality("fine", 0.16, 0.08, 1.25, 12, 0.05, 0.05, 3e-4, 24),
+    "draft": Quality("draft", 0.4, 0.2, 1.5, 8, 0.2, 0.1, 3e-3, 1e-3, 40),
+    "standard": Quality("standard", 0.25, 0.12, 1.25, 8, 0.1, 0.1, 1e-3, 3e-4, 40),
+    "fine": Quality("fine", 0.16, 0.08, 1.25, 12, 0.05, 0.05, 3e-4, 1e-4, 60),
 }
 
 

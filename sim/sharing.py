@@ -21,8 +21,6 @@ from gelgap.sim.surface import PolarTable, contact_radius_mm, polar_table, press
 
 # A canonical gel is solved once; forces scale with the modulus at fixed friction, geometry and mount over modulus.
 _CANONICAL_MODULUS_MPA = 0.3
-# Beyond this friction nothing slips, and the cone only gets harder to solve in.
-_NO_SLIP_FRICTION = 2.0
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
 _INTERIOR_THICKNESSES = 2.4
 
@@ -255,7 +253,7 @@ def contact_problem(
     return ContactProblem(
         young_modulus_mpa=round(young * scale, 12),
         poisson_ratio=poisson,
-        friction=min(elastomer.friction, _NO_SLIP_FRICTION),
+        friction=elastomer.friction,
         thickness_mm=elastomer.thickness_mm,
         sphere_radius_mm=indenter.radius_mm,
         mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
