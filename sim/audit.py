@@ -35,8 +35,8 @@ class Audit:
 
     `residual` is the largest force on a free vertex over the sphere's force; `imbalance` the difference of the forces
     on sphere and backing over the same; `coulomb_excess` the largest of |f_t| / (μ f_n) − 1 over touching vertices
-    (−1 without friction to bound), `tension` the largest pull on one over the largest push. `force_n` is the
-    sphere's force on the gel (whole gel).
+    (−1 without friction to bound), where |f_t| is less what the largest force on a free vertex shows to be uncertain;
+    `tension` the largest pull on one over the largest push. `force_n` is the sphere's force on the gel (whole gel).
     """
 
     force_n: Floats
@@ -112,14 +112,17 @@ def audit_contact(
     if mesh.half:
         total[1] = backing[1] = 0.0
     size = max(float(np.linalg.norm(total)), 1e-300)
+    out_of_balance = float(np.abs(holding[free]).max(initial=0.0))
     strongest = float(push.max(initial=0.0))
     loaded = push > _NEGLIGIBLE * strongest
     excess = (
-        drag[loaded] / (friction * push[loaded]) - 1 if friction > 0 and loaded.any() else np.array([-1.0])
+        (drag[loaded] - out_of_balance) / (friction * push[loaded]) - 1
+        if friction > 0 and loaded.any()
+        else np.array([-1.0])
     )
     return Audit(
         force_n=sides * total,
-        residual=float(np.abs(holding[free]).max(initial=0.0)) / size,
+        residual=out_of_balance / size,
         imbalance=float(np.linalg.norm(total + backing)) / size,
         coulomb_excess=float(excess.max()),
         tension=max(0.0, -float(push.min(initial=0.0))) / max(strongest, 1e-300),

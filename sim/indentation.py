@@ -14,8 +14,12 @@ from gelgap.sim.problem import ContactProblem
 from gelgap.sim.problem_mesh import mesh_for
 
 _FRICTIONLESS = 1e-5
-# A state is only called converged if its out-of-balance force, over the indenter's, is below this.
-_LARGEST_RESIDUAL = 1e-2
+# A state is only called converged if what is wrong with its forces (residual, imbalance, coulomb_excess and tension of
+# its diagnostics) is below this.
+_LARGEST_ERROR = 1e-2
+# Load steps settle until Coulomb's bound holds this well at each vertex that bears more than a share of the strongest.
+_LARGEST_COULOMB_ERROR = 1e-3
+_NEGLIGIBLE = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
 # A settled node that carries force lies on the sphere to this, mm; one still further off after so many iterations
 # has left it.
@@ -60,8 +64,8 @@ class Solution:
 
 def solve(problem: ContactProblem) -> Solution:
     """Solve the problem from the undeformed gel."""
-    zone = problem.sphere_radius_mm + max(math.hypot(x, y) for x, y, _ in problem.waypoints_mm) + 0.4
-    mesh = ordered_for_elimination(mesh_for(problem), zone)
+    zone = problem.sphere_radius_mm + problem.reach_mm + 0.4
+    mesh = ordered_for_elimination(mesh_for(problem), problem.contact_mm + problem.reach_mm)
     gel = build_gel_model(
         mesh,
         young_modulus_mpa=problem.young_modulus_mpa,
@@ -72,8 +76,26 @@ def solve(problem: ContactProblem) -> Solution:
         mount_stiffness_n_per_mm=problem.mount_stiffness_n_per_mm,
     )
     indentation = _Indentation(gel, problem)
-    records = tuple(indentation.move_to(np.array(waypoint)) for waypoint in problem.waypoints_mm)
-    return Solution(problem=problem, rest_mm=mesh.vertices_mm[mesh.surface, :2], records=records)
+    states = {-1: indentation.state()}
+    records = []
+    for index, (waypoint, parent) in enumerate(zip(problem.waypoints_mm, problem.parents, strict=True)):
+        if parent != index - 1:
+            indentation.return_to(states[parent])
+        records.append(indentation.move_to(np.array(waypoint)))
+        if index in problem.parents[index + 2 :]:
+            states[index] = indentation.state()
+    return Solution(problem=problem, rest_mm=mesh.vertices_mm[mesh.surface, :2], records=tuple(records))
+
+
+@dataclass(frozen=True)
+class _State:
+    """All that the next load step depends on."""
+
+    qpos: NDArray[np.float64]
+    qacc_warmstart: NDArray[np.float64]
+    command: NDArray[np.float64]
+    touching: NDArray[np.bool_]
+    slipped_mm: NDArray[np.float64]
 
 
 class _Indentation:
@@ -92,6 +114,25 @@ class _Indentation:
         self._touching = np.zeros(gel.model.ngeom, dtype=bool)
         self._slipped_mm = np.zeros(gel.model.ngeom)
         self._released = np.zeros(gel.model.ngeom, dtype=bool)
+
+    def state(self) -> _State:
+        """Return a copy of the present state, to come back to."""
+        data = self._data
+        return _State(
+            np.array(data.qpos),
+            np.array(data.qacc_warmstart),
+            self._command.copy(),
+            self._touching.copy(),
+            self._slipped_mm.copy(),
+        )
+
+    def return_to(self, state: _State) -> None:
+        """Go back to a state as if nothing had happened since."""
+        self._data.qpos[:] = state.qpos
+        self._data.qacc_warmstart[:] = state.qacc_warmstart
+        self._command = state.command.copy()
+        self._touching = state.touching.copy()
+        self._slipped_mm = state.slipped_mm.copy()
 
     def move_to(self, target: NDArray[np.float64]) -> Record:
         """Lead the indenter to `target` in load steps along a straight line, and record the equilibrium there."""
@@ -136,9 +177,11 @@ class _Indentation:
             change = np.linalg.norm(new_force - force)
             force = new_force
             settled = change <= tolerance * np.linalg.norm(force) and afloat_mm <= _AFLOAT_MM
+            settled = settled and self._coulomb_error() <= _LARGEST_COULOMB_ERROR
             if iteration > 0 and settled:
                 self._close_load_step(start)
                 return True
+        self._close_load_step(start)
         return False
 
     def _close_load_step(self, start: NDArray[np.float64]) -> None:
@@ -184,6 +227,21 @@ class _Indentation:
         self._iterations += 1
         return float(np.abs(data.contact.dist[self._normal_force_rows() > 0]).max(initial=0.0))
 
+    def _coulomb_error(self) -> float:
+        """Return by how much the last iteration may have moved contact forces out of Coulomb's cone, relative to it.
+
+        Friction was bounded along the normals that the iteration began with. A node that moved by s over the sphere has
+        a normal turned by s/R, which changes |f_t| / (μ f_n) by up to (μ + 1/μ) s/R.
+        """
+        data, friction = self._data, self._problem.friction
+        pressed = self._normal_force_rows() > _NEGLIGIBLE * self._normal_force_rows().max(initial=0.0)
+        if not pressed.any() or friction == 0:
+            return 0.0
+        moved = np.zeros(data.nefc)
+        self._mujoco.mj_mulJacVec(self._gel.model, data, moved, data.qvel)
+        along = np.linalg.norm(moved[: 3 * data.ncon].reshape(-1, 3)[pressed, 1:], axis=1)
+        return float((friction + 1 / friction) * along.max() / self._problem.sphere_radius_mm)
+
     def _nodes(self) -> NDArray[np.int64]:
         """Return each contact's node geom."""
         geoms = self._data.contact.geom
@@ -225,7 +283,10 @@ class _Indentation:
                 coulomb_excess=audit.coulomb_excess,
                 tension=audit.tension,
             )
-        sound = finite and diagnostics.residual < _LARGEST_RESIDUAL and diagnostics.min_volume_ratio > 0
+        worst = max(
+            diagnostics.residual, diagnostics.imbalance, diagnostics.coulomb_excess, diagnostics.tension
+        )
+        sound = finite and worst < _LARGEST_ERROR and diagnostics.min_volume_ratio > 0
         return Record(
             displacement_mm=(positions - rest)[surface].astype(np.float32),
             normal_force_n=self._normal_forces()[surface].astype(np.float32),

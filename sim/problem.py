@@ -2,12 +2,13 @@
 
 import hashlib
 import json
+import math
 from dataclasses import asdict, dataclass
 
 from gelgap.sim.quality import Quality
 
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 8
+_METHOD_VERSION = 9
 
 Waypoint = tuple[float, float, float]
 
@@ -19,7 +20,8 @@ class ContactProblem:
     `young_modulus_mpa` and `poisson_ratio` are those of MuJoCo's energy. `pad_mm` is (x min, x max, y min, y max) of
     the pad around the contact point; None stands for a pad without edges, a disc whose rim is too far to matter.
     `waypoints_mm` are commanded displacements (x, y, z) of the indenter from
-    touching the gel; a state is recorded at each.
+    touching the gel; a state is recorded at each. `parents` says for each from which waypoint it is reached, by its
+    index, −1 for the undeformed gel: several drags can branch off one press.
     """
 
     young_modulus_mpa: float
@@ -30,6 +32,7 @@ class ContactProblem:
     mount_stiffness_n_per_mm: float | None
     pad_mm: tuple[float, float, float, float] | None
     waypoints_mm: tuple[Waypoint, ...]
+    parents: tuple[int, ...]
     quality: Quality
 
     @property
@@ -37,6 +40,17 @@ class ContactProblem:
         """Whether gel and waypoints are symmetric to y = 0, so that y ≥ 0 is all that is solved."""
         _, _, y_min, y_max = self.pad_mm or (0.0, 0.0, 0.0, 0.0)
         return y_max == -y_min and all(y == 0 for _, y, _ in self.waypoints_mm)
+
+    @property
+    def reach_mm(self) -> float:
+        """How far sideways the indenter goes."""
+        return max(math.hypot(x, y) for x, y, _ in self.waypoints_mm)
+
+    @property
+    def contact_mm(self) -> float:
+        """The radius in which the sphere, at its deepest, meets the plane of the undeformed membrane."""
+        depth = max(-z for _, _, z in self.waypoints_mm)
+        return math.sqrt(max(self.sphere_radius_mm**2 - max(self.sphere_radius_mm - depth, 0.0) ** 2, 0.0))
 
     @property
     def key(self) -> str:

@@ -18,11 +18,10 @@ _PAD_GROWTH = 1.8
 def mesh_for(problem: ContactProblem) -> GelMesh:
     """Mesh the gel finely where it will be touched; vertices lie no closer than the largest contact deserves."""
     quality, whole = problem.quality, not (problem.pad_mm is None and problem.half)
-    reach = max(math.hypot(x, y) for x, y, _ in problem.waypoints_mm)
-    depth = max(-z for _, _, z in problem.waypoints_mm)
-    radius = problem.sphere_radius_mm
-    contact = math.sqrt(max(radius**2 - max(radius - depth, 0.0) ** 2, 0.0))
-    scale = max(min(radius / 1.5, problem.thickness_mm / 3.0), contact / _REFERENCE_CONTACT_MM)
+    contact = problem.contact_mm
+    scale = max(
+        min(problem.sphere_radius_mm / 1.5, problem.thickness_mm / 3.0), contact / _REFERENCE_CONTACT_MM
+    )
     if whole:
         scale *= _PAD_COARSENING[quality.name]
     spacing = quality.surface_mm * scale
@@ -31,7 +30,7 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
         min(quality.layer_mm * scale, problem.thickness_mm / 6),
         _PAD_GROWTH if whole else quality.layer_growth,
     )
-    fine = 1.15 * contact + reach + (1 if whole else 2) * spacing
+    fine = 1.15 * contact + problem.reach_mm + (1 if whole else 2) * spacing
     disc = max(_DISC_THICKNESSES * problem.thickness_mm, 1.5 * fine)
     if not whole:
         return half_disc_mesh(disc, fine, spacing, layers, quality.sectors)

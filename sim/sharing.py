@@ -31,7 +31,8 @@ class Sharing:
 
     `modulus`: one solve serves every Young's modulus. `translation`: interior points share theirs, which also makes
     directions rotations of each other and half the gel enough. `reflection`: on a small pad, mirrored points and
-    directions share theirs. `path`: the poses of one radial path share a solve. `cache`: solutions are kept on disk.
+    directions share theirs. `path`: poses at one point and depth share a solve, whose drags branch off one press.
+    `cache`: solutions are kept on disk.
     """
 
     modulus: bool = True
@@ -115,7 +116,7 @@ def plan_solves(
     poses = path.poses
     for pose in {(p.point_x_mm, p.point_y_mm, p.depth_mm): p for p in poses}.values():
         check_pose(elastomer, indenter, pose)
-    groups: dict[tuple, list[tuple[float, int]]] = {}
+    groups: dict[tuple, list[tuple[tuple[float, float], float, int]]] = {}
     frames: dict[int, NDArray[np.float64]] = {}
     trajectories: dict[int, list[int]] = {}
     for index, pose in enumerate(poses):
@@ -127,21 +128,18 @@ def plan_solves(
         origin, frame, pad = canonical_contact(elastomer, pose, sharing)
         frames[index] = frame
         way = frame.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
-        direction = tuple(np.round(way / (pose.radius_mm or 1.0), 9) + 0.0)
+        direction = tuple(float(c) + 0.0 for c in np.round(way / (pose.radius_mm or 1.0), 9))
         alone = () if sharing.path else (index,)
-        groups.setdefault((pad, origin, pose.depth_mm, direction, *alone), []).append((pose.radius_mm, index))
-    # Poses without shear ride on any radial path of their depth and place.
+        groups.setdefault((pad, origin, pose.depth_mm, *alone), []).append((direction, pose.radius_mm, index))
     solves: list[Solve] = []
     placements: list[Placement | None] = [None] * len(poses)
-    for (pad, _, depth, direction, *_rest), members in groups.items():
-        radii = sorted({radius for radius, _ in members})
-        waypoints = tuple((direction[0] * r + 0.0, direction[1] * r + 0.0, -depth) for r in radii)
-        if radii[0] > 0:
-            waypoints = ((0.0, 0.0, -depth), *waypoints)
-            radii = [0.0, *radii]
-        problem = contact_problem(elastomer, indenter, pad, waypoints, quality, sharing)
-        for radius, index in members:
-            placements[index] = Placement(len(solves), radii.index(radius), frames[index])
+    for (pad, _, depth, *_rest), members in groups.items():
+        waypoints, parents, record_of = _radial_ways(
+            depth, {(direction, radius) for direction, radius, _ in members}
+        )
+        problem = contact_problem(elastomer, indenter, pad, waypoints, parents, quality, sharing)
+        for direction, radius, index in members:
+            placements[index] = Placement(len(solves), record_of[direction, radius], frames[index])
         solves.append(Solve(problem, sharing.cache))
     for members in trajectories.values():
         problem, frame, records = visiting_problem(
@@ -154,6 +152,21 @@ def plan_solves(
                 placements[index] = Placement(len(solves), record, frame)
         solves.append(Solve(problem, sharing.cache))
     return SolvePlan(elastomer, indenter, poses, tuple(solves), tuple(placements))
+
+
+def _radial_ways(
+    depth_mm: float, drags: set[tuple[tuple[float, float], float]]
+) -> tuple[tuple[Waypoint, ...], tuple[int, ...], dict[tuple[tuple[float, float], float], int]]:
+    """Return waypoints and parents of a press, the drags (direction, radius) that branch off it, and each's record."""
+    waypoints, parents = [(0.0, 0.0, -depth_mm)], [-1]
+    record_of = {drag: 0 for drag in drags if drag[1] == 0}
+    previous = None
+    for direction, radius in sorted(drag for drag in drags if drag[1] > 0):
+        record_of[direction, radius] = len(waypoints)
+        parents.append(len(waypoints) - 1 if direction == previous else 0)
+        waypoints.append((direction[0] * radius + 0.0, direction[1] * radius + 0.0, -depth_mm))
+        previous = direction
+    return tuple(waypoints), tuple(parents), record_of
 
 
 def visiting_problem(
@@ -180,7 +193,9 @@ def visiting_problem(
     records = tuple(range(int(sideways), len(waypoints)))
     if not any(pose.depth_mm for pose in poses):
         return None, frame, records
-    return contact_problem(elastomer, indenter, pad, tuple(waypoints), quality, sharing), frame, records
+    parents = tuple(range(-1, len(waypoints) - 1))
+    problem = contact_problem(elastomer, indenter, pad, tuple(waypoints), parents, quality, sharing)
+    return problem, frame, records
 
 
 def check_pose(elastomer: Elastomer, indenter: Sphere, pose: Pose) -> None:
@@ -244,6 +259,7 @@ def contact_problem(
     indenter: Sphere,
     pad: tuple[float, float, float, float] | None,
     waypoints: tuple[Waypoint, ...],
+    parents: tuple[int, ...],
     quality: str,
     sharing: Sharing,
 ) -> ContactProblem:
@@ -259,6 +275,7 @@ def contact_problem(
         mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
         pad_mm=pad,
         waypoints_mm=waypoints,
+        parents=parents,
         quality=quality_named(quality),
     )
 
