@@ -1,7 +1,6 @@
 """The independent finite-element solutions in assets/reference, as arrays and as membranes."""
 
 import csv
-import math
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
@@ -15,7 +14,8 @@ Floats = NDArray[np.float64]
 
 FORCE_UNCERTAINTY = 0.003
 SURFACE_UNCERTAINTY_MM = 0.003
-SHEAR_FORCE_UNCERTAINTY = 0.04
+SHEAR_FX_UNCERTAINTY = 0.04
+SHEAR_FZ_UNCERTAINTY = 0.02
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 
 
@@ -47,8 +47,12 @@ class PressReference:
 
 @dataclass(frozen=True)
 class ShearReference:
-    """A no-slip drag along x at one depth, on a 20×20 mm pad: forces by sideways travel."""
+    """A drag along x at one depth: forces by sideways travel, and how far they may be off, as shares."""
 
+    source: str
+    friction: float
+    fx_uncertainty: float
+    fz_uncertainty: float
     poisson_ratio: float
     young_modulus_mpa: float
     depth_mm: float
@@ -102,23 +106,58 @@ def _press_reference(name: str, rows: list[dict[str, str]]) -> PressReference:
 
 @cache
 def shear_references() -> tuple[ShearReference, ...]:
-    """Return the drags, the one with the smaller elements for each depth."""
-    rows = _rows("shear_no_slip.csv")
-    finest: dict[float, float] = {}
-    for row in rows:
-        depth, element = float(row["depth_mm"]), float(row["element_mm"])
-        finest[depth] = min(element, finest.get(depth, math.inf))
+    """Return the no-slip drags on a 20×20 mm pad, the one with the smaller elements for each depth."""
+    rows = [row | {"friction": str(NO_SLIP_FRICTION)} for row in _rows("shear_no_slip.csv")]
     return tuple(
-        _shear_reference(
-            [r for r in rows if float(r["depth_mm"]) == depth and float(r["element_mm"]) == element]
-        )
-        for depth, element in finest.items()
+        _shear_reference("table", _finest(group), SHEAR_FX_UNCERTAINTY, SHEAR_FZ_UNCERTAINTY)
+        for group in _by_scene(rows)
     )
 
 
-def _shear_reference(rows: list[dict[str, str]]) -> ShearReference:
+@cache
+def coulomb_references() -> tuple[ShearReference, ...]:
+    """Return the drags with Coulomb friction of the project's own 3-D solver (`benchmarks/drag_reference.py`).
+
+    Their error falls with the square of the elements' size, so that the fine mesh is off by what the coarse one
+    differs from it, over (ratio of sizes)² − 1.
+    """
+    references = []
+    for group in _by_scene([row for row in _rows("drag_coulomb.csv") if row["friction"] != "inf"]):
+        fine = _finest(group)
+        coarse = [row for row in group if row["element_mm"] != fine[0]["element_mm"]]
+        if len(coarse) == len(fine):
+            ratio = float(coarse[0]["element_mm"]) / float(fine[0]["element_mm"])
+            uncertainty = [
+                max(
+                    abs(float(c[force]) / float(f[force]) - 1)
+                    for c, f in zip(coarse[1:], fine[1:], strict=True)
+                )
+                / (ratio**2 - 1)
+                for force in ("fx_n", "fz_n")
+            ]
+            references.append(_shear_reference("own 3-D", fine, *uncertainty))
+    return tuple(references)
+
+
+def _by_scene(rows: list[dict[str, str]]) -> list[list[dict[str, str]]]:
+    scenes = dict.fromkeys((row["friction"], row["depth_mm"]) for row in rows)
+    return [[row for row in rows if (row["friction"], row["depth_mm"]) == scene] for scene in scenes]
+
+
+def _finest(rows: list[dict[str, str]]) -> list[dict[str, str]]:
+    finest = min((row["element_mm"] for row in rows), key=float)
+    return [row for row in rows if row["element_mm"] == finest]
+
+
+def _shear_reference(
+    source: str, rows: list[dict[str, str]], fx_uncertainty: float, fz_uncertainty: float
+) -> ShearReference:
     first = rows[0]
     return ShearReference(
+        source=source,
+        friction=float(first["friction"]),
+        fx_uncertainty=fx_uncertainty,
+        fz_uncertainty=fz_uncertainty,
         poisson_ratio=float(first["poisson_ratio"]),
         young_modulus_mpa=float(first["young_modulus_mpa"]),
         depth_mm=float(first["depth_mm"]),
