@@ -131,9 +131,20 @@ class Results:
         """Error (groups,) of predicting the source's mean force, N, mean over the seeds' test frames."""
         return mean_of(self.values(lambda line: float(np.mean(line.constant_mean_n))), axis=(0, 2))
 
+    @cached_property
+    def common(self) -> np.ndarray:
+        """Which pairs (groups, seeds) every method but supervised has finished, be it by a collapse."""
+        learned = [m for m in self.methods if m != "supervised"]
+        return np.array([[all(self.line(g, m, s) for m in learned) for s in self.seeds] for g in self.groups])
+
+    @cached_property
+    def balanced_n(self) -> np.ndarray:
+        """The errors on the common pairs, by which methods are compared; NaN elsewhere."""
+        return np.where(self.common, self.errors_n, np.nan)
+
     def of(self, method: str) -> np.ndarray:
-        """Return the errors (groups, seeds) of one method, N."""
-        return self.errors_n[list(self.methods).index(method)]
+        """Return the errors (groups, seeds) of one method on the common pairs, N."""
+        return self.balanced_n[list(self.methods).index(method)]
 
 
 def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
@@ -197,7 +208,7 @@ def group_table(results: Results) -> ResultTable:
                 f"{np.mean(oracles.geometry_n):.3f}",
             ]
         )
-    mean = over_groups(results.errors_n)
+    mean = over_groups(results.balanced_n)
     both = [[np.mean(o.pose_n), np.mean(o.geometry_n)] for o in results.oracles.values()]
     rows.append(
         ["mean", f"{results.constant_mean_n.mean():.3f}", *(_number(x) for x in mean)]
@@ -208,15 +219,21 @@ def group_table(results: Results) -> ResultTable:
         "Mean MAE on the target's test frames, N",
         ["group", "constant mean", *results.methods, "pose oracle", "geometry oracle"],
         rows,
-        "± standard deviation over seeds. A group marked * has a pose oracle worse than the paper's DSAN figure and is "
-        f"not comparable; here: {', '.join(apart) or 'none'}.",
+        f"± standard deviation over {len(results.seeds)} seeds. Means and all further tables are over the pairs of group "
+        f"and seed that all methods, supervised apart, have finished: {results.common.sum()} of {results.common.size}. "
+        "A group marked * has a pose oracle worse than the paper's DSAN figure and is not comparable; here: "
+        f"{', '.join(apart) or 'none'}.",
     )
 
 
 def axis_table(results: Results) -> ResultTable:
     """Error and R² per axis, mean over groups and seeds."""
-    per_axis = [over_groups(results.values(lambda ln, a=a: ln.mae_n[a])) for a in range(3)]
-    r2 = [over_groups(results.values(lambda ln, a=a: ln.r2[a])) for a in range(3)]
+
+    def means(of) -> np.ndarray:
+        return over_groups(np.where(results.common, results.values(of), np.nan))
+
+    per_axis = [means(lambda ln, a=a: ln.mae_n[a]) for a in range(3)]
+    r2 = [means(lambda ln, a=a: ln.r2[a]) for a in range(3)]
     widths = (1.5, 1.5, 3.0)
     constant = [mean_of(results.values(lambda line, a=a: line.constant_mean_n[a])) for a in range(3)]
     rows = [["constant mean", *(_share(n, w) for n, w in zip(constant, widths, strict=True))]]
@@ -284,7 +301,7 @@ def summary_table(results: Results) -> ResultTable:
     """Mean, interval, reduction and rank of each method, beside the paper's."""
     plain = over_groups(results.of("source-only"))
     learned = [i for i, m in enumerate(results.methods) if m != "supervised"]
-    by_group = mean_of(results.errors_n, axis=2)
+    by_group = mean_of(results.balanced_n, axis=2)
     mean_ranks = dict(
         zip([results.methods[i] for i in learned], ranks(by_group[learned]).mean(axis=1), strict=True)
     )
@@ -292,7 +309,7 @@ def summary_table(results: Results) -> ResultTable:
     paper_ranks = dict(zip(paper, ranks(np.array(list(PAPER_MAE_N.values()))).mean(axis=1), strict=True))
     rows = []
     for i, method in enumerate(results.methods):
-        errors = results.errors_n[i]
+        errors = results.balanced_n[i]
         low, high = bootstrap_interval(errors)
         rows.append(
             [
@@ -326,7 +343,7 @@ def summary_table(results: Results) -> ResultTable:
 
 def paired_table(results: Results, against: str = "dsan") -> ResultTable:
     """Paired tests of every method against DSAN, Friedman's test and the critical difference."""
-    found = compare(results.errors_n, list(results.methods), results.groups, against)
+    found = compare(results.balanced_n, list(results.methods), results.groups, against)
     rows = [
         [
             f"{c.first} − {c.second}",
@@ -339,7 +356,7 @@ def paired_table(results: Results, against: str = "dsan") -> ResultTable:
         for c in found
     ]
     own = [i for i, m in enumerate(results.methods) if m != "supervised"]
-    by_group = mean_of(results.errors_n[own], axis=2)
+    by_group = mean_of(results.balanced_n[own], axis=2)
     note = (
         f"Friedman's test over the groups, {len(own)} methods: p = {friedman_p(by_group):.2g}; critical difference of "
         f"mean ranks (Nemenyi, 5 %): {critical_difference(len(own), len(results.groups)):.2f}. {CAVEAT}"
@@ -406,7 +423,7 @@ def time_table(results: Results) -> ResultTable:
     for i, method in enumerate(results.methods):
         own = [line.stage2_s for line in results.lines if line.job.method == method and line.problem is None]
         stage2 = float(np.median(own)) if own else math.nan
-        rows.append([method, _number(over_groups(results.errors_n[i])), f"{shared:.1f}", f"{stage2:.1f}"])
+        rows.append([method, _number(over_groups(results.balanced_n[i])), f"{shared:.1f}", f"{stage2:.1f}"])
     return ResultTable(
         "Target MAE against training time",
         ["method", "mean MAE, N", "stage 1, s", "stage 2, s"],

@@ -105,7 +105,7 @@ def benchmark_figures(folder: Path) -> list[NamedFigure]:
 
     results = load_results(folder)
     own = [i for i, method in enumerate(results.methods) if method != "supervised"]
-    by_group = mean_of(results.errors_n[own], axis=2)
+    by_group = mean_of(results.balanced_n[own], axis=2)
     mean_ranks = dict(zip([results.methods[i] for i in own], ranks(by_group).mean(axis=1), strict=True))
     figures = [NamedFigure("groups", "Target MAE by group and method", plot_groups(results))]
     if len(own) > 1:
@@ -156,7 +156,7 @@ def plot_groups(results: Results) -> "Figure":
     place, width = np.arange(len(results.groups)), 0.8 / len(results.methods)
     for i, method in enumerate(results.methods):
         errors = results.errors_n[i]
-        spread = np.std(errors, axis=1, ddof=1) if errors.shape[1] > 1 else None
+        spread = [np.std(e[~np.isnan(e)], ddof=1) if (~np.isnan(e)).sum() > 1 else 0.0 for e in errors]
         axes.bar(place - 0.4 + (i + 0.5) * width, mean_of(errors, axis=1), width, yerr=spread, label=method)
     axes.hlines(results.constant_mean_n, place - 0.4, place + 0.4, "k", "dotted", label="constant mean")
     pose = [np.mean(results.oracles[group].pose_n) for group in results.groups]
@@ -176,7 +176,7 @@ def plot_time(results: Results) -> "Figure":
     stage1 = float(np.median([line.stage1_s for line in results.lines if line.stage1_s > 0] or [0.0]))
     stage2 = mean_of(results.values(lambda line: line.stage2_s), axis=(1, 2))
     for i, method in enumerate(results.methods):
-        point = stage1 + float(stage2[i]), float(over_groups(results.errors_n[i]))
+        point = stage1 + float(stage2[i]), float(over_groups(results.balanced_n[i]))
         axes.plot(*point, "o")
         axes.annotate(method, point, xytext=(5, 3), textcoords="offset points", fontsize=8)
     axes.set(xlabel="both stages, s of one core", ylabel="target MAE, N")

@@ -17,12 +17,20 @@ CAVEAT = (
 
 
 def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of values (groups, seeds): groups are drawn, then seeds within each."""
+    """Return the 95 % interval of the mean of values (groups, seeds): groups are drawn, then seeds within each.
+
+    NaN is a seed that a group has not; the interval is NaN if a group has none.
+    """
     rng = np.random.default_rng(seed)
+    there = ~np.isnan(values)
+    count = there.sum(axis=1)
+    if not count.all():
+        return float("nan"), float("nan")
     groups, seeds = values.shape
+    sorted_values = np.take_along_axis(values, np.argsort(~there, axis=1, kind="stable"), axis=1)
     rows = rng.integers(0, groups, (BOOTSTRAPS, groups, 1))
-    columns = rng.integers(0, seeds, (BOOTSTRAPS, groups, seeds))
-    low, high = np.quantile(values[rows, columns].mean(axis=(1, 2)), [0.025, 0.975])
+    columns = (rng.random((BOOTSTRAPS, groups, seeds)) * count[rows]).astype(int)
+    low, high = np.quantile(sorted_values[rows, columns].mean(axis=(1, 2)), [0.025, 0.975])
     return float(low), float(high)
 
 
@@ -57,21 +65,23 @@ def compare(
 ) -> list[Comparison]:
     """Compare every method with one of them; errors (methods, groups, seeds) in N.
 
-    Methods with a NaN (a collapse) are left out.
+    A pair of group and seed that is NaN for all methods was not run. A method with another NaN (a collapse) is left
+    out, and so is one without a run in some group.
     """
     from scipy.stats import wilcoxon
 
+    there = ~np.isnan(errors).all(axis=0)
     base = errors[methods.index(against)]
     found = []
     for method, own in zip(methods, errors, strict=True):
-        if method == against or np.isnan(own).any() or np.isnan(base).any():
+        if method == against or not there.any(axis=1).all() or np.isnan((own - base)[there]).any():
             continue
-        by_run = own - base
-        by_group = by_run.mean(axis=1)
+        by_run = (own - base)[there]
+        by_group = np.array([(own - base)[i, there[i]].mean() for i in range(len(there))])
         if not by_run.any():
             p_groups = p_runs = 1.0
         else:
-            p_groups, p_runs = (float(wilcoxon(d).pvalue) for d in (by_group, by_run.ravel()))
+            p_groups, p_runs = (float(wilcoxon(d).pvalue) for d in (by_group, by_run))
         without = [by_group[kept].mean() for kept in _leaving_out(groups) if kept.any()]
         found.append(
             Comparison(

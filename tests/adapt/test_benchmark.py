@@ -143,6 +143,17 @@ def test_tables_know_what_is_missing_or_collapsed():
     assert len(result_tables(replace(found, lines=collapsed))) == 8
 
 
+def test_methods_are_compared_on_what_all_have_finished():
+    found = results({"source-only": 0.3, "dsan": 0.15, "supervised": 0.05})
+    partial = replace(found, lines=[ln for ln in found.lines if ln.job != Job(*GROUPS[0], "dsan", 1)])
+    assert partial.common.sum() == 17
+    assert np.isnan(partial.of("source-only")[0, 1])
+    assert partial.of("source-only")[0, 0] == pytest.approx(0.3)
+    rows = {row[0]: row for row in summary_table(partial).rows}
+    assert rows["dsan"][2] != "–"
+    assert "17 of 18" in group_table(partial).note
+
+
 def test_a_group_with_a_bad_pose_oracle_is_marked():
     found = results({"source-only": 0.3})
     oracles = {**ORACLES, GROUPS[1]: GroupOracles((0.1, 0.1, 0.2), (0.1,) * 3)}
@@ -164,6 +175,9 @@ def test_bootstrap_interval_holds_the_mean():
     low, high = bootstrap_interval(values)
     assert low < values.mean() < high
     assert high - low == pytest.approx(2 * 1.96 / np.sqrt(200), rel=0.25)
+    ragged = np.concatenate([values, np.where(values > 0, values, np.nan)], axis=1)
+    assert bootstrap_interval(ragged) == pytest.approx((low, high), abs=0.05)
+    assert math.isnan(bootstrap_interval(np.full((3, 2), math.nan))[0])
 
 
 def test_paired_comparisons_are_corrected_and_leave_domains_out():
@@ -178,7 +192,9 @@ def test_paired_comparisons_are_corrected_and_leave_domains_out():
     assert better.wins == 0
     assert better.leaving_out[0] > 0.019
     assert unclear.p_groups > 0.05
-    errors[1, 0, 0] = math.nan
+    errors[:, 0, 0] = math.nan
+    assert len(compare(errors, ["dsan", "worse", "same"], GROUPS, "dsan")) == 2
+    errors[1, 1, 0] = math.nan
     assert [c.first for c in compare(errors, ["dsan", "worse", "same"], GROUPS, "dsan")] == ["same"]
 
 
