@@ -219,8 +219,9 @@ def group_table(results: Results) -> ResultTable:
         "Mean MAE on the target's test frames, N",
         ["group", "constant mean", *results.methods, "pose oracle", "geometry oracle"],
         rows,
-        f"± standard deviation over {len(results.seeds)} seeds. Means and all further tables are over the pairs of group "
-        f"and seed that all methods, supervised apart, have finished: {results.common.sum()} of {results.common.size}. "
+        f"± standard deviation over {len(results.seeds)} seeds. Means and all further tables are over the pairs of "
+        "group and seed that all methods, supervised apart, have finished: "
+        f"{results.common.sum()} of {results.common.size}. "
         "A group marked * has a pose oracle worse than the paper's DSAN figure and is not comparable; here: "
         f"{', '.join(apart) or 'none'}.",
     )

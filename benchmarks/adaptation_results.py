@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 RUNS = "runs.jsonl"
 ORACLES = "oracles.json"
-SHOWN_GROUPS = (("wmb1i1", "mb0i0"), ("wmb1i1", "wmb0i0"))
-"""The groups whose scatter plots and t-SNE are drawn: those of the paper's figures 4 and 5."""
+SHOWN_GROUPS = (("wmb1i1", "mb0i0"),)
+"""The groups whose scatter plots and t-SNE are drawn, as in the paper's figures 4 and 5."""
 SHOWN_METHODS = ("source-only", "dann", "daregram", "dsan")
 
 
