@@ -23,7 +23,7 @@ from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.profile import Profile, parse_profile
 from gelgap.adapt.progress import Progress, silent
-from gelgap.adapt.training import adapt, train_source
+from gelgap.adapt.training import adapt, train_source, with_statistics_of
 
 RECORD = "run.json"
 PREDICTIONS = "predictions.npz"
@@ -36,7 +36,8 @@ class Run:
     """What one run was and what came out.
 
     target_test, target_constant_mean (the source's mean force), source_held_out and source_constant_mean
-    are errors on frames that no training used; the source's are None where the profile holds none out.
+    are errors on frames that no training used; the source's are None where the profile holds none out, and are
+    measured under the source's own statistics where the profile normalises each domain by itself.
     wall_s is by part: load, stage1 (0 if it was reused), stage2, evaluate. problem is a sentence where the
     features collapsed.
     """
@@ -136,9 +137,11 @@ def adapt_frames(
         model = adapt(stage1, source_train, target_train, method, profile, seed, resume_file, progress)
         stage2_s = time.perf_counter() - start
         start = time.perf_counter()
+        own_statistics = profile.batch_statistics == "per_domain" and find_method(method).uses_target
+        on_source = with_statistics_of(model, source_train) if own_statistics else model
         predicted = {"target": (target_test, model.predict_n(target_test))}
         if len(source_held_out):
-            predicted["source"] = (source_held_out, model.predict_n(source_held_out))
+            predicted["source"] = (source_held_out, on_source.predict_n(source_held_out))
         errors = {
             domain: evaluate_predictions(frames.force_n, force_n, frames.force_range_n)
             for domain, (frames, force_n) in predicted.items()
@@ -170,7 +173,8 @@ def adapt_frames(
             folder=folder,
         )
         if folder is not None:
-            _write(run, folder, model, predicted, source_held_out if len(source_held_out) else source_train)
+            shown = source_held_out if len(source_held_out) else source_train
+            _write(run, folder, model, on_source, predicted, shown)
             (folder / "resume.pt").unlink(missing_ok=True)
         runs.append(run)
     return runs
@@ -265,15 +269,20 @@ def shared_stage1(
 
 
 def _write(
-    run: Run, folder: Path, model: ForceModel, predicted: dict[str, tuple[Frames, np.ndarray]], source: Frames
+    run: Run,
+    folder: Path,
+    model: ForceModel,
+    on_source: ForceModel,
+    predicted: dict[str, tuple[Frames, np.ndarray]],
+    source: Frames,
 ) -> None:
     arrays = {}
     for domain, (frames, force_n) in predicted.items():
         arrays[f"{domain}_true_n"] = frames.force_n
         arrays[f"{domain}_predicted_n"] = force_n.astype(np.float32)
-    for domain, frames in (("source", source), ("target", predicted["target"][0])):
+    for domain, frames, seen_by in (("source", source, on_source), ("target", predicted["target"][0], model)):
         some = frames.take(np.arange(min(len(frames), _FEATURES_KEPT)))
-        arrays[f"{domain}_features"] = model.features(some).astype(np.float16)
+        arrays[f"{domain}_features"] = seen_by.features(some).astype(np.float16)
         arrays[f"{domain}_features_force_n"] = some.force_n
     np.savez_compressed(folder / PREDICTIONS, **arrays)
     model.save(folder / MODEL)

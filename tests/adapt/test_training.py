@@ -286,3 +286,10 @@ def test_training_with_mixed_colours_is_deterministic(source, profile):
 
 def test_freed_memory_is_kept_where_the_c_library_is_glibc():
     assert keep_freed_memory() == (platform.libc_ver()[0] == "glibc")
+
+
+def test_the_source_is_judged_under_its_own_statistics(source, target, profile):
+    per_domain = profile.replace(batch_statistics="per_domain")
+    plain, adabn = adapt_frames(source, target, ["source-only", "adabn"], per_domain)
+    assert adabn.source_held_out.mean_mae_n < 1.3 * plain.source_held_out.mean_mae_n
+    assert adabn.source_held_out.mean_mae_n < 0.6 * adabn.source_constant_mean.mean_mae_n
