@@ -24,7 +24,9 @@ _FIRST_STEPS = (0.2, 0.5)
 # A settled node that carries force lies on the sphere to this, mm; one still further off after so many iterations
 # has left it.
 _AFLOAT_MM = 2e-3
-_RELEASE_AFTER = 6
+_RELEASE_AFTER = 20
+# A node hangs above the ball if an iteration brings it down by less than this factor.
+_SINKING = 0.7
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,9 @@ class _Indentation:
         self._touching = np.zeros(gel.model.ngeom, dtype=bool)
         self._slipped_mm = np.zeros(gel.model.ngeom)
         self._released = np.zeros(gel.model.ngeom, dtype=bool)
+        self._kept = np.zeros(gel.model.ngeom, dtype=bool)
+        self._pressed = np.zeros(gel.model.ngeom, dtype=bool)
+        self._height_mm = np.zeros(gel.model.ngeom)
 
     def state(self) -> _State:
         """Return a copy of the present state, to come back to."""
@@ -163,7 +168,7 @@ class _Indentation:
             gel.model.qpos_spring[gel.ball_qpos] = command
             way = np.zeros(3)
         start = np.array(data.qpos)
-        self._released[:] = False
+        self._released[:] = self._kept[:] = False
         force = np.full(3, np.inf)
         for iteration in range(quality.max_iterations):
             data.qvel[:] = 0
@@ -178,6 +183,7 @@ class _Indentation:
             force = new_force
             settled = change <= tolerance * np.linalg.norm(force) and afloat_mm <= _AFLOAT_MM
             settled = settled and self._coulomb_error() <= _LARGEST_COULOMB_ERROR
+            settled = settled and not (self._released & self._pressed).any()
             if iteration > 0 and settled:
                 self._close_load_step(start)
                 return True
@@ -206,8 +212,9 @@ class _Indentation:
         Nodes that come near the ball are constrained before they touch it, so that an iteration ends on the surface
         of the ball instead of finding the contact one iteration late; a node new to the contact slides in freely.
         MuJoCo's convex friction cone lets a node that slips by s in an iteration rise by μ s, and holds one that
-        should leave the ball for as long as it slips (Anitescu 2006, Math. Program. 105:113): a node that stays off
-        the ball is therefore released from friction, and one that rises as it slips must settle on it.
+        should leave the ball for as long as it slips (Anitescu 2006, Math. Program. 105:113): a node that hangs above
+        the ball and does not sink is in the end released from friction, and one that rises as it slips must settle
+        on it.
         """
         mujoco, model, data = self._mujoco, self._gel.model, self._data
         mujoco.mj_fwdPosition(model, data)
@@ -217,15 +224,28 @@ class _Indentation:
             if iteration == 0:
                 data.contact.friction[~self._touching[nodes], :2] = _FRICTIONLESS
             elif iteration >= _RELEASE_AFTER:
-                self._released[nodes] |= data.contact.dist > _AFLOAT_MM
+                self._release(nodes)
                 data.contact.friction[self._released[nodes], :2] = _FRICTIONLESS
+            self._height_mm[nodes] = data.contact.dist
             mujoco.mj_makeConstraint(model, data)
         mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
         data.qacc_warmstart[:] = data.qacc
         self._iterations += 1
+        self._pressed[:] = False
+        if data.ncon:
+            self._pressed[nodes] = self._normal_force_rows() > 0
         return float(np.abs(data.contact.dist[self._normal_force_rows() > 0]).max(initial=0.0))
+
+    def _release(self, nodes: NDArray[np.int64]) -> None:
+        """Free nodes that hang above the ball from friction, unless they then turn out to be pressed against it."""
+        height = self._data.contact.dist
+        back = self._released[nodes] & self._pressed[nodes]
+        self._kept[nodes[back]] = True
+        self._released[nodes[back]] = False
+        hangs = self._pressed[nodes] & (height > _AFLOAT_MM) & (height > _SINKING * self._height_mm[nodes])
+        self._released[nodes] |= hangs & ~self._kept[nodes]
 
     def _coulomb_error(self) -> float:
         """Return by how much the last iteration may have moved contact forces out of Coulomb's cone, relative to it.

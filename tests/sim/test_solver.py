@@ -133,6 +133,15 @@ def test_a_contact_on_the_pads_rim_is_about_half_a_contact() -> None:
     assert np.isfinite(on_rim.displacement_mm).all()
 
 
+def test_friction_survives_a_slide_over_the_rim() -> None:
+    gel = Elastomer(young_modulus_mpa=0.01, poisson_ratio=0.3, friction=1.5, thickness_mm=6.0)
+    poses = tuple(Pose(depth_mm=2.4, point_x_mm=12.0, shear_x_mm=travel) for travel in (0.0, 0.5, 1.0, 1.5))
+    states = solve_poses(gel, Sphere(diameter_mm=10.0), poses, "draft", ALONE)
+    assert all(state.converged for state in states)
+    # Load steps a fifth as long give 0.0222 N.
+    assert states[-1].force_n[0] == pytest.approx(0.0222, rel=0.03)
+
+
 def test_load_control_finds_the_depth_of_a_force() -> None:
     pose = pose_for_force(GEL, BALL, 0.2, quality="draft")
     assert -solve_pose(GEL, BALL, pose, "draft").force_n[2] == pytest.approx(0.2, rel=0.01)
