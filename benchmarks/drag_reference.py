@@ -22,7 +22,7 @@ CASES = [(friction, depth) for depth in (0.6, 1.0, 0.2) for friction in (0.3, 0.
 
 def meshes(depth_mm: float) -> tuple[tuple[float, int], ...]:
     """Return (element_mm, sectors) of the coarse and the fine mesh; a shallow contact is small."""
-    return ((0.2, 12), (0.125, 20)) if depth_mm <= 0.3 else ((0.4, 12), (0.25, 20))
+    return ((0.2, 12), (0.125, 20)) if depth_mm <= 0.3 else ((0.36, 12), (0.25, 20))
 
 
 def main() -> None:
@@ -32,9 +32,8 @@ def main() -> None:
         writer = csv.writer(file)
         if not done:
             writer.writerow(COLUMNS)
-        for mesh in (0, 1):
-            for friction, depth in CASES:
-                element, sectors = meshes(depth)[mesh]
+        for friction, depth in CASES:
+            for element, sectors in meshes(depth):
                 if (friction, depth, element) not in done:
                     drag = Drag(friction=friction, depth_mm=depth, element_mm=element, sectors=sectors)
                     try:

@@ -203,10 +203,15 @@ def _savings(quick: bool, processes: int):
         yield Saving(
             name=name,
             solves=gels * len(plan.solves),
-            core_s_per_pose=gels * len(plan.solves) * outcome.processor_s / (2 * len(path.poses)),
+            core_s_per_pose=gels * _chains(plan) * outcome.processor_s / (2 * len(path.poses)),
             force_error_percent=force_percent,
             surface_error_um=surface_um,
         )
+
+
+def _chains(plan: SolvePlan) -> int:
+    """Count the drags, each with the press before it: on a pad with near edges a solve's drags branch off one press."""
+    return sum(max(1, solve.problem.parents.count(0)) for solve in plan.solves)
 
 
 def _poses(pose: Pose, sharing: Sharing) -> tuple[Pose, ...]:
