@@ -3,6 +3,7 @@
 import argparse
 import json
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -294,15 +295,26 @@ def plot_gaps(results: GapResults) -> "Figure":
 def run(
     out_dir: Path, seeds: Sequence[int] = (0, 1, 2), workers: int | None = None, minutes: float = math.inf
 ) -> None:
-    """Generate the domains, do the missing runs, write `gaps.json` and print the tables."""
+    """Generate the domains gel by gel, do the missing runs, write `gaps.json` and print the tables.
+
+    After so many `minutes` no gel and no run is begun; the next call goes on.
+    """
     from gelgap.domains.generate import generate_recipes
 
-    found = design()
+    found, start = design(), time.perf_counter()
     data, out = out_dir / "data", out_dir / "runs"
-    print(generate_recipes(found.recipes, data, workers=workers))
-    targets = [recipe.name for recipe in found.recipes]
+    targets: list[str] = []
+    for gel in dict.fromkeys(recipe.elastomer for recipe in found.recipes):
+        if time.perf_counter() - start < 60 * minutes:
+            members = [recipe for recipe in found.recipes if recipe.elastomer == gel]
+            scheduler = "synchronous" if workers == 1 else None
+            print(generate_recipes(members, data, scheduler=scheduler, workers=workers), flush=True)
+            targets += [recipe.name for recipe in members]
     jobs = [Job(BASE, target, method, seed) for seed in seeds for method in METHODS for target in targets]
-    lines = run_missing(data, out, PROFILE, jobs, workers=workers, minutes=minutes)
+    left = minutes - (time.perf_counter() - start) / 60
+    lines = run_missing(data, out, PROFILE, jobs, workers=workers, minutes=left)
+    if not lines:
+        return
     done = [m for m in METHODS if any(line.job.method == m for line in lines)]
     results = collect(found, lines, data, done)
     write_json(out_dir / RESULTS, results)
