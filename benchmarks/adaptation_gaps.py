@@ -172,14 +172,12 @@ def collect(found: Design, lines: Sequence[Line], data: Path, methods: Sequence[
 
     base = open_domain(data / BASE)
     errors: dict[str, dict[str, float]] = {}
-    for line in lines:
-        own = [
-            ln.mean_mae_n
-            for ln in lines
-            if (ln.job.target, ln.job.method) == (line.job.target, line.job.method)
-        ]
-        errors.setdefault(line.job.target, {})[line.job.method] = float(np.mean(own))
-        errors[line.job.target]["constant mean"] = float(np.mean(line.constant_mean_n))
+    for target in dict.fromkeys(line.job.target for line in lines):
+        own = [line for line in lines if line.job.target == target]
+        errors[target] = {"constant mean": float(np.mean([line.constant_mean_n for line in own]))}
+        for method in dict.fromkeys(line.job.method for line in own):
+            found_n = [line.mean_mae_n for line in own if line.job.method == method]
+            errors[target][method] = float(np.mean(found_n))
     pose = {name: pose_oracle(base, open_domain(data / name)).mean_mae_n for name in errors}
     seeds = len({line.job.seed for line in lines})
     return GapResults(tuple(methods), seeds, found.gaps, found.cells, errors, pose)
@@ -196,7 +194,7 @@ def gap_table(results: GapResults) -> ResultTable:
         f"Gap curves from {BASE}, profile {PROFILE}: target MAE, N",
         ["gap", "size", "constant mean", *results.methods, "pose oracle"],
         rows,
-        "Size: "
+        f"Mean over {results.seeds} seed(s). Size: "
         + "; ".join(f"{panel}: {label}" for panel, (_, label) in PANELS.items())
         + ". Contacts are paired; "
         "without a gap the target is the source itself, most of whose frames were trained on.",

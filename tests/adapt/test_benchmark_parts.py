@@ -113,3 +113,18 @@ def test_report_of_all_parts(tmp_path):
 def test_no_records_is_one_sentence(tmp_path):
     with pytest.raises(FileNotFoundError, match="holds no records of the adaptation benchmark"):
         write_benchmark_report(tmp_path)
+
+
+def test_gap_errors_are_means_over_seeds(source, monkeypatch):
+    monkeypatch.setattr("gelgap.domains.dataset.open_domain", lambda folder: source)
+    lines = [
+        Line(Job("mb0i0", "a", "dsan", seed), "smoke", {}, mae_n=(mae,) * 3, constant_mean_n=(4 * mae,) * 3)
+        for seed, mae in enumerate((0.1, 0.3))
+    ]
+    found = adaptation_gaps.collect(
+        adaptation_gaps.Design((), (Gap("modulus", "a", 2.0),), ()), lines, Path("x"), ["dsan"]
+    )
+    assert found.errors_n["a"]["dsan"] == pytest.approx(0.2)
+    assert found.errors_n["a"]["constant mean"] == pytest.approx(0.8)
+    assert adaptation_gaps.gap_table(found).rows == [["modulus", "2", "0.800", "0.200", "0.000"]]
+    assert "Mean over 2 seed" in adaptation_gaps.gap_table(found).note
