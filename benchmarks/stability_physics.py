@@ -42,6 +42,7 @@ TIME_LIMIT_S = 300.0  # of processor time
 NOTHING_SHARED = Sharing(modulus=False, translation=False, reflection=False, path=False, cache=False)
 
 FORCE_TOLERANCE = 0.01  # of the sphere's force: balance, monotony, scaling, symmetry
+DRAG_TOLERANCE = 0.05  # of the friction that the contact can bear
 RESIDUAL_TOLERANCE = 0.01
 COULOMB_TOLERANCE = 1e-3
 TENSION_TOLERANCE = 0.01
@@ -208,6 +209,7 @@ def judge(what: Scene) -> Verdict:
             if state.converged:
                 violations += _pose_violations(what, pose, state)
         violations += _press_violations(what, states)
+        violations += _drag_violations(what, states)
         if not flagged and what.number % 10 == 1:
             violations += _scaling_violations(what, states)
         if not flagged and what.number % 10 == 2:
@@ -256,6 +258,19 @@ def _press_violations(what: Scene, states: Sequence[MembraneState]) -> Iterator[
     ]
     if what.to_rim_mm > contact and np.any(np.diff(press) > FORCE_TOLERANCE * abs(press[-1])):
         yield "force falls in a press"
+
+
+def _drag_violations(what: Scene, states: Sequence[MembraneState]) -> Iterator[str]:
+    """In a straight drag at one depth, far from the rim, friction builds up to its limit and stays there."""
+    contact = np.sqrt(2 * what.indenter_radius_mm * what.depth_mm)
+    way = np.array([np.cos(np.radians(what.direction_deg)), np.sin(np.radians(what.direction_deg))])
+    drag = [s for p, s in zip(what.poses, states, strict=True) if p.radius_mm > 0 and s.converged]
+    along = [float(way @ state.force_n[:2]) for state in drag]
+    travel = max(pose.radius_mm for pose in what.poses)
+    if what.to_rim_mm > contact + travel + what.thickness_mm and drag:
+        largest = DRAG_TOLERANCE * abs(drag[0].force_n[2]) * max(what.friction, FORCE_TOLERANCE)
+        if np.any(np.diff(along) < -largest):
+            yield "friction falls in a drag"
 
 
 def _scaling_violations(what: Scene, states: Sequence[MembraneState]) -> Iterator[str]:

@@ -18,7 +18,7 @@ _FRICTIONLESS = 1e-5
 # its diagnostics) is below this.
 _LARGEST_ERROR = 1e-2
 # Load steps settle until Coulomb's bound holds this well at each vertex that bears more than a share of the strongest.
-_LARGEST_COULOMB_ERROR = 1e-3
+_LARGEST_COULOMB_ERROR = 5e-4
 _NEGLIGIBLE = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
 # A settled node that carries force lies on the sphere to this, mm; one still further off after so many iterations
