@@ -114,20 +114,6 @@ def pad_mesh(
     return _crossed(plane, cells, layers_mm, half=half)
 
 
-def box_mesh(
-    x_mm: NDArray[np.float64],
-    y_mm: NDArray[np.float64],
-    layers_mm: NDArray[np.float64],
-    *,
-    half: bool = False,
-) -> GelMesh:
-    """Mesh a rectangle as the product of its axes."""
-    plane = np.stack(np.meshgrid(x_mm, y_mm, indexing="ij"), -1).reshape(-1, 2)
-    index = np.arange(len(plane)).reshape(len(x_mm), len(y_mm))
-    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)
-    return _crossed(plane, tuple(quads), layers_mm, half=half)
-
-
 def graded_spacings(
     length_mm: float, spacing_mm: float, fine_mm: float, growth: float = 1.5, largest_mm: float = 2.5
 ) -> NDArray[np.float64]:

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from gelgap.sim.audit import audit_contact, elastic_state
-from gelgap.sim.mesh import box_mesh
+from gelgap.sim.mesh import pad_mesh
 
 MODULI = (0.3, 0.45)
 
 
 @pytest.fixture(scope="module")
 def mesh():
-    axis = np.linspace(-1, 1, 3)
-    return box_mesh(axis, axis, np.array([0.0, -0.5, -1.0]))
+    return pad_mesh((-1.0, 1.0, -1.0, 1.0), 2.0, 1.0, 0.9, np.array([0.0, -0.5, -1.0]), 4, half=False)
 
 
 def test_forces_are_the_derivative_of_the_energy(mesh):
