@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks import physics
-from gelgap.benchmarks.reference import NO_SLIP_FRICTION, press_references, shear_references
+from gelgap.benchmarks.reference import (
+    NO_SLIP_FRICTION,
+    coulomb_references,
+    press_references,
+    shear_references,
+)
 from gelgap.benchmarks.surface_errors import normals, picture_psnr_db, surface_errors
 from gelgap.benchmarks.tables import Point, plot_frontier, print_table, write_json
 from gelgap.sim.membrane import grid_axes
@@ -82,3 +87,16 @@ def test_results_and_plot_are_written(tmp_path, capsys):
         figure, [Point("s", "n", 1, 2)], title="t", error_label="e", uncertainty=0.3, targets=(2.0,)
     )
     assert figure.stat().st_size > 1000
+
+
+def test_drags_with_friction_know_how_far_they_are_off():
+    references = {(r.friction, r.depth_mm): r for r in coulomb_references()}
+    assert {(0.3, 0.6), (0.8, 0.6)} <= set(references)
+    for reference in references.values():
+        assert 0 < reference.fx_uncertainty < 0.05
+        assert np.all(np.diff(reference.shear_mm) > 0)
+        assert reference.fx_n[0] == pytest.approx(0, abs=1e-3)
+    # More friction, more shear, and both below the drag that never slips.
+    ends = [references[0.3, 0.6].fx_n[-1], references[0.8, 0.6].fx_n[-1]]
+    without_slip = next(r for r in shear_references() if r.depth_mm == 0.6).fx_n[-1]
+    assert ends[0] < ends[1] < without_slip
