@@ -17,7 +17,7 @@ class Cache:
     """
 
     clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Delete every cached solve."""
+    """Delete every cached solve, and the colours of LEDs."""
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
@@ -26,6 +26,10 @@ class Cache:
         if not self.clear:
             for entry in cache_entries():
                 print(_line(entry))
+        if self.clear:
+            from gelgap.render.led_cache import clear_led_cache
+
+            clear_led_cache()
         use = clear_cache() if self.clear else cache_use()
         verb = "deleted" if self.clear else "holds"
         print(f"{use.folder} {verb} {use.solutions} solutions, {use.bytes / 1e6:.1f} MB")

@@ -34,6 +34,12 @@ def cached_camera_rgb(
     return found
 
 
+def clear_led_cache() -> None:
+    """Delete what `cached_camera_rgb` has kept."""
+    for path in _folder().glob("*.led"):
+        path.unlink(missing_ok=True)
+
+
 def _key(spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None) -> str:
     try:
         colour_version = version("colour-science")

@@ -9,7 +9,7 @@ from gelgap.assets import list_presets
 from gelgap.render.camera import Camera
 from gelgap.render.gap import picture_gap, reference_gap
 from gelgap.render.illumination import Illumination, Led
-from gelgap.render.led_cache import cached_camera_rgb
+from gelgap.render.led_cache import cached_camera_rgb, clear_led_cache
 from gelgap.render.markers import marker_rest_mm
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor
@@ -61,6 +61,8 @@ def test_led_colours_are_kept_on_disk_and_a_damaged_file_is_computed_anew(tmp_pa
     for damage in ("", "[[1, 2, 3]]", '[["a", 1, 2], [1, 2, 3]]', "7"):
         file.write_text(damage)
         assert cached_camera_rgb(spectra, NIKON, None) == truth
+    clear_led_cache()
+    assert not list(tmp_path.iterdir())
     monkeypatch.setenv("GELGAP_CACHE", "/proc/nowhere")
     assert cached_camera_rgb(spectra, NIKON, None) == truth
 
