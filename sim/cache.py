@@ -1,12 +1,11 @@
 """Solutions on disk, one file a key, safe for concurrent writers and for a crash."""
 
-import os
 import pickle
-import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelgap.assets.user_cache import cache_folder, write_cached
 from gelgap.sim.indentation import Solution
 from gelgap.sim.problem import ContactProblem
 
@@ -42,14 +41,6 @@ class CacheEntry:
     current: bool
 
 
-def cache_folder() -> Path:
-    """Return the folder of cached solutions: $GELGAP_CACHE, or `gelgap` in the user's cache folder."""
-    chosen = os.environ.get("GELGAP_CACHE")
-    if chosen:
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gelgap"
-
-
 def load_solution(key: str) -> Solution | None:
     """Return the cached solution of that key; None if there is none or its file is damaged."""
     solution = _read(_path(key))
@@ -57,17 +48,8 @@ def load_solution(key: str) -> Solution | None:
 
 
 def store_solution(solution: Solution) -> None:
-    """Write a solution under its problem's key: to a temporary name, then renamed, so that readers see it whole."""
-    path = _path(solution.problem.key)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            pickle.dump(solution, file, protocol=5)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    """Write a solution under its problem's key."""
+    write_cached(_path(solution.problem.key), pickle.dumps(solution, protocol=5))
 
 
 def cache_use() -> CacheUse:
