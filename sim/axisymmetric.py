@@ -17,8 +17,8 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
+from gelgap.sim.tangent import solve_tangent
 from gelgap.sim.theory import bulk_modulus_mpa, hertz_contact_radius_mm, shear_modulus_mpa
 
 Floats = NDArray[np.float64]
@@ -428,18 +428,7 @@ def _surface_dofs(pad: _Pad) -> NDArray[np.int64]:
 
 
 def _solve(pad: _Pad, matrix: sparse.csc_matrix, touch: _Touch, right_side: Floats) -> Floats:
-    """Solve the tangent system of pad and contact; zero at the fixed degrees of freedom."""
-    dofs = _surface_dofs(pad)
-    rows = np.broadcast_to(dofs[:, :, None], touch.tangent.shape).ravel()
-    columns = np.broadcast_to(dofs[:, None, :], touch.tangent.shape).ravel()
-    contact = sparse.csc_matrix((touch.tangent.ravel(), (rows, columns)), shape=matrix.shape)
-    tangent = (matrix + contact)[pad.free][:, pad.free].tocsc()
-    factors = splu(
-        tangent, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
-    )
-    change = np.zeros(pad.size)
-    change[pad.free] = factors.solve(right_side)
-    return change
+    return solve_tangent(matrix, _surface_dofs(pad), touch.tangent, pad.free, right_side)
 
 
 def _step(

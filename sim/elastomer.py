@@ -36,7 +36,7 @@ class Elastomer(Settings):
         description="Poisson's ratio, 0 to below 0.5."
     )
     friction: Annotated[float, _within(0.0, 1000.0, "")] = Field(
-        description="Coulomb friction coefficient between gel and indenter, 0 to 1000; 2 and more is no slip."
+        description="Coulomb friction coefficient between gel and indenter, 0 to 1000; 10 and more is no slip."
     )
     thickness_mm: Annotated[float, _within(0.2, 50.0, "mm")] = Field(
         default=3.0, description="Thickness of the pad, mm, 0.2 to 50."

@@ -16,9 +16,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from gelgap.sim.mesh import half_disc_hexahedra, layer_depths
+from gelgap.sim.tangent import solve_tangent
 from gelgap.sim.theory import bulk_modulus_mpa, shear_modulus_mpa
 
 Floats = NDArray[np.float64]
@@ -51,13 +51,10 @@ class Drag:
 
 @dataclass(frozen=True)
 class DragState:
-    """Equilibrium at one travel: the sphere's force on the pad (3,), N, and the surface nodes' displacements."""
+    """Equilibrium at one travel: the sphere's force on the pad (3,), N, and the share of it that sticks."""
 
     travel_mm: float
     force_n: Floats
-    friction_force_n: Floats
-    rest_mm: Floats
-    displacement_mm: Floats
     sticking_fraction: float
 
 
@@ -233,7 +230,6 @@ class _Touch:
     """Contact at one iterate: the sphere's force on each surface node, its negative slope, the next stick points."""
 
     force_n: Floats
-    friction_n: Floats
     tangent: Floats
     next_stick_mm: Floats
     slipping: NDArray[np.bool_]
@@ -284,7 +280,6 @@ def _touch(pad: _Pad, u: Floats, sphere_mm: Floats, stick_mm: Floats) -> _Touch:
     next_stick = np.where(active[:, None], reach + traction / hold, np.nan)
     return _Touch(
         force_n=area[:, None] * (push[:, None] * n + traction),
-        friction_n=area[:, None] * traction,
         tangent=-area[:, None, None] * slope,
         next_stick_mm=next_stick,
         slipping=slipping,
@@ -333,18 +328,7 @@ def _newton(pad: _Pad, state: _Contact, sphere_mm: Floats) -> _Contact:
 
 
 def _solve(pad: _Pad, iterate: _Iterate, right_side: Floats) -> Floats:
-    """Solve the tangent system of pad and contact; zero at the fixed degrees of freedom."""
-    touch, matrix = iterate.touch, iterate.matrix
-    rows = np.broadcast_to(pad.surface_dofs[:, :, None], touch.tangent.shape).ravel()
-    columns = np.broadcast_to(pad.surface_dofs[:, None, :], touch.tangent.shape).ravel()
-    contact = sparse.csc_matrix((touch.tangent.ravel(), (rows, columns)), shape=matrix.shape)
-    tangent = (matrix + contact)[pad.free][:, pad.free].tocsc()
-    factors = splu(
-        tangent, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
-    )
-    change = np.zeros(pad.size)
-    change[pad.free] = factors.solve(right_side)
-    return change
+    return solve_tangent(iterate.matrix, pad.surface_dofs, iterate.touch.tangent, pad.free, right_side)
 
 
 def _damped(
@@ -384,13 +368,9 @@ def _advance(pad: _Pad, state: _Contact, sphere_mm: Floats) -> _Contact:
 
 def _describe(pad: _Pad, state: _Contact) -> DragState:
     touch = _touch(pad, state.u, state.sphere_mm, state.stick_mm)
-    force, friction = (2 * forces.sum(0) * [1, 0, 1] for forces in (touch.force_n, touch.friction_n))
     push = touch.push_n.sum()
     return DragState(
         travel_mm=float(state.sphere_mm[0]),
-        force_n=force,
-        friction_force_n=friction,
-        rest_mm=pad.nodes[pad.surface],
-        displacement_mm=state.u.reshape(-1, 3)[pad.surface],
+        force_n=2 * touch.force_n.sum(0) * [1, 0, 1],
         sticking_fraction=float(1 - touch.push_n[touch.slipping].sum() / push) if push > 0 else 1.0,
     )

@@ -193,10 +193,8 @@ class _Indentation:
     def _close_load_step(self, start: NDArray[np.float64]) -> None:
         """Note which nodes touch, and what those that touched before slipped since the load step's start."""
         nodes = self._nodes()
-        stayed = self._touching.copy()
-        self._touching = np.zeros_like(self._touching)
-        self._touching[nodes] = self._normal_force_rows() > 0
-        stayed &= self._touching
+        stayed = self._touching & self._pressed
+        self._touching = self._pressed.copy()
         if len(nodes):
             moved = np.zeros(self._data.nefc)
             self._mujoco.mj_mulJacVec(self._gel.model, self._data, moved, self._data.qpos - start)
