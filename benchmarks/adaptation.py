@@ -1,6 +1,5 @@
 """The adaptation benchmark: the paper's nine groups, every method, several seeds; resumable, one run a core."""
 
-import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation_jobs import Job, Line, run_missing
+from gelgap.benchmarks.adaptation_jobs import Job, Line, run_missing, study_parser
 from gelgap.benchmarks.adaptation_statistics import (
     CAVEAT,
     bootstrap_interval,
@@ -489,16 +488,11 @@ def write_report(out: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description="The nine groups in pieces: what is missing, for so many minutes."
-    )
+    parser = study_parser("The nine groups in pieces: what is missing, for so many minutes.", SEEDS)
     parser.add_argument("--data", type=Path, required=True, help="folder of the four domains")
     parser.add_argument(
         "--out", type=Path, required=True, help="records; named after the profile, such as …/cpu"
     )
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(SEEDS))
     parser.add_argument("--methods", nargs="+", default=list(PAPER_METHODS))
-    parser.add_argument("--workers", type=int, help="processes; default: one a core")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
     chosen = parser.parse_args()
     run_table(chosen.data, chosen.out, GROUPS, chosen.seeds, chosen.methods, chosen.workers, chosen.minutes)

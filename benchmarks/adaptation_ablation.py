@@ -1,6 +1,5 @@
 """What decides in DSAN: classes, weight, warm-up, statistics or feedback; and what mixed colours change."""
 
-import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.benchmarks.adaptation import ResultTable
-from gelgap.benchmarks.adaptation_jobs import Changes, Job, Line, run_missing
+from gelgap.benchmarks.adaptation_jobs import Changes, Job, Line, run_missing, study_parser
 
 RECORD = "ablation.jsonl"
 GROUPS = (("mb0i0", "wmb0i0"), ("wmb0i0", "wmb1i1"))
@@ -106,11 +105,8 @@ def run(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = study_parser(__doc__, seeds=(0,))
     parser.add_argument("--data", type=Path, required=True, help="folder of the cpu data set")
     parser.add_argument("--out", type=Path, default=Path("benchmark-results/adaptation/cpu"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--workers", type=int, help="processes; default: one a core")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
     chosen = parser.parse_args()
     run(chosen.data, chosen.out, chosen.seeds, chosen.workers, chosen.minutes)

@@ -1,6 +1,5 @@
 """What cheaper data cost an adaptation: draft physics or rendering, independent instead of paired contacts."""
 
-import argparse
 import json
 import math
 import time
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.benchmarks.adaptation import ResultTable
-from gelgap.benchmarks.adaptation_jobs import Job, run_missing
+from gelgap.benchmarks.adaptation_jobs import Job, run_missing, study_parser
 from gelgap.benchmarks.tables import write_json
 
 if TYPE_CHECKING:
@@ -118,11 +117,8 @@ def run(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = study_parser(__doc__, seeds=(0, 1, 2))
     parser.add_argument("--out", type=Path, default=Path("benchmark-results/cost"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--workers", type=int, help="processes; default: one a core")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
     parser.add_argument("--variants", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
     chosen = parser.parse_args()
     run(chosen.out, chosen.seeds, chosen.workers, chosen.minutes, chosen.variants)

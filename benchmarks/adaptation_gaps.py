@@ -1,6 +1,5 @@
 """Gap curves: each method's error against the size of one known gap at a time, and three gaps crossed."""
 
-import argparse
 import json
 import math
 import time
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.benchmarks.adaptation import ResultTable
-from gelgap.benchmarks.adaptation_jobs import Job, Line, run_missing
+from gelgap.benchmarks.adaptation_jobs import Job, Line, run_missing, study_parser
 from gelgap.benchmarks.tables import write_json
 
 if TYPE_CHECKING:
@@ -321,10 +320,7 @@ def run(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = study_parser(__doc__, seeds=(0, 1, 2))
     parser.add_argument("--out", type=Path, default=Path("benchmark-results/gaps"))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--workers", type=int, help="processes; default: one a core")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
     chosen = parser.parse_args()
     run(chosen.out, chosen.seeds, chosen.workers, chosen.minutes)

@@ -1,5 +1,6 @@
 """Runs of the adaptation benchmarks as resumable records: one JSON line a run, nothing computed twice."""
 
+import argparse
 import json
 import math
 import time
@@ -16,6 +17,15 @@ if TYPE_CHECKING:
 Axes = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]
 _NOTHING = (math.nan, math.nan, math.nan)
+
+
+def study_parser(description: str | None, seeds: Sequence[int]) -> argparse.ArgumentParser:
+    """Return a parser of what every study takes: seeds, processes, and how long to go on beginning runs."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(seeds))
+    parser.add_argument("--workers", type=int, help="processes; default: one a core")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
+    return parser
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Choosing transfer weight and epoch without target labels: an equal grid for every method, and what choices cost."""
 
-import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.benchmarks.adaptation import ResultTable
-from gelgap.benchmarks.adaptation_jobs import Job, run_missing
+from gelgap.benchmarks.adaptation_jobs import Job, run_missing, study_parser
 
 WEIGHTS = (0.0003, 0.003, 0.03, 0.3, 3.0)
 """The grid of transfer weights, the same for every method."""
@@ -235,15 +234,12 @@ def run(
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = study_parser(__doc__, seeds=(0,))
     parser.add_argument("--data", type=Path, required=True, help="folder of the four domains")
     parser.add_argument(
         "--out", type=Path, required=True, help="records; named after the profile, such as …/cpu"
     )
     parser.add_argument("--methods", nargs="+", default=list(SEARCH_METHODS))
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--workers", type=int, help="processes; default: one a core")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
     chosen = parser.parse_args()
     # Workers must find the job and its line by the module's own name.
     import_module("gelgap.benchmarks.adaptation_search").run(

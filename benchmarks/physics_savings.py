@@ -5,7 +5,6 @@ waits for the 10,830 solves of the paper's path with nothing shared.
 """
 
 import math
-import os
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from time import perf_counter
 
 import numpy as np
 
-from gelgap.benchmarks.solve_jobs import Job, Outcome, solve_jobs
+from gelgap.benchmarks.solve_jobs import Job, Outcome, own_cache, solve_jobs
 from gelgap.benchmarks.tables import Point, print_table
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
@@ -152,9 +151,7 @@ def points(savings: Savings) -> list[Point]:
 
 def _paper_path(quality: str, processes: int, cache_folder: Path) -> tuple[SolvePlan, float, float, float]:
     path = ContactPath.preset("paper")
-    before = os.environ.get("GELGAP_CACHE")
-    os.environ["GELGAP_CACHE"] = str(cache_folder)
-    try:
+    with own_cache(cache_folder):
         started = perf_counter()
         plan = plan_solves(GEL, Sphere(), path, quality)
         solutions = _run(plan, processes)
@@ -164,11 +161,6 @@ def _paper_path(quality: str, processes: int, cache_folder: Path) -> tuple[Solve
             plan_solves(GEL.model_copy(update={"young_modulus_mpa": 0.2}), Sphere(), path, quality), processes
         )
         again_s = perf_counter() - started
-    finally:
-        if before is None:
-            del os.environ["GELGAP_CACHE"]
-        else:
-            os.environ["GELGAP_CACHE"] = before
     started = perf_counter()
     sample = range(1, len(plan.poses), max(1, len(plan.poses) // 200))
     for index in sample:

@@ -6,8 +6,9 @@ import resource
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
@@ -55,10 +56,18 @@ def solve_jobs(jobs: Sequence[Job], processes: int = 1) -> Iterator[Outcome]:
         yield from pool.map(_solve, jobs)
 
 
-@contextmanager
-def single_threaded() -> Iterator[None]:
+def single_threaded() -> AbstractContextManager[None]:
     """While entered, processes that are started run one thread each."""
-    values = dict.fromkeys(ONE_THREAD, "1")
+    return _environment(dict.fromkeys(ONE_THREAD, "1"))
+
+
+def own_cache(folder: Path) -> AbstractContextManager[None]:
+    """While entered, what is solved here and in processes that are started is kept in `folder`."""
+    return _environment({"GELGAP_CACHE": str(folder)})
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

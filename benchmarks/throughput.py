@@ -5,14 +5,14 @@ import os
 import resource
 import shutil
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gelgap.benchmarks.solve_jobs import own_cache
 from gelgap.benchmarks.stages import MIB, MemorySampler
 from gelgap.benchmarks.tables import print_table, write_json
 from gelgap.domains.dataset import LabelledFrames, open_domain
@@ -79,7 +79,7 @@ def run(quick: bool, out_dir: Path) -> None:
     log = RunLedger(folder / "unfinished.json", [preset, quality, package_versions()])
     if not log.found:
         shutil.rmtree(folder, ignore_errors=True)
-    with _own_cache(folder / "solves"):
+    with own_cache(folder / "solves"):
         if not log.found:
             print(f"planned:\n{estimate(recipes)}\n", flush=True)
         runs = [
@@ -192,19 +192,6 @@ class RunLedger:
 
     def close(self) -> None:
         self._path.unlink(missing_ok=True)
-
-
-@contextmanager
-def _own_cache(folder: Path) -> Iterator[None]:
-    before = os.environ.get("GELGAP_CACHE")
-    os.environ["GELGAP_CACHE"] = str(folder)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["GELGAP_CACHE"]
-        else:
-            os.environ["GELGAP_CACHE"] = before
 
 
 def _generation(
