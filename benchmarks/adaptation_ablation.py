@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation import ResultTable
 from gelgap.benchmarks.adaptation_jobs import Changes, Job, Line, run_missing, study_parser
+from gelgap.benchmarks.adaptation_tables import ResultTable
 
 RECORD = "ablation.jsonl"
 GROUPS = (("mb0i0", "wmb0i0"), ("wmb0i0", "wmb1i1"))

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation import ResultTable
 from gelgap.benchmarks.adaptation_jobs import Job, run_missing, study_parser
+from gelgap.benchmarks.adaptation_tables import ResultTable, spread
 from gelgap.benchmarks.tables import write_json
 
 if TYPE_CHECKING:
@@ -82,7 +82,13 @@ def cost_table(costs: Sequence[Cost]) -> ResultTable:
         order = " < ".join(sorted(names, key=mean.__getitem__))
         made = "–" if math.isnan(cost.generate_s) else f"{cost.generate_s:.0f}"
         rows.append(
-            [cost.variant, *(_spread(cost.errors_n[m]) for m in METHODS), order, made, f"{cost.train_s:.0f}"]
+            [
+                cost.variant,
+                *(spread(np.array(cost.errors_n[m])) for m in METHODS),
+                order,
+                made,
+                f"{cost.train_s:.0f}",
+            ]
         )
     return ResultTable(
         f"The same adaptation on cheaper data, {SOURCE} → {TARGET}, profile {PROFILE}: target MAE, N",
@@ -91,12 +97,6 @@ def cost_table(costs: Sequence[Cost]) -> ResultTable:
         f"{costs[0].frames // 2} frames a domain; ± standard deviation over seeds. Physics found in the cache "
         "makes the time of the data short. Fine physics is left out for its time.",
     )
-
-
-def _spread(errors: Sequence[float]) -> str:
-    if not errors:
-        return "–"
-    return f"{np.mean(errors):.3f}" + (f" ± {np.std(errors, ddof=1):.3f}" if len(errors) > 1 else "")
 
 
 def run(

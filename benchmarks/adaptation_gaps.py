@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation import ResultTable
 from gelgap.benchmarks.adaptation_jobs import Job, Line, run_missing, study_parser
+from gelgap.benchmarks.adaptation_tables import ResultTable
 from gelgap.benchmarks.tables import write_json
 
 if TYPE_CHECKING:

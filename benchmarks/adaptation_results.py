@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation import (
+from gelgap.benchmarks.adaptation_jobs import Line, read_lines
+from gelgap.benchmarks.adaptation_statistics import critical_difference, plot_critical_difference, ranks
+from gelgap.benchmarks.adaptation_tables import (
     GROUPS,
     PAPER_METHODS,
     GroupOracles,
     Results,
     ResultTable,
+    further_table,
     mean_of,
     over_groups,
     result_tables,
 )
-from gelgap.benchmarks.adaptation_jobs import read_lines
-from gelgap.benchmarks.adaptation_statistics import critical_difference, plot_critical_difference, ranks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,19 +54,36 @@ def write_oracles(folder: Path, oracles: dict[tuple[str, str], GroupOracles]) ->
 
 
 def load_results(folder: Path) -> Results:
-    """Read the finished runs of the benchmark's table; groups and methods without any run are left out.
+    """Read the finished runs of the paper's methods; groups and methods without any run are left out.
 
     Raises
     ------
     FileNotFoundError
         If there are no records.
     """
+    return _results(folder, [line for line in _lines(folder) if line.job.method in PAPER_METHODS])
+
+
+def load_further(folder: Path) -> Results:
+    """Read the finished runs of all methods, of the groups and seeds that methods beside the paper's were run on."""
+    lines = _lines(folder)
+    further = [line.job for line in lines if line.job.method not in PAPER_METHODS]
+    places = {(job.source, job.target, job.seed) for job in further}
+    return _results(
+        folder, [line for line in lines if (line.job.source, line.job.target, line.job.seed) in places]
+    )
+
+
+def _lines(folder: Path) -> list[Line]:
     if not is_benchmark(folder):
         raise FileNotFoundError(
             f"{folder} holds no records of the adaptation benchmark ({RUNS} and {ORACLES}); "
             "`gelgap benchmark adaptation` writes them"
         )
-    lines = [line for line in read_lines(folder / RUNS) if not line.job.changes]
+    return [line for line in read_lines(folder / RUNS) if not line.job.changes]
+
+
+def _results(folder: Path, lines: Sequence[Line]) -> Results:
     content = json.loads((folder / ORACLES).read_text(encoding="utf-8"))
     oracles = {tuple(name.split(" → ")): _oracles(found) for name, found in content.items()}
     groups = [g for g in oracles if any((line.job.source, line.job.target) == g for line in lines)]
@@ -85,6 +103,8 @@ def benchmark_tables(folder: Path) -> list[ResultTable]:
     from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps, adaptation_search
 
     tables = result_tables(load_results(folder))
+    if (further := load_further(folder)).lines:
+        tables.append(further_table(further))
     if search := read_lines(folder / adaptation_search.RECORD, adaptation_search.SearchLine):
         tables += adaptation_search.search_tables(search)
     if ablation := read_lines(folder / adaptation_ablation.RECORD):
@@ -125,15 +145,13 @@ def prediction_figures(folder: Path) -> list[NamedFigure]:
     from gelgap.adapt.figures import feature_tsne, force_scatter
     from gelgap.adapt.runs import load_predictions, load_run
 
+    keys = {line.key for line in _lines(folder)}
     figures = []
     for source, target in SHOWN_GROUPS:
         arrays = {}
         for method in SHOWN_METHODS:
-            found = sorted(folder.glob(f"{source}-{target}-{method}-*/run.json"))
-            runs = [
-                run for run in (load_run(path.parent) for path in found) if run.profile["name"] == folder.name
-            ]
-            if runs:
+            found = [load_run(path.parent) for path in folder.glob(f"{source}-{target}-{method}-*/run.json")]
+            if runs := [run for run in found if run.key in keys]:
                 arrays[method] = load_predictions(min(runs, key=lambda run: run.seed))
         if not arrays:
             continue

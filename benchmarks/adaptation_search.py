@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation import ResultTable
 from gelgap.benchmarks.adaptation_jobs import Job, run_missing, study_parser
+from gelgap.benchmarks.adaptation_tables import ResultTable
 
 WEIGHTS = (0.0003, 0.003, 0.03, 0.3, 3.0)
 """The grid of transfer weights, the same for every method."""
@@ -110,13 +110,15 @@ class Choice:
     regret_n: float
 
 
-def choices(lines: Sequence[SearchLine], default_weight: float) -> list[Choice]:
+def choices(lines: Sequence[SearchLine]) -> list[Choice]:
     """Return what each rule chooses among all weights and epochs of one group, method and seed.
 
-    Rules: the target's labels (the oracle), the last epoch of the default weight, the last epoch of the weight that
+    Rules: the target's labels (the oracle), the last epoch of the profile's weight, the last epoch of the weight that
     reverse validation likes best there (how the profiles' weights were found), and each selector among all candidates.
     A run that collapsed counts with the epochs before.
     """
+    from gelgap.adapt.methods.registry import transfer_weight
+    from gelgap.adapt.profile import Profile
     from gelgap.adapt.selection import SELECTORS, best_of
 
     pool = [
@@ -133,8 +135,9 @@ def choices(lines: Sequence[SearchLine], default_weight: float) -> list[Choice]:
 
     last = max(candidate[1] for candidate in pool)
     found = [choice("target labels (oracle)", int(error.argmin()))]
-    default = [i for i, c in enumerate(pool) if c[0] == default_weight and c[1] == last]
-    found += [choice("last epoch, default weight", default[0])] if default else []
+    own_weight = transfer_weight(lines[0].job.method, Profile.preset(lines[0].profile))
+    default = [i for i, c in enumerate(pool) if c[0] == own_weight and c[1] == last]
+    found += [choice("last epoch, profile's weight", default[0])] if default else []
     ended = [i for i, c in enumerate(pool) if c[1] == last]
     rule = "reverse validation"
     found.append(
@@ -179,13 +182,13 @@ def weight_rows(lines: Sequence[SearchLine]) -> tuple[list[str], list[list[objec
     return ["method", *(f"λ_t = {weight:g}" for weight in WEIGHTS)], rows
 
 
-def regret_rows(lines: Sequence[SearchLine], default_weight: float) -> tuple[list[str], list[list[object]]]:
+def regret_rows(lines: Sequence[SearchLine]) -> tuple[list[str], list[list[object]]]:
     """Return header and rows: each rule's mean regret by method over groups and seeds, its mean and its worst."""
     by_rule: dict[str, dict[str, list[float]]] = {}
     methods = list(dict.fromkeys(line.job.method for line in lines))
     for (_, _, method, _), own in grids(lines).items():
         if any(line.epochs for line in own):
-            for found in choices(own, default_weight):
+            for found in choices(own):
                 by_rule.setdefault(found.rule, {}).setdefault(method, []).append(found.regret_n)
 
     def row(rule: str) -> list[object]:
@@ -197,8 +200,8 @@ def regret_rows(lines: Sequence[SearchLine], default_weight: float) -> tuple[lis
     return ["chosen by", *methods, "mean", "worst"], [row(rule) for rule in by_rule]
 
 
-def search_tables(lines: Sequence[SearchLine], default_weight: float = 0.003) -> list[ResultTable]:
-    """Return errors by weight and the regret of every rule; the default is the profile's weight."""
+def search_tables(lines: Sequence[SearchLine]) -> list[ResultTable]:
+    """Return errors by weight and the regret of every rule."""
     groups = dict.fromkeys(f"{line.job.source} → {line.job.target}" for line in lines)
     where = f"{', '.join(groups)}; {len({line.job.seed for line in lines})} seed(s)."
     return [
@@ -207,7 +210,7 @@ def search_tables(lines: Sequence[SearchLine], default_weight: float = 0.003) ->
         ),
         ResultTable(
             "Regret of choosing weight and epoch without target labels, N",
-            *regret_rows(lines, default_weight),
+            *regret_rows(lines),
             f"Error of the choice less that of the best among {len(WEIGHTS)} weights and all epochs; mean over {where}",
         ),
     ]

@@ -7,6 +7,12 @@ from typing import Annotated, Literal
 
 import tyro
 
+PARTS = {
+    "stability": ("physics", "render", "losses"),
+    "adaptation": ("speed", "groups", "methods", "search", "ablation", "gaps", "cost"),
+}
+"""The parts of the subjects that have any."""
+
 
 @dataclass(frozen=True)
 class Benchmark:
@@ -19,8 +25,9 @@ class Benchmark:
         Literal["physics", "render", "stability", "throughput", "faults", "adaptation"]
     ]
     """What to measure."""
-    what: Literal["physics", "render", "losses"] = "physics"
-    """Which room `stability` stresses."""
+    what: Literal[*PARTS["stability"], *PARTS["adaptation"]] | None = None
+    """One part: the room that `stability` stresses (default: physics), or of `adaptation` speed, groups, methods,
+    search, ablation, gaps or cost (default: all)."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """A form that takes under two minutes."""
     out: Path = Path("benchmark-results")
@@ -28,5 +35,14 @@ class Benchmark:
 
     def run(self, started: float) -> None:
         """Run the benchmark's module."""
-        name = f"stability_{self.what}" if self.subject == "stability" else self.subject
+        known = PARTS.get(self.subject, ())
+        if self.what not in (None, *known):
+            has = f"its parts are {', '.join(known)}" if known else "it has no parts"
+            raise ValueError(f"--what {self.what} is no part of benchmark {self.subject}; {has}")
+        if self.subject == "adaptation":
+            from gelgap.benchmarks.adaptation import run
+
+            run(self.quick, self.out, (self.what,) if self.what else known)
+            return
+        name = f"stability_{self.what or 'physics'}" if self.subject == "stability" else self.subject
         import_module(f"gelgap.benchmarks.{name}").run(quick=self.quick, out_dir=self.out)

@@ -7,18 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.adaptation import (
-    GROUPS,
-    PAPER_MAE_N,
-    GroupOracles,
-    Results,
-    check_table,
-    closed_table,
-    group_table,
-    jobs_of,
-    result_tables,
-    summary_table,
-)
+from gelgap.benchmarks import adaptation
+from gelgap.benchmarks.adaptation import FURTHER_GROUPS, jobs_of
 from gelgap.benchmarks.adaptation_jobs import (
     Job,
     Line,
@@ -27,6 +17,7 @@ from gelgap.benchmarks.adaptation_jobs import (
     read_lines,
     run_missing,
 )
+from gelgap.benchmarks.adaptation_results import load_further, load_results, write_oracles
 from gelgap.benchmarks.adaptation_search import (
     WEIGHTS,
     SearchLine,
@@ -42,6 +33,19 @@ from gelgap.benchmarks.adaptation_statistics import (
     plot_critical_difference,
     ranks,
 )
+from gelgap.benchmarks.adaptation_tables import (
+    GROUPS,
+    PAPER_MAE_N,
+    GroupOracles,
+    Results,
+    check_table,
+    closed_table,
+    further_table,
+    group_table,
+    result_tables,
+    summary_table,
+)
+from gelgap.cli.benchmark import PARTS
 
 ORACLES = {group: GroupOracles((0.01,) * 3, (0.02,) * 3) for group in GROUPS}
 
@@ -154,6 +158,42 @@ def test_methods_are_compared_on_what_all_have_finished():
     assert "17 of 18" in group_table(partial).note
 
 
+def test_further_methods_do_not_shrink_the_papers_table(tmp_path):
+    paper = {"source-only": 0.3, "dsan": 0.15, "supervised": 0.05}
+    for one in results(paper).lines:
+        append_line(tmp_path / "runs.jsonl", one)
+    for group in FURTHER_GROUPS:
+        append_line(tmp_path / "runs.jsonl", line(*group, "jan", 0.12))
+    write_oracles(tmp_path, ORACLES)
+    table, everything = load_results(tmp_path), load_further(tmp_path)
+    assert table.methods == list(paper)
+    assert table.common.sum() == 18
+    assert everything.common.shape == (3, 1)
+    assert everything.common.all()
+    rows = {row[0]: row for row in further_table(everything).rows}
+    assert rows["jan"][1:6] == ["0.120", "0.120", "0.120", "0.120", "-60 %"]
+    assert "3 of 3" in further_table(everything).note
+
+
+def test_every_part_is_reached_by_its_name(monkeypatch, tmp_path):
+    reached = []
+    monkeypatch.setattr("gelgap.benchmarks.adaptation._data", lambda out: tmp_path / "data")
+    for part, function in {
+        "speed": "adaptation_speed.print_speed",
+        "groups": "adaptation.run_groups",
+        "methods": "adaptation.run_further",
+        "search": "adaptation_search.run",
+        "ablation": "adaptation_ablation.run",
+        "gaps": "adaptation_gaps.run",
+        "cost": "adaptation_cost.run",
+    }.items():
+        monkeypatch.setattr(f"gelgap.benchmarks.{function}", lambda *_, part=part: reached.append(part))
+    adaptation.run(False, tmp_path, PARTS["adaptation"])
+    assert tuple(reached) == PARTS["adaptation"]
+    adaptation.run(True, tmp_path, PARTS["adaptation"])
+    assert reached[len(PARTS["adaptation"]) :] == ["speed", "groups"]
+
+
 def test_a_group_with_a_bad_pose_oracle_is_marked():
     found = results({"source-only": 0.3})
     oracles = {**ORACLES, GROUPS[1]: GroupOracles((0.1, 0.1, 0.2), (0.1,) * 3)}
@@ -220,14 +260,14 @@ def test_choices_over_weights_and_epochs():
         search_line(0.3, (0.5, 0.6), (0.1, 0.1), alarms=(True, True)),
         SearchLine(Job("a", "b", "dsan", 0, (("transfer_weight", 3.0),)), "cpu", problem="collapsed"),
     ]
-    found = {choice.rule: choice for choice in choices(lines, 0.003)}
+    found = {choice.rule: choice for choice in choices(lines)}
     assert found["target labels (oracle)"].error_n == 0.1
-    assert found["last epoch, default weight"].regret_n == pytest.approx(0.15)
+    assert found["last epoch, profile's weight"].regret_n == pytest.approx(0.15)
     assert (found["IWCV"].weight, found["IWCV"].epoch) == (0.03, 4)
     header, rows = weight_rows(lines)
     assert header[1:] == [f"λ_t = {weight:g}" for weight in WEIGHTS]
     assert rows[0][1:] == ["–", "0.250", "0.100", "0.600", "(1 of 1 collapsed)"]
-    header, rows = regret_rows(lines, 0.003)
+    header, rows = regret_rows(lines)
     assert {row[0]: row[-1] for row in rows}["DEV"] == "0.000"
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps
-from gelgap.benchmarks.adaptation import GROUPS, GroupOracles
 from gelgap.benchmarks.adaptation_gaps import Cell, Gap, GapResults, design, effects
 from gelgap.benchmarks.adaptation_jobs import Job, Line, append_line
 from gelgap.benchmarks.adaptation_results import is_benchmark, write_benchmark_report, write_oracles
+from gelgap.benchmarks.adaptation_tables import GROUPS, GroupOracles
 from gelgap.benchmarks.tables import write_json
 
 
