@@ -15,7 +15,7 @@ from gelgap.benchmarks.adaptation_results import (
 )
 from gelgap.benchmarks.adaptation_tables import (
     GROUPS,
-    PAPER_METHODS,
+    TABLE_METHODS,
     GroupOracles,
     further_table,
     result_tables,
@@ -125,7 +125,7 @@ def run_groups(
 ) -> None:
     """Do the missing runs of the paper's methods, with the profile that `out` is named after; print all tables."""
     write_oracles(out, group_oracles(data, groups))
-    run_missing(data, out, out.name, jobs_of(groups, PAPER_METHODS, seeds), workers=workers, minutes=minutes)
+    run_missing(data, out, out.name, jobs_of(groups, TABLE_METHODS, seeds), workers=workers, minutes=minutes)
     if (out / RUNS).is_file():
         for table in result_tables(load_results(out)):
             table.show()
@@ -139,7 +139,7 @@ def run_further(
     minutes: float = math.inf,
 ) -> None:
     """Do the missing runs of all methods on three groups; print their table."""
-    jobs = jobs_of(FURTHER_GROUPS, (*PAPER_METHODS, *FURTHER_METHODS), seeds)
+    jobs = jobs_of(FURTHER_GROUPS, (*TABLE_METHODS, *FURTHER_METHODS), seeds)
     write_oracles(out, group_oracles(data, GROUPS))
     run_missing(data, out, out.name, jobs, workers=workers, minutes=minutes)
     further_table(load_further(out)).show()

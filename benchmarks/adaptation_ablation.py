@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.benchmarks.adaptation_jobs import Changes, Job, Line, run_missing, study_parser
-from gelgap.benchmarks.adaptation_tables import ResultTable
+from gelgap.benchmarks.adaptation_tables import ResultTable, spread
 
 RECORD = "ablation.jsonl"
 GROUPS = (("mb0i0", "wmb0i0"), ("wmb0i0", "wmb1i1"))
@@ -38,8 +38,9 @@ def variations() -> tuple[Variation, ...]:
 
     return (
         dsan("DSAN as in the profile"),
-        Variation("AdaBN: no transfer loss", "adabn"),
-        *each("mixed colours", colour_mixing=0.5),
+        Variation("no transfer loss", "no-transfer"),
+        Variation("no stage 2 (AdaBN)", "adabn"),
+        *each("no mixed colours (the paper)", colour_mixing=0.0),
         Variation("classes: groups of depth and direction", "dsan-coarse"),
         Variation("classes: soft, by force", "dsan-soft"),
         Variation("classes: none (MK-MMD)", "dan"),
@@ -79,7 +80,9 @@ def ablation_table(lines: Sequence[Line], groups: Sequence[tuple[str, str]]) -> 
             ]
             row += _cells(own)
         rows.append(row)
-    return ResultTable("What decides", header, rows, f"{len({line.job.seed for line in lines})} seed(s).")
+    return ResultTable(
+        "What decides", header, rows, "± standard deviation over seeds, where there are several."
+    )
 
 
 def _cells(own: Sequence[Line]) -> list[str]:
@@ -90,7 +93,8 @@ def _cells(own: Sequence[Line]) -> list[str]:
         return ["collapsed", "–"]
     r2 = np.mean([line.r2 for line in good], axis=0)
     lost = f" ({len(own) - len(good)} of {len(own)} collapsed)" if len(good) < len(own) else ""
-    return [f"{np.mean([line.mean_mae_n for line in good]):.3f}{lost}", ", ".join(f"{x:.2f}" for x in r2)]
+    error = spread(np.array([line.mean_mae_n for line in good]))
+    return [error + lost, ", ".join(f"{x:.2f}" for x in r2)]
 
 
 def run(

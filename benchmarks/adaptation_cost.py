@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gelgap.domains.recipe import DomainRecipe
 
 SOURCE, TARGET = "mb0i0", "wmb1i1"
-METHODS = ("source-only", "adabn", "daregram", "dsan", "supervised")
+METHODS = ("source-only", "adabn", "no-transfer", "daregram", "dsan", "supervised")
 RESULTS = "cost.json"
 
 PATH = PROFILE = "smoke"

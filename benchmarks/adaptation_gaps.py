@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 BASE = "mb0i0"
 PATH = PROFILE = "smoke"
-METHODS = ("source-only", "adabn", "dsan", "daregram")
+METHODS = ("source-only", "adabn", "no-transfer", "dsan", "daregram")
 RESULTS = "gaps.json"
 
 ONE_AT_A_TIME = {

@@ -12,7 +12,7 @@ from gelgap.benchmarks.adaptation_jobs import Line, read_lines
 from gelgap.benchmarks.adaptation_statistics import critical_difference, plot_critical_difference, ranks
 from gelgap.benchmarks.adaptation_tables import (
     GROUPS,
-    PAPER_METHODS,
+    TABLE_METHODS,
     GroupOracles,
     Results,
     ResultTable,
@@ -61,13 +61,13 @@ def load_results(folder: Path) -> Results:
     FileNotFoundError
         If there are no records.
     """
-    return _results(folder, [line for line in _lines(folder) if line.job.method in PAPER_METHODS])
+    return _results(folder, [line for line in _lines(folder) if line.job.method in TABLE_METHODS])
 
 
 def load_further(folder: Path) -> Results:
     """Read the finished runs of all methods, of the groups and seeds that methods beside the paper's were run on."""
     lines = _lines(folder)
-    further = [line.job for line in lines if line.job.method not in PAPER_METHODS]
+    further = [line.job for line in lines if line.job.method not in TABLE_METHODS]
     places = {(job.source, job.target, job.seed) for job in further}
     return _results(
         folder, [line for line in lines if (line.job.source, line.job.target, line.job.seed) in places]
@@ -88,7 +88,7 @@ def _results(folder: Path, lines: Sequence[Line]) -> Results:
     oracles = {tuple(name.split(" → ")): _oracles(found) for name, found in content.items()}
     groups = [g for g in oracles if any((line.job.source, line.job.target) == g for line in lines)]
     groups.sort(key=lambda group: GROUPS.index(group) if group in GROUPS else len(GROUPS))
-    known = [m for m in PAPER_METHODS if any(line.job.method == m for line in lines)]
+    known = [m for m in TABLE_METHODS if any(line.job.method == m for line in lines)]
     methods = [*known, *dict.fromkeys(ln.job.method for ln in lines if ln.job.method not in known)]
     seeds = sorted({line.job.seed for line in lines})
     return Results(lines, groups, methods, seeds, {group: oracles[group] for group in groups})

@@ -39,7 +39,8 @@ PAPER_MAE_N = {
 }
 """The paper's mean MAE in N, in the order of `GROUPS`."""
 
-PAPER_METHODS = ("source-only", "adabn", "dann", "daregram", "dsan", "supervised")
+TABLE_METHODS = ("source-only", "adabn", "no-transfer", "dann", "daregram", "dsan", "supervised")
+"""The paper's methods, and the controls and the ceiling beside them."""
 MINUTES_A_SEED = 30.0
 LEAST_R2 = (0.8, 0.8, 0.9)
 """What supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
@@ -162,7 +163,7 @@ def result_tables(results: Results) -> list[ResultTable]:
 
 
 def spread(values: np.ndarray) -> str:
-    """Return mean ± standard deviation over seeds; how many collapsed, if any did."""
+    """Return mean ± standard deviation over seeds; how many are NaN (not run, or collapsed), if any are."""
     lost = int(np.isnan(values).sum())
     good = values[~np.isnan(values)]
     if not len(good):

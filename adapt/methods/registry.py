@@ -9,6 +9,7 @@ METHODS = {
     "constant-mean": "constant_mean.ConstantMean",
     "source-only": "source_only.SourceOnly",
     "adabn": "adabn.AdaBN",
+    "no-transfer": "no_transfer.NoTransfer",
     "coral": "coral.DeepCORAL",
     "dan": "dan.DAN",
     "jan": "jan.JAN",

@@ -51,6 +51,16 @@ def test_adaptation_is_deterministic(stage1, source, target, method):
     assert changed == (method != "source-only")
 
 
+def test_no_transfer_takes_only_normalisation_from_the_target(stage1, source, target):
+    profile = stage1.profile.replace(batch_statistics="per_domain")
+    other = replace(target, images=target.images[::-1].copy() // 2)
+    first, second = (adapt(stage1, source, t, "no-transfer", profile) for t in (target, other))
+    for (name, one), two in zip(first.network.named_parameters(), second.network.parameters(), strict=True):
+        torch.testing.assert_close(one, two, rtol=0, atol=0, msg=name)
+    assert np.abs(first.predict_n(target) - second.predict_n(target)).max() > 1e-3
+    assert np.abs(weights(first) - weights(stage1)).max() > 1e-3
+
+
 @pytest.mark.parametrize("statistics", ["joint", "per_domain"])
 def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, target, statistics):
     profile = stage1.profile.replace(batch_statistics=statistics)
