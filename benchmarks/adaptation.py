@@ -63,12 +63,17 @@ def run(quick: bool, out_dir: Path, parts: Sequence[str]) -> None:
 
 def _run_part(name: str, out: Path) -> None:
     """Run one part with the profile that `out` is named after."""
-    from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps, adaptation_search
-    from gelgap.benchmarks.adaptation_speed import print_speed
+    from gelgap.benchmarks import (
+        adaptation_ablation,
+        adaptation_cost,
+        adaptation_gaps,
+        adaptation_search,
+        adaptation_speed,
+    )
 
     match name:
         case "speed":
-            print_speed(out.name)
+            adaptation_speed.run(out)
         case "groups" if out.name == "smoke":
             run_groups(_data(out), out, GROUPS[6:7], SEEDS[:1])
         case "groups":

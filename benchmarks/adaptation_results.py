@@ -100,7 +100,13 @@ def _oracles(content: dict) -> GroupOracles:
 
 def benchmark_tables(folder: Path) -> list[ResultTable]:
     """Return the tables of all parts of the benchmark that were run."""
-    from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps, adaptation_search
+    from gelgap.benchmarks import (
+        adaptation_ablation,
+        adaptation_cost,
+        adaptation_gaps,
+        adaptation_search,
+        adaptation_speed,
+    )
 
     tables = result_tables(load_results(folder))
     if (further := load_further(folder)).lines:
@@ -116,6 +122,9 @@ def benchmark_tables(folder: Path) -> list[ResultTable]:
     cost = folder / "cost" / adaptation_cost.RESULTS
     if cost.is_file():
         tables.append(adaptation_cost.cost_table(adaptation_cost.load_costs(cost)))
+    speed = folder / adaptation_speed.RESULTS
+    if speed.is_file():
+        tables.append(adaptation_speed.speed_table(adaptation_speed.load_speeds(speed)))
     return tables
 
 

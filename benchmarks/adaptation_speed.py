@@ -1,22 +1,28 @@
 """Training speed: steps a second against a plain PyTorch loop, waiting for data, cost of each loss."""
 
+import json
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.tables import print_table
+from gelgap.benchmarks.adaptation_tables import ResultTable
+from gelgap.benchmarks.tables import write_json
 
-METHODS = ("dsan", "dann", "daregram", "coral", "dan", "rsd")
+METHODS = ("no-transfer", "dsan", "dann", "daregram", "coral", "dan", "rsd")
+RESULTS = "speed.json"
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Median time of a step and the share of it spent on making batches."""
+    """Median time of a step, the share of it spent on making batches, and the processor time over a plain loop's."""
 
     name: str
     step_ms: float
-    wait_share: float
+    wait_share: float | None = None
+    overhead: float | None = None
 
 
 def random_frames(n: int, profile):
@@ -64,23 +70,25 @@ def plain_loop_ms(frames, profile, epochs: int) -> float:
 
 
 def measure(profile, n: int = 256, epochs: int = 3) -> list[Speed]:
-    """Return speeds of stage 1 and of stage 2 with each method; epochs repeat the measurement."""
+    """Return speeds of a plain loop, of stage 1 and of stage 2 with each method; epochs repeat the measurement."""
     from gelgap.adapt.training import adapt, train_source
 
     frames = random_frames(n, profile)
     short = profile.replace(source_epochs=epochs, adapt_epochs=epochs, transfer_warmup=0.0, transfer_ramp=0.0)
-    model = train_source(frames, short)
+    plain = short.replace(colour_mixing=0.0)
 
-    def speed(name: str, history) -> Speed:
+    def speed(name: str, history, over: float | None = None) -> Speed:
         steps = n // profile.batch_size
         times = [record["wall_s"] / steps for record in history]
         waits = [record["wait_s"] / record["wall_s"] for record in history]
-        return Speed(name, 1e3 * float(np.median(times)), float(np.median(waits)))
+        return Speed(name, 1e3 * float(np.median(times)), float(np.median(waits)), over)
 
-    speeds = [speed("stage 1", model.history)]
+    speeds = [Speed("plain PyTorch, source regression", plain_loop_ms(frames, profile, epochs))]
+    speeds.append(speed("stage 1", train_source(frames, plain).history, overhead(plain)))
+    model = train_source(frames, short)
+    if profile.colour_mixing:
+        speeds.append(speed("stage 1, mixed colours", model.history))
     target = replace(frames, name="noise 2")
-    without = adapt(model, frames, target, "supervised", short)
-    speeds.append(speed("stage 2, two regressions", without.history[epochs:]))
     for method in METHODS:
         adapted = adapt(model, frames, target, method, short.replace(transfer_weight=1e-6))
         speeds.append(speed(f"stage 2, {method}", adapted.history[epochs:]))
@@ -105,31 +113,37 @@ def overhead(profile, repeats: int = 3) -> float:
     return float(np.median(ratios))
 
 
-def print_speed(profile_name: str) -> None:
-    """Measure and print one profile."""
+def speed_table(speeds: Sequence[Speed]) -> ResultTable:
+    """Steps a second of every loop; stage 2 against the one without a transfer loss."""
+    base = next(s.step_ms for s in speeds if s.name == f"stage 2, {METHODS[0]}")
+    rows = [
+        [
+            s.name,
+            f"{s.step_ms:.1f}",
+            f"{1e3 / s.step_ms:.1f}",
+            "–" if s.overhead is None else f"{100 * s.overhead:+.1f} %",
+            f"{100 * (s.step_ms / base - 1):+.1f} %" if s.name.startswith("stage 2") else "–",
+            "–" if s.wait_share is None else f"{100 * s.wait_share:.1f} %",
+        ]
+        for s in speeds
+    ]
+    return ResultTable(
+        "Training speed, one thread",
+        ["loop", "ms a step", "steps/s", "over the plain loop", "over no-transfer", "waiting for data"],
+        rows,
+        "Medians over epochs of 256 frames of noise; stage 1 over the plain loop in processor time.",
+    )
+
+
+def load_speeds(path: Path) -> list[Speed]:
+    """Read what `run` wrote."""
+    return [Speed(**content) for content in json.loads(path.read_text(encoding="utf-8"))]
+
+
+def run(out: Path) -> None:
+    """Measure the profile that `out` is named after, write `speed.json`, print the table."""
     from gelgap.adapt.profile import Profile
 
-    profile = Profile.preset(profile_name)
-    frames = random_frames(256, profile)
-    speeds = measure(profile)
-    plain = plain_loop_ms(frames, profile, 3)
-    base = speeds[1].step_ms
-    print_table(
-        f"Training speed, profile {profile_name}, batch {profile.batch_size}, one thread",
-        ["loop", "ms a step", "steps/s", "against plain loop", "over two regressions", "waiting for data"],
-        [
-            ["plain PyTorch, source regression", plain, 1e3 / plain, None, None, None],
-            *(
-                [
-                    s.name,
-                    s.step_ms,
-                    1e3 / s.step_ms,
-                    f"{100 * overhead(profile):+.1f} %" if i == 0 else None,
-                    f"{100 * (s.step_ms / base - 1):+.1f} %" if i > 1 else None,
-                    f"{100 * s.wait_share:.1f} %",
-                ]
-                for i, s in enumerate(speeds)
-            ),
-        ],
-        note="medians over three epochs of 256 frames; stage 1 against the plain loop in processor time",
-    )
+    speeds = measure(Profile.preset(out.name))
+    write_json(out / RESULTS, [asdict(speed) for speed in speeds])
+    speed_table(speeds).show()

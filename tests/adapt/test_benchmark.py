@@ -179,7 +179,7 @@ def test_every_part_is_reached_by_its_name(monkeypatch, tmp_path):
     reached = []
     monkeypatch.setattr("gelgap.benchmarks.adaptation._data", lambda out: tmp_path / "data")
     for part, function in {
-        "speed": "adaptation_speed.print_speed",
+        "speed": "adaptation_speed.run",
         "groups": "adaptation.run_groups",
         "methods": "adaptation.run_further",
         "search": "adaptation_search.run",

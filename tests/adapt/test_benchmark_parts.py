@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps
+from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps, adaptation_speed
 from gelgap.benchmarks.adaptation_gaps import Cell, Gap, GapResults, design, effects
 from gelgap.benchmarks.adaptation_jobs import Job, Line, append_line
 from gelgap.benchmarks.adaptation_results import is_benchmark, write_benchmark_report, write_oracles
@@ -95,6 +95,8 @@ def test_report_of_all_parts(tmp_path):
     errors = {method: [0.2, 0.3] for method in adaptation_cost.METHODS}
     costs = [adaptation_cost.Cost("standard", 200, 1.0, 8, errors, 60.0)]
     write_json(folder / "cost" / adaptation_cost.RESULTS, [asdict(cost) for cost in costs])
+    loops = [adaptation_speed.Speed(name, 40.0, 0.01, 0.02) for name in ("stage 1", "stage 2, no-transfer")]
+    write_json(folder / adaptation_speed.RESULTS, [asdict(speed) for speed in loops])
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 4
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
@@ -104,6 +106,7 @@ def test_report_of_all_parts(tmp_path):
         "collapsed",
         "![Mean ranks",
         "pose oracle",
+        "25.0 | +2.0 %",
     ):
         assert expected in text
     latex = Path(tmp_path / "out" / "adaptation.tex").read_text(encoding="utf-8")
