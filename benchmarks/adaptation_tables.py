@@ -152,7 +152,13 @@ def _share(error_n: float, width_n: float) -> str:
 
 def result_tables(results: Results) -> list[ResultTable]:
     """Return all tables about the groups."""
-    tables = [check_table(results), group_table(results), axis_table(results), oracle_table(results)]
+    tables = [
+        check_table(results),
+        group_table(results),
+        axis_table(results),
+        shear_table(results),
+        oracle_table(results),
+    ]
     if {"source-only", "supervised"} <= set(results.methods):
         tables.append(closed_table(results))
     if "source-only" in results.methods:
@@ -233,6 +239,21 @@ def axis_table(results: Results) -> ResultTable:
         "Per axis, mean over groups and seeds: MAE in N (% of the range) and R²",
         ["method", "Fx", "Fy", "Fz", "R² x", "R² y", "R² z"],
         rows,
+    )
+
+
+def shear_table(results: Results) -> ResultTable:
+    """Whether shear is read at all: R² of Fx and Fy by group."""
+    r2 = mean_of(results.values(lambda line: (line.r2[0] + line.r2[1]) / 2), axis=2)
+    rows = [
+        [" → ".join(group), *(number(value, ".2f") for value in r2[:, i])]
+        for i, group in enumerate(results.groups)
+    ]
+    return ResultTable(
+        "Shear: R² on the target, mean of Fx and Fy",
+        ["group", *results.methods],
+        rows,
+        "Mean over the seeds that a method has. At 0 or below a method is no better than the target's constant mean.",
     )
 
 

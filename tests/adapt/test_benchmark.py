@@ -43,6 +43,7 @@ from gelgap.benchmarks.adaptation_tables import (
     further_table,
     group_table,
     result_tables,
+    shear_table,
     summary_table,
 )
 from gelgap.cli.benchmark import PARTS
@@ -144,7 +145,10 @@ def test_tables_know_what_is_missing_or_collapsed():
     table = group_table(replace(found, lines=collapsed))
     assert table.rows[0][3] == "0.150 (1 missing)"
     assert table.rows[1][3] == "0.155 ± 0.007"
-    assert len(result_tables(replace(found, lines=collapsed))) == 8
+    titles = [table.title for table in result_tables(replace(found, lines=collapsed))]
+    assert len(titles) == len(set(titles)) == 9
+    shear = {row[0]: row[1:] for row in shear_table(found).rows}
+    assert shear["mb0i0 → wmb0i0"] == ["0.85", "0.85", "0.85"]
 
 
 def test_methods_are_compared_on_what_all_have_finished():
