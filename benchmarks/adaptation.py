@@ -27,7 +27,6 @@ FURTHER_METHODS = (
     "dan",
     "jan",
     "rsd",
-    "daregram-published",
     "daregram-tikhonov",
     "dsan-coarse",
     "dsan-soft",
