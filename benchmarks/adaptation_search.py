@@ -18,8 +18,9 @@ RECORD = "search.jsonl"
 EVERY = 2
 """Candidates are taken after every second epoch."""
 
-SEARCH_METHODS = ("dann", "daregram", "dsan", "coral", "dan")
-SEARCH_GROUPS = (("mb0i0", "wmb1i1"), ("wmb1i1", "wmb0i0"))
+SEARCH_METHODS = ("dann", "daregram", "dsan")
+"""The methods of the main table that have a weight."""
+SEARCH_GROUPS = (("mb0i0", "wmb1i1"),)
 
 
 @dataclass(frozen=True)
