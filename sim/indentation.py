@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.audit import audit_contact
+from gelgap.sim.extrapolation import GeometricSeries
 from gelgap.sim.gel_model import GelModel, build_gel_model
 from gelgap.sim.membrane import Diagnostics
 from gelgap.sim.mesh import ordered_for_elimination
@@ -21,12 +22,12 @@ _LARGEST_ERROR = 1e-2
 _LARGEST_COULOMB_ERROR = 5e-4
 _NEGLIGIBLE = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
-# A settled node that carries force lies on the sphere to this, mm; one still further off after so many iterations
-# has left it.
+# A settled node that carries force lies on the sphere to this, mm.
 _AFLOAT_MM = 2e-3
-_RELEASE_AFTER = 20
-# A node hangs above the ball if an iteration brings it down by less than this factor.
-_SINKING = 0.7
+# Iterations are extrapolated by at most this share of the sphere's radius.
+_FURTHEST = 0.02
+# A contact has snapped if in one load step a node slides so many times as far as the indenter goes.
+_SNAP = 1.6
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,7 @@ class _State:
     command: NDArray[np.float64]
     touching: NDArray[np.bool_]
     slipped_mm: NDArray[np.float64]
+    snapped: bool
 
 
 class _Indentation:
@@ -115,10 +117,12 @@ class _Indentation:
         self._sides = 2.0 if gel.mesh.half else 1.0
         self._touching = np.zeros(gel.model.ngeom, dtype=bool)
         self._slipped_mm = np.zeros(gel.model.ngeom)
-        self._released = np.zeros(gel.model.ngeom, dtype=bool)
-        self._kept = np.zeros(gel.model.ngeom, dtype=bool)
         self._pressed = np.zeros(gel.model.ngeom, dtype=bool)
-        self._height_mm = np.zeros(gel.model.ngeom)
+        self._held = np.zeros(gel.model.ngeom, dtype=bool)
+        self._anchor_mm = np.zeros((gel.model.ngeom, 3))
+        self._snapped = False
+        # MuJoCo adds each contact's surface velocity to its friction rows only if some geom seems to have one.
+        gel.model.flg_surfacevel = True
 
     def state(self) -> _State:
         """Return a copy of the present state, to come back to."""
@@ -129,6 +133,7 @@ class _Indentation:
             self._command.copy(),
             self._touching.copy(),
             self._slipped_mm.copy(),
+            self._snapped,
         )
 
     def return_to(self, state: _State) -> None:
@@ -137,7 +142,9 @@ class _Indentation:
         self._data.qacc_warmstart[:] = state.qacc_warmstart
         self._command = state.command.copy()
         self._touching = state.touching.copy()
+        self._pressed = state.touching.copy()
         self._slipped_mm = state.slipped_mm.copy()
+        self._snapped = state.snapped
 
     def move_to(self, target: NDArray[np.float64]) -> Record:
         """Lead the indenter to `target` in load steps along a straight line, and record the equilibrium there."""
@@ -164,13 +171,17 @@ class _Indentation:
         way, self._command = command - self._command, command
         tolerance = quality.shear_tolerance if way[:2].any() else quality.press_tolerance
         compliant = self._problem.mount_stiffness_n_per_mm is not None
+        start = np.array(data.qpos)
+        furthest_mm = _FURTHEST * self._problem.sphere_radius_mm
+        travel_mm = float(np.linalg.norm(way))
         if compliant:
             gel.model.qpos_spring[gel.ball_qpos] = command
             way = np.zeros(3)
-        start = np.array(data.qpos)
-        self._released[:] = self._kept[:] = False
-        force = np.full(3, np.inf)
+        self._held[:] = False
+        force, series = np.full(3, np.inf), GeometricSeries()
         for iteration in range(quality.max_iterations):
+            if iteration > 0:
+                data.qpos[:] += series.remainder(data.qvel, self._contact_dofs(), furthest_mm) * data.qvel
             data.qvel[:] = 0
             data.qvel[gel.ball_dof] = way if iteration == 0 else 0
             afloat_mm = self._iterate(iteration)
@@ -182,24 +193,23 @@ class _Indentation:
             change = np.linalg.norm(new_force - force)
             force = new_force
             settled = change <= tolerance * np.linalg.norm(force) and afloat_mm <= _AFLOAT_MM
-            settled = settled and self._coulomb_error() <= _LARGEST_COULOMB_ERROR
-            settled = settled and not (self._released & self._pressed).any()
-            if iteration > 0 and settled:
-                self._close_load_step(start)
+            if iteration > 0 and settled and self._coulomb_error() <= _LARGEST_COULOMB_ERROR:
+                self._close_load_step(start, travel_mm)
                 return True
-        self._close_load_step(start)
+        self._close_load_step(start, travel_mm)
         return False
 
-    def _close_load_step(self, start: NDArray[np.float64]) -> None:
-        """Note which nodes touch, and what those that touched before slipped since the load step's start."""
+    def _close_load_step(self, start: NDArray[np.float64], travel_mm: float) -> None:
+        """Note which nodes touch, how far those that touched before slid in the load step, and whether any snapped."""
         nodes = self._nodes()
         stayed = self._touching & self._pressed
         self._touching = self._pressed.copy()
         if len(nodes):
             moved = np.zeros(self._data.nefc)
             self._mujoco.mj_mulJacVec(self._gel.model, self._data, moved, self._data.qpos - start)
-            slip = np.linalg.norm(moved.reshape(-1, 3)[:, 1:], axis=1)
-            self._slipped_mm[nodes] += np.where(stayed[nodes], slip, 0.0)
+            slip = np.where(stayed[nodes], np.linalg.norm(moved.reshape(-1, 3)[:, 1:], axis=1), 0.0)
+            self._slipped_mm[nodes] += slip
+            self._snapped |= bool((slip[self._loaded()] > _SNAP * travel_mm).any())
         self._slipped_mm[~self._touching] = 0.0
 
     def _iterate(self, iteration: int) -> float:
@@ -209,22 +219,17 @@ class _Indentation:
 
         Nodes that come near the ball are constrained before they touch it, so that an iteration ends on the surface
         of the ball instead of finding the contact one iteration late; a node new to the contact slides in freely.
-        MuJoCo's convex friction cone lets a node that slips by s in an iteration rise by μ s, and holds one that
-        should leave the ball for as long as it slips (Anitescu 2006, Math. Program. 105:113): a node that hangs above
-        the ball and does not sink is in the end released from friction, and one that rises as it slips must settle
-        on it.
         """
         mujoco, model, data = self._mujoco, self._gel.model, self._data
         mujoco.mj_fwdPosition(model, data)
+        height_mm = np.zeros(0)
         if data.ncon:
             nodes = self._nodes()
+            height_mm = np.array(data.contact.dist)
             data.contact.includemargin[:] = 0
             if iteration == 0:
                 data.contact.friction[~self._touching[nodes], :2] = _FRICTIONLESS
-            elif iteration >= _RELEASE_AFTER:
-                self._release(nodes)
-                data.contact.friction[self._released[nodes], :2] = _FRICTIONLESS
-            self._height_mm[nodes] = data.contact.dist
+            self._remember_slip(nodes)
             mujoco.mj_makeConstraint(model, data)
         mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
         data.qvel[:] += data.qacc
@@ -234,16 +239,25 @@ class _Indentation:
         self._pressed[:] = False
         if data.ncon:
             self._pressed[nodes] = self._normal_force_rows() > 0
-        return float(np.abs(data.contact.dist[self._normal_force_rows() > 0]).max(initial=0.0))
+        return float(np.abs(height_mm[self._normal_force_rows() > 0]).max(initial=0.0))
 
-    def _release(self, nodes: NDArray[np.int64]) -> None:
-        """Free nodes that hang above the ball from friction, unless they then turn out to be pressed against it."""
-        height = self._data.contact.dist
-        back = self._released[nodes] & self._pressed[nodes]
-        self._kept[nodes[back]] = True
-        self._released[nodes[back]] = False
-        hangs = self._pressed[nodes] & (height > _AFLOAT_MM) & (height > _SINKING * self._height_mm[nodes])
-        self._released[nodes] |= hangs & ~self._kept[nodes]
+    def _remember_slip(self, nodes: NDArray[np.int64]) -> None:
+        """Make friction act against the slip since the load step's start, or since a node landed in it.
+
+        Coulomb's law of a load step (backward Euler) is about this slip and not that of one iteration. A contact's
+        surface velocity is added to its friction rows; as an iteration takes 1 s, it stands for what has slid already.
+        MuJoCo's convex friction cone lets a node that slides by s rise by μ s (Anitescu 2006, Math. Program. 105:113).
+        The gap is widened by as much, so that a settled node slides on the sphere (the fixed point of De Saxcé & Feng
+        1998, Math. Comput. Model. 28:225).
+        """
+        data = self._data
+        place_mm = data.geom_xpos - data.geom_xpos[self._gel.ball_geom]
+        self._anchor_mm[~self._held] = place_mm[~self._held]
+        self._held |= self._pressed
+        tangents = data.contact.frame.reshape(-1, 3, 3)[:, 1:]
+        slip_mm = np.einsum("nij,nj->ni", tangents, (place_mm - self._anchor_mm)[nodes])
+        data.contact.surfacevel[:, :2] = slip_mm
+        data.contact.dist[:] += self._problem.friction * np.linalg.norm(slip_mm, axis=1)
 
     def _coulomb_error(self) -> float:
         """Return by how much the last iteration may have moved contact forces out of Coulomb's cone, relative to it.
@@ -252,18 +266,28 @@ class _Indentation:
         a normal turned by s/R, which changes |f_t| / (μ f_n) by up to (μ + 1/μ) s/R.
         """
         data, friction = self._data, self._problem.friction
-        pressed = self._normal_force_rows() > _NEGLIGIBLE * self._normal_force_rows().max(initial=0.0)
-        if not pressed.any() or friction == 0:
+        loaded = self._loaded()
+        if not loaded.any() or friction == 0:
             return 0.0
         moved = np.zeros(data.nefc)
         self._mujoco.mj_mulJacVec(self._gel.model, data, moved, data.qvel)
-        along = np.linalg.norm(moved[: 3 * data.ncon].reshape(-1, 3)[pressed, 1:], axis=1)
+        along = np.linalg.norm(moved[: 3 * data.ncon].reshape(-1, 3)[loaded, 1:], axis=1)
         return float((friction + 1 / friction) * along.max() / self._problem.sphere_radius_mm)
 
     def _nodes(self) -> NDArray[np.int64]:
         """Return each contact's node geom."""
         geoms = self._data.contact.geom
         return np.where(geoms[:, 0] == self._gel.ball_geom, geoms[:, 1], geoms[:, 0])
+
+    def _loaded(self) -> NDArray[np.bool_]:
+        """Return which contacts bear more than a negligible share of the strongest's normal force."""
+        normal = self._normal_force_rows()
+        return normal > _NEGLIGIBLE * normal.max(initial=0.0)
+
+    def _contact_dofs(self) -> NDArray[np.int64]:
+        """Return the dofs of the nodes that the last iteration pressed against the ball."""
+        vertices = self._gel.vertex_of_geom[np.flatnonzero(self._pressed)]
+        return (self._gel.vertex_dof[vertices][:, None] + np.arange(3)).ravel()
 
     def _normal_force_rows(self) -> NDArray[np.float64]:
         return self._data.efc_force[0 : 3 * self._data.ncon : 3]
@@ -310,7 +334,7 @@ class _Indentation:
             normal_force_n=self._normal_forces()[surface].astype(np.float32),
             indenter_mm=indenter,
             force_n=force,
-            converged=settled and sound,
+            converged=settled and sound and not self._snapped,
             diagnostics=diagnostics,
         )
 

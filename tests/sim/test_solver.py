@@ -142,6 +142,17 @@ def test_friction_survives_a_slide_over_the_rim() -> None:
     assert states[-1].force_n[0] == pytest.approx(0.0222, rel=0.03)
 
 
+def test_a_drag_to_the_brink_of_sliding_bears_what_it_should_and_beyond_it_is_flagged() -> None:
+    poses = tuple(Pose(depth_mm=0.4, shear_x_mm=travel) for travel in (0.4, 0.5, 0.6))
+    before, brink, beyond = solve_poses(GEL, BALL, poses, "draft", ALONE)
+    # The ratios are `solve_drag`'s at ν = 0.49 on elements of 0.2 mm, which finds no equilibrium from 0.65 mm on.
+    for state, ratio in ((before, 0.788), (brink, 0.906)):
+        assert state.converged
+        assert state.force_n[0] / -state.force_n[2] == pytest.approx(ratio, rel=0.04)
+    assert beyond.diagnostics.slip_mm - brink.diagnostics.slip_mm > 0.15
+    assert not beyond.converged
+
+
 def test_load_control_finds_the_depth_of_a_force() -> None:
     pose = pose_for_force(GEL, BALL, 0.2, quality="draft")
     assert -solve_pose(GEL, BALL, pose, "draft").force_n[2] == pytest.approx(0.2, rel=0.01)
