@@ -268,7 +268,7 @@ def _drag_violations(what: Scene, states: Sequence[MembraneState]) -> Iterator[s
     along = [float(way @ state.force_n[:2]) for state in drag]
     travel = max(pose.radius_mm for pose in what.poses)
     if what.to_rim_mm > contact + travel + what.thickness_mm and drag:
-        largest = DRAG_TOLERANCE * abs(drag[0].force_n[2]) * max(what.friction, FORCE_TOLERANCE)
+        largest = max(DRAG_TOLERANCE * what.friction, FORCE_TOLERANCE) * abs(drag[0].force_n[2])
         if np.any(np.diff(along) < -largest):
             yield "friction falls in a drag"
 
