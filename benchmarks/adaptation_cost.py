@@ -59,7 +59,8 @@ def measure(
 
     folder = out_dir / variant.replace(", ", "-").replace(" ", "-")
     start = time.perf_counter()
-    report = generate_recipes(recipes(variant), folder / "data", workers=workers)
+    scheduler = "synchronous" if workers == 1 else None
+    report = generate_recipes(recipes(variant), folder / "data", scheduler=scheduler, workers=workers)
     generate_s = time.perf_counter() - start if report.frames_written else math.nan
     jobs = [Job(SOURCE, TARGET, method, seed) for seed in seeds for method in METHODS]
     lines = run_missing(folder / "data", folder / "runs", PROFILE, jobs, workers=workers, minutes=minutes)

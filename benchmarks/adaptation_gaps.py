@@ -264,7 +264,7 @@ def plot_gaps(results: GapResults) -> "Figure":
     """Draw one panel a factor: error against the size of the gap."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 3.4), layout="constrained")
+    figure = Figure(figsize=(15, 3.6), layout="constrained")
     for axes, (panel, (_, label)) in zip(
         figure.subplots(1, len(PANELS), sharey=True), PANELS.items(), strict=True
     ):
@@ -280,12 +280,13 @@ def plot_gaps(results: GapResults) -> "Figure":
         axes.plot(sizes, [results.pose_n[g.domain] for g in own], "k--", label="pose oracle")
         if panel in ("modulus", "friction", "noise"):
             axes.set_xscale("log")
-            axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
+            axes.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
             axes.minorticks_off()
         axes.set_xlabel(label, fontsize=8)
         axes.set_ylim(bottom=0)
     figure.axes[0].set_ylabel("target MAE, N")
-    figure.axes[0].legend(fontsize=7)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", fontsize=8, ncols=len(labels))
     return figure
 
 

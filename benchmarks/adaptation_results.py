@@ -203,12 +203,11 @@ def plot_time(results: Results) -> "Figure":
     stage1 = float(np.median([line.stage1_s for line in results.lines if line.stage1_s > 0] or [0.0]))
     stage2 = mean_of(results.values(lambda line: line.stage2_s), axis=(1, 2))
     for i, method in enumerate(results.methods):
-        point = stage1 + float(stage2[i]), float(over_groups(results.balanced_n[i]))
-        axes.plot(*point, "o")
-        axes.annotate(method, point, xytext=(5, 3), textcoords="offset points", fontsize=8)
+        error = float(over_groups(results.balanced_n[i]))
+        axes.plot(stage1 + float(stage2[i]), error, "o", alpha=0.7, label=method)
     axes.set(xlabel="both stages, s of one core", ylabel="target MAE, N")
-    axes.set_xlim(right=1.15 * axes.get_xlim()[1])
     axes.set_ylim(bottom=0)
+    axes.legend(fontsize=8)
     return figure
 
 
