@@ -6,10 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gelgap.adapt.runs import adapt_frames
 from gelgap.benchmarks import adaptation_ablation, adaptation_cost, adaptation_gaps, adaptation_speed
 from gelgap.benchmarks.adaptation_gaps import Cell, Gap, GapResults, design, effects
 from gelgap.benchmarks.adaptation_jobs import Job, Line, append_line
-from gelgap.benchmarks.adaptation_results import is_benchmark, write_benchmark_report, write_oracles
+from gelgap.benchmarks.adaptation_results import (
+    is_benchmark,
+    prediction_figures,
+    write_benchmark_report,
+    write_oracles,
+)
 from gelgap.benchmarks.adaptation_tables import GROUPS, GroupOracles
 from gelgap.benchmarks.tables import write_json
 
@@ -111,6 +117,16 @@ def test_report_of_all_parts(tmp_path):
         assert expected in text
     latex = Path(tmp_path / "out" / "adaptation.tex").read_text(encoding="utf-8")
     assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))
+
+
+def test_figures_show_only_runs_of_the_table(source, target, profile, tmp_path):
+    (run,) = adapt_frames(target, source, ["source-only"], profile.replace(source_epochs=1), out_dir=tmp_path)
+    write_oracles(tmp_path, {(target.name, source.name): GroupOracles((0.01,) * 3, (0.02,) * 3)})
+    job = Job(target.name, source.name, "source-only", 0)
+    append_line(tmp_path / "runs.jsonl", Line(job, "cpu", {}, key="another run's"))
+    assert prediction_figures(tmp_path) == []
+    append_line(tmp_path / "runs.jsonl", Line(job, "cpu", {}, key=run.key))
+    assert len(prediction_figures(tmp_path)) == 2
 
 
 def test_no_records_is_one_sentence(tmp_path):
