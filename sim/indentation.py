@@ -97,7 +97,6 @@ class _State:
     """All that the next load step depends on."""
 
     qpos: NDArray[np.float64]
-    qacc_warmstart: NDArray[np.float64]
     command: NDArray[np.float64]
     touching: NDArray[np.bool_]
     slipped_mm: NDArray[np.float64]
@@ -128,10 +127,8 @@ class _Indentation:
 
     def state(self) -> _State:
         """Return a copy of the present state, to come back to."""
-        data = self._data
         return _State(
-            np.array(data.qpos),
-            np.array(data.qacc_warmstart),
+            np.array(self._data.qpos),
             self._command.copy(),
             self._touching.copy(),
             self._slipped_mm.copy(),
@@ -141,7 +138,6 @@ class _Indentation:
     def return_to(self, state: _State) -> None:
         """Go back to a state as if nothing had happened since."""
         self._data.qpos[:] = state.qpos
-        self._data.qacc_warmstart[:] = state.qacc_warmstart
         self._command = state.command.copy()
         self._touching = state.touching.copy()
         self._pressed = state.touching.copy()
@@ -222,6 +218,7 @@ class _Indentation:
 
         Nodes that come near the ball are constrained before they touch it, so that an iteration ends on the surface
         of the ball instead of finding the contact one iteration late; a node new to the contact slides in freely.
+        MuJoCo's solve starts from rest, which is nearer to its end than the last iteration's step.
         """
         mujoco, model, data = self._mujoco, self._gel.model, self._data
         data.qvel[:] = 0
@@ -238,7 +235,6 @@ class _Indentation:
         mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
-        data.qacc_warmstart[:] = data.qacc
         if self._problem.mount_stiffness_n_per_mm is None:
             data.qpos[self._gel.ball_qpos] = self._command
         self._iterations += 1
