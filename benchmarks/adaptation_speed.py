@@ -11,7 +11,9 @@ import numpy as np
 from gelgap.benchmarks.adaptation_tables import ResultTable
 from gelgap.benchmarks.tables import write_json
 
-METHODS = ("no-transfer", "dsan", "dann", "daregram", "coral", "dan", "rsd")
+BASE = "supervised"
+"""Two regressions: a step through both domains whose loss costs nothing."""
+METHODS = (BASE, "no-transfer", "dsan", "dann", "daregram", "coral", "dan", "rsd")
 RESULTS = "speed.json"
 
 
@@ -114,8 +116,8 @@ def overhead(profile, repeats: int = 3) -> float:
 
 
 def speed_table(speeds: Sequence[Speed]) -> ResultTable:
-    """Steps a second of every loop; stage 2 against the one without a transfer loss."""
-    base = next(s.step_ms for s in speeds if s.name == f"stage 2, {METHODS[0]}")
+    """Steps a second of every loop; stage 2 against a regression on both domains."""
+    base = next(s.step_ms for s in speeds if s.name == f"stage 2, {BASE}")
     rows = [
         [
             s.name,
@@ -129,9 +131,10 @@ def speed_table(speeds: Sequence[Speed]) -> ResultTable:
     ]
     return ResultTable(
         "Training speed, one thread",
-        ["loop", "ms a step", "steps/s", "over the plain loop", "over no-transfer", "waiting for data"],
+        ["loop", "ms a step", "steps/s", "over the plain loop", f"over {BASE}", "waiting for data"],
         rows,
-        "Medians over epochs of 256 frames of noise; stage 1 over the plain loop in processor time.",
+        "Medians over epochs of 256 frames of noise; stage 1 over the plain loop in processor time. "
+        "No-transfer takes no gradient through the target's pictures.",
     )
 
 

@@ -101,7 +101,7 @@ def test_report_of_all_parts(tmp_path):
     errors = {method: [0.2, 0.3] for method in adaptation_cost.METHODS}
     costs = [adaptation_cost.Cost("standard", 200, 1.0, 8, errors, 60.0)]
     write_json(folder / "cost" / adaptation_cost.RESULTS, [asdict(cost) for cost in costs])
-    loops = [adaptation_speed.Speed(name, 40.0, 0.01, 0.02) for name in ("stage 1", "stage 2, no-transfer")]
+    loops = [adaptation_speed.Speed(name, 40.0, 0.01, 0.02) for name in ("stage 1", "stage 2, supervised")]
     write_json(folder / adaptation_speed.RESULTS, [asdict(speed) for speed in loops])
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 4
