@@ -125,7 +125,7 @@ def adapt_frames(
     runs = []
     for method in methods:
         key = run_key(source, target, method, profile, seed, weights)
-        folder = None if out is None else out / f"{source.name}-{target.name}-{method}-{seed}-{key[:8]}"
+        folder = None if out is None else run_folder(out, source.name, target.name, method, seed, key)
         if folder is not None and (folder / RECORD).is_file():
             runs.append(load_run(folder))
             continue
@@ -219,6 +219,11 @@ def run_key(
         "weights": None if weights is None else hashlib.sha256(Path(weights).read_bytes()).hexdigest(),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def run_folder(out: Path, source: str, target: str, method: str, seed: int, key: str) -> Path:
+    """Return where below `out` a run is kept."""
+    return out / f"{source}-{target}-{method}-{seed}-{key[:8]}"
 
 
 def stage1_profile(profile: Profile) -> Profile:

@@ -154,14 +154,10 @@ def prediction_figures(folder: Path) -> list[NamedFigure]:
     from gelgap.adapt.figures import feature_tsne, force_scatter
     from gelgap.adapt.runs import load_predictions, load_run
 
-    keys = {line.key for line in _lines(folder)}
     figures = []
     for source, target in SHOWN_GROUPS:
-        arrays = {}
-        for method in SHOWN_METHODS:
-            found = [load_run(path.parent) for path in folder.glob(f"{source}-{target}-{method}-*/run.json")]
-            if runs := [run for run in found if run.key in keys]:
-                arrays[method] = load_predictions(min(runs, key=lambda run: run.seed))
+        found = {method: _first_run(folder, source, target, method) for method in SHOWN_METHODS}
+        arrays = {method: load_predictions(load_run(path)) for method, path in found.items() if path}
         if not arrays:
             continue
         truth = next(iter(arrays.values()))["target_true_n"]
@@ -172,6 +168,19 @@ def prediction_figures(folder: Path) -> list[NamedFigure]:
         figures.append(NamedFigure(f"scatter-{group}", f"{pair}: predicted against true force", scatter))
         figures.append(NamedFigure(f"tsne-{group}", f"{pair}: features of both domains", plane))
     return figures
+
+
+def _first_run(folder: Path, source: str, target: str, method: str) -> Path | None:
+    """Return the folder of the table's run with the least seed; None if none is kept."""
+    from gelgap.adapt.runs import run_folder
+
+    lines = [
+        line
+        for line in sorted(_lines(folder), key=lambda line: line.job.seed)
+        if (line.job.source, line.job.target, line.job.method) == (source, target, method)
+    ]
+    paths = (run_folder(folder, source, target, method, line.job.seed, line.key) for line in lines)
+    return next((path for path in paths if path.is_dir()), None)
 
 
 def plot_groups(results: Results) -> "Figure":

@@ -1,6 +1,6 @@
 """The benchmark's other parts: designs of gap curves, factorial effects, ablation, costs, and the report of all."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -119,14 +119,17 @@ def test_report_of_all_parts(tmp_path):
     assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))
 
 
-def test_figures_show_only_runs_of_the_table(source, target, profile, tmp_path):
-    (run,) = adapt_frames(target, source, ["source-only"], profile.replace(source_epochs=1), out_dir=tmp_path)
+def test_figures_show_only_the_tables_runs_of_the_shown_methods(source, target, profile, tmp_path):
+    short = profile.replace(source_epochs=1, adapt_epochs=1)
+    runs = adapt_frames(target, source, ["source-only", "dsan-coarse"], short, out_dir=tmp_path)
     write_oracles(tmp_path, {(target.name, source.name): GroupOracles((0.01,) * 3, (0.02,) * 3)})
     job = Job(target.name, source.name, "source-only", 0)
     append_line(tmp_path / "runs.jsonl", Line(job, "cpu", {}, key="another run's"))
     assert prediction_figures(tmp_path) == []
-    append_line(tmp_path / "runs.jsonl", Line(job, "cpu", {}, key=run.key))
-    assert len(prediction_figures(tmp_path)) == 2
+    for run in runs:
+        append_line(tmp_path / "runs.jsonl", Line(replace(job, method=run.method), "cpu", {}, key=run.key))
+    scatter, _ = prediction_figures(tmp_path)
+    assert [axes.get_title().partition(":")[0] for axes in scatter.figure.axes] == ["source-only"] * 3
 
 
 def test_no_records_is_one_sentence(tmp_path):
