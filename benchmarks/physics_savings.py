@@ -20,7 +20,8 @@ from gelgap.sim.indenter import Sphere
 from gelgap.sim.path import ContactPath, Pose
 from gelgap.sim.sharing import Sharing, SolvePlan, plan_solves
 
-FORCE_FLOOR_PERCENT = 1e-3  # what a log axis shows for no error
+FORCE_FLOOR_PERCENT = 0.03  # what a log axis shows for less
+SERIES = "the paper's path, draft, one saving off: change of force"
 OFF = {
     "all on": Sharing(),
     "modulus off": Sharing(modulus=False),
@@ -139,7 +140,7 @@ def points(savings: Savings) -> list[Point]:
     """Return the savings as points of the frontier: what is left on costs time, what is shared costs error."""
     return [
         Point(
-            "the paper's path, draft",
+            SERIES,
             s.name,
             s.core_s_per_pose,
             max(s.force_error_percent, FORCE_FLOOR_PERCENT),

@@ -75,8 +75,12 @@ def plot_frontier(
     time_label: str = "run time, s",
     uncertainty: float | None = None,
     targets: Sequence[float] = (),
+    unjoined: Sequence[str] = (),
 ) -> None:
-    """Draw error against run time, log-log; `uncertainty` of the reference is shaded, targets are lines."""
+    """Draw error against run time, log-log; `uncertainty` of the reference is shaded, targets are dashed.
+
+    The points of a series are joined in the order of their run time, but for the series `unjoined`.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -85,12 +89,13 @@ def plot_frontier(
     figure, axes = plt.subplots(figsize=(8, 5), constrained_layout=True)
     for series in dict.fromkeys(point.series for point in points):
         members = sorted((p for p in points if p.series == series), key=lambda p: p.seconds)
-        axes.loglog([p.seconds for p in members], [p.error for p in members], "o-", label=series)
-        for point in members:
+        style = "o" if series in unjoined else "o-"
+        axes.loglog([p.seconds for p in members], [p.error for p in members], style, label=series)
+        for number, point in enumerate(members):
             axes.annotate(
                 point.name,
                 (point.seconds, point.error),
-                xytext=(5, 4),
+                xytext=(5, (4, -11, 15)[number % 3]),
                 textcoords="offset points",
                 fontsize=8,
             )
@@ -105,7 +110,7 @@ def plot_frontier(
         axes.axhline(target, color="0.4", linestyle="--", linewidth=1)
     axes.set(title=title, xlabel=time_label, ylabel=error_label)
     axes.grid(visible=True, which="both", linewidth=0.3)
-    axes.legend(fontsize=8)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=3)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     plt.close(figure)
