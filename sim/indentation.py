@@ -98,7 +98,7 @@ class _State:
 
     qpos: NDArray[np.float64]
     command: NDArray[np.float64]
-    touching: NDArray[np.bool_]
+    pressed: NDArray[np.bool_]
     slipped_mm: NDArray[np.float64]
     snapped: bool
 
@@ -116,7 +116,6 @@ class _Indentation:
         self._command = np.zeros(3)
         self._iterations = 0
         self._sides = 2.0 if gel.mesh.half else 1.0
-        self._touching = np.zeros(gel.model.ngeom, dtype=bool)
         self._slipped_mm = np.zeros(gel.model.ngeom)
         self._pressed = np.zeros(gel.model.ngeom, dtype=bool)
         self._held = np.zeros(gel.model.ngeom, dtype=bool)
@@ -130,7 +129,7 @@ class _Indentation:
         return _State(
             np.array(self._data.qpos),
             self._command.copy(),
-            self._touching.copy(),
+            self._pressed.copy(),
             self._slipped_mm.copy(),
             self._snapped,
         )
@@ -139,8 +138,7 @@ class _Indentation:
         """Go back to a state as if nothing had happened since."""
         self._data.qpos[:] = state.qpos
         self._command = state.command.copy()
-        self._touching = state.touching.copy()
-        self._pressed = state.touching.copy()
+        self._pressed = state.pressed.copy()
         self._slipped_mm = state.slipped_mm.copy()
         self._snapped = state.snapped
 
@@ -165,7 +163,7 @@ class _Indentation:
         shear = math.hypot(way[0], way[1]) / quality.shear_step_mm
         steps = max(1, math.ceil(max(press, shear) - 1e-9))
         shares = np.arange(1, steps + 1) / steps
-        if not self._touching.any() and way[2] < 0:
+        if not self._pressed.any() and way[2] < 0:
             shares = np.concatenate([np.array(_FIRST_STEPS) / steps, shares])
         return self._command + way * shares[:, None]
 
@@ -175,7 +173,7 @@ class _Indentation:
         way, self._command = command - self._command, command
         tolerance = quality.shear_tolerance if way[:2].any() else quality.press_tolerance
         compliant = self._problem.mount_stiffness_n_per_mm is not None
-        start = np.array(data.qpos)
+        start = self.state()
         furthest_mm = _FURTHEST * self._problem.sphere_radius_mm
         travel_mm = float(np.linalg.norm(way))
         if compliant:
@@ -198,18 +196,17 @@ class _Indentation:
         self._close_load_step(start, travel_mm)
         return False
 
-    def _close_load_step(self, start: NDArray[np.float64], travel_mm: float) -> None:
-        """Note which nodes touch, how far those that touched before slid in the load step, and whether any snapped."""
+    def _close_load_step(self, start: _State, travel_mm: float) -> None:
+        """Note how far nodes that touch, and did at the start, slid in the load step, and whether any snapped."""
         nodes = self._nodes()
-        stayed = self._touching & self._pressed
-        self._touching = self._pressed.copy()
+        stayed = start.pressed & self._pressed
         if len(nodes):
             moved = np.zeros(self._data.nefc)
-            self._mujoco.mj_mulJacVec(self._gel.model, self._data, moved, self._data.qpos - start)
+            self._mujoco.mj_mulJacVec(self._gel.model, self._data, moved, self._data.qpos - start.qpos)
             slip = np.where(stayed[nodes], np.linalg.norm(moved.reshape(-1, 3)[:, 1:], axis=1), 0.0)
             self._slipped_mm[nodes] += slip
             self._snapped |= bool((slip[self._loaded()] > _SNAP * travel_mm).any())
-        self._slipped_mm[~self._touching] = 0.0
+        self._slipped_mm[~self._pressed] = 0.0
 
     def _iterate(self, way_mm: NDArray[np.float64] | float = 0.0) -> float:
         """Take one Newton iteration of the static problem, a MuJoCo step of 1 s in which the ball goes `way_mm`.
