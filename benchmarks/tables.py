@@ -110,7 +110,7 @@ def plot_frontier(
         axes.axhline(target, color="0.4", linestyle="--", linewidth=1)
     axes.set(title=title, xlabel=time_label, ylabel=error_label)
     axes.grid(visible=True, which="both", linewidth=0.3)
-    figure.legend(fontsize=8, loc="outside lower center", ncols=3)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
     plt.close(figure)
