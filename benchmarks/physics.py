@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks import physics_savings
+from gelgap.benchmarks import physics_path, physics_savings
 from gelgap.benchmarks.reference import (
     FORCE_UNCERTAINTY,
     NO_SLIP_FRICTION,
@@ -108,7 +108,8 @@ def run(quick: bool, out_dir: Path) -> None:
     results["theory"] = closed_forms("draft" if quick else "standard", processes)
     results["convergence"] = convergence(presses)
     with tempfile.TemporaryDirectory() as folder:
-        savings = physics_savings.measure(quick, processes, Path(folder))
+        results["path"] = physics_path.measure(quick, processes, Path(folder))
+    savings = physics_savings.measure(quick, processes)
     results["savings"] = savings
     drags = shear_references() if quick else (*shear_references(), *coulomb_references())
     shears = shear_errors(drags, ("draft",) if quick else ("draft", "standard"), processes)

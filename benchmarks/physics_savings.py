@@ -6,14 +6,11 @@ waits for the 10,830 solves of the paper's path with nothing shared.
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 
-from gelgap.benchmarks.solve_jobs import Job, Outcome, own_cache, solve_jobs
+from gelgap.benchmarks.solve_jobs import Job, Outcome, solve_jobs
 from gelgap.benchmarks.tables import Point, print_table
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
@@ -64,28 +61,14 @@ class EdgeEffect:
 
 @dataclass(frozen=True)
 class Savings:
-    """All savings at one quality, and the paper's path as measured."""
+    """All savings at `draft`, and what translation neglects."""
 
-    quality: str
     savings: tuple[Saving, ...]
-    path_first_s: float
-    path_again_s: float
-    states_per_s: float
-    path_solves: int
     edges: tuple[EdgeEffect, ...]
 
 
-def measure(quick: bool, processes: int, cache_folder: Path) -> Savings:
-    """Measure the savings and the paper's path, and print both."""
-    quality = "draft" if quick else "standard"
-    plan, first_s, again_s, rate = _paper_path(quality, processes, cache_folder)
-    print_table(
-        f"The paper's path, {len(plan.poses)} poses, default pad, {quality}, {processes} processes",
-        ["solves", "first time, wall s", "another modulus, wall s", "states a s, one core"],
-        [[len(plan.solves), first_s, again_s, rate]],
-        note="wall times include starting the processes and importing; membranes of all poses come on top at the "
-        "rate of the last column",
-    )
+def measure(quick: bool, processes: int) -> Savings:
+    """Measure the savings and what edges change, and print both."""
     savings = tuple(_savings(quick, processes))
     print_table(
         "Savings, draft: the paper's path for two gels that differ in modulus",
@@ -111,7 +94,7 @@ def measure(quick: bool, processes: int, cache_folder: Path) -> Savings:
             ),
             note="change against the same pose on a pad of 100 × 100 mm; surface: within 5 mm of the contact point",
         )
-    return Savings(quality, savings, first_s, again_s, rate, len(plan.solves), edges)
+    return Savings(savings, edges)
 
 
 def edge_effects(processes: int) -> Iterator[EdgeEffect]:
@@ -148,33 +131,6 @@ def points(savings: Savings) -> list[Point]:
         for s in savings.savings
         if s.force_error_percent is not None
     ]
-
-
-def _paper_path(quality: str, processes: int, cache_folder: Path) -> tuple[SolvePlan, float, float, float]:
-    path = ContactPath.preset("paper")
-    with own_cache(cache_folder):
-        started = perf_counter()
-        plan = plan_solves(GEL, Sphere(), path, quality)
-        solutions = _run(plan, processes)
-        first_s = perf_counter() - started
-        started = perf_counter()
-        _run(
-            plan_solves(GEL.model_copy(update={"young_modulus_mpa": 0.2}), Sphere(), path, quality), processes
-        )
-        again_s = perf_counter() - started
-    started = perf_counter()
-    sample = range(1, len(plan.poses), max(1, len(plan.poses) // 200))
-    for index in sample:
-        plan.state(index, solutions[plan.solve_key(index)])
-    return plan, first_s, again_s, len(sample) / (perf_counter() - started)
-
-
-def _run(plan: SolvePlan, processes: int) -> dict:
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(max_workers=processes, mp_context=get_context("spawn")) as pool:
-        runs = [pool.submit(solve.run) for solve in plan.solves]
-        return {solve.key: run.result() for solve, run in zip(plan.solves, runs, strict=True)}
 
 
 def _savings(quick: bool, processes: int):

@@ -26,8 +26,10 @@ _NEGLIGIBLE = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
 # A settled node that carries force lies on the sphere to this, mm.
 _AFLOAT_MM = 2e-3
-# Iterations are extrapolated by at most this share of the sphere's radius.
+# Iterations are extrapolated by at most this share of the sphere's radius,
 _FURTHEST = 0.02
+# and only so many of a load step: a contact near its limit settles slowly by itself, but goes in circles with it.
+_EXTRAPOLATED = 14
 # A contact has snapped if in one load step a node slides so many times as far as the indenter goes.
 _SNAP = 1.6
 
@@ -119,6 +121,8 @@ class _Indentation:
         self._slipped_mm = np.zeros(gel.model.ngeom)
         self._pressed = np.zeros(gel.model.ngeom, dtype=bool)
         self._held = np.zeros(gel.model.ngeom, dtype=bool)
+        self._landed = np.zeros(gel.model.ngeom, dtype=bool)
+        self._start_mm: NDArray[np.float64] | None = None
         self._anchor_mm = np.zeros((gel.model.ngeom, 3))
         self._snapped = False
         # MuJoCo adds each contact's surface velocity to its friction rows only if some geom seems to have one.
@@ -178,10 +182,10 @@ class _Indentation:
         travel_mm = float(np.linalg.norm(way))
         if compliant:
             gel.model.qpos_spring[gel.ball_qpos] = command
-        self._held[:] = False
+        self._start_mm = None
         force, series = np.full(3, np.inf), GeometricSeries()
         for iteration in range(quality.max_iterations):
-            if iteration > 0:
+            if 0 < iteration < _EXTRAPOLATED:
                 data.qpos[:] += series.remainder(data.qvel, self._contact_dofs(), furthest_mm) * data.qvel
             afloat_mm = self._iterate(0.0 if compliant or iteration else way)
             if not np.all(np.isfinite(data.qpos)):
@@ -190,6 +194,7 @@ class _Indentation:
             change = np.linalg.norm(new_force - force)
             force = new_force
             settled = change <= tolerance * np.linalg.norm(force) and afloat_mm <= _AFLOAT_MM
+            settled = settled and (self._held & ~self._landed)[self._nodes()[self._loaded()]].all()
             if iteration > 0 and settled and self._coulomb_excess() <= _SETTLED_COULOMB_EXCESS:
                 self._close_load_step(start, travel_mm)
                 return True
@@ -251,12 +256,18 @@ class _Indentation:
         """
         data = self._data
         place_mm = data.geom_xpos - data.geom_xpos[self._gel.ball_geom]
-        self._anchor_mm[~self._held] = place_mm[~self._held]
-        self._held |= self._pressed
+        if self._start_mm is None:
+            self._start_mm, self._anchor_mm, self._held = place_mm, place_mm.copy(), self._pressed.copy()
+        self._landed = self._pressed & ~self._held
+        self._anchor_mm[self._landed] = (self._start_mm + place_mm)[self._landed] / 2
+        self._held |= self._landed
         tangents = data.contact.frame.reshape(-1, 3, 3)[:, 1:]
         slip_mm = np.einsum("nij,nj->ni", tangents, (place_mm - self._anchor_mm)[nodes])
+        slip_mm[~self._held[nodes]] = 0.0
         data.contact.surfacevel[:, :2] = slip_mm
-        data.contact.dist[:] += self._problem.friction * np.linalg.norm(slip_mm, axis=1)
+        # Most nodes that landed go back and stick; they would be pressed into the sphere by a widened gap.
+        slides = np.where(self._landed[nodes], 0.0, np.linalg.norm(slip_mm, axis=1))
+        data.contact.dist[:] += self._problem.friction * slides
 
     def _coulomb_excess(self) -> float:
         """Return the largest |f_t| / (μ f_n) − 1 of contacts that bear more than a negligible share of the load.

@@ -14,8 +14,8 @@ LARGEST_POISSON_RATIO = 0.49
 FORCE_RISE_PER_POISSON = 1.7
 # quality: (a, b)
 STIFFNESS = {
-    "draft": (0.0, 0.00064),
-    "standard": (0.0, 0.00050),
+    "draft": (0.0049, 0.00063),
+    "standard": (0.0044, 0.00052),
     "fine": (0.0, 0.0),
 }
 

@@ -29,8 +29,8 @@ class Quality:
 
 
 QUALITIES = {
-    "draft": Quality("draft", 0.4, 0.2, 1.5, 8, 0.2, 0.1, 3e-3, 1e-3, 40),
-    "standard": Quality("standard", 0.25, 0.12, 1.25, 8, 0.1, 0.1, 1e-3, 3e-4, 40),
+    "draft": Quality("draft", 0.4, 0.2, 1.5, 8, 0.2, 0.1, 3e-3, 1e-3, 60),
+    "standard": Quality("standard", 0.25, 0.12, 1.25, 8, 0.1, 0.1, 1e-3, 3e-4, 60),
     "fine": Quality("fine", 0.16, 0.08, 1.25, 12, 0.05, 0.05, 3e-4, 1e-4, 60),
 }
 
