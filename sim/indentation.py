@@ -219,7 +219,7 @@ class _Indentation:
         Returns how far off the sphere the iteration found nodes that it left with a force, mm.
 
         Nodes that come near the ball are constrained before they touch it, so that an iteration ends on the surface
-        of the ball instead of finding the contact one iteration late; a node new to the contact slides in freely.
+        of the ball instead of finding the contact one iteration late; a node is free to slide until it has landed.
         MuJoCo's solve starts from rest, which is nearer to its end than the last iteration's step.
         """
         mujoco, model, data = self._mujoco, self._gel.model, self._data
@@ -246,13 +246,16 @@ class _Indentation:
         return float(np.abs(height_mm[self._normal_force_rows() > 0]).max(initial=0.0))
 
     def _remember_slip(self, nodes: NDArray[np.int64]) -> None:
-        """Make friction act against the slip since the load step's start, or since a node landed in it.
+        """Make friction act against the slip since the load step's start, or since the node landed in it.
 
         Coulomb's law of a load step (backward Euler) is about this slip and not that of one iteration. A contact's
         surface velocity is added to its friction rows; as an iteration takes 1 s, it stands for what has slid already.
         MuJoCo's convex friction cone lets a node that slides by s rise by μ s (Anitescu 2006, Math. Program. 105:113).
         The gap is widened by as much, so that a settled node slides on the sphere (the fixed point of De Saxcé & Feng
         1998, Math. Comput. Model. 28:225).
+
+        A node that lands within the load step does so, on average, half way: its slip counts from half way between
+        where it was at the start and where it slid to freely.
         """
         data = self._data
         place_mm = data.geom_xpos - data.geom_xpos[self._gel.ball_geom]
