@@ -26,10 +26,8 @@ _NEGLIGIBLE = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
 # A settled node that carries force lies on the sphere to this, mm.
 _AFLOAT_MM = 2e-3
-# Iterations are extrapolated by at most this share of the sphere's radius,
+# Iterations are extrapolated by at most this share of the sphere's radius.
 _FURTHEST = 0.02
-# and only so many of a load step: a contact near its limit settles slowly by itself, but goes in circles with it.
-_EXTRAPOLATED = 14
 # A contact has snapped if in one load step a node slides so many times as far as the indenter goes.
 _SNAP = 1.6
 
@@ -185,7 +183,7 @@ class _Indentation:
         self._start_mm = None
         force, series = np.full(3, np.inf), GeometricSeries()
         for iteration in range(quality.max_iterations):
-            if 0 < iteration < _EXTRAPOLATED:
+            if iteration > 0:
                 data.qpos[:] += series.remainder(data.qvel, self._contact_dofs(), furthest_mm) * data.qvel
             afloat_mm = self._iterate(0.0 if compliant or iteration else way)
             if not np.all(np.isfinite(data.qpos)):

@@ -40,3 +40,7 @@ def test_steps_that_turn_are_no_series() -> None:
     for step in ([1.0, 0.0, 0.0], [1.0, 0.0, 0.0]):
         series.remainder(np.array(step), DOFS, FAR)
     assert series.remainder(np.array([0.5, 0.5, 0.0]), DOFS, FAR) == 0.0
+
+
+def test_later_extrapolations_ask_for_longer_series() -> None:
+    assert np.flatnonzero(remainders(0.9, 28)).tolist() == [2, 5, 8, 12, 18, 26]
