@@ -2,7 +2,7 @@
 
 `python -m gelgap.benchmarks.calibrate_mesh` prints the coefficients that `sim/mesh_stiffness.py` holds, and the
 errors of the force with the present ones, on the calibration's scenes and on others. It takes some ten
-minutes on one core.
+minutes on one core, and an hour for `fine`.
 """
 
 import argparse

@@ -16,14 +16,14 @@ FORCE_RISE_PER_POISSON = 1.7
 STIFFNESS = {
     "draft": (0.0049, 0.00063),
     "standard": (0.0044, 0.00052),
-    "fine": (0.0, 0.0),
+    "fine": (0.0035, 0.00036),
 }
 
 
 def mesh_moduli(young_modulus_mpa: float, poisson_ratio: float, quality: str) -> tuple[float, float]:
     """Return (E in MPa, ν) to give a mesh of that quality so that it acts as a material of the given moduli.
 
-    Both pairs are those of MuJoCo's Stable Neo-Hookean energy. A quality that was not calibrated keeps its stiffness.
+    Both pairs are those of MuJoCo's Stable Neo-Hookean energy. Qualities of other names keep their stiffness.
     """
     excess = max(0.0, poisson_ratio - LARGEST_POISSON_RATIO)
     poisson_ratio -= excess
