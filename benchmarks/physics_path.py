@@ -24,8 +24,8 @@ STATES = 200
 class PathCost:
     """The solves of a path, how many drags branch off their presses, and what they took.
 
-    `wall_s` is of all processes, with their start; it and `again_s`, for the same gel with another modulus, are None
-    where the path's cost was taken from one of its solves.
+    `wall_s` is of all processes, with their start; it and `again_s`, the same from the cache, are None where the path's
+    cost was taken from one of its solves. `states` are those that were solved, `unconverged` those of them flagged.
     """
 
     pad_size_mm: tuple[float, float]
