@@ -27,10 +27,14 @@ def scheduler():
     try:
         yield address
     finally:
+        # The worker first, and to its end: a graceful worker waits long for a scheduler that is gone.
         for process in reversed(processes):
             process.terminate()
-        for process in processes:
-            process.wait(timeout=30)
+            try:
+                process.wait(timeout=30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
 
 
 def loaded_modules() -> list[str]:
