@@ -99,7 +99,7 @@ def whole_path(
         gel.pad_size_mm,
         quality,
         len(plan.solves),
-        _drags(plan.solves),
+        count_drags(plan.solves),
         core_s,
         wall_s,
         again_s,
@@ -115,8 +115,8 @@ def small_pad(gel: Elastomer, path: ContactPath) -> PathCost:
     middle = [solve for solve in solves if solve.problem.waypoints_mm[0][2] == depths[len(depths) // 2]]
     chosen = max(middle, key=lambda solve: solve.problem.parents.count(0))
     solutions, core_s = _run([Solve(chosen.problem, cached=False)], 1)
-    drags = _drags(solves)
-    share = _drags([chosen]) / drags
+    drags = count_drags(solves)
+    share = count_drags([chosen]) / drags
     return PathCost(
         SMALL_PAD_MM, "standard", len(solves), drags, core_s / share, None, None, *_states(solutions)
     )
@@ -146,8 +146,8 @@ def _timed(solve: Solve) -> tuple[Solution, float]:
     return solve.run(), time.process_time() - started
 
 
-def _drags(solves: Iterable[Solve]) -> int:
-    """Count the ways that branch off a press, or the press where none does."""
+def count_drags(solves: Iterable[Solve]) -> int:
+    """Count the drags that branch off presses, and the presses where none does."""
     return sum(max(1, solve.problem.parents.count(0)) for solve in solves)
 
 

@@ -10,12 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gelgap.benchmarks.physics_path import count_drags
 from gelgap.benchmarks.solve_jobs import Job, Outcome, solve_jobs
 from gelgap.benchmarks.tables import Point, print_table
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.path import ContactPath, Pose
-from gelgap.sim.sharing import Sharing, SolvePlan, plan_solves
+from gelgap.sim.sharing import Sharing, plan_solves
 
 FORCE_FLOOR_PERCENT = 0.03  # what a log axis shows for less
 SERIES = "the paper's path, draft, one saving off: change of force"
@@ -152,15 +153,10 @@ def _savings(quick: bool, processes: int):
         yield Saving(
             name=name,
             solves=gels * len(plan.solves),
-            core_s_per_pose=gels * _chains(plan) * outcome.processor_s / (2 * len(path.poses)),
+            core_s_per_pose=gels * count_drags(plan.solves) * outcome.processor_s / (2 * len(path.poses)),
             force_error_percent=force_percent,
             surface_error_um=surface_um,
         )
-
-
-def _chains(plan: SolvePlan) -> int:
-    """Count the drags, each with the press before it: on a pad with near edges a solve's drags branch off one press."""
-    return sum(max(1, solve.problem.parents.count(0)) for solve in plan.solves)
 
 
 def _poses(pose: Pose, sharing: Sharing) -> tuple[Pose, ...]:

@@ -24,6 +24,8 @@ _POLISHING = 6
 _SETTLED_COULOMB_EXCESS = 5e-4
 _NEGLIGIBLE = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
+# A load step that has not settled after so many iterations is left as it is.
+_MOST_ITERATIONS = 60
 # A settled node that carries force lies on the sphere to this, mm.
 _AFLOAT_MM = 2e-3
 # Iterations are extrapolated by at most this share of the sphere's radius.
@@ -182,7 +184,7 @@ class _Indentation:
             gel.model.qpos_spring[gel.ball_qpos] = command
         self._start_mm = None
         force, series = np.full(3, np.inf), GeometricSeries()
-        for iteration in range(quality.max_iterations):
+        for iteration in range(_MOST_ITERATIONS):
             if iteration > 0:
                 data.qpos[:] += series.remainder(data.qvel, self._contact_dofs(), furthest_mm) * data.qvel
             afloat_mm = self._iterate(0.0 if compliant or iteration else way)

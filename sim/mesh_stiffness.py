@@ -23,10 +23,10 @@ STIFFNESS = {
 def mesh_moduli(young_modulus_mpa: float, poisson_ratio: float, quality: str) -> tuple[float, float]:
     """Return (E in MPa, ν) to give a mesh of that quality so that it acts as a material of the given moduli.
 
-    Both pairs are those of MuJoCo's Stable Neo-Hookean energy. Qualities of other names keep their stiffness.
+    Both pairs are those of MuJoCo's Stable Neo-Hookean energy.
     """
     excess = max(0.0, poisson_ratio - LARGEST_POISSON_RATIO)
     poisson_ratio -= excess
-    a, b = STIFFNESS.get(quality, (0.0, 0.0))
+    a, b = STIFFNESS[quality]
     stiffness = 1 + a + b / (1 - 2 * poisson_ratio)
     return young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * excess) / stiffness, poisson_ratio

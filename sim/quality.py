@@ -25,13 +25,12 @@ class Quality:
     shear_step_mm: float
     press_tolerance: float
     shear_tolerance: float
-    max_iterations: int
 
 
 QUALITIES = {
-    "draft": Quality("draft", 0.4, 0.2, 1.5, 8, 0.2, 0.1, 3e-3, 1e-3, 60),
-    "standard": Quality("standard", 0.25, 0.12, 1.25, 8, 0.1, 0.1, 1e-3, 3e-4, 60),
-    "fine": Quality("fine", 0.16, 0.08, 1.25, 12, 0.05, 0.05, 3e-4, 1e-4, 60),
+    "draft": Quality("draft", 0.4, 0.2, 1.5, 8, 0.2, 0.1, 3e-3, 1e-3),
+    "standard": Quality("standard", 0.25, 0.12, 1.25, 8, 0.1, 0.1, 1e-3, 3e-4),
+    "fine": Quality("fine", 0.16, 0.08, 1.25, 12, 0.05, 0.05, 3e-4, 1e-4),
 }
 
 

@@ -263,6 +263,7 @@ def contact_problem(
     quality: str,
     sharing: Sharing,
 ) -> ContactProblem:
+    mesh_and_steps = quality_named(quality)
     young, poisson = _mujoco_material(elastomer, quality)
     scale = _CANONICAL_MODULUS_MPA / elastomer.young_modulus_mpa if sharing.modulus else 1.0
     mount = elastomer.mount_stiffness_n_per_mm
@@ -276,7 +277,7 @@ def contact_problem(
         pad_mm=pad,
         waypoints_mm=waypoints,
         parents=parents,
-        quality=quality_named(quality),
+        quality=mesh_and_steps,
     )
 
 

@@ -30,11 +30,7 @@ def scheduler():
         # The worker first, and to its end: a graceful worker waits long for a scheduler that is gone.
         for process in reversed(processes):
             process.terminate()
-            try:
-                process.wait(timeout=30)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            process.wait(timeout=30)
 
 
 def loaded_modules() -> list[str]:
