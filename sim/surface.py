@@ -117,9 +117,12 @@ def contact_radius_mm(solution: Solution, record: Record) -> float:
     square, force = square[order], force[order]
     outside = np.cumsum(force) - 0.5 * force
     share = outside / force.sum()
+    same = 1e-6 * square.max()
     edge = (share > 0.02) & (share < 0.6)
-    if edge.sum() < 3:
+    if edge.sum() < 3 or np.ptp(square[edge]) < same:
         edge = share > 0
+    if np.ptp(square[edge]) < same:
+        return float(np.sqrt(square.max()))
     slope, offset = np.polyfit(square[edge], share[edge] ** (2 / 3), 1)
     return float(np.sqrt(max(-offset / slope, 0.0))) if slope < 0 else float(np.sqrt(square.max()))
 
