@@ -85,7 +85,8 @@ def plan_generation(
             )
             if not wanting:
                 continue
-            keys = tuple(sorted({physics.solve_key(frame) for frame in range(start, stop)} & by_key.keys()))
+            serving = {physics.solve_key(frame) for frame in range(start, stop)}
+            keys = tuple(key for key in by_key if key in serving)
             solves |= {key: by_key[key] for key in keys}
             batches.append(FrameBatch(wanting, number, start, stop, keys))
     return GenerationPlan(tuple(recipes), solves, tuple(batches))

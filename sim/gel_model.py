@@ -124,7 +124,7 @@ def _xml(
     gel_mass: float,
     mount_stiffness: float | None,
 ) -> str:
-    points = " ".join(f"{value:.9g}" for value in mesh.vertices_mm.ravel())
+    points = " ".join(f"{value:.17g}" for value in mesh.vertices_mm.ravel())
     elements = " ".join(map(str, mesh.tetrahedra.ravel()))
     pinned = " ".join(map(str, mesh.bottom))
     # A rigid drive is a ball too heavy for the gel to move; a compliant one is a light ball on springs.

@@ -133,7 +133,8 @@ def plan_solves(
         groups.setdefault((pad, origin, pose.depth_mm, *alone), []).append((direction, pose.radius_mm, index))
     solves: list[Solve] = []
     placements: list[Placement | None] = [None] * len(poses)
-    for (pad, _, depth, *_rest), members in groups.items():
+    # The deepest, which take longest, come first, so that processes which share the solves end together.
+    for (pad, _, depth, *_rest), members in sorted(groups.items(), key=lambda group: -group[0][2]):
         waypoints, parents, record_of = _radial_ways(
             depth, {(direction, radius) for direction, radius, _ in members}
         )
