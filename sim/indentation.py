@@ -24,15 +24,16 @@ _POLISHING = 40
 _SETTLED_COULOMB_EXCESS = 5e-4
 _NEGLIGIBLE = 1e-2
 _FIRST_STEPS = (0.2, 0.5)
-# A load step that has not settled after so many iterations is left as it is.
-_MOST_ITERATIONS = 60
+# A load step that has not settled after so many iterations is taken in halves; a half is left as it is after so many.
+_ITERATIONS_OF_A_STEP = 30
+_ITERATIONS_OF_A_HALF = 60
 # A settled node that carries force lies on the sphere to this, mm.
 _AFLOAT_MM = 2e-3
 # Iterations are extrapolated by at most this share of the sphere's radius.
 _FURTHEST = 0.02
-# A contact has snapped if in one load step nodes that bear such a share of the load slide so many times as far as the
-# indenter goes. Single ones at the rear edge do so in any drag of high friction, and the force does not mind.
-_SNAP = 1.6
+# A load step in which a loaded node slides so many times as far as the indenter goes is taken in halves.
+_FAR = 1.6
+# A contact has snapped if nodes that bear such a share of the load slide so far all the same.
 _SNAPPED_SHARE = 0.25
 
 
@@ -127,6 +128,7 @@ class _Indentation:
         self._start_mm: NDArray[np.float64] | None = None
         self._anchor_mm = np.zeros((gel.model.ngeom, 3))
         self._snapped = False
+        self._too_far = False
         # MuJoCo adds each contact's surface velocity to its friction rows only if some geom seems to have one.
         gel.model.flg_surfacevel = True
 
@@ -153,7 +155,7 @@ class _Indentation:
         self._iterations = 0
         converged = True
         for command in self._load_steps(target):
-            converged = self._settle(command)
+            converged = self._advance(command)
         record = self._record(converged)
         for _ in range(_POLISHING):
             if not converged or record.diagnostics.coulomb_excess <= _LARGEST_COULOMB_EXCESS:
@@ -173,8 +175,21 @@ class _Indentation:
             shares = np.concatenate([np.array(_FIRST_STEPS) / steps, shares])
         return self._command + way * shares[:, None]
 
-    def _settle(self, command: NDArray[np.float64]) -> bool:
-        """Take one load step: iterate to equilibrium at the command, and say whether it was reached."""
+    def _advance(self, command: NDArray[np.float64]) -> bool:
+        """Take a load step, in halves if need be, and say whether equilibrium was reached.
+
+        In a drag near the limit of friction too long a step goes in circles, or ends on another equilibrium than
+        shorter ones agree on, with vertices further on than the indenter took them.
+        """
+        start, middle = self.state(), 0.5 * (self._command + command)
+        if self._settle(command, _ITERATIONS_OF_A_STEP) and not self._too_far:
+            return True
+        self.return_to(start)
+        self._settle(middle, _ITERATIONS_OF_A_HALF)
+        return self._settle(command, _ITERATIONS_OF_A_HALF)
+
+    def _settle(self, command: NDArray[np.float64], most_iterations: int) -> bool:
+        """Iterate to equilibrium at the command, and say whether it was reached."""
         gel, data, quality = self._gel, self._data, self._problem.quality
         way, self._command = command - self._command, command
         tolerance = quality.shear_tolerance if way[:2].any() else quality.press_tolerance
@@ -186,7 +201,7 @@ class _Indentation:
             gel.model.qpos_spring[gel.ball_qpos] = command
         self._start_mm = None
         force, series = np.full(3, np.inf), GeometricSeries()
-        for iteration in range(_MOST_ITERATIONS):
+        for iteration in range(most_iterations):
             if iteration > 0:
                 data.qpos[:] += series.remainder(data.qvel, self._contact_dofs(), furthest_mm) * data.qvel
             afloat_mm = self._iterate(0.0 if compliant or iteration else way)
@@ -212,8 +227,9 @@ class _Indentation:
             self._mujoco.mj_mulJacVec(self._gel.model, self._data, moved, self._data.qpos - start.qpos)
             slip = np.where(stayed[nodes], np.linalg.norm(moved.reshape(-1, 3)[:, 1:], axis=1), 0.0)
             self._slipped_mm[nodes] += slip
-            normal = self._normal_force_rows()
-            self._snapped |= bool(normal[slip > _SNAP * travel_mm].sum() > _SNAPPED_SHARE * normal.sum())
+            far, normal = slip > _FAR * travel_mm, self._normal_force_rows()
+            self._too_far = bool(far[self._loaded()].any())
+            self._snapped |= bool(normal[far].sum() > _SNAPPED_SHARE * normal.sum())
         self._slipped_mm[~self._pressed] = 0.0
 
     def _iterate(self, way_mm: NDArray[np.float64] | float = 0.0) -> float:

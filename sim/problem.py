@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from gelgap.sim.quality import Quality
 
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 17
+_METHOD_VERSION = 18
 
 Waypoint = tuple[float, float, float]
 
