@@ -219,9 +219,10 @@ class _Indentation:
         return False
 
     def _close_load_step(self, start: _State, travel_mm: float) -> None:
-        """Note how far nodes that touch, and did at the start, slid in the load step; did the contact snap?"""
+        """Note how far nodes that touch, and did at the start, slid in the load step: too far, or has the contact snapped?"""
         nodes = self._nodes()
         stayed = start.pressed & self._pressed
+        self._too_far = False
         if len(nodes):
             moved = np.zeros(self._data.nefc)
             self._mujoco.mj_mulJacVec(self._gel.model, self._data, moved, self._data.qpos - start.qpos)

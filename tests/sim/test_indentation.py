@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from gelgap.sim import indentation
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indentation import Solution, solve
 from gelgap.sim.indenter import Sphere
@@ -25,3 +27,15 @@ def test_vertices_that_land_within_a_load_step_hardly_depend_on_its_size() -> No
     apart_um = 1e3 * (coarse.displacement_mm - fine.displacement_mm)[near, :2]
     assert np.sqrt((apart_um**2).sum(axis=1).mean()) < 7
     assert abs(coarse.force_n[2] / fine.force_n[2] - 1) < 0.01
+
+
+def test_a_load_step_that_does_not_settle_is_taken_in_halves(monkeypatch: pytest.MonkeyPatch) -> None:
+    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.8)
+    way = ((0, 0, -0.4), (0.2, 0, -0.4))
+    problem = contact_problem(gel, Sphere(), None, way, (-1, 0), "draft", Sharing())
+    in_half_steps = replace(problem.quality, press_step_mm=0.1, shear_step_mm=0.05)
+    expected = solve(replace(problem, quality=in_half_steps)).records[-1].force_n
+    monkeypatch.setattr(indentation, "_ITERATIONS_OF_A_STEP", 2)
+    dragged = solve(problem).records[-1]
+    assert dragged.converged
+    np.testing.assert_allclose(dragged.force_n, expected, rtol=2e-3, atol=1e-6)
