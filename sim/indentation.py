@@ -219,7 +219,7 @@ class _Indentation:
         return False
 
     def _close_load_step(self, start: _State, travel_mm: float) -> None:
-        """Note how far nodes that touch, and did at the start, slid in the load step: too far, or has the contact snapped?"""
+        """Note how far nodes that stayed in touch slid in the load step: too far, or did the contact snap?"""
         nodes = self._nodes()
         stayed = start.pressed & self._pressed
         self._too_far = False
