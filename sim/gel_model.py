@@ -33,7 +33,6 @@ class GelModel:
     ball_qpos: slice
     ball_geom: int
     sphere_radius_mm: float
-    contact_offset_mm: float
 
 
 def build_gel_model(
@@ -106,7 +105,6 @@ def build_gel_model(
         ball_qpos=slice(first_qpos, first_qpos + 3),
         ball_geom=model.geom("ball").id,
         sphere_radius_mm=sphere_radius_mm,
-        contact_offset_mm=0.0,
     )
 
 
