@@ -38,7 +38,7 @@ CORNERS = 2**5
 SCENES = 300
 QUICK_SCENES = 8
 POSES_DOWN, POSES_SIDEWAYS = 4, 3
-TIME_LIMIT_S = 600.0  # of processor time, some three times what the longest scene takes
+TIME_LIMIT_S = 600.0  # of processor time; at `draft` the longest scene took 510 s on a busy machine
 NOTHING_SHARED = Sharing(modulus=False, translation=False, reflection=False, path=False, cache=False)
 
 FORCE_TOLERANCE = 0.01  # of the sphere's force: balance, monotony, scaling, symmetry
@@ -374,7 +374,7 @@ def summarise(verdicts: Sequence[Verdict]) -> dict[str, object]:
 
 def compare_with_fine(verdicts: Sequence[Verdict], quality: str) -> list[list[object]]:
     """Solve converged scenes again at `fine`, and print how far their last force is from it."""
-    sound = [v.number for v in verdicts if v.status == "converged" and not v.violations]
+    sound = sorted(v.number for v in verdicts if v.status == "converged" and not v.violations)
     chosen = np.random.default_rng(0).permutation(sound)[:RESOLVED_AT_FINE]
     with single_threaded(), ThreadPoolExecutor(os.cpu_count() or 1) as threads:
         rows = list(threads.map(lambda number: _beside_fine(number, quality), sorted(map(int, chosen))))
