@@ -32,7 +32,6 @@ class GelModel:
     ball_dof: slice
     ball_qpos: slice
     ball_geom: int
-    sphere_radius_mm: float
 
 
 def build_gel_model(
@@ -104,7 +103,6 @@ def build_gel_model(
         ball_dof=slice(first_dof, first_dof + 3),
         ball_qpos=slice(first_qpos, first_qpos + 3),
         ball_geom=model.geom("ball").id,
-        sphere_radius_mm=sphere_radius_mm,
     )
 
 
