@@ -1,11 +1,12 @@
 """By how much each quality's mesh is too stiff: MuJoCo's presses against locking-free ones of the same energy.
 
-`python -m gelgap.benchmarks.calibrate_mesh` prints the coefficients that `sim/mesh_stiffness.py` holds, and the
+`python -m gelgap.benchmarks.calibrate_mesh` prints the coefficients that the meshes of `sim/quality.py` hold, and the
 errors of the force with the present ones, on the calibration's scenes and on others. It takes some ten
-minutes on one core, and an hour for `fine`.
+minutes on one core for each mesh, and an hour for `fine`.
 """
 
 import argparse
+import itertools
 import math
 import os
 from collections.abc import Sequence
@@ -21,6 +22,8 @@ from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.mesh_stiffness import LARGEST_POISSON_RATIO, mesh_moduli
 from gelgap.sim.path import Pose
+from gelgap.sim.quality import quality_named
+from gelgap.sim.sharing import Sharing
 
 YOUNG_MPA = 0.3
 SHARES_OF_DEEPEST = (0.2, 0.6, 1.0)
@@ -55,8 +58,8 @@ CHECK = (
 )
 
 
-def force_ratios(scenes: Sequence[PressScene], quality: str, processes: int) -> list[np.ndarray]:
-    """Return MuJoCo's Fz over the locking-free one at each scene's depths."""
+def force_ratios(scenes: Sequence[PressScene], quality: str, mesh: str, processes: int) -> list[np.ndarray]:
+    """Return MuJoCo's Fz over the locking-free one at each scene's depths, on half a disc or a whole pad."""
     jobs = [
         Job(
             name=str(scene),
@@ -71,6 +74,7 @@ def force_ratios(scenes: Sequence[PressScene], quality: str, processes: int) -> 
             poses=tuple(Pose(depth_mm=depth) for depth in scene.depths_mm),
             quality=quality,
             indenter=Sphere(diameter_mm=2 * scene.indenter_radius_mm),
+            sharing=Sharing(translation=mesh == "disc", cache=False),
         )
         for scene in scenes
     ]
@@ -88,7 +92,7 @@ def force_ratios(scenes: Sequence[PressScene], quality: str, processes: int) -> 
         )
         truth = np.array([state.force_n for state in solve_press(press, scene.depths_mm)])
         ratios.append(np.array([state.force_n[2] for state in outcome.states]) / truth)
-        print(f"  {quality} {scene}: {np.round(100 * (ratios[-1] - 1), 2)} %", flush=True)
+        print(f"  {quality} {mesh} {scene}: {np.round(100 * (ratios[-1] - 1), 2)} %", flush=True)
     return ratios
 
 
@@ -96,21 +100,21 @@ def main() -> None:
     """Print the factors by quality and ν that remain, and the check; both are 1 where `mesh_stiffness` is right."""
     parser = argparse.ArgumentParser(description="Calibrate the meshes' stiffness.")
     parser.add_argument("--quality", nargs="+", default=["draft", "standard"])
+    parser.add_argument("--mesh", nargs="+", default=["disc"], choices=["disc", "pad"])
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     chosen = parser.parse_args()
     print(f"FORCE_RISE_PER_POISSON = {force_rise_per_poisson():.2f}")
     for title, scenes in (("Calibration", CALIBRATION), ("Check: not used", CHECK)):
         rows = []
-        for quality in chosen.quality:
-            ratios = force_ratios(scenes, quality, chosen.processes)
+        for quality, mesh in itertools.product(chosen.quality, chosen.mesh):
+            ratios = force_ratios(scenes, quality, mesh, chosen.processes)
             for scene, ratio in zip(scenes, ratios, strict=True):
-                rows.append(
-                    [quality, str(scene), " ".join(f"{100 * (r - 1):+.2f}" for r in ratio), ratio.mean()]
-                )
+                error = " ".join(f"{100 * (r - 1):+.2f}" for r in ratio)
+                rows.append([quality, mesh, str(scene), error, ratio.mean()])
             if scenes is CALIBRATION:
-                a, b = coefficients(ratios, quality)
-                print(f'    "{quality}": ({a:.4f}, {b:.6f}),')
-        print_table(title, ["quality", "scene", "Fz error by depth, %", "mean ratio"], rows)
+                a, b = coefficients(ratios, getattr(quality_named(quality), mesh).stiffness)
+                print(f"    {quality} {mesh}: stiffness=({a:.4f}, {b:.5f})")
+        print_table(title, ["quality", "mesh", "scene", "Fz error by depth, %", "mean ratio"], rows)
 
 
 def force_rise_per_poisson() -> float:
@@ -129,11 +133,11 @@ def force_rise_per_poisson() -> float:
     return float(np.mean(rises))
 
 
-def coefficients(ratios: Sequence[np.ndarray], quality: str) -> tuple[float, float]:
+def coefficients(ratios: Sequence[np.ndarray], stiffness: tuple[float, float]) -> tuple[float, float]:
     """Fit 1 + a + b / (1 − 2ν) to the factors: ratios that remain times the stiffness taken out already."""
     slack = 1 - 2 * np.array([scene.poisson_ratio for scene in CALIBRATION])
     taken_out = np.array(
-        [YOUNG_MPA / mesh_moduli(YOUNG_MPA, s.poisson_ratio, quality)[0] for s in CALIBRATION]
+        [YOUNG_MPA / mesh_moduli(YOUNG_MPA, s.poisson_ratio, stiffness)[0] for s in CALIBRATION]
     )
     factor = np.array([ratio.mean() for ratio in ratios]) * taken_out
     fitted = np.linalg.lstsq(np.stack([np.ones_like(slack), 1 / slack], axis=-1), factor - 1, rcond=None)[0]

@@ -175,7 +175,7 @@ def press_errors(
     picture = _picture_maker() if pictures else None
     rows = []
     for outcome in solve_jobs(jobs, processes):
-        rows.append(_judge_press(outcome, references[outcome.job.name], picture))
+        rows.append(judge_press(outcome, references[outcome.job.name], picture))
         print(f"  {outcome.job.name} {outcome.job.quality}: {outcome.processor_s:.1f} s", flush=True)
     print_table(
         f"{title}: force, contact radius, cost",
@@ -218,7 +218,8 @@ def press_errors(
     return rows
 
 
-def _judge_press(outcome: Outcome, reference: PressReference, picture) -> PressErrors:
+def judge_press(outcome: Outcome, reference: PressReference, picture=None) -> PressErrors:
+    """Hold the states of a descent against the reference; with a `picture` maker their pictures too."""
     surfaces, quality_db = [], []
     for index, state in enumerate(outcome.states):
         expected = reference.displacement_mm(index, state.x_mm, state.y_mm)
@@ -458,7 +459,7 @@ def convergence(presses: list[PressErrors]) -> list[list[object]]:
     rows: list[list[object]] = []
     for case in dict.fromkeys(press.case for press in presses):
         found = [press for press in presses if press.case == case]
-        size = np.log([QUALITIES[press.quality].surface_mm for press in found])
+        size = np.log([QUALITIES[press.quality].disc.surface_mm for press in found])
         if len(found) < 2:
             continue
         error = [press.fz_rms_percent for press in found]

@@ -4,7 +4,7 @@ import multiprocessing
 import time
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gelgap.benchmarks.solve_jobs import own_cache, single_threaded
@@ -13,6 +13,7 @@ from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indentation import Solution
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.path import ContactPath
+from gelgap.sim.problem import ContactProblem
 from gelgap.sim.sharing import Solve, SolvePlan, plan_solves
 
 GEL = "b0"
@@ -22,7 +23,7 @@ STATES = 200
 
 @dataclass(frozen=True)
 class PathCost:
-    """The solves of a path, how many drags branch off their presses, and what they took.
+    """The solves of a path, their load steps, and what they took.
 
     `wall_s` is of all processes, with their start; it and `again_s`, the same from the cache, are None where the path's
     cost was taken from one of its solves. `states` are those that were solved, `unconverged` those of them flagged.
@@ -31,7 +32,7 @@ class PathCost:
     pad_size_mm: tuple[float, float]
     quality: str
     solves: int
-    drags: int
+    load_steps: int
     core_s: float
     wall_s: float | None
     again_s: float | None
@@ -53,7 +54,7 @@ def measure(quick: bool, processes: int, cache_folder: Path) -> list[PathCost]:
         "pad, mm",
         "quality",
         "solves",
-        "drags",
+        "load steps",
         "core s",
         "wall s",
         "again, wall s",
@@ -68,7 +69,7 @@ def measure(quick: bool, processes: int, cache_folder: Path) -> list[PathCost]:
                 "{:g} × {:g}".format(*cost.pad_size_mm),
                 cost.quality,
                 cost.solves,
-                cost.drags,
+                cost.load_steps,
                 cost.core_s,
                 cost.wall_s,
                 cost.again_s,
@@ -78,7 +79,7 @@ def measure(quick: bool, processes: int, cache_folder: Path) -> list[PathCost]:
             for cost in costs
         ),
         note="again: from the cache, as with another modulus if the mount is rigid; without wall time: from one of "
-        f"its solves, by drags; membranes come on top, {rate:.0f} a s on one core",
+        f"its solves, by load steps; membranes come on top, {rate:.0f} a s on one core",
     )
     return costs
 
@@ -90,16 +91,16 @@ def whole_path(
     plan = plan_solves(gel, Sphere(), path, quality)
     with own_cache(cache_folder):
         started = time.perf_counter()
-        solutions, core_s = _run(plan.solves, processes)
+        solutions, core_s = run_solves(plan.solves, processes)
         wall_s = time.perf_counter() - started
         started = time.perf_counter()
-        _run(plan.solves, processes)
+        run_solves(plan.solves, processes)
         again_s = time.perf_counter() - started
     return PathCost(
         gel.pad_size_mm,
         quality,
         len(plan.solves),
-        count_drags(plan.solves),
+        count_load_steps(plan.solves),
         core_s,
         wall_s,
         again_s,
@@ -108,17 +109,35 @@ def whole_path(
 
 
 def small_pad(gel: Elastomer, path: ContactPath) -> PathCost:
-    """Solve the middle depth at one point of a pad whose edges no contact is far from."""
+    """Solve what a descent to the path's middle depth ends with, on a pad whose edges no contact is far from."""
     gel = gel.model_copy(update={"pad_size_mm": SMALL_PAD_MM})
     solves = plan_solves(gel, Sphere(), path, "standard").solves
-    depths = sorted({solve.problem.waypoints_mm[0][2] for solve in solves})
-    middle = [solve for solve in solves if solve.problem.waypoints_mm[0][2] == depths[len(depths) // 2]]
-    chosen = max(middle, key=lambda solve: solve.problem.parents.count(0))
-    solutions, core_s = _run([Solve(chosen.problem, cached=False)], 1)
-    drags = count_drags(solves)
-    share = count_drags([chosen]) / drags
+    problems = [solve.problem for solve in solves]
+    shallower = min(problem.depth_mm for problem in problems)
+    chosen = _deepest_drags(
+        max((problem for problem in problems if problem.depth_mm == shallower), key=lambda p: p.load_steps)
+    )
+    solutions, core_s = run_solves([Solve(chosen, cached=False)], 1)
+    load_steps = count_load_steps(solves)
     return PathCost(
-        SMALL_PAD_MM, "standard", len(solves), drags, core_s / share, None, None, *_states(solutions)
+        SMALL_PAD_MM,
+        "standard",
+        len(solves),
+        load_steps,
+        core_s * load_steps / chosen.load_steps,
+        None,
+        None,
+        *_states(solutions),
+    )
+
+
+def _deepest_drags(problem: ContactProblem) -> ContactProblem:
+    """Return the problem with nothing but its deepest press, and the drags that branch off it."""
+    press = problem.waypoints_mm.index((0.0, 0.0, -problem.depth_mm))
+    return replace(
+        problem,
+        waypoints_mm=problem.waypoints_mm[press:],
+        parents=(-1, *(parent - press for parent in problem.parents[press + 1 :])),
     )
 
 
@@ -133,7 +152,7 @@ def membrane_rate(plan: SolvePlan, cache_folder: Path) -> float:
     return len(sample) / (time.process_time() - started)
 
 
-def _run(solves: Iterable[Solve], processes: int) -> tuple[list[Solution], float]:
+def run_solves(solves: Iterable[Solve], processes: int) -> tuple[list[Solution], float]:
     """Return the solutions and the processor s that they took."""
     spawn = multiprocessing.get_context("spawn")
     with single_threaded(), ProcessPoolExecutor(max_workers=processes, mp_context=spawn) as pool:
@@ -146,9 +165,8 @@ def _timed(solve: Solve) -> tuple[Solution, float]:
     return solve.run(), time.process_time() - started
 
 
-def count_drags(solves: Iterable[Solve]) -> int:
-    """Count the drags that branch off presses, and the presses where none does."""
-    return sum(max(1, solve.problem.parents.count(0)) for solve in solves)
+def count_load_steps(solves: Iterable[Solve]) -> int:
+    return sum(solve.problem.load_steps for solve in solves)
 
 
 def _states(solutions: Iterable[Solution]) -> tuple[int, int]:

@@ -1,7 +1,7 @@
 """What each saving of a path's solves is worth: distinct solves, processor time, and the error that it adds.
 
-The number of solves is exact. Their time is what one representative solve took, times their number: nobody
-waits for the 10,830 solves of the paper's path with nothing shared.
+The number of solves is exact. Their time is that of a representative one, by load steps: nobody waits for the 10,830
+solves of the paper's path with nothing shared.
 """
 
 import math
@@ -10,13 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gelgap.benchmarks.physics_path import count_drags
+from gelgap.benchmarks.physics_path import count_load_steps, run_solves
 from gelgap.benchmarks.solve_jobs import Job, Outcome, solve_jobs
 from gelgap.benchmarks.tables import Point, print_table
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenter import Sphere
-from gelgap.sim.path import ContactPath, Pose
-from gelgap.sim.sharing import Sharing, plan_solves
+from gelgap.sim.membrane import MembraneState
+from gelgap.sim.path import CLASS_DEPTHS_MM, CLASS_RADII_MM, ContactPath, Pose
+from gelgap.sim.quality import quality_named
+from gelgap.sim.sharing import Sharing, SolvePlan, plan_solves
 
 FORCE_FLOOR_PERCENT = 0.03  # what a log axis shows for less
 SERIES = "the paper's path, draft, one saving off: change of force"
@@ -61,11 +63,21 @@ class EdgeEffect:
 
 
 @dataclass(frozen=True)
+class DescentEffect:
+    """What a descent shared with deeper poses, whose mesh it then has, changes in a pose: force and membrane."""
+
+    depth_mm: float
+    force_percent: float
+    surface_rms_um: float
+
+
+@dataclass(frozen=True)
 class Savings:
-    """All savings at `draft`, and what translation neglects."""
+    """All savings at `draft`, what translation neglects, and what shared descents change."""
 
     savings: tuple[Saving, ...]
     edges: tuple[EdgeEffect, ...]
+    descents: tuple[DescentEffect, ...]
 
 
 def measure(quick: bool, processes: int) -> Savings:
@@ -95,7 +107,30 @@ def measure(quick: bool, processes: int) -> Savings:
             ),
             note="change against the same pose on a pad of 100 × 100 mm; surface: within 5 mm of the contact point",
         )
-    return Savings(savings, edges)
+    descents = () if quick else tuple(descent_effects(processes))
+    if descents:
+        print_table(
+            "What shared descents change, draft: 0.3 mm sideways at the depths of the paper's path",
+            ["depth mm", "force %", "surface rms µm"],
+            ([d.depth_mm, d.force_percent, d.surface_rms_um] for d in descents),
+        )
+    return Savings(savings, edges, descents)
+
+
+def descent_effects(processes: int) -> Iterator[DescentEffect]:
+    """Yield what each depth of the paper's path changes by being solved with others, and not for itself."""
+    path = ContactPath("descents", (0.0,), (0.0,), CLASS_DEPTHS_MM, CLASS_RADII_MM, (0.0,))
+    together, alone = (
+        plan_solves(GEL, Sphere(), path, "draft", Sharing(path=shared, cache=False))
+        for shared in (True, False)
+    )
+    wanted = [index for index, pose in enumerate(path.poses) if pose.radius_mm == TRAVEL_MM]
+    keys = [together.solve_key(index) for index in wanted] + [alone.solve_key(index) for index in wanted]
+    solves = {solve.key: solve for solve in (*together.solves, *alone.solves) if solve.key in keys}
+    solutions = dict(zip(solves, run_solves(solves.values(), processes)[0], strict=True))
+    for index in wanted:
+        shared, right = (plan.state(index, solutions[plan.solve_key(index)]) for plan in (together, alone))
+        yield DescentEffect(path.poses[index].depth_mm, *_change(shared, right, Pose(depth_mm=0.0)))
 
 
 def edge_effects(processes: int) -> Iterator[EdgeEffect]:
@@ -153,10 +188,21 @@ def _savings(quick: bool, processes: int):
         yield Saving(
             name=name,
             solves=gels * len(plan.solves),
-            core_s_per_pose=gels * count_drags(plan.solves) * outcome.processor_s / (2 * len(path.poses)),
+            core_s_per_pose=gels * _core_s(plan, outcome) / (2 * len(path.poses)),
             force_error_percent=force_percent,
             surface_error_um=surface_um,
         )
+
+
+def _core_s(plan: SolvePlan, sample: Outcome) -> float:
+    """Return the processor s of a plan from what a load step of a sample took."""
+    places = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, -CORNER.depth_mm), *map(_place, sample.job.poses)])
+    load_steps = sum(map(quality_named("draft").load_steps, np.diff(places, axis=0)))
+    return count_load_steps(plan.solves) * sample.processor_s / load_steps
+
+
+def _place(pose: Pose) -> tuple[float, float, float]:
+    return pose.shear_x_mm, pose.shear_y_mm, -pose.depth_mm
 
 
 def _poses(pose: Pose, sharing: Sharing) -> tuple[Pose, ...]:
@@ -173,13 +219,16 @@ def _poses(pose: Pose, sharing: Sharing) -> tuple[Pose, ...]:
 
 def _difference(outcome: Outcome, truth: Outcome) -> tuple[float, float]:
     """Return how far the pose is from that with nothing shared: force in %, surface rms in µm within 5 mm."""
-    right = truth.states[0]
     state = min(
         zip(outcome.job.poses, outcome.states, strict=True),
         key=lambda pair: abs(pair[0].radius_mm - TRAVEL_MM),
     )[1]
+    return _change(state, truth.states[0], CORNER)
+
+
+def _change(state: MembraneState, right: MembraneState, point: Pose) -> tuple[float, float]:
+    """Return how far a state is from the right one: force in %, surface rms in µm within 5 mm of the contact point."""
     force = 100 * np.linalg.norm(state.force_n - right.force_n) / np.linalg.norm(right.force_n)
-    x, y = np.meshgrid(right.x_mm - CORNER.point_x_mm, right.y_mm - CORNER.point_y_mm)
-    near = np.hypot(x, y) <= 5
-    error = (state.displacement_mm - right.displacement_mm)[near]
+    x, y = np.meshgrid(right.x_mm - point.point_x_mm, right.y_mm - point.point_y_mm)
+    error = (state.displacement_mm - right.displacement_mm)[np.hypot(x, y) <= REACH_MM]
     return float(force), float(1e3 * np.sqrt((error**2).sum(-1).mean()))

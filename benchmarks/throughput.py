@@ -16,7 +16,7 @@ from gelgap.benchmarks.solve_jobs import own_cache
 from gelgap.benchmarks.stages import MIB, MemorySampler
 from gelgap.benchmarks.tables import print_table, write_json
 from gelgap.domains.dataset import LabelledFrames, open_domain
-from gelgap.domains.estimate import estimate, load_steps
+from gelgap.domains.estimate import estimate
 from gelgap.domains.folder import DomainFolder
 from gelgap.domains.generate import generate_recipes, package_versions
 from gelgap.domains.plan import plan_generation
@@ -261,18 +261,16 @@ def _cost_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
     from gelgap.sim.indentation import solve
 
     problems = [solve.problem for solve in plan_generation(recipes).solves.values()]
-    problem = min(problems, key=lambda problem: -problem.waypoints_mm[0][2])
-    travel_mm = float(np.linalg.norm(np.array(problem.waypoints_mm)[:, :2], axis=1).max())
+    problem = min(problems, key=lambda problem: problem.depth_mm)
     start = time.process_time()
     solve(problem)
-    step_s = (time.process_time() - start) / load_steps(
-        problem.quality, -problem.waypoints_mm[0][2], travel_mm
-    )
-    steps = sum(
-        load_steps(problem.quality, pose.depth_mm, pose.radius_mm)
+    step_s = (time.process_time() - start) / problem.load_steps
+    ways = (
+        [(0.0, 0.0, -pose.depth_mm), (pose.radius_mm, 0.0, 0.0)]
         for recipe in recipes
         for pose in recipe.path.poses
     )
+    steps = sum(problem.quality.load_steps(np.array(way)) for both in ways for way in both if any(way))
     return step_s * steps / 3600, sum(estimate([recipe]).frame_core_s for recipe in recipes) / 3600
 
 

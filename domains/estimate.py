@@ -12,7 +12,6 @@ from gelgap.domains.pictures import led_to_camera, picture_cells, same_picture
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim.membrane import MembraneState, grid_axes
-from gelgap.sim.quality import Quality
 
 if TYPE_CHECKING:
     from gelgap.sim.sharing import Solve
@@ -82,16 +81,10 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     )
 
 
-def load_steps(quality: Quality, depth_mm: float, travel_mm: float) -> float:
-    """Return how many load steps a contact takes: straight down, then sideways."""
-    return depth_mm / quality.press_step_mm + travel_mm / quality.shear_step_mm
-
-
 def _solve_s(solve: "Solve") -> float:
     """Return the expected seconds of a solve."""
-    quality, waypoints = solve.problem.quality, np.array(solve.problem.waypoints_mm)
-    travel_mm = np.linalg.norm(waypoints[:, :2], axis=1).max()
-    return SECONDS_A_LOAD_STEP[quality.name] * load_steps(quality, -waypoints[:, 2].min(), travel_mm)
+    problem = solve.problem
+    return SECONDS_A_LOAD_STEP[problem.quality.name] * problem.load_steps
 
 
 def _frame_costs(plan: GenerationPlan) -> tuple[float, float]:

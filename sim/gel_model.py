@@ -23,10 +23,15 @@ _CONTACT = 'solref="1e-3 1" solimp="0.9999 0.9999 0.001 0.5 2"'
 
 @dataclass(frozen=True)
 class GelModel:
-    """A compiled model and where its parts are. `vertex_dof` is each mesh vertex's first dof, −1 if bonded."""
+    """A compiled model, what it is made of, and where its parts are.
+
+    `vertex_dof` is each mesh vertex's first dof, −1 if bonded.
+    """
 
     model: Any
     mesh: GelMesh
+    young_modulus_mpa: float
+    poisson_ratio: float
     vertex_dof: NDArray[np.int64]
     vertex_of_geom: NDArray[np.int64]
     ball_dof: slice
@@ -98,6 +103,8 @@ def build_gel_model(
     return GelModel(
         model=model,
         mesh=mesh,
+        young_modulus_mpa=young_modulus_mpa,
+        poisson_ratio=poisson_ratio,
         vertex_dof=vertex_dof,
         vertex_of_geom=vertex_of_geom,
         ball_dof=slice(first_dof, first_dof + 3),

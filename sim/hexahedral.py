@@ -97,7 +97,7 @@ class _Pad:
             problem.pad_radius_mm,
             1.15 * contact + furthest_mm,
             problem.element_mm,
-            layer_depths(problem.thickness_mm, 0.6 * problem.element_mm, 1.25),
+            layer_depths(problem.thickness_mm, 0.75 * problem.element_mm, 1.25),
             problem.sectors,
         )
         self.surface = np.flatnonzero(self.nodes[:, 2] > -1e-9)

@@ -1,6 +1,5 @@
 """Quasi-static solution of a contact problem by MuJoCo: small load steps, each settled to equilibrium."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from gelgap.sim.extrapolation import GeometricSeries
 from gelgap.sim.gel_model import GelModel, build_gel_model
 from gelgap.sim.membrane import Diagnostics
 from gelgap.sim.mesh import ordered_for_elimination
+from gelgap.sim.mesh_stiffness import mesh_moduli
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.problem_mesh import mesh_for
 
@@ -75,11 +75,14 @@ class Solution:
 def solve(problem: ContactProblem) -> Solution:
     """Solve the problem from the undeformed gel."""
     zone = problem.sphere_radius_mm + problem.reach_mm + 0.4
-    mesh = ordered_for_elimination(mesh_for(problem), problem.contact_mm + problem.reach_mm)
+    mesh = ordered_for_elimination(mesh_for(problem), problem.contact_mm, problem.ways_mm[:, :, :2])
+    young_modulus_mpa, poisson_ratio = mesh_moduli(
+        problem.young_modulus_mpa, problem.poisson_ratio, problem.mesh_size.stiffness
+    )
     gel = build_gel_model(
         mesh,
-        young_modulus_mpa=problem.young_modulus_mpa,
-        poisson_ratio=problem.poisson_ratio,
+        young_modulus_mpa=young_modulus_mpa,
+        poisson_ratio=poisson_ratio,
         friction=problem.friction,
         sphere_radius_mm=problem.sphere_radius_mm,
         contact_zone_mm=zone,
@@ -166,10 +169,8 @@ class _Indentation:
 
     def _load_steps(self, target: NDArray[np.float64]) -> NDArray[np.float64]:
         """Divide the way to `target` into steps, smaller ones at first contact, where all nodes are new to it."""
-        quality, way = self._problem.quality, target - self._command
-        press = abs(way[2]) / quality.press_step_mm
-        shear = math.hypot(way[0], way[1]) / quality.shear_step_mm
-        steps = max(1, math.ceil(max(press, shear) - 1e-9))
+        way = target - self._command
+        steps = self._problem.quality.load_steps(way)
         shares = np.arange(1, steps + 1) / steps
         if not self._pressed.any() and way[2] < 0:
             shares = np.concatenate([np.array(_FIRST_STEPS) / steps, shares])
@@ -349,8 +350,8 @@ class _Indentation:
             audit = audit_contact(
                 gel.mesh,
                 positions,
-                young_modulus_mpa=problem.young_modulus_mpa,
-                poisson_ratio=problem.poisson_ratio,
+                young_modulus_mpa=gel.young_modulus_mpa,
+                poisson_ratio=gel.poisson_ratio,
                 friction=problem.friction,
                 centre_mm=indenter + np.array([0.0, 0.0, problem.sphere_radius_mm]),
                 radius_mm=problem.sphere_radius_mm,

@@ -41,11 +41,13 @@ class GelMesh:
         return np.flatnonzero(np.abs(self.vertices_mm[:, 1]) < 1e-9)
 
 
-def ordered_for_elimination(mesh: GelMesh, last_mm: float) -> GelMesh:
+def ordered_for_elimination(mesh: GelMesh, contact_mm: float, ways_mm: NDArray[np.float64]) -> GelMesh:
     """Renumber the vertices so that MuJoCo's sparse Cholesky factor fills little and is cheap to update.
 
-    MuJoCo eliminates from the last vertex to the first. Surface vertices within `last_mm` of the axis, where contacts
-    come and go, are numbered first; the rest follow in reverse order of elimination, the bonded ones at the end.
+    MuJoCo eliminates from the last vertex to the first, and an update of the factor for a contact takes as long as
+    there are vertices that depend on the contact's. So surface vertices within `contact_mm` of where the indenter goes,
+    the straight `ways_mm` (n, 2, 2) in the plane, are numbered first, the nearest at the front; the rest follow in
+    reverse order of elimination, the bonded ones at the end.
     """
     from scipy import sparse
 
@@ -61,27 +63,43 @@ def ordered_for_elimination(mesh: GelMesh, last_mm: float) -> GelMesh:
         shape=(count, count),
     ).tocsr()
     place = np.full(count, 1)
-    place[mesh.surface[np.hypot(*vertices[mesh.surface, :2].T) <= last_mm]] = 0
+    distance = _distance_to_ways(vertices[:, :2], ways_mm)
+    place[mesh.surface[distance[mesh.surface] <= contact_mm]] = 0
     place[mesh.bottom] = 2
     moving = np.flatnonzero(place < 2)
-    elimination = elimination_order(
-        pairs[moving][:, moving], vertices[moving], last=np.flatnonzero(place[moving] == 0)
-    )
+    touched = np.flatnonzero(place[moving] == 0)
+    last = touched[np.argsort(-distance[moving][touched], kind="stable")]
+    elimination = elimination_order(pairs[moving][:, moving], vertices[moving], last=last)
     order = np.concatenate([moving[elimination[::-1]], np.flatnonzero(place == 2)])
     number = np.empty(count, dtype=np.int32)
     number[order] = np.arange(count, dtype=np.int32)
     return GelMesh(vertices_mm=vertices[order], tetrahedra=number[tetrahedra], half=mesh.half)
 
 
+def _distance_to_ways(points_mm: NDArray[np.float64], ways_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far each point (k, 2) is from the nearest of the straight ways (n, 2, 2), from start to end."""
+    distance = np.full(len(points_mm), np.inf)
+    for start, end in ways_mm:
+        along = end - start
+        share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)
+        distance = np.minimum(distance, np.linalg.norm(points_mm - start - share[:, None] * along, axis=1))
+    return distance
+
+
 def half_disc_mesh(
-    radius_mm: float, fine_radius_mm: float, spacing_mm: float, layers_mm: NDArray[np.float64], sectors: int
+    radius_mm: float,
+    fine_radius_mm: float,
+    spacing_mm: float,
+    layers_mm: NDArray[np.float64],
+    sectors: int,
+    ring_growth: float = 1.5,
 ) -> GelMesh:
     """Mesh half a disc, y ≥ 0: a square core of cells, then rings that coarsen beyond `fine_radius_mm`.
 
     `sectors` is the number of cells around the half circle, a multiple of 4; `layers_mm` the z of the layers from 0
-    down.
+    down; the coarser rings are each `ring_growth` wider than the one before.
     """
-    plane, quads = _half_disc(radius_mm, fine_radius_mm, spacing_mm, sectors)
+    plane, quads = _half_disc(radius_mm, fine_radius_mm, spacing_mm, sectors, ring_growth)
     return _crossed(plane, tuple(quads), layers_mm, half=True)
 
 
@@ -136,9 +154,12 @@ def graded_spacings(
 
 
 def layer_depths(thickness_mm: float, first_mm: float, growth: float) -> NDArray[np.float64]:
-    """Return the z of the layers from the membrane (0) down to the backing, thicker with depth."""
+    """Return the z of the layers from the membrane (0) down to the backing: the first, then thicker with depth.
+
+    All are scaled down a little so that their number is whole.
+    """
     return -graded_spacings(
-        thickness_mm, first_mm, 0.0, growth, largest_mm=max(first_mm, 0.28 * thickness_mm)
+        thickness_mm, first_mm / growth, 0.0, growth, largest_mm=max(first_mm, 0.28 * thickness_mm)
     )
 
 

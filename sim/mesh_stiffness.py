@@ -1,9 +1,10 @@
-"""Moduli that make a quality's tetrahedra respond as the material does: linear tetrahedra are a little too stiff.
+"""Moduli that make a mesh's tetrahedra respond as the material does: linear tetrahedra are a little too stiff.
 
-Against locking-free solutions of the same energy a mesh of one quality is too stiff by a factor that hardly depends
+Against locking-free solutions of the same energy a mesh of one size is too stiff by a factor that hardly depends
 on depth, and not on the scene's size, since meshes scale with the contact. It grows with the bulk modulus, as
-what is left of volumetric locking does: factor = 1 + a + b / (1 − 2ν). `python -m gelgap.benchmarks.calibrate_mesh`
-derives a and b, and checks them on radii, thicknesses, ν and friction that it did not use.
+what is left of volumetric locking does: factor = 1 + a + b / (1 − 2ν), with a and b of `MeshSize`.
+`python -m gelgap.benchmarks.calibrate_mesh` derives a and b, and checks them on radii, thicknesses, ν and friction
+that it did not use.
 
 Above ν = 0.49 locking rises steeply and the material hardly changes: from 0.49 to 0.499 the axisymmetric solver's
 force rises by 1.7 % a hundredth of ν (1.5 without friction, 1.6 to 2.2 without slip), and the membrane moves by some
@@ -12,21 +13,17 @@ force rises by 1.7 % a hundredth of ν (1.5 without friction, 1.6 to 2.2 without
 
 LARGEST_POISSON_RATIO = 0.49
 FORCE_RISE_PER_POISSON = 1.7
-# quality: (a, b)
-STIFFNESS = {
-    "draft": (0.0049, 0.00063),
-    "standard": (0.0044, 0.00052),
-    "fine": (0.0035, 0.00036),
-}
 
 
-def mesh_moduli(young_modulus_mpa: float, poisson_ratio: float, quality: str) -> tuple[float, float]:
-    """Return (E in MPa, ν) to give a mesh of that quality so that it acts as a material of the given moduli.
+def mesh_moduli(
+    young_modulus_mpa: float, poisson_ratio: float, stiffness: tuple[float, float]
+) -> tuple[float, float]:
+    """Return (E in MPa, ν) to give a mesh of that stiffness (a, b) so that it acts as a material of the given moduli.
 
     Both pairs are those of MuJoCo's Stable Neo-Hookean energy.
     """
     excess = max(0.0, poisson_ratio - LARGEST_POISSON_RATIO)
     poisson_ratio -= excess
-    a, b = STIFFNESS[quality]
-    stiffness = 1 + a + b / (1 - 2 * poisson_ratio)
-    return young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * excess) / stiffness, poisson_ratio
+    a, b = stiffness
+    factor = 1 + a + b / (1 - 2 * poisson_ratio)
+    return young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * excess) / factor, poisson_ratio

@@ -1,36 +1,85 @@
 """How finely a contact is solved: mesh, load steps and tolerance of the three qualities."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 QualityName = Literal["draft", "standard", "fine"]
 
 
 @dataclass(frozen=True)
-class Quality:
-    """Lengths in mm for a contact of a 1.5 mm sphere on a 3 mm pad; other scenes scale the mesh to theirs.
+class MeshSize:
+    """How fine a mesh is, for a contact of a 1.5 mm sphere on a 3 mm pad; other scenes scale it to theirs.
 
-    `surface_mm` is the spacing of the membrane's vertices around the contact, `layer_mm` the thickness of the first
-    layer, each further one `layer_growth` thicker, `sectors` the number of cells around half a circle. A load step is
-    settled when an iteration changes the force by less than a share of it: the tolerance, smaller where the indenter
-    goes sideways, since slip settles more slowly.
+    `surface_mm` is the spacing of the membrane's vertices around the contact, beyond which each ring of cells is
+    `ring_growth` wider than the one before; `layer_mm` is the thickness of the first layer, each further one
+    `layer_growth` thicker; `sectors` the number of cells around half a circle. `stiffness` are a and b of
+    `mesh_stiffness`, calibrated for this mesh.
     """
 
-    name: str
     surface_mm: float
     layer_mm: float
     layer_growth: float
+    ring_growth: float
     sectors: int
+    stiffness: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Meshes of a half disc, and of a pad that is cut at its edges or has no plane of symmetry, and load steps.
+
+    A load step is settled when an iteration changes the force by less than a share of it: the tolerance, smaller where
+    the indenter goes sideways, since slip settles more slowly.
+    """
+
+    name: str
+    disc: MeshSize
+    pad: MeshSize
     press_step_mm: float
     shear_step_mm: float
     press_tolerance: float
     shear_tolerance: float
 
+    def load_steps(self, way_mm: NDArray[np.float64]) -> int:
+        """Return in how many load steps the indenter goes a straight way (x, y, z)."""
+        press = abs(way_mm[2]) / self.press_step_mm
+        shear = math.hypot(way_mm[0], way_mm[1]) / self.shear_step_mm
+        return max(1, math.ceil(max(press, shear) - 1e-9))
 
+
+# MuJoCo's factor of a whole pad takes five times the work of half a disc's, so that it is meshed more coarsely.
 QUALITIES = {
-    "draft": Quality("draft", 0.4, 0.2, 1.5, 8, 0.2, 0.1, 3e-3, 1e-3),
-    "standard": Quality("standard", 0.25, 0.12, 1.25, 8, 0.1, 0.1, 1e-3, 3e-4),
-    "fine": Quality("fine", 0.16, 0.08, 1.25, 12, 0.05, 0.05, 3e-4, 1e-4),
+    "draft": Quality(
+        name="draft",
+        disc=MeshSize(0.4, 0.3, 1.5, 2.0, 8, stiffness=(0.0049, 0.00063)),
+        pad=MeshSize(0.5, 0.45, 1.8, 1.8, 8, stiffness=(0.0049, 0.00063)),
+        press_step_mm=0.2,
+        shear_step_mm=0.1,
+        press_tolerance=3e-3,
+        shear_tolerance=1e-3,
+    ),
+    "standard": Quality(
+        name="standard",
+        disc=MeshSize(0.22, 0.12, 1.8, 1.8, 12, stiffness=(0.0124, 0.00069)),
+        pad=MeshSize(0.4, 0.3456, 1.8, 1.8, 8, stiffness=(0.0065, 0.00061)),
+        press_step_mm=0.1,
+        shear_step_mm=0.1,
+        press_tolerance=1e-3,
+        shear_tolerance=3e-4,
+    ),
+    "fine": Quality(
+        name="fine",
+        disc=MeshSize(0.16, 0.09, 1.5, 1.8, 16, stiffness=(0.0035, 0.00036)),
+        pad=MeshSize(0.256, 0.2304, 1.8, 1.8, 12, stiffness=(0.0035, 0.00036)),
+        press_step_mm=0.05,
+        shear_step_mm=0.05,
+        press_tolerance=3e-4,
+        shear_tolerance=1e-4,
+    ),
 }
 
 

@@ -13,9 +13,9 @@ from gelgap.sim.equivalent_material import equivalent_material
 from gelgap.sim.indentation import Solution, solve
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState, grid_axes
-from gelgap.sim.mesh_stiffness import mesh_moduli
 from gelgap.sim.path import ContactPath, Pose, PosePath
 from gelgap.sim.problem import ContactProblem, Waypoint
+from gelgap.sim.problem_mesh import mesh_scale
 from gelgap.sim.quality import quality_named
 from gelgap.sim.surface import PolarTable, contact_radius_mm, polar_table, pressed_onto_sphere
 
@@ -23,6 +23,8 @@ from gelgap.sim.surface import PolarTable, contact_radius_mm, polar_table, press
 _CANONICAL_MODULUS_MPA = 0.3
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
 _INTERIOR_THICKNESSES = 2.4
+# So many depths share a descent, but two cores get one each: the drags that branch off take most of the time.
+_DEPTHS_OF_A_DESCENT = 3
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Sharing:
 
     `modulus`: one solve serves every Young's modulus. `translation`: interior points share theirs, which also makes
     directions rotations of each other and half the gel enough. `reflection`: on a small pad, mirrored points and
-    directions share theirs. `path`: poses at one point and depth share a solve, whose drags branch off one press.
+    directions share theirs. `path`: poses at one point share descents, off which drags branch at their depths.
     `cache`: solutions are kept on disk.
     """
 
@@ -116,7 +118,7 @@ def plan_solves(
     poses = path.poses
     for pose in {(p.point_x_mm, p.point_y_mm, p.depth_mm): p for p in poses}.values():
         check_pose(elastomer, indenter, pose)
-    groups: dict[tuple, list[tuple[tuple[float, float], float, int]]] = {}
+    groups: dict[tuple, list[_Drag]] = {}
     frames: dict[int, NDArray[np.float64]] = {}
     trajectories: dict[int, list[int]] = {}
     for index, pose in enumerate(poses):
@@ -129,18 +131,20 @@ def plan_solves(
         frames[index] = frame
         way = frame.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
         direction = tuple(float(c) + 0.0 for c in np.round(way / (pose.radius_mm or 1.0), 9))
+        fineness = mesh_scale(indenter.radius_mm, elastomer.thickness_mm, pose.depth_mm)
         alone = () if sharing.path else (index,)
-        groups.setdefault((pad, origin, pose.depth_mm, *alone), []).append((direction, pose.radius_mm, index))
+        drag = _Drag(pose.depth_mm, direction, pose.radius_mm, index)
+        groups.setdefault((pad, origin, fineness, *alone), []).append(drag)
+    descents = [(pad, drags) for (pad, *_), group in groups.items() for drags in _descents(group)]
+    # The deepest, which take longest, come first, so that processes which share the solves end together.
+    descents.sort(key=lambda descent: -max(drag.depth_mm for drag in descent[1]))
     solves: list[Solve] = []
     placements: list[Placement | None] = [None] * len(poses)
-    # The deepest, which take longest, come first, so that processes which share the solves end together.
-    for (pad, _, depth, *_rest), members in sorted(groups.items(), key=lambda group: -group[0][2]):
-        waypoints, parents, record_of = _radial_ways(
-            depth, {(direction, radius) for direction, radius, _ in members}
-        )
+    for pad, drags in descents:
+        waypoints, parents, record_of = _branching_ways(drags)
         problem = contact_problem(elastomer, indenter, pad, waypoints, parents, quality, sharing)
-        for direction, radius, index in members:
-            placements[index] = Placement(len(solves), record_of[direction, radius], frames[index])
+        for drag in drags:
+            placements[drag.pose] = Placement(len(solves), record_of[drag.way], frames[drag.pose])
         solves.append(Solve(problem, sharing.cache))
     for members in trajectories.values():
         problem, frame, records = visiting_problem(
@@ -155,18 +159,50 @@ def plan_solves(
     return SolvePlan(elastomer, indenter, poses, tuple(solves), tuple(placements))
 
 
-def _radial_ways(
-    depth_mm: float, drags: set[tuple[tuple[float, float], float]]
-) -> tuple[tuple[Waypoint, ...], tuple[int, ...], dict[tuple[tuple[float, float], float], int]]:
-    """Return waypoints and parents of a press, the drags (direction, radius) that branch off it, and each's record."""
-    waypoints, parents = [(0.0, 0.0, -depth_mm)], [-1]
-    record_of = {drag: 0 for drag in drags if drag[1] == 0}
-    previous = None
-    for direction, radius in sorted(drag for drag in drags if drag[1] > 0):
-        record_of[direction, radius] = len(waypoints)
-        parents.append(len(waypoints) - 1 if direction == previous else 0)
-        waypoints.append((direction[0] * radius + 0.0, direction[1] * radius + 0.0, -depth_mm))
-        previous = direction
+@dataclass(frozen=True)
+class _Drag:
+    """A pose in its canonical frame: down to a depth, then sideways by a radius (0 for a press alone)."""
+
+    depth_mm: float
+    direction: tuple[float, float]
+    radius_mm: float
+    pose: int
+
+    @property
+    def way(self) -> tuple[float, tuple[float, float], float]:
+        return self.depth_mm, self.direction, self.radius_mm
+
+
+def _descents(drags: list[_Drag]) -> list[list[_Drag]]:
+    """Divide drags at one point into descents, each through neighbouring depths."""
+    depths = sorted({drag.depth_mm for drag in drags})
+    count = min(len(depths), max(2, math.ceil(len(depths) / _DEPTHS_OF_A_DESCENT)))
+    return [
+        [drag for drag in drags if drag.depth_mm in shared]
+        for shared in np.array_split(np.array(depths), count)
+    ]
+
+
+def _branching_ways(
+    drags: list[_Drag],
+) -> tuple[tuple[Waypoint, ...], tuple[int, ...], dict[tuple[float, tuple[float, float], float], int]]:
+    """Return waypoints and parents of a descent off which drags branch at their depths, and each drag's record."""
+    waypoints: list[Waypoint] = []
+    parents: list[int] = []
+    record_of: dict[tuple[float, tuple[float, float], float], int] = {}
+    press, depth, direction = -1, 0.0, (0.0, 0.0)
+    for drag in sorted(drags, key=lambda drag: drag.way):
+        if drag.depth_mm != depth:
+            parents.append(press)
+            press, depth, direction = len(waypoints), drag.depth_mm, (0.0, 0.0)
+            waypoints.append((0.0, 0.0, -depth))
+        if drag.radius_mm == 0:
+            record_of[drag.way] = press
+        elif drag.way not in record_of:
+            parents.append(len(waypoints) - 1 if drag.direction == direction else press)
+            direction, (x, y) = drag.direction, drag.direction
+            record_of[drag.way] = len(waypoints)
+            waypoints.append((x * drag.radius_mm + 0.0, y * drag.radius_mm + 0.0, -depth))
     return tuple(waypoints), tuple(parents), record_of
 
 
@@ -265,7 +301,7 @@ def contact_problem(
     sharing: Sharing,
 ) -> ContactProblem:
     mesh_and_steps = quality_named(quality)
-    young, poisson = _mujoco_material(elastomer, quality)
+    young, poisson = _mujoco_material(elastomer)
     scale = _CANONICAL_MODULUS_MPA / elastomer.young_modulus_mpa if sharing.modulus else 1.0
     mount = elastomer.mount_stiffness_n_per_mm
     return ContactProblem(
@@ -282,12 +318,12 @@ def contact_problem(
     )
 
 
-def _mujoco_material(elastomer: Elastomer, quality: str) -> tuple[float, float]:
-    """Return the modulus and Poisson's ratio that make MuJoCo's energy on a quality's mesh act as the elastomer's."""
+def _mujoco_material(elastomer: Elastomer) -> tuple[float, float]:
+    """Return the modulus and Poisson's ratio that make MuJoCo's energy act as the elastomer's."""
     young, poisson = elastomer.young_modulus_mpa, elastomer.poisson_ratio
     if elastomer.strain_energy == "isochoric":
         young, poisson = equivalent_material(young, poisson)
-    return mesh_moduli(young, poisson, quality)
+    return young, poisson
 
 
 def placed_state(elastomer: Elastomer, pose: Pose, placement: Placement, solution: Solution) -> MembraneState:
@@ -302,7 +338,7 @@ def placed_state(elastomer: Elastomer, pose: Pose, placement: Placement, solutio
     position, contact = pressed_onto_sphere(position, centre, problem.sphere_radius_mm)
     position[..., :2] -= relative
     position[..., :2] = position[..., :2] @ frame.T
-    young, _ = _mujoco_material(elastomer, problem.quality.name)
+    young, _ = _mujoco_material(elastomer)
     force = record.force_n * (young / problem.young_modulus_mpa)
     return MembraneState(
         x_mm=x_mm,

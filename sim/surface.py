@@ -61,7 +61,7 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
     radius = _radius(np.arange(np.ceil(_row(np.array(reach))) + 1))
     turn = np.linspace(0, np.pi, _SECTORS + 1) if half else np.linspace(0, 2 * np.pi, 2 * _SECTORS + 1)
     # The mesh is a polygon, cut at the pad's edges: points beyond it take the displacement of its rim.
-    meshed = np.minimum(radius, 0.999 * rim * np.cos(np.pi / (2 * problem.quality.sectors)))
+    meshed = np.minimum(radius, 0.999 * rim * np.cos(np.pi / (2 * problem.mesh_size.sectors)))
     x, y = np.outer(meshed, np.cos(turn)), np.outer(meshed, np.sin(turn))
     x, y = np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])
     points = np.stack([x, y], -1)

@@ -7,7 +7,7 @@ from scipy import sparse
 from gelgap.sim.elimination import _minimum_degree, elimination_order, factor_work
 from gelgap.sim.mesh import GelMesh, half_disc_mesh, layer_depths, ordered_for_elimination, pad_mesh
 
-LAYERS = layer_depths(3.0, 0.2, 1.5)
+LAYERS = layer_depths(3.0, 0.3, 1.5)
 PADS = {
     "centred": (-5.0, 5.0, -4.0, 4.0),
     "beside a corner": (-8.75, 1.25, -6.6, 1.4),
@@ -72,14 +72,24 @@ def test_a_pad_with_far_edges_is_the_disc() -> None:
 
 def test_a_new_order_of_vertices_is_the_same_mesh() -> None:
     mesh = half_disc_mesh(9.9, 2.5, 0.4, LAYERS, 8)
-    ordered = ordered_for_elimination(mesh, 2.0)
+    ways = np.array([[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.6, 0.0]]])
+    ordered = ordered_for_elimination(mesh, 1.4, ways)
     assert np.sort(_volumes(ordered)) == pytest.approx(np.sort(_volumes(mesh)))
-    first = ordered.vertices_mm[: np.sum(np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= 2.0)]
+    touched = _distance_to_the_way(mesh.vertices_mm[mesh.surface]) <= 1.4
+    first = ordered.vertices_mm[: np.sum(touched)]
     assert (first[:, 2] == 0).all()
+    distance = _distance_to_the_way(first)
+    assert (np.diff(distance) > -1e-12).all()
+    assert distance[-1] <= 1.4
+
+
+def _distance_to_the_way(vertices_mm: np.ndarray) -> np.ndarray:
+    x, y = vertices_mm[:, 0], vertices_mm[:, 1]
+    return np.hypot(x - np.clip(x, 0.0, 0.6), y)
 
 
 def test_the_order_of_elimination_is_cheaper_than_minimum_degree() -> None:
-    mesh = half_disc_mesh(9.9, 2.7, 0.25, layer_depths(3.0, 0.12, 1.25), 8)
+    mesh = half_disc_mesh(9.9, 2.7, 0.25, layer_depths(3.0, 0.15, 1.25), 8)
     count = len(mesh.vertices_mm)
     rows, columns = np.repeat(mesh.tetrahedra, 4, axis=1).ravel(), np.tile(mesh.tetrahedra, 4).ravel()
     graph = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()

@@ -29,24 +29,43 @@ def _plan(gel: Elastomer = GEL, path: ContactPath = SHORT, sharing: Sharing | No
     return plan_solves(gel, Sphere(), path, "draft", sharing)
 
 
-def test_interior_points_need_one_solve_a_depth() -> None:
-    assert len(_plan(path=ContactPath.preset("paper")).solves) == 5
-    assert len(_plan(path=ContactPath.preset("sparse")).solves) == 4
+def test_interior_points_need_a_solve_for_each_descent() -> None:
+    assert len(_plan(path=ContactPath.preset("paper")).solves) == 2
+    assert len(_plan(path=ContactPath.preset("sparse")).solves) == 2
+
+
+def test_depths_share_a_descent_and_drags_branch_off_it() -> None:
+    path = ContactPath("depths", (0.0,), (0.0,), (0.3, 0.1, 0.2), (0.0, 0.1), (0.0,))
+    plan = _plan(path=path)
+    deep, shallow = (solve.problem for solve in plan.solves)
+    assert deep.waypoints_mm == ((0.0, 0.0, -0.3), (0.1, 0.0, -0.3))
+    assert shallow.waypoints_mm == ((0.0, 0.0, -0.1), (0.1, 0.0, -0.1), (0.0, 0.0, -0.2), (0.1, 0.0, -0.2))
+    assert shallow.parents == (-1, 0, 0, 2)
+    assert shallow.load_steps == 4
+    for pose, placement in zip(plan.poses[1:], plan.placements[1:], strict=True):
+        waypoint = plan.solves[placement.solve].problem.waypoints_mm[placement.record]
+        assert waypoint == (pose.radius_mm, 0.0, -pose.depth_mm)
+
+
+def test_depths_that_deserve_different_meshes_share_no_descent() -> None:
+    path = ContactPath("depths", (0.0,), (0.0,), (0.4, 0.6, 0.8, 1.0), (0.0,), (0.0,))
+    assert len(plan_solves(GEL, Sphere(diameter_mm=3.0), path, "draft").solves) == 2
+    assert len(plan_solves(GEL, Sphere(diameter_mm=6.0), path, "draft").solves) == 4
 
 
 def test_a_small_pad_shares_by_reflection_alone() -> None:
     path = ContactPath.preset("paper")
     mirrored = len(_plan(SMALL, path).solves)
     apart = len(_plan(SMALL, path, Sharing(reflection=False)).solves)
-    assert apart == 30 * 5
-    assert mirrored == 9 * 5
+    assert apart == 30 * 2
+    assert mirrored == 9 * 2
 
 
 def test_each_saving_can_be_switched_off() -> None:
     path = ContactPath.preset("smoke")
-    assert len(_plan(path=path).solves) == 3
+    assert len(_plan(path=path).solves) == 2
     assert len(_plan(path=path, sharing=Sharing(path=False)).solves) == 4 * 36
-    assert len(_plan(path=path, sharing=Sharing(translation=False, reflection=False)).solves) == 4 * 3
+    assert len(_plan(path=path, sharing=Sharing(translation=False, reflection=False)).solves) == 4 * 2
 
 
 def test_another_modulus_needs_no_new_solve_unless_the_mount_gives_way() -> None:
