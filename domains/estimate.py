@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gelgap.sim.sharing import Solve
 
 # Seconds of one core for one load step, measured on the gel of the paper-like presets.
-SECONDS_A_LOAD_STEP = {"draft": 0.8, "standard": 4.6, "fine": 20.0}
+SECONDS_A_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
 
 
 @dataclass(frozen=True)

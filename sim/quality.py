@@ -73,7 +73,7 @@ QUALITIES = {
     ),
     "fine": Quality(
         name="fine",
-        disc=MeshSize(0.16, 0.09, 1.5, 1.8, 16, stiffness=(0.0035, 0.00036)),
+        disc=MeshSize(0.16, 0.09, 1.5, 1.8, 16, stiffness=(0.0103, 0.00054)),
         pad=MeshSize(0.256, 0.2304, 1.8, 1.8, 12, stiffness=(0.0035, 0.00036)),
         press_step_mm=0.05,
         shear_step_mm=0.05,
