@@ -1,1 +1,5 @@
 """Force regression under domain shift: networks, adaptation methods, training and evaluation."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

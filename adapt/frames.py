@@ -94,7 +94,7 @@ class Frames:
 
 def load_frames(folder: str | Path, profile: Profile, n_classes: int = 361) -> Frames:
     """Read a generated domain at the profile's picture size."""
-    from gelgap.domains.dataset import open_domain
+    from gelgap.domains import open_domain
 
     data = open_domain(folder)
     return Frames(

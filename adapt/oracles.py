@@ -14,7 +14,7 @@ import numpy as np
 from gelgap.adapt.evaluation import Evaluation, evaluate_predictions
 
 if TYPE_CHECKING:
-    from gelgap.domains.dataset import GeneratedDomain
+    from gelgap.domains import GeneratedDomain
 
 
 class Contacts(Protocol):

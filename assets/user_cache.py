@@ -1,7 +1,6 @@
-"""The user's cache folder, which rooms share without knowing each other, and writing to it."""
+"""The user's cache folder, which rooms share without knowing each other."""
 
 import os
-import tempfile
 from pathlib import Path
 
 
@@ -10,23 +9,6 @@ def cache_folder() -> Path:
     chosen = os.environ.get("GELGAP_CACHE")
     if chosen:
         return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gelgap"
+    from platformdirs import user_cache_path
 
-
-def write_cached(path: Path, content: bytes) -> None:
-    """Write a file to a temporary name and rename it, so that readers and concurrent writers see it whole.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; nothing of it is left.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(content)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    return user_cache_path("gelgap", appauthor=False)

@@ -31,8 +31,7 @@ class Adapt:
 
     def run(self, started: float) -> None:
         """Train, adapt, print one line a method."""
-        from gelgap.adapt.progress import console_progress
-        from gelgap.adapt.runs import adapt_folders
+        from gelgap.adapt import adapt_folders, console_progress
 
         with console_progress() as progress:
             runs = adapt_folders(

@@ -13,6 +13,17 @@ PARTS = {
 }
 """The parts of the subjects that have any."""
 
+MODULES = {
+    ("physics", None): "physics.accuracy",
+    ("render", None): "render.accuracy",
+    ("throughput", None): "data.throughput",
+    ("faults", None): "data.faults",
+    ("stability", "physics"): "physics.stability",
+    ("stability", "render"): "render.stability",
+    ("stability", "losses"): "adaptation.losses",
+}
+"""Where each subject, or part of it, is measured."""
+
 
 @dataclass(frozen=True)
 class Benchmark:
@@ -40,9 +51,9 @@ class Benchmark:
             has = f"its parts are {', '.join(known)}" if known else "it has no parts"
             raise ValueError(f"--what {self.what} is no part of benchmark {self.subject}; {has}")
         if self.subject == "adaptation":
-            from gelgap.benchmarks.adaptation import run
+            from gelgap.benchmarks.adaptation.groups import run
 
             run(self.quick, self.out, (self.what,) if self.what else known)
             return
-        name = f"stability_{self.what or 'physics'}" if self.subject == "stability" else self.subject
-        import_module(f"gelgap.benchmarks.{name}").run(quick=self.quick, out_dir=self.out)
+        module = MODULES[self.subject, self.what or known[0] if known else None]
+        import_module(f"gelgap.benchmarks.{module}").run(quick=self.quick, out_dir=self.out)

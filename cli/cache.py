@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from gelgap.sim.cache import CacheEntry
+    from gelgap.sim import CacheEntry
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class Cache:
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
-        from gelgap.sim.cache import cache_entries, cache_use, clear_cache
+        from gelgap.sim import cache_entries, cache_use, clear_cache
 
         if not self.clear:
             for entry in cache_entries():
                 print(_line(entry))
         if self.clear:
-            from gelgap.render.led_cache import clear_led_cache
+            from gelgap.render import clear_led_cache
 
             clear_led_cache()
         use = clear_cache() if self.clear else cache_use()

@@ -9,7 +9,7 @@ import tyro
 if TYPE_CHECKING:
     import numpy as np
 
-    from gelgap.render.calibration import PressPicture
+    from gelgap.render import PressPicture
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Calibrate:
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
         from gelgap.cli.render import load_sensor
-        from gelgap.render.calibration import calibrate, save_sensor
+        from gelgap.render import calibrate, save_sensor
 
         if not self.output.parent.is_dir():
             raise FileNotFoundError(f"the folder of {self.output} does not exist; create it first")
@@ -66,7 +66,7 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     """
     import tomllib
 
-    from gelgap.render.calibration import PressPicture
+    from gelgap.render import PressPicture
 
     if not path.is_file():
         raise FileNotFoundError(f"{path} does not exist; see gelgap calibrate --help for what it holds")

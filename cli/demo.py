@@ -28,8 +28,8 @@ class Demo:
 
     def run(self, started: float) -> None:
         """Run the demo and print its table."""
-        from gelgap.benchmarks.demo import run_demo
-        from gelgap.domains.progress import shown_progress
+        from gelgap.cli.workflows.demo import run_demo
+        from gelgap.domains import shown_progress
 
         with shown_progress() as progress:
             result = run_demo(

@@ -23,7 +23,7 @@ class Export:
 
     def run(self, started: float) -> None:
         """Export, and name what was written."""
-        from gelgap.domains.export import export
+        from gelgap.domains import export
 
         for path in export(self.folder, self.format_name, self.out):
             print(f"wrote {path}")

@@ -65,11 +65,16 @@ class Generate:
             )
 
         from gelgap.cli.render import load_sensor
-        from gelgap.domains.estimate import estimate
-        from gelgap.domains.generate import generate_recipes
-        from gelgap.domains.progress import shown_progress
-        from gelgap.domains.recipe import make_recipes, preset_recipes
-        from gelgap.domains.sweep import Sweep, sweep_variants, write_sweep
+        from gelgap.domains import (
+            Sweep,
+            estimate,
+            generate_recipes,
+            make_recipes,
+            preset_recipes,
+            shown_progress,
+            sweep_variants,
+            write_sweep,
+        )
 
         settings = {
             "sensor": load_sensor(self.sensor),

@@ -25,9 +25,14 @@ class Inspect:
 
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
-        from gelgap.domains.dataset import open_domain
-        from gelgap.domains.inspection import domain_folders, gap_rows, inspect_domain, verify_domain
-        from gelgap.domains.overview import write_overview
+        from gelgap.domains import (
+            domain_folders,
+            gap_rows,
+            inspect_domain,
+            open_domain,
+            verify_domain,
+            write_overview,
+        )
 
         folders = domain_folders(self.folder)
         if self.html is not None and len(folders) > 1:

@@ -69,10 +69,7 @@ class Press:
 
     def run(self, started: float) -> None:
         """Solve the scene and print it; `wall_s` counts from `started`, the start of the process."""
-        from gelgap.sim.elastomer import Elastomer
-        from gelgap.sim.indenter import Sphere
-        from gelgap.sim.path import Pose
-        from gelgap.sim.solver import pose_for_force, solve_pose
+        from gelgap.sim import Elastomer, Pose, Sphere, pose_for_force, solve_pose
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")

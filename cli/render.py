@@ -9,7 +9,7 @@ import tyro
 if TYPE_CHECKING:
     import numpy as np
 
-    from gelgap.render.sensor import Sensor
+    from gelgap.render import Sensor
 
 ARRAYS = ("x_mm", "y_mm", "displacement_mm")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
@@ -46,9 +46,7 @@ class Render:
         import cv2
         import numpy as np
 
-        from gelgap.render.illumination import Illumination
-        from gelgap.render.imaging import encode, sensor_noise
-        from gelgap.render.renderer import MembraneRenderer
+        from gelgap.render import Illumination, MembraneRenderer, encode, sensor_noise
 
         self._check_outputs()
         membrane = load_membrane(self.state)
@@ -84,7 +82,7 @@ class Render:
 
 def load_sensor(name: str) -> "Sensor":
     """Return the sensor of a TOML file or of a preset's name."""
-    from gelgap.render.sensor import Sensor
+    from gelgap.render import Sensor
 
     return Sensor.load(name) if name.endswith(".toml") else Sensor.preset(name)
 

@@ -1,5 +1,5 @@
 """Labelled domains: what a domain is, how it is generated, stored and read."""
 
-from gelgap.domains.dataset import open_domain
+import lazy_loader
 
-__all__ = ["open_domain"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

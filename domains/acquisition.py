@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from gelgap.sim.path import ContactPath, Pose
-from gelgap.sim.settings import Settings
+from gelgap.assets.settings import Settings
+from gelgap.sim import ContactPath, Pose
 
 Contacts = Literal["paired", "independent"]
 Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]

@@ -11,10 +11,10 @@ import numpy as np
 from gelgap.domains.pictures import led_to_camera, picture_cells, same_picture
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.sim.membrane import MembraneState, grid_axes
+from gelgap.sim import MembraneState, grid_axes
 
 if TYPE_CHECKING:
-    from gelgap.sim.sharing import Solve
+    from gelgap.sim import Solve
 
 # Seconds of one core for one load step, measured on the gel of the paper-like presets.
 SECONDS_A_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
@@ -57,7 +57,7 @@ class Estimate:
 
 def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Estimate:
     """Plan domains and estimate their cost; a few frames of each light are rendered to see."""
-    from gelgap.sim.cache import load_solution
+    from gelgap.sim import load_solution
 
     plan = plan_generation(recipes)
     seconds, size = _frame_costs(plan)

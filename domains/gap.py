@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from gelgap.domains.recipe import DomainRecipe
 
 if TYPE_CHECKING:
-    from gelgap.render.renderer import MembraneRenderer
+    from gelgap.render import MembraneRenderer
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class DomainGap:
 
 def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
-    from gelgap.render.gap import reference_gap
+    from gelgap.render import reference_gap
 
     colours = reference_gap(reference_renderer(base), reference_renderer(other))
     changed = (other.markers, base.markers)
@@ -52,7 +52,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
 
 def reference_renderer(recipe: DomainRecipe) -> "MembraneRenderer":
     """Return the renderer of a recipe's light."""
-    from gelgap.render.renderer import MembraneRenderer
+    from gelgap.render import MembraneRenderer
 
     return MembraneRenderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
 

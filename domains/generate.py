@@ -21,7 +21,7 @@ from gelgap.domains.progress import Progress, Silent
 from gelgap.domains.recipe import DomainRecipe, make_recipes
 from gelgap.domains.schema import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.shard import Shard
-from gelgap.sim.path import ContactPath, PosePath
+from gelgap.sim import ContactPath, PosePath
 
 PACKAGES = (
     "gelgap",

@@ -101,7 +101,7 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     ValueError
         If their pictures have different sizes.
     """
-    from gelgap.render.gap import picture_gap
+    from gelgap.render import picture_gap
 
     seen = picture_gap(base.reference, frames.reference)
     rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]

@@ -9,12 +9,11 @@ import numpy as np
 from gelgap.domains.acquisition import generator
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.domains.schema import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, encode_png, picture_cell
-from gelgap.render.illumination import Illumination
-from gelgap.render.sensor import Sensor
+from gelgap.render import Illumination, Sensor
 
 if TYPE_CHECKING:
-    from gelgap.render.renderer import MembraneRenderer
-    from gelgap.sim.membrane import MembraneState
+    from gelgap.render import MembraneRenderer
+    from gelgap.sim import MembraneState
 
 # One holds the light of the undeformed membrane, some 0.2 MB for three LEDs.
 KEPT_RENDERERS = 32
@@ -35,7 +34,7 @@ def renderer_of(recipe: DomainRecipe, matrix: np.ndarray) -> "MembraneRenderer":
 def _renderer(
     sensor: Sensor, illumination: Illumination, size_px: tuple[int, int], quality: str, matrix: tuple
 ) -> "MembraneRenderer":
-    from gelgap.render.renderer import MembraneRenderer
+    from gelgap.render import MembraneRenderer
 
     return MembraneRenderer(sensor, illumination, size_px, quality, linear_by_led_to_camera=np.array(matrix))
 
@@ -94,7 +93,7 @@ def _optional_cell(
         case "marker_px":
             return renderer.marker_px(*_membrane(state)).reshape(-1, 2).astype(np.float32).tolist()
         case "marker_rest_mm":
-            from gelgap.render.markers import marker_rest_mm
+            from gelgap.render import marker_rest_mm
 
             return marker_rest_mm(recipe.sensor.markers).reshape(-1, 2).astype(np.float32).tolist()
 
@@ -108,6 +107,6 @@ def _shows_markers(recipe: DomainRecipe) -> bool:
 
 
 def _without_markers(picture: np.ndarray) -> np.ndarray:
-    from gelgap.render.inpainting import detect_markers, inpaint_telea
+    from gelgap.render import detect_markers, inpaint_telea
 
     return inpaint_telea(picture, detect_markers(picture))

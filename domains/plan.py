@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING
 
 from gelgap.domains.folder import canonical_json, shard_name
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenter import Sphere
-from gelgap.sim.path import ContactPath, PosePath
+from gelgap.sim import ContactPath, Elastomer, PosePath, Sphere
 
 if TYPE_CHECKING:
-    from gelgap.sim.sharing import Solve, SolvePlan
+    from gelgap.sim import Solve, SolvePlan
 
 FRAMES_PER_SHARD = 128
 
@@ -101,6 +99,6 @@ def solve_plan(recipe: DomainRecipe) -> "SolvePlan":
 def _solve_plan(
     elastomer: Elastomer, indenter: Sphere, path: ContactPath | PosePath, quality: str
 ) -> "SolvePlan":
-    from gelgap.sim.sharing import plan_solves
+    from gelgap.sim import plan_solves
 
     return plan_solves(elastomer, indenter, path, quality)

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from gelgap.assets import asset_path
+from gelgap.assets.settings import Settings
 from gelgap.domains.acquisition import (
     AcquisitionError,
     Contacts,
@@ -18,13 +19,8 @@ from gelgap.domains.acquisition import (
 from gelgap.domains.domain import OWN_LIGHT, Domain
 from gelgap.domains.folder import canonical_json
 from gelgap.domains.schema import PAPER_FORCE_RANGE_N, OptionalColumn
-from gelgap.render.illumination import Illumination
-from gelgap.render.sensor import Sensor
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenter import Sphere
-from gelgap.sim.path import ContactPath, Pose, PosePath, load_path
-from gelgap.sim.quality import QualityName
-from gelgap.sim.settings import Settings
+from gelgap.render import Illumination, Sensor
+from gelgap.sim import ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
 
 Interval = tuple[float, float]
 Side = Annotated[int, Field(ge=16, le=4096)]

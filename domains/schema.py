@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from gelgap.sim.membrane import Diagnostics
+from gelgap.sim import Diagnostics
 
 SCHEMA_VERSION = 1
 

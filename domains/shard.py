@@ -12,10 +12,10 @@ from gelgap.domains.pictures import KEPT_RENDERERS, picture_cells, same_picture
 from gelgap.domains.plan import FrameBatch, solve_plan
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.domains.schema import encode_shard
-from gelgap.sim.path import Pose
+from gelgap.sim import Pose
 
 if TYPE_CHECKING:
-    from gelgap.sim.membrane import MembraneState
+    from gelgap.sim import MembraneState
 
 SPLITS = (("train", 0.6), ("validation", 0.2), ("test", 0.2))
 """The paper's random split, written into every domain."""

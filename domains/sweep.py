@@ -11,11 +11,11 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from gelgap.assets.settings import Settings
 from gelgap.domains.folder import write_whole
 from gelgap.domains.gap import domain_gap
 from gelgap.domains.recipe import DomainRecipe, make_recipes
-from gelgap.render.variation import Variation, vary_illumination, vary_sensor
-from gelgap.sim.settings import Settings
+from gelgap.render import Variation, vary_illumination, vary_sensor
 
 SWEEP_FILE = "sweep.json"
 Value = float | int | str | bool | None

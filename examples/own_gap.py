@@ -3,9 +3,8 @@
 import sys
 from pathlib import Path
 
-from gelgap.domains.generate import generate_recipes
-from gelgap.domains.recipe import make_recipes
-from gelgap.sim.path import ContactPath
+from gelgap.domains import generate_recipes, make_recipes
+from gelgap.sim import ContactPath
 
 
 def main(out_dir: Path, path: str | ContactPath = "smoke", quality: str = "standard", **settings) -> None:

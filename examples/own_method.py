@@ -5,10 +5,7 @@ from pathlib import Path
 
 from torch import Tensor
 
-from gelgap.adapt.methods.base import Method
-from gelgap.adapt.methods.registry import register
-from gelgap.adapt.network import Activations
-from gelgap.adapt.runs import adapt_folders
+from gelgap.adapt import Activations, Method, adapt_folders, register
 
 
 class MeanMatching(Method):

@@ -6,12 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.sensor import Sensor
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenter import Sphere
-from gelgap.sim.path import Pose
-from gelgap.sim.solver import solve_pose
+from gelgap.render import MembraneRenderer, Sensor
+from gelgap.sim import Elastomer, Pose, Sphere, solve_pose
 
 
 def main(picture: Path, quality: str = "standard") -> np.ndarray:

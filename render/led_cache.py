@@ -5,7 +5,8 @@ import hashlib
 import json
 from importlib.metadata import PackageNotFoundError, version
 
-from gelgap.assets.user_cache import cache_folder, write_cached
+from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.whole_file import write_whole
 from gelgap.render.spectrum import RgbSpectrum, Spectrum, camera_rgb
 
 Rgb = tuple[float, float, float]
@@ -27,8 +28,8 @@ def cached_camera_rgb(
         if len(found) == len(spectra):
             return found
     found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
-    with contextlib.suppress(OSError):
-        write_cached(path, json.dumps(found).encode())
+    with contextlib.suppress(RuntimeError):
+        write_whole(path, json.dumps(found).encode())
     return found
 
 

@@ -5,7 +5,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelgap.assets.user_cache import cache_folder, write_cached
+from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.whole_file import write_whole
 from gelgap.sim.indentation import Solution
 from gelgap.sim.problem import ContactProblem
 
@@ -49,7 +50,7 @@ def load_solution(key: str) -> Solution | None:
 
 def store_solution(solution: Solution) -> None:
     """Write a solution under its problem's key."""
-    write_cached(_path(solution.problem.key), pickle.dumps(solution, protocol=5))
+    write_whole(_path(solution.problem.key), pickle.dumps(solution, protocol=5))
 
 
 def cache_use() -> CacheUse:

@@ -2,24 +2,13 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from gelgap.assets import load_preset
-from gelgap.sim.settings import Settings
-
-
-def _within(low: float, high: float, unit: str, *, high_open: bool = False) -> AfterValidator:
-    def check(value: float) -> float:
-        if not low <= value <= high or (high_open and value == high):
-            closing = ")" if high_open else "]"
-            raise ValueError(f"must lie in [{low:g}, {high:g}{closing} {unit}".rstrip())
-        return value
-
-    return AfterValidator(check)
-
+from gelgap.assets.settings import Settings, within
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
-Length = Annotated[float, _within(1.0, 100.0, "mm")]
+Length = Annotated[float, within(1.0, 100.0, "mm")]
 
 
 class Elastomer(Settings):
@@ -29,22 +18,22 @@ class Elastomer(Settings):
     energy that MuJoCo itself uses, μ/2 (I₁ − 3) − μ (J − 1) + (λ + μ)/2 (J − 1)².
     """
 
-    young_modulus_mpa: Annotated[float, _within(0.001, 100.0, "MPa")] = Field(
+    young_modulus_mpa: Annotated[float, within(0.001, 100.0, "MPa")] = Field(
         description="Young's modulus at small strain, MPa, 0.001 to 100."
     )
-    poisson_ratio: Annotated[float, _within(0.0, 0.5, "", high_open=True)] = Field(
+    poisson_ratio: Annotated[float, within(0.0, 0.5, "", high_open=True)] = Field(
         description="Poisson's ratio, 0 to below 0.5."
     )
-    friction: Annotated[float, _within(0.0, 1000.0, "")] = Field(
+    friction: Annotated[float, within(0.0, 1000.0, "")] = Field(
         description="Coulomb friction coefficient between gel and indenter, 0 to 1000; 10 and more is no slip."
     )
-    thickness_mm: Annotated[float, _within(0.2, 50.0, "mm")] = Field(
+    thickness_mm: Annotated[float, within(0.2, 50.0, "mm")] = Field(
         default=3.0, description="Thickness of the pad, mm, 0.2 to 50."
     )
     pad_size_mm: tuple[Length, Length] = Field(
         default=(24.0, 20.0), description="Size of the pad along x and y, mm, 1 to 100 each."
     )
-    mount_stiffness_n_per_mm: Annotated[float, _within(0.01, 1e6, "N/mm")] | None = Field(
+    mount_stiffness_n_per_mm: Annotated[float, within(0.01, 1e6, "N/mm")] | None = Field(
         default=None,
         description="Stiffness of the spring between indenter drive and gel, the same in x, y and z, N/mm; "
         "none: a rigid rig.",

@@ -3,7 +3,7 @@
 "Neo-Hookean with E and ν" is not one material: the energies agree at small strain and as ν → 1/2, but a press
 to a third of a pad's thickness is 4.5 % softer in MuJoCo's form at ν = 0.45. The two moduli are moved so that
 force and surface of a press agree as well as two numbers allow, over depths up to that.
-`python -m gelgap.benchmarks.calibrate_material` derives the coefficients from locking-free axisymmetric solves
+`python -m gelgap.benchmarks.calibration.material` derives the coefficients from locking-free axisymmetric solves
 of both energies, and checks them on radii, thicknesses, ν and friction that it did not use.
 """
 

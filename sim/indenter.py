@@ -4,14 +4,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from gelgap.sim.elastomer import _within
-from gelgap.sim.settings import Settings
+from gelgap.assets.settings import Settings, within
 
 
 class Sphere(Settings):
     """A rigid sphere."""
 
-    diameter_mm: Annotated[float, _within(0.5, 50.0, "mm")] = Field(
+    diameter_mm: Annotated[float, within(0.5, 50.0, "mm")] = Field(
         default=3.0, description="Diameter, mm, 0.5 to 50."
     )
 

@@ -3,7 +3,7 @@
 Against locking-free solutions of the same energy a mesh of one size is too stiff by a factor that hardly depends
 on depth, and not on the scene's size, since meshes scale with the contact. It grows with the bulk modulus, as
 what is left of volumetric locking does: factor = 1 + a + b / (1 − 2ν), with a and b of `MeshSize`.
-`python -m gelgap.benchmarks.calibrate_mesh` derives a and b, and checks them on radii, thicknesses, ν and friction
+`python -m gelgap.benchmarks.calibration.mesh` derives a and b, and checks them on radii, thicknesses, ν and friction
 that it did not use.
 
 Above ν = 0.49 locking rises steeply and the material hardly changes: from 0.49 to 0.499 the axisymmetric solver's

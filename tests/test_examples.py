@@ -6,8 +6,8 @@ from types import ModuleType
 
 import pytest
 
-from gelgap.domains.dataset import open_domain
-from gelgap.sim.path import ContactPath
+from gelgap.domains import open_domain
+from gelgap.sim import ContactPath
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gelgap.domains.generate import GenerationReport, generate
-from gelgap.sim.path import ContactPath
+from gelgap.sim import ContactPath
 
 # One shallow level and one radius: a single cheap solve serves all 26 frames.
 TINY = ContactPath(

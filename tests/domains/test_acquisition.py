@@ -8,7 +8,7 @@ from gelgap.domains.dataset import open_domain
 from gelgap.domains.recipe import make_recipes
 from gelgap.domains.shard import _trajectories
 from gelgap.domains.splits import paired_contacts
-from gelgap.sim.path import ContactPath
+from gelgap.sim import ContactPath
 
 
 def recipe(name: str = "mb0i0", **settings):

@@ -10,7 +10,7 @@ import pytest
 
 from gelgap.domains.dataset import open_domain
 from gelgap.domains.schema import decode_picture, encode_png
-from gelgap.sim.membrane import Diagnostics
+from gelgap.sim import Diagnostics
 
 
 def test_frames_have_the_labels_of_their_pose(data: Path):

@@ -2,7 +2,7 @@ import pytest
 
 from gelgap.domains.domain import Domain, known_domains
 from gelgap.domains.recipe import make_recipes, preset_recipes
-from gelgap.render.sensor import Sensor
+from gelgap.render import Sensor
 
 
 def test_a_name_says_what_the_domain_is():

@@ -8,7 +8,7 @@ import pytest
 
 from gelgap.domains.dataset import open_domain
 from gelgap.domains.folder import DomainFolder, sole_writer
-from gelgap.sim.sharing import SolvePlan
+from gelgap.sim import SolvePlan
 
 pytestmark = pytest.mark.usefixtures("small_shards")
 

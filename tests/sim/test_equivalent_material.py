@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelgap.benchmarks.calibrate_material import describe, material_errors
-from gelgap.sim.axisymmetric import Press, solve_press
+from gelgap.benchmarks.calibration.material import describe, material_errors
+from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
 from gelgap.sim.equivalent_material import equivalent_material
 
 

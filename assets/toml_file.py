@@ -1,0 +1,33 @@
+"""Reading and writing TOML files, with one sentence that names the file where one is not right."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+
+def read_toml(path: Path | str) -> dict[str, Any]:
+    """Return the tables of a TOML file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not valid TOML in UTF-8; the message names the file and the place.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} {'is a folder, not a TOML file' if path.is_dir() else 'does not exist'}"
+        )
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not valid TOML: {error}") from None
+
+
+def toml_text(values: dict[str, Any]) -> str:
+    """Return values as TOML text."""
+    import tomli_w
+
+    return tomli_w.dumps(values)

@@ -1,0 +1,1 @@
+"""The adaptation benchmark: methods over groups, seeds, gaps and costs."""

@@ -1,0 +1,1 @@
+"""What all benchmarks share: tables, plots, stage clocks and processes with limits."""

@@ -1,0 +1,1 @@
+"""How fast domains are made and read, and what faults cost."""

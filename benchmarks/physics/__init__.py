@@ -1,0 +1,1 @@
+"""Forces and membranes against finite elements of other codes."""

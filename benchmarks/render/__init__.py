@@ -1,0 +1,1 @@
+"""Pictures against a path tracer."""

@@ -1,0 +1,134 @@
+"""Scenes for judging pictures: a closed-form dent, so that no solver is needed to see the renderer's error."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelgap.render import Coating, Illumination, Sensor, Variation, vary_illumination, vary_sensor
+
+SPHERE_RADIUS_MM = 1.5
+Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def sphere_dent(
+    depth_mm: float = 0.6,
+    shear_mm: tuple[float, float] = (0.0, 0.0),
+    point_mm: tuple[float, float] = (0.0, 0.0),
+    half_extent_mm: tuple[float, float] = (7.0, 5.5),
+    spacing_mm: float = 0.1,
+) -> Membrane:
+    """Return x_mm, y_mm, displacement_mm: a spherical cap with an exponential flank, dragged by a smooth field."""
+    x, y = (np.linspace(-half, half, round(2 * half / spacing_mm) + 1) for half in half_extent_mm)
+    r = np.hypot(*np.meshgrid(x - point_mm[0], y - point_mm[1]))
+    contact = min(np.sqrt(depth_mm * SPHERE_RADIUS_MM), 0.9 * SPHERE_RADIUS_MM)
+    rim = np.sqrt(SPHERE_RADIUS_MM**2 - contact**2)
+    rim_depth = depth_mm - SPHERE_RADIUS_MM + rim
+    decay = contact / rim / rim_depth
+    cap = depth_mm - SPHERE_RADIUS_MM + np.sqrt(np.maximum(SPHERE_RADIUS_MM**2 - r**2, 0))
+    depth = np.where(r <= contact, cap, rim_depth * np.exp(-decay * np.maximum(r - contact, 0)))
+    drag = np.exp(-((r / 1.8) ** 2))
+    return x, y, np.stack([shear_mm[0] * drag, shear_mm[1] * drag, -depth], axis=-1)
+
+
+@dataclass(frozen=True)
+class RenderScene:
+    """One press under one illumination, without markers and lens errors, which the path tracer does not know.
+
+    With `drawn`, LEDs and coat are a draw of that seed around the presets. Illumination `own` is the sensor's.
+    """
+
+    illumination: str
+    depth_mm: float
+    shear_mm: tuple[float, float] = (0.0, 0.0)
+    roughness: float | None = None  # none: the sensor's own coat
+    point_mm: tuple[float, float] = (0.0, 0.0)
+    drawn: int | None = None
+    sensor_name: str = "paper"
+
+    @property
+    def name(self) -> str:
+        place = f" at {self.point_mm[0]:.1f} {self.point_mm[1]:.1f}" if any(self.point_mm) else ""
+        shear = f" shear {np.hypot(*self.shear_mm):.1f}" if any(self.shear_mm) else ""
+        gloss = f" gloss {self.roughness}" if self.roughness else ""
+        drawn = "" if self.drawn is None else f" drawn {self.drawn}"
+        lit = self.sensor_name if self.illumination == "own" else self.illumination
+        return f"{lit} d {self.depth_mm:g}{shear}{place}{gloss}{drawn}"
+
+    @property
+    def file(self) -> str:
+        return self.name.replace(" ", "_") + ".npz"
+
+    @property
+    def matt(self) -> bool:
+        return self.sensor().coating.specular == 0
+
+    def membrane(self) -> Membrane:
+        x_mm, y_mm = self.sensor().camera.footprint_mm((4, 3))
+        half_extent_mm = max(7.0, np.ceil(x_mm / 2 + 1)), max(5.5, np.ceil(y_mm / 2 + 1))
+        return sphere_dent(self.depth_mm, self.shear_mm, self.point_mm, half_extent_mm)
+
+    def light(self) -> Illumination:
+        if self.illumination == "own":
+            return Sensor.preset(self.sensor_name).illumination
+        preset = Illumination.preset(self.illumination)
+        if self.drawn is None:
+            return preset
+        return vary_illumination(preset, _DRAWS, np.random.default_rng(self.drawn))
+
+    def sensor(self) -> Sensor:
+        sensor = Sensor.preset(self.sensor_name)
+        sensor = sensor.model_copy(update={"camera": sensor.camera.model_copy(update=_NO_LENS_ERRORS)})
+        if self.drawn is not None:
+            sensor = vary_sensor(sensor, _DRAWS, np.random.default_rng(self.drawn + 1000))
+        if self.roughness is None:
+            return sensor
+        coating = Coating(albedo=sensor.coating.albedo, specular=1.0, roughness=self.roughness)
+        return sensor.model_copy(update={"coating": coating})
+
+
+_NO_LENS_ERRORS = {"radial_distortion": (0.0, 0.0), "vignetting": 0.0, "point_spread_px": 0.0}
+_DRAWS = Variation(led_position_mm=0.8, led_angle_deg=8.0, led_drive=0.2, albedo=0.2, yellowing=0.3)
+
+
+def drawn_scene(seed: int) -> RenderScene:
+    """Return a scene that nothing was tuned on: press, place, drag, LEDs and coat drawn; every third glossy."""
+    rng = np.random.default_rng([seed, 5])
+    depth_mm, angle = round(rng.uniform(0.15, 1.1), 2), rng.uniform(0, 2 * np.pi)
+    drag_mm = rng.uniform(0, 0.55) * depth_mm
+    return RenderScene(
+        illumination=f"i{rng.integers(3)}",
+        depth_mm=depth_mm,
+        shear_mm=(float(drag_mm * np.cos(angle)), float(drag_mm * np.sin(angle))),
+        roughness=round(rng.uniform(0.2, 0.4), 2) if seed % 3 == 2 else None,
+        point_mm=(round(rng.uniform(-3.75, 3.75), 1), round(rng.uniform(-2.6, 2.6), 1)),
+        drawn=seed,
+    )
+
+
+MATT_SCENES = tuple(
+    RenderScene(light, depth, shear)
+    for light in ("i0", "i1", "i2")
+    for depth in (0.2, 0.6, 1.0)
+    for shear in ((0.0, 0.0), (0.5 * depth, 0.2 * depth))
+)
+GLOSSY_SCENES = (
+    RenderScene("i0", 0.6, roughness=0.2),
+    RenderScene("i1", 1.0, (0.4, 0.0), roughness=0.3),
+    RenderScene("i2", 0.6, roughness=0.4),
+)
+DRAWN_SCENES = tuple(drawn_scene(seed) for seed in range(9))
+SENSOR_SCENES = tuple(
+    RenderScene("own", 0.7, (0.3, 0.1), point_mm=(1.5, -1.0), sensor_name=name)
+    for name in ("gelsight-mini-like", "digit-like", "gelsight-2014-like")
+)
+# Kept as small pictures in assets/reference/render, so that a check needs no path tracer.
+STORED_SCENES = (
+    RenderScene("i0", 0.6),
+    RenderScene("i0", 1.0, (0.5, 0.2)),
+    RenderScene("i1", 0.2),
+    RenderScene("i1", 1.0),
+    RenderScene("i2", 0.6, (0.3, 0.12)),
+    RenderScene("i2", 1.0, (0.5, 0.2)),
+    GLOSSY_SCENES[1],
+)
+STORED_SIZE_PX = (128, 96)

@@ -1,0 +1,1 @@
+"""What commands run from end to end."""

@@ -1,0 +1,179 @@
+"""The main job end to end at its smallest: two domains, source-only against adaptation, and a report."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gelgap.benchmarks.common.stages import Stage, StageClock
+
+if TYPE_CHECKING:
+    from gelgap.adapt import Evaluation
+    from gelgap.domains import Progress
+    from gelgap.sim import ContactPath
+
+SOURCE = "mb0i0"
+TARGET = "wmb1i1"
+ADAPTED = ("adabn", "dsan")
+SEED = 0
+# The contact whose force is held against theory and the reference tables (assets/reference).
+CURVE_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the demo's table: a predictor and its error on held-out frames of one domain."""
+
+    predictor: str
+    domain: str
+    evaluation: "Evaluation"
+
+
+@dataclass(frozen=True)
+class ForceCurve:
+    """Fz against depth of a 0.3 MPa gel, ν = 0.49, 3 mm thick, friction 0.8, in N; all arrays (n,)."""
+
+    depth_mm: np.ndarray
+    force_n: np.ndarray
+    hertz_n: np.ndarray
+    bonded_layer_n: np.ndarray
+    reference_n: np.ndarray
+    seconds_a_pose: float
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What the demo found; forces are (n, 3) in N, on the target's test frames."""
+
+    rows: tuple[Row, ...]
+    stages: tuple[Stage, ...]
+    true_n: np.ndarray
+    predicted_n: dict[str, np.ndarray]
+    curve: ForceCurve
+
+    def row(self, predictor: str, domain: str) -> Row:
+        """Return the row of one predictor on one domain."""
+        return next(row for row in self.rows if (row.predictor, row.domain) == (predictor, domain))
+
+    @property
+    def learned(self) -> bool:
+        """Whether source-only has less than half the constant mean's error on held-out source frames."""
+        network = self.row("source-only", SOURCE).evaluation.mean_mae_n
+        return network < 0.5 * self.row("constant mean", SOURCE).evaluation.mean_mae_n
+
+    @property
+    def headline(self) -> str:
+        """The report's first line: whether the networks learned and whether adaptation helped."""
+        plain, adapted = (self.row(name, TARGET).evaluation.mean_mae_n for name in ("source-only", "dsan"))
+        change = f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %)"
+        verdict = "DSAN beats source-only" if adapted < plain else "DSAN does NOT beat source-only"
+        learned = (
+            ""
+            if self.learned
+            else " Source-only did NOT learn: its error on the source is over half the mean's."
+        )
+        return f"{verdict} on the target: mean error {change}.{learned}"
+
+
+def run_demo(
+    out_dir: Path,
+    path: "str | ContactPath" = "smoke",
+    profile_name: str = "smoke",
+    quality: str = "standard",
+    size_px: tuple[int, int] = (320, 240),
+    scheduler: str | None = None,
+    progress: "Progress | None" = None,
+    say: Callable[[str], None] = print,
+) -> DemoResult:
+    """Generate source and target, train, adapt, evaluate on held-out frames, and write `report.html`.
+
+    Generation resumes: domains that are finished in `out_dir` are kept.
+    """
+    clock = StageClock()
+    say(f"1/4  force against depth, held against theory and reference ({quality})")
+    with clock.stage("force curve"):
+        curve = force_curve(quality)
+    say(f"2/4  generating {SOURCE} and {TARGET} on the path {path if isinstance(path, str) else path.name!r}")
+    with clock.stage("generate"):
+        from gelgap.domains import generate
+
+        report = generate(
+            (SOURCE, TARGET),
+            path,
+            out_dir / "data",
+            quality=quality,
+            seed=SEED,
+            scheduler=scheduler,
+            size_px=size_px,
+            columns=("height_map",),
+            progress=progress,
+        )
+    say(str(report))
+    say(f"3/4  training on {SOURCE}, adapting to {TARGET} without its labels (profile {profile_name!r})")
+    rows, true_n, predicted_n = _train_and_evaluate(out_dir, profile_name, clock)
+    result = DemoResult(rows, tuple(clock.stages), true_n, predicted_n, curve)
+    say("4/4  writing the report")
+    from gelgap.cli.workflows.demo_page import write_page
+
+    write_page(result, out_dir, out_dir / "report.html")
+    return result
+
+
+def force_curve(quality: str) -> ForceCurve:
+    """Press at `CURVE_DEPTHS_MM` and compare with Hertz, the bonded layer and the FEM table."""
+    import csv
+    import time
+
+    from gelgap.assets import asset_path
+    from gelgap.benchmarks.fem.theory import bonded_layer_force_n, hertz_force_n
+    from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
+
+    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
+    sphere = Sphere()
+    depth_mm = np.array(CURVE_DEPTHS_MM)
+    started = time.perf_counter()
+    states = solve_poses(gel, sphere, tuple(Pose(depth_mm=float(depth)) for depth in depth_mm), quality)
+    seconds = (time.perf_counter() - started) / len(depth_mm)
+    with asset_path("reference", "force_depth.csv").open(newline="", encoding="utf-8") as file:
+        table = {
+            float(line["depth_mm"]): float(line["fz_n"])
+            for line in csv.DictReader(file)
+            if line["case"] == "nh49_no_slip"
+        }
+    return ForceCurve(
+        depth_mm=depth_mm,
+        force_n=np.array([-state.force_n[2] for state in states]),
+        hertz_n=hertz_force_n(gel.young_modulus_mpa, gel.poisson_ratio, sphere.radius_mm, depth_mm),
+        bonded_layer_n=bonded_layer_force_n(
+            gel.young_modulus_mpa, sphere.radius_mm, gel.thickness_mm, depth_mm
+        ),
+        reference_n=np.array([-table[depth] for depth in CURVE_DEPTHS_MM]),
+        seconds_a_pose=seconds,
+    )
+
+
+def _train_and_evaluate(
+    out_dir: Path, profile_name: str, clock: StageClock
+) -> tuple[tuple[Row, ...], np.ndarray, dict[str, np.ndarray]]:
+    from gelgap.adapt import adapt_folders, console_progress, load_predictions
+
+    folders = (out_dir / "data" / SOURCE, out_dir / "data" / TARGET)
+    runs = {}
+    with console_progress() as progress:
+        for method in ("source-only", *ADAPTED):
+            with clock.stage(f"train {method}"):
+                runs[method] = adapt_folders(
+                    *folders, (method,), profile_name, SEED, out_dir=out_dir / "runs", progress=progress
+                )[0]
+    plain = runs["source-only"]
+    rows = (
+        Row("constant mean", SOURCE, plain.source_constant_mean),
+        Row("source-only", SOURCE, plain.source_held_out),
+        Row("constant mean", TARGET, plain.target_constant_mean),
+        *(Row(method, TARGET, run.target_test) for method, run in runs.items()),
+    )
+    predictions = {method: load_predictions(run) for method, run in runs.items()}
+    predicted_n = {method: arrays["target_predicted_n"] for method, arrays in predictions.items()}
+    return rows, predictions["source-only"]["target_true_n"], predicted_n

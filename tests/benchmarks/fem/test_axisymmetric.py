@@ -1,0 +1,88 @@
+"""The project's own press solver against tables it has never seen, theory and its own invariants."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+
+from gelgap.assets import asset_path
+from gelgap.benchmarks.fem import theory
+from gelgap.benchmarks.fem.axisymmetric import Press, _mesh, _Pad, solve_press
+
+REFERENCE_UNCERTAINTY = 0.003
+SURFACE_UNCERTAINTY_MM = 0.003
+
+
+def reference_force_n(case: str, depth_mm: float) -> float:
+    with asset_path("reference", "force_depth.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["case"] == case]
+    return next(float(row["fz_n"]) for row in rows if math.isclose(float(row["depth_mm"]), depth_mm))
+
+
+@pytest.mark.parametrize(
+    ("case", "poisson_ratio", "energy", "friction"),
+    [
+        ("nh48_frictionless", 0.48, "isochoric", 0.0),
+        ("nh48_friction_0.5", 0.48, "isochoric", 0.5),
+        ("nh499_no_slip", 0.499, "isochoric", math.inf),
+        ("snh45_no_slip", 0.45, "stable", math.inf),
+    ],
+)
+def test_press_reproduces_independent_finite_elements(case, poisson_ratio, energy, friction):
+    problem = Press(poisson_ratio=poisson_ratio, energy=energy, friction=friction, element_mm=0.1)
+    profile = np.genfromtxt(asset_path("reference", "profiles", f"{case}.csv"), delimiter=",", names=True)
+    for state in solve_press(problem, (0.6,)):
+        expected = reference_force_n(case, state.depth_mm)
+        assert state.force_n == pytest.approx(expected, rel=REFERENCE_UNCERTAINTY)
+        rows = profile[np.isclose(profile["depth_mm"], state.depth_mm) & (profile["r_mm"] <= 5)]
+        u_r, u_z = state.surface_mm(rows["r_mm"])
+        assert np.abs(u_z - rows["u_z_mm"]).max() < SURFACE_UNCERTAINTY_MM
+        assert np.abs(u_r - rows["u_r_mm"]).max() < SURFACE_UNCERTAINTY_MM
+
+
+def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
+    for energy in ("isochoric", "stable"):
+        problem = Press(poisson_ratio=0.48, energy=energy, element_mm=1.0)
+        pad = _Pad(problem, _mesh(problem, 0.5))
+        rng = np.random.default_rng(0)
+        u = 0.02 * rng.standard_normal(pad.size)
+        way = rng.standard_normal(pad.size)
+        step = 1e-6
+        force, matrix = pad.assemble(u)
+        rise = (pad.energy_mj(u + step * way) - pad.energy_mj(u - step * way)) / (2 * step)
+        assert force @ way == pytest.approx(rise, rel=1e-6)
+        change = (pad.assemble(u + step * way)[0] - pad.assemble(u - step * way)[0]) / (2 * step)
+        np.testing.assert_allclose(matrix @ way, change, rtol=1e-4, atol=1e-6 * np.abs(change).max())
+
+
+def test_shallow_press_meets_the_bonded_layer():
+    (state,) = solve_press(Press(poisson_ratio=0.4999, friction=0.0, element_mm=0.04), (0.025,))
+    expected = theory.bonded_layer_force_n(0.3, 1.5, 3.0, 0.025)
+    assert -state.force_n == pytest.approx(expected, rel=0.02)  # the exact sphere and finite strain: −1.1 %
+    assert state.contact_radius_mm == pytest.approx(theory.hertz_contact_radius_mm(1.5, 0.025), rel=0.1)
+
+
+def test_force_scales_with_the_modulus_and_energy_is_the_work_of_the_sphere():
+    depths = tuple(np.linspace(0.05, 0.3, 6))
+    soft, stiff = (solve_press(Press(young_modulus_mpa=e, element_mm=0.15), depths) for e in (0.01, 10.0))
+    for a, b in zip(soft, stiff, strict=True):
+        assert b.force_n == pytest.approx(1000 * a.force_n, rel=1e-6)
+    forces = -np.array([0.0, *(state.force_n for state in soft)])
+    work = np.trapezoid(forces, np.array([0.0, *depths]))
+    assert soft[-1].energy_mj == pytest.approx(work, rel=0.03)
+
+
+def test_coulomb_friction_limits_the_shear():
+    (state,) = solve_press(Press(friction=0.1, element_mm=0.15), (0.3,))
+    touching = state.pressure_mpa > 0
+    ratio = np.abs(state.shear_mpa[touching]) / state.pressure_mpa[touching]
+    assert ratio.max() <= 0.1 * (1 + 1e-9)
+    assert ratio.max() == pytest.approx(0.1)
+
+
+def test_bad_input_names_the_field_and_the_range():
+    with pytest.raises(ValueError, match=r"poisson_ratio = 0\.5 must be in \[0, 0\.5\)"):
+        Press(poisson_ratio=0.5)
+    with pytest.raises(ValueError, match="must rise"):
+        solve_press(Press(), (0.4, 0.2))

@@ -1,0 +1,49 @@
+"""The demo at its smallest: every stage runs, the page holds its pictures."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelgap.benchmarks.common.stages import StageClock
+from gelgap.cli.workflows.demo import SOURCE, TARGET, run_demo
+from gelgap.sim import ContactPath
+
+
+@pytest.mark.slow
+def test_the_demo_runs_end_to_end(tmp_path: Path) -> None:
+    path = ContactPath(
+        name="tiny",
+        points_x_mm=(-1.0, 1.0),
+        points_y_mm=(0.0,),
+        depths_mm=(0.2, 0.6),
+        radii_mm=(0.3,),
+        angles_deg=tuple(30.0 * step for step in range(12)),
+    )
+    said: list[str] = []
+    result = run_demo(
+        tmp_path,
+        path,
+        quality="draft",
+        size_px=(64, 48),
+        scheduler="synchronous",
+        say=said.append,
+    )
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 3
+    assert "http" not in page
+    assert result.headline.split(":")[0] in page
+    assert {row.domain for row in result.rows} == {SOURCE, TARGET}
+    assert np.isfinite([row.evaluation.mean_mae_n for row in result.rows]).all()
+    assert np.all(np.abs(result.curve.force_n / result.curve.reference_n - 1) < 0.15)
+    assert any("frames" in line for line in said)
+
+
+def test_the_stage_clock_sees_memory() -> None:
+    clock = StageClock()
+    with clock.stage("allocate"):
+        block = np.ones(40_000_000)
+        block += 1
+    (stage,) = clock.stages
+    assert stage.name == "allocate"
+    assert stage.peak_memory_mib > 300
