@@ -4,8 +4,6 @@ from .evaluation import evaluate_constant_mean as evaluate_constant_mean
 from .evaluation import evaluate_predictions as evaluate_predictions
 from .figures import feature_tsne as feature_tsne
 from .figures import force_scatter as force_scatter
-from .figures import latex_table as latex_table
-from .figures import markdown_table as markdown_table
 from .frames import Frames as Frames
 from .frames import load_frames as load_frames
 from .frames import split_source as split_source
@@ -25,8 +23,10 @@ from .oracles import geometry_oracle as geometry_oracle
 from .oracles import pose_oracle as pose_oracle
 from .profile import Profile as Profile
 from .progress import console_progress as console_progress
-from .report import html_page as html_page
 from .report import write_report as write_report
+from .result_pages import NamedFigure as NamedFigure
+from .result_pages import write_pages as write_pages
+from .result_table import ResultTable as ResultTable
 from .runs import Run as Run
 from .runs import adapt_folders as adapt_folders
 from .runs import adapt_frames as adapt_frames

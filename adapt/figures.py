@@ -1,39 +1,21 @@
-"""Figures and tables of adaptation runs: predicted against true force, feature t-SNE, Markdown and LaTeX tables."""
+"""Figures of adaptation runs: predicted against true force, and the features of both domains by t-SNE."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelgap.adapt.evaluation import AXES
-from gelgap.adapt.runs import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-_LATEX = {
-    "_": r"\_",
-    r"λ\_t": r"$\lambda_t$",
-    "%": r"\%",
-    "→": r"$\to$",
-    "±": r"$\pm$",
-    "×": r"$\times$",
-    "≥": r"$\ge$",
-    "<": "$<$",
-    "²": "$^2$",
-    "…": "--",
-    "–": "--",
-    "−": "$-$",
-}
-"""What tables use beyond ASCII letters, and how LaTeX says it; in this order."""
-
-
 def force_scatter(
     true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], path: str | Path | None = None
 ) -> "Figure":
-    """Draw predicted against true force, one row a method and one column an axis (the paper's figure 4).
+    """Draw predicted against true force, one row per method, one column per axis (the paper's figure 4).
 
     true_n and every predicted_n are (n, 3) in N.
     """
@@ -57,9 +39,9 @@ def force_scatter(
 def feature_tsne(
     features: Mapping[str, tuple[np.ndarray, np.ndarray]], path: str | Path | None = None, seed: int = 0
 ) -> "Figure":
-    """Draw source and target features of each method in a common t-SNE plane per method (the paper's figure 5).
+    """Draw source and target features in one t-SNE plane per method (the paper's figure 5).
 
-    features maps a method to source (n, D) and target (m, D) features; at least 3 frames in all.
+    features maps a method to source (n, D) and target (m, D) features; they need at least 3 frames together.
     """
     from matplotlib.figure import Figure
     from sklearn.manifold import TSNE
@@ -83,53 +65,3 @@ def _saved(figure: "Figure", path: str | Path | None) -> "Figure":
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=130)
     return figure
-
-
-def mean_over_seeds(runs: Sequence[Run]) -> dict[tuple[str, str], tuple[float, float, int]]:
-    """Return, per group and method, the mean and standard deviation of the target's mean MAE (N) and the seeds."""
-    values: dict[tuple[str, str], list[float]] = {}
-    for run in runs:
-        values.setdefault((run.group, run.method), []).append(run.target_test.mean_mae_n)
-    return {
-        key: (float(np.mean(x)), float(np.std(x, ddof=1)) if len(x) > 1 else 0.0, len(x))
-        for key, x in values.items()
-    }
-
-
-def error_rows(runs: Sequence[Run]) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of the table of target MAE in N: a row a group, a column a method, then the means."""
-    methods = list(dict.fromkeys(run.method for run in runs))
-    groups = list(dict.fromkeys(run.group for run in runs))
-    found = mean_over_seeds(runs)
-
-    def cell(group: str, method: str) -> str:
-        if (group, method) not in found:
-            return "–"
-        mean, deviation, seeds = found[group, method]
-        return f"{mean:.3f}" + (f" ± {deviation:.3f}" if seeds > 1 else "")
-
-    rows = [[group, *(cell(group, method) for method in methods)] for group in groups]
-    means = []
-    for method in methods:
-        values = [found[group, method][0] for group in groups if (group, method) in found]
-        means.append(f"{np.mean(values):.3f}" if len(values) == len(groups) else "–")
-    return ["group", *methods], [*rows, ["mean", *means]]
-
-
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    lines = [header, ["---", *("---:" for _ in header[1:])], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
-
-
-def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a LaTeX tabular (booktabs)."""
-
-    def line(cells: Sequence[str]) -> str:
-        text = " & ".join(cells)
-        for character, command in _LATEX.items():
-            text = text.replace(character, command)
-        return text + r" \\"
-
-    body = [r"\begin{tabular}{l" + "r" * (len(header) - 1) + "}", r"\toprule", line(header), r"\midrule"]
-    return "\n".join([*body, *map(line, rows), r"\bottomrule", r"\end{tabular}"]) + "\n"

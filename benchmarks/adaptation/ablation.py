@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Changes, Job, Line, run_missing, study_parser
-from gelgap.benchmarks.adaptation.tables import ResultTable, spread
+from gelgap.benchmarks.adaptation.tables import spread
 
 RECORD = "ablation.jsonl"
 GROUPS = (("mb0i0", "wmb0i0"), ("wmb0i0", "wmb1i1"))

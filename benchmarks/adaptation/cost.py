@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Job, run_missing, study_parser
-from gelgap.benchmarks.adaptation.tables import ResultTable, spread
+from gelgap.benchmarks.adaptation.tables import spread
 from gelgap.benchmarks.common.tables import write_json
 
 if TYPE_CHECKING:

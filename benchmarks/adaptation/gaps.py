@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Job, Line, run_missing, study_parser
-from gelgap.benchmarks.adaptation.tables import ResultTable
 from gelgap.benchmarks.common.tables import write_json
 
 if TYPE_CHECKING:

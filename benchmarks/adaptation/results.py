@@ -2,12 +2,12 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gelgap.adapt import NamedFigure, ResultTable, write_pages
 from gelgap.benchmarks.adaptation.jobs import Line, read_lines
 from gelgap.benchmarks.adaptation.statistics import critical_difference, plot_critical_difference, ranks
 from gelgap.benchmarks.adaptation.tables import (
@@ -15,7 +15,6 @@ from gelgap.benchmarks.adaptation.tables import (
     TABLE_METHODS,
     GroupOracles,
     Results,
-    ResultTable,
     further_table,
     mean_of,
     over_groups,
@@ -30,15 +29,6 @@ ORACLES = "oracles.json"
 SHOWN_GROUPS = (("wmb1i1", "mb0i0"),)
 """The groups whose scatter plots and t-SNE are drawn, as in the paper's figures 4 and 5."""
 SHOWN_METHODS = ("source-only", "dann", "daregram", "dsan")
-
-
-@dataclass(frozen=True)
-class NamedFigure:
-    """A figure, the name of its file and what it shows."""
-
-    name: str
-    caption: str
-    figure: "Figure"
 
 
 def is_benchmark(folder: Path) -> bool:
@@ -227,29 +217,6 @@ def write_benchmark_report(folder: Path, out_dir: Path | None = None, name: str 
     FileNotFoundError
         If the folder holds no records of the benchmark.
     """
-    from gelgap.adapt import html_page, latex_table, markdown_table
-
     tables, figures = benchmark_tables(folder), benchmark_figures(folder)
-    out = folder if out_dir is None else out_dir
-    out.mkdir(parents=True, exist_ok=True)
     title = f"Adaptation benchmark, profile {folder.name}"
-    for shown in figures:
-        shown.figure.savefig(out / f"{shown.name}.png", dpi=80)
-    parts = [f"# {title}\n", *(_markdown(table, markdown_table) for table in tables)]
-    parts += [f"## {shown.caption}\n\n![{shown.caption}]({shown.name}.png)\n" for shown in figures]
-    (out / f"{name}.md").write_text("\n".join(parts), encoding="utf-8")
-    latex = [f"% {table.title}\n{latex_table(table.header, _text(table))}" for table in tables]
-    (out / f"{name}.tex").write_text("\n".join(latex), encoding="utf-8")
-    path = out / f"{name}.html"
-    content = [(table.title, table.header, _text(table), table.note) for table in tables]
-    path.write_text(html_page(title, content, [(f.caption, f.figure) for f in figures]), encoding="utf-8")
-    return path
-
-
-def _markdown(table: ResultTable, markdown_table) -> str:
-    note = f"\n{table.note}\n" if table.note else ""
-    return f"## {table.title}\n\n{markdown_table(table.header, _text(table))}{note}"
-
-
-def _text(table: ResultTable) -> Sequence[Sequence[str]]:
-    return [[str(cell) for cell in row] for row in table.rows]
+    return write_pages(folder if out_dir is None else out_dir, name, title, tables, figures)

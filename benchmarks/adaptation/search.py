@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Job, run_missing, study_parser
-from gelgap.benchmarks.adaptation.tables import ResultTable
 
 WEIGHTS = (0.0003, 0.003, 0.03, 0.3, 3.0)
 """The grid of transfer weights, the same for every method."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation.tables import ResultTable
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.common.tables import write_json
 
 BASE = "supervised"

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Job, Line
 from gelgap.benchmarks.adaptation.statistics import (
     CAVEAT,
@@ -16,7 +17,6 @@ from gelgap.benchmarks.adaptation.statistics import (
     friedman_p,
     ranks,
 )
-from gelgap.benchmarks.common.tables import print_table
 
 GROUPS = (
     ("mb0i0", "wmb0i0"),
@@ -44,20 +44,6 @@ TABLE_METHODS = ("source-only", "adabn", "no-transfer", "dann", "daregram", "dsa
 MINUTES_A_SEED = 30.0
 LEAST_R2 = (0.8, 0.8, 0.9)
 """What supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
-
-
-@dataclass(frozen=True)
-class ResultTable:
-    """A table as it is printed and as it goes into a report."""
-
-    title: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[object]]
-    note: str = ""
-
-    def show(self) -> None:
-        """Print it."""
-        print_table(self.title, self.header, self.rows, self.note)
 
 
 @dataclass(frozen=True)

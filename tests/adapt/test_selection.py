@@ -7,8 +7,9 @@ import pytest
 from sklearn.metrics import mean_absolute_error, r2_score
 
 from gelgap.adapt.evaluation import evaluate_predictions
-from gelgap.adapt.figures import error_rows, feature_tsne, force_scatter, latex_table, markdown_table
-from gelgap.adapt.report import write_report
+from gelgap.adapt.figures import feature_tsne, force_scatter
+from gelgap.adapt.report import error_table, write_report
+from gelgap.adapt.result_table import ResultTable
 from gelgap.adapt.runs import adapt_frames
 from gelgap.adapt.selection import (
     SELECTORS,
@@ -103,17 +104,35 @@ def test_selection_avoids_constant_predictors_and_reports_regret():
 def test_tables_and_figures(source, target, profile, tmp_path):
     short = profile.replace(source_epochs=1, adapt_epochs=1)
     runs = adapt_frames(source, target, ["source-only", "adabn"], short, out_dir=tmp_path / "runs")
-    header, rows = error_rows(runs)
-    assert header == ["group", "source-only", "adabn"]
-    assert rows[0][0] == "mb0i0 → wmb1i1"
-    assert rows[-1] == ["mean", *rows[0][1:]]
-    assert markdown_table(header, rows).splitlines()[1] == "| --- | ---: | ---: |"
-    assert r"mb0i0 $\to$ wmb1i1" in latex_table(header, rows)
+    table = error_table(runs)
+    assert table.columns == ["group", "source-only", "adabn"]
+    assert table.rows[0][0] == "mb0i0 → wmb1i1"
+    assert table.rows[-1] == ["mean", *table.rows[0][1:]]
+    assert table.markdown().splitlines()[3] == "| --- | ---: | ---: |"
+    assert r"mb0i0 $\to$ wmb1i1" in table.latex()
     rng = np.random.default_rng(0)
     force_scatter(rng.random((9, 3)), {"a": rng.random((9, 3))}, tmp_path / "scatter.png")
     feature_tsne({"a": (rng.random((12, 5)), rng.random((12, 5)))}, tmp_path / "tsne.png")
     page = write_report(tmp_path / "runs").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 2
     assert "mb0i0 → wmb1i1" in page
+    assert "![mb0i0 → wmb1i1, seed 0: features" in (tmp_path / "runs" / "report.md").read_text(
+        encoding="utf-8"
+    )
+    assert (tmp_path / "runs" / "tsne-mb0i0-wmb1i1.png").stat().st_size > 1000
     assert (tmp_path / "scatter.png").stat().st_size > 1000
     assert (tmp_path / "tsne.png").stat().st_size > 1000
+
+
+def test_a_table_shows_the_same_cells_in_every_form(capsys):
+    table = ResultTable(
+        "λ_t & <b>", ["name_a", "value"], [["a → b", 1 / 3], ["c", None], ["d", True]], "A note."
+    )
+    assert table.cells == [["a → b", "0.3333"], ["c", "–"], ["d", "yes"]]
+    assert "| a → b | 0.3333 |" in table.markdown()
+    assert table.markdown().endswith("\nA note.\n")
+    assert table.latex().splitlines()[3:6:2] == [r"name\_a & value \\", r"a $\to$ b & 0.3333 \\"]
+    assert "<h2>λ_t &amp; &lt;b&gt;</h2>" in table.html()
+    assert "<td>a → b</td><td>0.3333</td>" in table.html()
+    table.show()
+    assert "0.3333" in capsys.readouterr().out
