@@ -1,6 +1,5 @@
 """What goes wrong when data are taken: a rig that is off its place, a force sensor that errs. Off by default."""
 
-import hashlib
 import itertools
 import math
 from collections.abc import Sequence
@@ -11,10 +10,10 @@ import numpy as np
 from pydantic import Field
 
 from gelgap.assets.settings import Settings
+from gelgap.domains.random_streams import random_stream
 from gelgap.sim import ContactPath, Pose
 
 Contacts = Literal["paired", "independent"]
-Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]
 
 # Solves are shared between poses that agree; a micrometre is far below what a rig can tell.
 _RESOLUTION_MM = 1e-3
@@ -64,17 +63,9 @@ class DrawnErrors:
         )
 
 
-def generator(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> np.random.Generator:
-    """Return the random numbers of one domain, frame and purpose: independent of who draws them, and when."""
-    words = [
-        int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") for text in (domain, purpose)
-    ]
-    return np.random.default_rng(np.random.SeedSequence([seed, *words, frame]))
-
-
 def draw_errors(error: AcquisitionError, seed: int, domain: str) -> DrawnErrors:
     """Draw a domain's errors: the same (seed, domain) always gives the same."""
-    unit = [float(value) for value in generator(seed, domain, "acquisition").standard_normal(8)]
+    unit = [float(value) for value in random_stream(seed, domain, "acquisition").standard_normal(8)]
     return DrawnErrors(
         point_offset_mm=(error.point_offset_mm * unit[0], error.point_offset_mm * unit[1]),
         depth_zero_mm=error.depth_zero_mm * unit[2],
@@ -94,7 +85,7 @@ def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, 
     level of depth and radius by up to a quarter of its spacing, all uniformly. Levels move once a domain and not once a
     frame: real runs repeat their levels too, and poses at one level share their solves.
     """
-    rng = generator(seed, domain, "contacts")
+    rng = random_stream(seed, domain, "contacts")
     depths = _moved_levels(rng, path.depths_mm)
     radii = _moved_levels(rng, path.radii_mm)
     half_angle = 180.0 / max(len(path.angles_deg), 1)

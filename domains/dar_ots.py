@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.dataset import LabelledFrames
-from gelgap.domains.schema import decode_picture
+from gelgap.domains.picture_codec import decode_picture
+from gelgap.domains.stored import StoredFrames
 
 REFERENCE = "ref.jpg"
 # The published names of the parts, and what they are here; `ori` holds all frames once more, unsplit.
@@ -16,11 +16,10 @@ PARTS = {"train": "train", "test": "test"}
 UNSPLIT = "ori"
 FORCE_COLUMNS = ("Fx(N)", "Fy(N)", "Fz(N)")
 LABEL_COLUMN = "label"
-CLASSES = 361
 ALIASES = {"inpainting": "wmb0i0"}
 
 
-class PublishedDomain(LabelledFrames):
+class PublishedDomain(StoredFrames):
     """One domain of the published data set, its quirks handled and told in `notes`.
 
     Row i of `force.csv` belongs to `i.jpg`; columns are found by name. Where the parts `train` and `test` exist they
@@ -45,10 +44,10 @@ class PublishedDomain(LabelledFrames):
             notes.append("the table has no contact labels: contact classes are off")
         else:
             classes = np.array(labels, dtype=np.int64)
-            beyond = int((classes >= CLASSES).sum())
+            beyond = int((classes >= self.n_classes).sum())
             if beyond:
-                notes.append(f"{beyond} labels are running numbers: taken modulo {CLASSES}")
-            self.columns["contact_class"] = classes % CLASSES
+                notes.append(f"{beyond} labels are running numbers: taken modulo {self.n_classes}")
+            self.columns["contact_class"] = classes % self.n_classes
         if parts != [UNSPLIT]:
             self.columns["split"] = np.array([PARTS[part] for part, *_ in rows], dtype=object)
         self.columns["frame_id"] = np.arange(len(rows))

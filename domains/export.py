@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from gelgap.domains import dar_ots
-from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains.dataset import LabelledFrames
+from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import domain_folders, inspect_domain
-from gelgap.domains.schema import DIAGNOSTICS_COLUMNS, encode_png
+from gelgap.domains.opening import open_domain
+from gelgap.domains.picture_codec import encode_jpeg, encode_png
+from gelgap.domains.schema import DIAGNOSTICS_COLUMNS
 
-_JPEG_QUALITY = 95
 _SAMPLES_PER_TAR = 1000
 
 
@@ -59,11 +61,11 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
     for frames in domains:
         folder = out_dir / frames.name
         folder.mkdir()
-        (folder / dar_ots.REFERENCE).write_bytes(_jpeg(frames.reference))
+        (folder / dar_ots.REFERENCE).write_bytes(encode_jpeg(frames.reference))
         unsplit = folder / dar_ots.UNSPLIT
         _paper_table(frames, unsplit, np.arange(len(frames)))
         for index in range(len(frames)):
-            (unsplit / "images" / f"{index}.jpg").write_bytes(_jpeg(frames.picture(index)))
+            (unsplit / "images" / f"{index}.jpg").write_bytes(encode_jpeg(frames.picture(index)))
         split = frames.columns.get("split", np.full(len(frames), "train", dtype=object))
         for part, members in {"train": split != "test", "test": split == "test"}.items():
             indices = np.flatnonzero(members)
@@ -83,15 +85,6 @@ def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> N
         for index in indices:
             label = [int(frames.contact_class[index])] if frames.has_classes else []
             writer.writerow([*frames.force_n[index].tolist(), *label])
-
-
-def _jpeg(picture: np.ndarray) -> bytes:
-    import cv2
-
-    done, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    if not done:
-        raise RuntimeError(f"OpenCV could not encode a picture of shape {picture.shape}")
-    return data.tobytes()
 
 
 def _webdataset(domains: Iterable[LabelledFrames], out_dir: Path) -> None:

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.folder import MANIFEST, Damage, DomainFolder
+from gelgap.domains.generated import GeneratedDomain
+from gelgap.domains.opening import open_domain
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains.dataset import LabelledFrames
+from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import gap_rows, inspect_domain
-from gelgap.domains.schema import encode_png
+from gelgap.domains.opening import open_domain
+from gelgap.domains.picture_codec import encode_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

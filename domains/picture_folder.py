@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.dataset import LabelledFrames
-from gelgap.domains.schema import decode_picture
+from gelgap.domains.picture_codec import decode_picture
+from gelgap.domains.stored import StoredFrames
 
 # Names under which people write the same thing; letters and digits alone count.
 NAMES = {
@@ -29,7 +29,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
 REFERENCE_STEMS = ("reference", "ref", "background", "bg", "nocontact")
 
 
-class PictureFolder(LabelledFrames):
+class PictureFolder(StoredFrames):
     """A folder with one CSV table: a column that names the picture, and the forces `fx, fy, fz` in N.
 
     The reference is a picture called reference, ref, background or bg; without one, the frame of class 0 or else the

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.domains.acquisition import generator
+from gelgap.domains.picture_codec import encode_png
+from gelgap.domains.random_streams import random_stream
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.domains.schema import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, encode_png, picture_cell
+from gelgap.domains.schema import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, picture_cell
 from gelgap.render import Illumination, Sensor
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def same_picture(recipe: DomainRecipe) -> Hashable:
 
 def reference_png(recipe: DomainRecipe, matrix: np.ndarray) -> bytes:
     """Return the picture without contact of a domain."""
-    rng = generator(recipe.seed, recipe.picture_name, "reference noise")
+    rng = random_stream(recipe.seed, recipe.picture_name, "reference noise")
     picture = renderer_of(recipe, matrix).reference(markers=_shows_markers(recipe), rng=rng)
     return encode_png(_without_markers(picture) if recipe.inpainted_from else picture)
 
@@ -63,7 +64,7 @@ def picture_cells(
         If the membrane cannot be rendered.
     """
     first = recipes[0]
-    rng = generator(first.seed, first.picture_name, "sensor noise", frame)
+    rng = random_stream(first.seed, first.picture_name, "sensor noise", frame)
     renderer = renderer_of(first, matrix)
     picture = renderer.picture(
         *_membrane(state), markers=_shows_markers(first), rng=rng, frame_name=f"frame {frame} of {first.name}"

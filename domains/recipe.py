@@ -16,9 +16,10 @@ from gelgap.domains.acquisition import (
     draw_errors,
     independent_poses,
 )
+from gelgap.domains.dataset import PAPER_FORCE_RANGE_N
 from gelgap.domains.domain import OWN_LIGHT, Domain
 from gelgap.domains.folder import canonical_json
-from gelgap.domains.schema import PAPER_FORCE_RANGE_N, OptionalColumn
+from gelgap.domains.schema import OptionalColumn
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
 

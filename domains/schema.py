@@ -1,4 +1,4 @@
-"""The columns of a domain's Parquet shards, and how pictures become bytes."""
+"""The columns of a domain's Parquet shards, and how rows become bytes."""
 
 import dataclasses
 import io
@@ -6,15 +6,11 @@ import json
 from collections.abc import Sequence
 from typing import Any, Literal
 
-import numpy as np
 import pyarrow as pa
 
 from gelgap.sim import Diagnostics
 
 SCHEMA_VERSION = 1
-
-PAPER_FORCE_RANGE_N = ((-0.75, 0.75), (-0.75, 0.75), (-3.0, 0.0))
-"""The paper's fixed ranges of Fx, Fy, Fz in N."""
 
 OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
 """What a domain may also hold; `diagnostics` is one column for each field of the solver's `Diagnostics`."""
@@ -103,36 +99,3 @@ def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColu
 def picture_cell(png: bytes | None) -> dict[str, Any] | None:
     """Return the value of a picture column: the `bytes, path` struct of Hugging Face, or null."""
     return None if png is None else {"bytes": png, "path": None}
-
-
-def encode_png(picture: np.ndarray) -> bytes:
-    """Encode an 8-bit RGB or 8/16-bit grey picture losslessly.
-
-    Sensor noise leaves nothing for zlib's string matching to find: Huffman coding of the filtered rows alone is
-    both faster and smaller than any compression level (`benchmarks/throughput.py` prints the table).
-    """
-    import cv2
-
-    pixels = picture[..., ::-1] if picture.ndim == 3 else picture
-    strategy = [
-        cv2.IMWRITE_PNG_COMPRESSION,
-        1,
-        cv2.IMWRITE_PNG_STRATEGY,
-        cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
-    ]
-    done, data = cv2.imencode(".png", np.ascontiguousarray(pixels), strategy)
-    if not done:
-        raise RuntimeError(
-            f"OpenCV could not encode a picture of shape {picture.shape} and type {picture.dtype}"
-        )
-    return data.tobytes()
-
-
-def decode_picture(data: bytes) -> np.ndarray:
-    """Decode a PNG or JPEG to (h, w, 3) RGB uint8, or a grey picture to (h, w) in its own depth."""
-    import cv2
-
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if picture is None:
-        raise ValueError("image bytes are neither PNG nor JPEG, or are damaged; expected a readable picture")
-    return np.ascontiguousarray(picture[..., 2::-1]) if picture.ndim == 3 else picture

@@ -7,18 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.domains.acquisition import generator
 from gelgap.domains.pictures import KEPT_RENDERERS, picture_cells, same_picture
 from gelgap.domains.plan import FrameBatch, solve_plan
+from gelgap.domains.random_streams import random_stream
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.domains.schema import encode_shard
+from gelgap.domains.splits import PARTS, draw_parts
 from gelgap.sim import Pose
 
 if TYPE_CHECKING:
     from gelgap.sim import MembraneState
-
-SPLITS = (("train", 0.6), ("validation", 0.2), ("test", 0.2))
-"""The paper's random split, written into every domain."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> dict[st
         "fz_n": force[2],
         "converged": bool(state.converged),
         "contact_radius_mm": float(state.contact_radius_mm),
-        "split": _splits(len(recipe.path.poses), recipe.seed)[frame],
+        "split": _split(len(recipe.path.poses), recipe.seed)[frame],
         "image": None,
         **(asdict(state.diagnostics) if "diagnostics" in recipe.columns else {}),
     }
@@ -126,7 +124,7 @@ def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> dict[st
 def _measured_force(recipe: DomainRecipe, frame: int, state: "MembraneState") -> list[float]:
     force = np.asarray(state.force_n, float) + recipe.drawn_errors().force_bias_n
     if recipe.acquisition.force_noise_n:
-        rng = generator(recipe.seed, recipe.picture_name, "force noise", frame)
+        rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
         force = force + recipe.acquisition.force_noise_n * rng.standard_normal(3)
     # Adding zero turns −0.0, which some readers show, into 0.0.
     return [float(value) + 0.0 for value in force]
@@ -154,13 +152,8 @@ def _trajectories(recipe: DomainRecipe) -> tuple[tuple[int, int], ...]:
 
 
 @lru_cache(maxsize=8)
-def _splits(frames: int, seed: int) -> tuple[str, ...]:
-    order = generator(seed, "", "split").permutation(frames)
-    ends = np.rint(np.cumsum([share for _, share in SPLITS]) * frames).astype(int)
-    names = np.empty(frames, dtype=object)
-    for (name, _), start, stop in zip(SPLITS, [0, *ends[:-1]], ends, strict=True):
-        names[order[start:stop]] = name
-    return tuple(names)
+def _split(frames: int, seed: int) -> tuple[str, ...]:
+    return tuple(PARTS[part] for part in draw_parts(frames, seed))
 
 
 def _shard(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelgap.domains.acquisition import AcquisitionError, draw_errors
-from gelgap.domains.dataset import open_domain
+from gelgap.domains.opening import open_domain
 from gelgap.domains.recipe import make_recipes
 from gelgap.domains.shard import _trajectories
 from gelgap.domains.splits import paired_contacts

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.domains.dataset import open_domain
 from gelgap.domains.folder import DomainFolder, sole_writer
+from gelgap.domains.opening import open_domain
 from gelgap.sim import SolvePlan
 
 pytestmark = pytest.mark.usefixtures("small_shards")

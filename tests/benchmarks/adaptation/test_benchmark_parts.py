@@ -138,7 +138,7 @@ def test_no_records_is_one_sentence(tmp_path):
 
 
 def test_gap_errors_are_means_over_seeds(source, monkeypatch):
-    monkeypatch.setattr("gelgap.domains.dataset.open_domain", lambda folder: source)
+    monkeypatch.setattr("gelgap.domains.open_domain", lambda folder: source)
     lines = [
         Line(Job("mb0i0", "a", "dsan", seed), "smoke", {}, mae_n=(mae,) * 3, constant_mean_n=(4 * mae,) * 3)
         for seed, mae in enumerate((0.1, 0.3))
