@@ -107,7 +107,7 @@ def group_oracles(data: Path, groups: Sequence[tuple[str, str]]) -> dict[tuple[s
     presses = {name: Presses.of(domain) for name, domain in domains.items()}
     return {
         (s, t): GroupOracles(
-            pose_oracle(presses[s], presses[t]).mae_n, geometry_oracle(presses[s], presses[t]).mae_n
+            pose_oracle(domains[s], domains[t]).mae_n, geometry_oracle(presses[s], presses[t]).mae_n
         )
         for s, t in groups
     }

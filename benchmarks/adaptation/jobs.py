@@ -83,9 +83,8 @@ Work = Callable[[Path, Path, str, Job], AnyLine]
 
 def adapt_job(data: Path, out: Path, profile: str, job: Job) -> Line:
     """Do one run; a collapse, or a loss that is not finite, is a result, not a failure."""
-    from gelgap.adapt import adapt_folders
-    from gelgap.adapt.runs import versions
-    from gelgap.adapt.stage import FeatureCollapse, TrainingDiverged
+    from gelgap.adapt import FeatureCollapse, TrainingDiverged, adapt_folders
+    from gelgap.adapt.run_record import versions
 
     settings = job.profile(profile)
     try:
@@ -200,7 +199,7 @@ def _on_workers(
         return
     from dask.distributed import as_completed
 
-    from gelgap.adapt.runs import stage1_profile
+    from gelgap.adapt.run_key import stage1_profile
     from gelgap.domains import dask_client
 
     stop = time.time() + limit_s
@@ -221,9 +220,13 @@ def _on_workers(
 
 
 def _stage1(data: Path, out: Path, profile: str, job: Job) -> float:
-    from gelgap.adapt.runs import prepare_stage1
+    from gelgap.adapt import Stage1, split_for_training
+    from gelgap.domains import open_domain
 
-    return prepare_stage1(data / job.source, job.profile(profile), job.seed, out)
+    settings = job.profile(profile)
+    source, target = open_domain(data / job.source), open_domain(data / job.target)
+    frames = split_for_training(source, target, settings, job.seed)
+    return Stage1(frames.source_train, settings, job.seed, out=out).model()[1]
 
 
 def _after(stage1_s: float, stop: float, work: Work, data: Path, out: Path, profile: str, job: Job) -> Any:

@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +29,11 @@ class Speed:
 
 def random_frames(n: int, profile):
     """Return n frames of noise at the profile's size: speed does not depend on what they show."""
-    from gelgap.adapt import Frames
+    from gelgap.domains import ArrayFrames
 
     rng = np.random.default_rng(0)
     width, height = profile.image_size_px
-    return Frames(
+    return ArrayFrames(
         name="noise",
         images=rng.integers(0, 256, (n, height, width, 3), dtype=np.uint8),
         reference=np.full((height, width, 3), 128, np.uint8),
@@ -49,12 +49,12 @@ def plain_loop_ms(frames, profile, epochs: int) -> float:
     from torch.nn import functional
 
     from gelgap.adapt import make_network
-    from gelgap.adapt.pictures import Pictures
-    from gelgap.adapt.stage import torch_threads
-    from gelgap.adapt.training import normalised_force
+    from gelgap.adapt.batches import network_inputs, normalised_force
+    from gelgap.adapt.machine import torch_threads
 
     network = make_network(profile, 361, 0)
-    pictures, force = Pictures(frames, profile), torch.from_numpy(normalised_force(frames))
+    pictures = network_inputs(frames, profile, "cpu")
+    force = torch.from_numpy(normalised_force(frames))
     optimizer = torch.optim.SGD(network.parameters(), lr=0.01, momentum=0.9, weight_decay=5e-4)
     network.train()
     times = []
@@ -65,7 +65,7 @@ def plain_loop_ms(frames, profile, epochs: int) -> float:
             for i in range(steps):
                 rows = order[i * profile.batch_size : (i + 1) * profile.batch_size]
                 optimizer.zero_grad(set_to_none=True)
-                functional.mse_loss(network(pictures.batch(rows)), force[rows]).backward()
+                functional.mse_loss(network(pictures.inputs(rows)), force[rows]).backward()
                 optimizer.step()
             times.append((time.perf_counter() - start) / steps)
     return 1e3 * float(np.median(times))
@@ -90,9 +90,8 @@ def measure(profile, n: int = 256, epochs: int = 3) -> list[Speed]:
     model = train_source(frames, short)
     if profile.colour_mixing:
         speeds.append(speed("stage 1, mixed colours", model.history))
-    target = replace(frames, name="noise 2")
     for method in METHODS:
-        adapted = adapt(model, frames, target, method, short.replace(transfer_weight=1e-6))
+        adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
         speeds.append(speed(f"stage 2, {method}", adapted.history[epochs:]))
     return speeds
 
