@@ -121,10 +121,12 @@ class _Workbench(Adaptation):
             title=f"{self.method_name} {self.source.name} → {self.target.name}",
             network=self.network,
             profile=self.profile,
+            seed=self.seed,
+            epochs=self.profile.adapt_epochs,
+            learning_rate=self.profile.adapt_learning_rate,
             method=method.to(self.device),
             source=TrainingDomain.labelled(self.source, self.profile, self.device),
             target=target(self.target, self.profile, self.device),
-            seed=self.seed,
         )
         self.records += train(stage, self.progress, self.resume_file, self.watch)
         if self.profile.batch_statistics == "per_domain":

@@ -16,8 +16,7 @@ from gelgap.adapt.diagnosis import StepResult
 from gelgap.adapt.loop import Stage
 from gelgap.adapt.machine import autocast
 from gelgap.adapt.methods.base import Method
-from gelgap.adapt.network import Activations, ForceNetwork
-from gelgap.adapt.profile import Profile
+from gelgap.adapt.network import Activations
 from gelgap.adapt.schedules import transfer_factor
 from gelgap.adapt.source_training import regression_loss
 
@@ -36,22 +35,10 @@ class JointStage(Stage):
     An epoch is one pass over the source; the target is cycled.
     """
 
-    title: str
-    network: ForceNetwork
-    profile: Profile
     method: Method
     source: TrainingDomain
     target: TrainingDomain
-    seed: int
     stops_on_collapse = True
-
-    @property
-    def epochs(self) -> int:
-        return self.profile.adapt_epochs
-
-    @property
-    def learning_rate(self) -> float:
-        return self.profile.adapt_learning_rate
 
     @property
     def companion(self) -> Method:

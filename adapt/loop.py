@@ -3,9 +3,9 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import nn
@@ -30,6 +30,7 @@ class TrainingDiverged(RuntimeError):
     """Losses or gradients were not finite for many steps in a row."""
 
 
+@dataclass(frozen=True)
 class Stage(ABC):
     """What is trained: a network, its batches and its loss.
 
@@ -39,10 +40,10 @@ class Stage(ABC):
         What progress and errors call the stage.
     network
         Trained in place.
-    companion
-        A module that is trained along at the heads' rate (a discriminator), or None.
     epochs, learning_rate
         How long, and the initial rate of the heads.
+    companion
+        A module that is trained along at the heads' rate (a discriminator), or None.
     stops_on_collapse
         Whether `FeatureCollapse` ends a stage whose network has become a constant predictor.
     """
@@ -50,10 +51,14 @@ class Stage(ABC):
     title: str
     network: ForceNetwork
     profile: Profile
+    seed: int
     epochs: int
     learning_rate: float
-    companion: nn.Module | None = None
-    stops_on_collapse: bool = False
+    stops_on_collapse: ClassVar[bool] = False
+
+    @property
+    def companion(self) -> nn.Module | None:
+        return None
 
     @abstractmethod
     def batches(self, epoch: int) -> Iterator[Any]:

@@ -3,14 +3,14 @@
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from gelgap.adapt.adaptation import adapt
-from gelgap.adapt.evaluation import Evaluation, evaluate_constant_mean, evaluate_predictions
+from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_predictions
 from gelgap.adapt.methods.registry import find_method, method_settings
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.normalisation import with_statistics_of
@@ -197,66 +197,70 @@ class _Experiment:
 
     def _run(self, planned: _PlannedRun, model: ForceModel, wall_s: dict[str, float]) -> Run:
         """Adapt, evaluate and, if it has a folder, write one run."""
-        frames, profile, seed = self.frames, self.stage1.profile, self.stage1.seed
+        frames, stage1, start = self.frames, self.stage1, time.perf_counter()
         resume_file = None if planned.folder is None else planned.folder / "resume.pt"
-        start = time.perf_counter()
         adapted = adapt(
             model,
             frames.source_train,
             frames.target_train,
             planned.method,
-            profile,
-            seed,
+            stage1.profile,
+            stage1.seed,
             resume_file=resume_file,
-            progress=self.stage1.progress,
+            progress=stage1.progress,
         )
-        adapted_at = time.perf_counter()
-        on_source = _with_own_statistics(adapted, frames.source_train)
-        target_n = adapted.predict_n(frames.target_test)
-        source_n = on_source.predict_n(frames.source_held_out)
-        held_out = len(frames.source_held_out) > 0
+        wall_s = wall_s | {"stage2": time.perf_counter() - start}
+        on_source = _on_source(adapted, frames.source_train)
+        run, arrays = self._evaluated(planned, adapted, on_source, wall_s)
+        if planned.folder is not None:
+            kept = frames.source_held_out if len(frames.source_held_out) else frames.source_train
+            arrays |= _features("source", on_source, kept) | _features("target", adapted, frames.target_test)
+            write_run(run, adapted, arrays)
+            resume_file.unlink(missing_ok=True)
+        return run
+
+    def _evaluated(
+        self, planned: _PlannedRun, adapted: ForceModel, on_source: ForceModel, wall_s: dict[str, float]
+    ) -> tuple[Run, dict[str, np.ndarray]]:
+        """Return the record of a run, and its predictions."""
+        frames, start = self.frames, time.perf_counter()
+        held_out, test = frames.source_held_out, frames.target_test
+        test_n = adapted.predict_n(test)
         run = Run(
             key=planned.key,
-            source=frames.source_train.name,
-            target=frames.target_train.name,
+            source=held_out.name,
+            target=test.name,
             method=planned.method,
-            seed=seed,
-            profile=profile.model_dump(mode="json"),
+            seed=adapted.seed,
+            profile=adapted.profile.model_dump(mode="json"),
             n_source=len(frames.source_train),
             n_target=len(frames.target_train),
-            target_test=_error(frames.target_test, target_n),
-            target_constant_mean=evaluate_constant_mean(frames.source_train, frames.target_test),
-            source_held_out=_error(frames.source_held_out, source_n) if held_out else None,
-            source_constant_mean=(
-                evaluate_constant_mean(frames.source_train, frames.source_held_out) if held_out else None
-            ),
-            wall_s=wall_s | {"stage2": adapted_at - start, "evaluate": time.perf_counter() - adapted_at},
+            target_test=evaluate_predictions(test.force_n, test_n, test.force_range_n),
+            target_constant_mean=evaluate_constant_mean(frames.source_train, test),
+            source_held_out=None,
+            source_constant_mean=None,
+            wall_s=wall_s,
             skipped_steps=sum(record["skipped_steps"] for record in adapted.history),
             history=adapted.history,
             versions=versions(),
             folder=planned.folder,
         )
-        if planned.folder is not None:
-            arrays = _predictions("target", frames.target_test, target_n)
-            if held_out:
-                arrays |= _predictions("source", frames.source_held_out, source_n)
-            arrays |= _features(
-                "source", on_source, frames.source_held_out if held_out else frames.source_train
+        arrays = _predictions("target", test, test_n)
+        if len(held_out):
+            held_out_n = on_source.predict_n(held_out)
+            arrays |= _predictions("source", held_out, held_out_n)
+            run = replace(
+                run,
+                source_held_out=evaluate_predictions(held_out.force_n, held_out_n, held_out.force_range_n),
+                source_constant_mean=evaluate_constant_mean(frames.source_train, held_out),
             )
-            arrays |= _features("target", adapted, frames.target_test)
-            write_run(run, adapted, arrays)
-            resume_file.unlink(missing_ok=True)
-        return run
+        return replace(run, wall_s=wall_s | {"evaluate": time.perf_counter() - start}), arrays
 
 
-def _with_own_statistics(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
-    """Return the model as it is judged on the source: where each domain is normalised by itself, by the source's."""
+def _on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
+    """Return the model as it is judged on the source: under the source's statistics where domains have their own."""
     per_domain = model.profile.batch_statistics == "per_domain" and find_method(model.method).uses_target
     return with_statistics_of(model, source_train) if per_domain else model
-
-
-def _error(frames: LabelledFrames, predicted_n: np.ndarray) -> Evaluation:
-    return evaluate_predictions(frames.force_n, predicted_n, frames.force_range_n)
 
 
 def _predictions(domain: str, frames: LabelledFrames, predicted_n: np.ndarray) -> dict[str, np.ndarray]:

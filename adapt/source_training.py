@@ -57,7 +57,16 @@ def train_source(
         _load_start(network, Path(weights))
     with torch_threads(profile.threads):
         domain = TrainingDomain.labelled(source, profile, device)
-        records = train(SourceStage(source.name, network, profile, domain, seed), progress, resume_file)
+        stage = SourceStage(
+            title=f"source {source.name}",
+            network=network,
+            profile=profile,
+            seed=seed,
+            epochs=profile.source_epochs,
+            learning_rate=profile.source_learning_rate,
+            source=domain,
+        )
+        records = train(stage, progress, resume_file)
         if profile.colour_mixing:
             estimate_statistics(network, domain.pictures, seed)
     return ForceModel(
@@ -75,23 +84,7 @@ def train_source(
 class SourceStage(Stage):
     """Regression on batches of the source."""
 
-    source_name: str
-    network: ForceNetwork
-    profile: Profile
     source: TrainingDomain
-    seed: int
-
-    @property
-    def title(self) -> str:
-        return f"source {self.source_name}"
-
-    @property
-    def epochs(self) -> int:
-        return self.profile.source_epochs
-
-    @property
-    def learning_rate(self) -> float:
-        return self.profile.source_learning_rate
 
     def batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
         order = epoch_order(len(self.source), self.profile.batch_size, self.seed, Draw.STAGE_1, epoch)
