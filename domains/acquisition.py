@@ -13,7 +13,7 @@ from gelgap.assets.settings import Settings
 from gelgap.domains.random_streams import random_stream
 from gelgap.sim import ContactPath, Pose
 
-Contacts = Literal["paired", "independent"]
+ContactSampling = Literal["paired", "independent"]
 
 # Solves are shared between poses that agree; a micrometre is far below what a rig can tell.
 _RESOLUTION_MM = 1e-3

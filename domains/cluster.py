@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gelgap.domains.generation_progress import GenerationProgress
 from gelgap.domains.plan import FrameBatch, GenerationPlan
-from gelgap.domains.progress import Progress
 from gelgap.domains.shard import Shard, render_batch
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def render_in_worker(
 
 
 def run_in_process(
-    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: Progress
+    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: GenerationProgress
 ) -> Iterator[list[Shard]]:
     """Run a plan in this process, batch by batch; a solution is dropped after the last batch that needs it."""
     waiting = Counter(key for batch in plan.batches for key in batch.solve_keys)
@@ -59,7 +59,7 @@ def run_in_process(
 
 
 def run_on_cluster(
-    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: Progress, client: "Client"
+    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: GenerationProgress, client: "Client"
 ) -> Iterator[list[Shard]]:
     """Run a plan on a Dask cluster and yield the shards as they come; keys are content, so work is never done twice.
 

@@ -2,13 +2,13 @@
 
 import os
 import time
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.domains.pictures import led_to_camera, picture_cells, same_picture
+from gelgap.domains.frame_pictures import led_to_camera, picture_cells, same_picture
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState, grid_axes
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gelgap.sim import Solve
 
 # Seconds of one core for one load step, measured on the gel of the paper-like presets.
-SECONDS_A_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
+SECONDS_PER_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
 def _solve_s(solve: "Solve") -> float:
     """Return the expected seconds of a solve."""
     problem = solve.problem
-    return SECONDS_A_LOAD_STEP[problem.quality.name] * problem.load_steps
+    return SECONDS_PER_LOAD_STEP[problem.quality.name] * problem.load_steps
 
 
 def _frame_costs(plan: GenerationPlan) -> tuple[float, float]:
@@ -106,12 +106,9 @@ def _frame_cost(
     recipes: Sequence[DomainRecipe], matrices: Sequence[np.ndarray], state: MembraneState
 ) -> tuple[float, float]:
     start = time.process_time()
-    groups: dict[Hashable, list[int]] = {}
-    for index, recipe in enumerate(recipes):
-        groups.setdefault(same_picture(recipe), []).append(index)
     cells = [
         row
-        for members in groups.values()
+        for members in same_picture(recipes)
         for row in picture_cells([recipes[index] for index in members], matrices[members[0]], 0, state)
     ]
     seconds = time.process_time() - start

@@ -6,19 +6,19 @@ import json
 import os
 import shutil
 import tarfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gelgap.domains import dar_ots
+from gelgap.domains import published
+from gelgap.domains.columns import OPTIONAL, Column
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import domain_folders, inspect_domain
 from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_codec import encode_jpeg, encode_png
-from gelgap.domains.schema import DIAGNOSTICS_COLUMNS
 
 _SAMPLES_PER_TAR = 1000
 
@@ -61,8 +61,8 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
     for frames in domains:
         folder = out_dir / frames.name
         folder.mkdir()
-        (folder / dar_ots.REFERENCE).write_bytes(encode_jpeg(frames.reference))
-        unsplit = folder / dar_ots.UNSPLIT
+        (folder / published.REFERENCE).write_bytes(encode_jpeg(frames.reference))
+        unsplit = folder / published.UNSPLIT
         _paper_table(frames, unsplit, np.arange(len(frames)))
         for index in range(len(frames)):
             (unsplit / "images" / f"{index}.jpg").write_bytes(encode_jpeg(frames.picture(index)))
@@ -81,7 +81,7 @@ def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> N
     (folder / "forcePosition").mkdir()
     with (folder / "forcePosition" / "force.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*dar_ots.FORCE_COLUMNS, *([dar_ots.LABEL_COLUMN] if frames.has_classes else [])])
+        writer.writerow([*published.FORCE_COLUMNS, *([published.LABEL_COLUMN] if frames.has_classes else [])])
         for index in indices:
             label = [int(frames.contact_class[index])] if frames.has_classes else []
             writer.writerow([*frames.force_n[index].tolist(), *label])
@@ -208,18 +208,14 @@ def _data_card(domains: list[GeneratedDomain]) -> str:
 
 def _optional_columns(domains: list[GeneratedDomain]) -> list[str]:
     """Return what the card says of optional columns: the height map's scale is in no other file of the export."""
-    scale = domains[0].manifest["height_map"]
-    meanings = {
-        "height_map": f"`height_map`: height towards the camera in mm is {scale['offset_mm']:g} + "
-        f"{scale['step_mm']:g} × code",
-        "contact_mask": "`contact_mask`: 255 where the sphere touches",
-        "marker_rest_mm": "`marker_rest_mm`: (x, y) of each dot on the undeformed membrane, mm",
-        "marker_px": "`marker_px`: (x, y) of each dot in the picture, pixel centres at +0.5",
-        "diagnostics": f"how the pose was solved: {', '.join(f'`{name}`' for name in DIAGNOSTICS_COLUMNS)}",
-    }
-    used = {column for frames in domains for column in frames.optional_columns}
-    told = [text for column, text in meanings.items() if column in used]
+    used = {name for frames in domains for name in frames.optional_columns}
+    told = [_described(columns) for name, columns in OPTIONAL.items() if name in used]
     return ["", f"Optional columns, where a domain has them: {'; '.join(told)}."] if told else []
+
+
+def _described(columns: Sequence[Column]) -> str:
+    unit = f" ({columns[0].unit})" if columns[0].unit else ""
+    return f"{', '.join(f'`{column.name}`' for column in columns)}{unit}: {columns[0].meaning}"
 
 
 FORMATS: dict[str, Callable[[Iterable[LabelledFrames], Path], None]] = {

@@ -108,7 +108,7 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     seen = picture_gap(base.reference, frames.reference)
     rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
     if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):
-        from gelgap.domains.gap import domain_gap
+        from gelgap.domains.domain_gaps import domain_gap
         from gelgap.domains.splits import paired_contacts
 
         gap = domain_gap(base.recipe, frames.recipe)

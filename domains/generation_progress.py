@@ -9,7 +9,7 @@ from typing import Protocol, TextIO
 _SECONDS_BETWEEN_LINES = 10.0
 
 
-class Progress(Protocol):
+class GenerationProgress(Protocol):
     """What a generation tells about itself."""
 
     def begin(self, solves: int, frames: int) -> None: ...
@@ -94,7 +94,7 @@ class _Bars:
 
 
 @contextlib.contextmanager
-def shown_progress(stream: TextIO | None = None) -> Iterator[Progress]:
+def shown_progress(stream: TextIO | None = None) -> Iterator[GenerationProgress]:
     """Yield the progress that suits the stream (standard error by default): bars on a terminal, else plain lines."""
     stream = stream or sys.stderr
     if not stream.isatty():
