@@ -2,6 +2,8 @@ from .acquisition import AcquisitionError as AcquisitionError
 from .batches import PairedFrames as PairedFrames
 from .batches import Pairing as Pairing
 from .cluster import dask_client as dask_client
+from .contacts import contact_points as contact_points
+from .contacts import paired_contacts as paired_contacts
 from .dataset import PAPER_FORCE_RANGE_N as PAPER_FORCE_RANGE_N
 from .dataset import ArrayFrames as ArrayFrames
 from .dataset import LabelledFrames as LabelledFrames
@@ -29,8 +31,6 @@ from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
 from .recipe import preset_recipes as preset_recipes
 from .splits import DomainSplit as DomainSplit
-from .splits import contact_points as contact_points
-from .splits import paired_contacts as paired_contacts
 from .splits import split_domains as split_domains
 from .splits import split_frames as split_frames
 from .stored import StoredFrames as StoredFrames

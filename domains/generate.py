@@ -13,7 +13,7 @@ from gelgap.assets.sole_use import sole_use
 from gelgap.domains.cluster import SYNCHRONOUS, dask_client, run_in_process, run_on_cluster
 from gelgap.domains.domain import Domain
 from gelgap.domains.frame_pictures import led_to_camera
-from gelgap.domains.generation_progress import GenerationProgress, Silent
+from gelgap.domains.generation_progress import GenerationProgress
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe, make_recipes
 from gelgap.domains.run_log import RUN_LOG, RunLog
@@ -121,7 +121,7 @@ def generate_recipes(
     """
     start = time.monotonic()
     out_dir = Path(out_dir)
-    progress = progress or Silent()
+    progress = progress or GenerationProgress()
     names = tuple(recipe.name for recipe in recipes)
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: must be 1 or more")

@@ -3,9 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelgap.domains.contacts import contact_points, paired_contacts
 from gelgap.domains.dataset import ArrayFrames
 from gelgap.domains.opening import open_domain
-from gelgap.domains.splits import contact_points, paired_contacts, split_domains, split_frames
+from gelgap.domains.splits import split_domains, split_frames
 
 
 def pressed_at(points, name: str = "points", **columns) -> ArrayFrames:
