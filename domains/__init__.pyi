@@ -38,3 +38,4 @@ from .sweep import Factor as Factor
 from .sweep import Sweep as Sweep
 from .sweep import sweep_variants as sweep_variants
 from .sweep import write_sweep as write_sweep
+from .writer import package_versions as package_versions

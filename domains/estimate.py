@@ -16,7 +16,7 @@ from gelgap.sim import MembraneState, grid_axes
 if TYPE_CHECKING:
     from gelgap.sim import Solve
 
-# Seconds of one core for one load step, measured on the gel of the paper-like presets.
+# Seconds of one core per load step, measured on the gel of the paper-like presets.
 SECONDS_PER_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
 
 
@@ -41,7 +41,7 @@ class Estimate:
         return (self.solve_core_s + self.frame_core_s) / self.workers
 
     def __str__(self) -> str:
-        ms = 1e3 * self.frame_core_s / self.frames
+        ms, kilobytes = 1e3 * self.frame_core_s / self.frames, self.disk_bytes / self.frames / 1e3
         return "\n".join(
             [
                 f"domains  {', '.join(self.domains)}",
@@ -49,14 +49,14 @@ class Estimate:
                 f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
                 f"time     about {_duration(self.wall_s)} with {self.workers} workers: "
                 f"{_duration(self.solve_core_s)} of a core to solve, {_duration(self.frame_core_s)} to render "
-                f"({ms:.1f} ms a frame)",
-                f"disk     about {self.disk_bytes / 1e6:.0f} MB ({self.disk_bytes / self.frames / 1e3:.1f} kB a frame)",
+                f"({ms:.1f} ms per frame)",
+                f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
             ]
         )
 
 
 def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Estimate:
-    """Plan domains and estimate their cost; a few frames of each light are rendered to see."""
+    """Plan domains and estimate their cost; a few frames of each light are rendered for it."""
     from gelgap.sim import load_solution
 
     plan = plan_generation(recipes)

@@ -1,4 +1,4 @@
-"""A domain's folder on disk: its manifest, its shards, how they are written so that nothing is ever half there."""
+"""A domain's folder on disk: its manifest, its shards, and what differs between the two."""
 
 import hashlib
 import json
@@ -10,7 +10,6 @@ from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
-RUN_LOG = "run.jsonl"
 
 
 def sha256(data: bytes) -> str:
@@ -94,13 +93,17 @@ class DomainFolder:
         write_whole(self.path / name, data)
         return {"sha256": sha256(data), "bytes": len(data)}
 
-    def intact(self, name: str, entry: dict[str, Any]) -> bool:
-        """Tell whether the file is there with exactly the bytes that the manifest states."""
+    def problem(self, name: str, entry: dict[str, Any]) -> str | None:
+        """Return how a file differs from what the manifest states, or None if it has exactly those bytes."""
         path = self.path / name
-        try:
-            return path.stat().st_size == entry["bytes"] and file_sha256(path) == entry["sha256"]
-        except FileNotFoundError:
-            return False
+        if not path.exists():
+            return "is missing"
+        size = path.stat().st_size
+        if size != entry["bytes"]:
+            return f"has {size} bytes, the manifest states {entry['bytes']}"
+        if file_sha256(path) != entry["sha256"]:
+            return "has other bytes than the manifest states (SHA-256 differs)"
+        return None
 
     def clear(self) -> None:
         """Remove what generation wrote here, and nothing else."""
@@ -121,17 +124,8 @@ class DomainFolder:
         except (FileNotFoundError, RuntimeError) as error:
             return [Damage(MANIFEST, str(error))]
         files = manifest["files"]
-        found = []
-        for name, entry in sorted(files.items()):
-            path = self.path / name
-            if not path.exists():
-                found.append(Damage(name, "is missing"))
-            elif path.stat().st_size != entry["bytes"]:
-                found.append(
-                    Damage(name, f"has {path.stat().st_size} bytes, the manifest states {entry['bytes']}")
-                )
-            elif file_sha256(path) != entry["sha256"]:
-                found.append(Damage(name, "has other bytes than the manifest states (SHA-256 differs)"))
+        problems = {name: self.problem(name, entry) for name, entry in sorted(files.items())}
+        found = [Damage(name, problem) for name, problem in problems.items() if problem]
         unknown = {path.name for path in self.path.glob("frames-*.parquet")} - set(files)
         found += [Damage(name, "is not in the manifest") for name in sorted(unknown)]
         if not manifest["complete"]:

@@ -50,7 +50,9 @@ class DomainRecipe(Settings):
     render_quality: Literal["draft", "standard", "fine"] = "standard"
     columns: tuple[OptionalColumn, ...] = Field((), description="optional columns")
     seed: int = Field(0, ge=0, description="of sensor noise, splits and acquisition errors")
-    contacts: ContactSampling = Field("paired", description="the same poses in every domain, or each its own")
+    contacts: ContactSampling = Field(
+        "paired", description="the same poses in every domain, or poses of its own"
+    )
     acquisition: AcquisitionError = AcquisitionError()
     force_range_n: tuple[Interval, Interval, Interval] = Field(
         PAPER_FORCE_RANGE_N, description="declared range of Fx, Fy, Fz in N, by which labels are normalised"
@@ -71,7 +73,7 @@ class DomainRecipe(Settings):
         return self.inpainted_from or self.name
 
     def commanded_poses(self) -> tuple[Pose, ...]:
-        """Return the poses as a rig would record them, one a frame."""
+        """Return the poses as a rig would record them, one per frame."""
         if self.contacts == "paired":
             return self.path.poses
         if isinstance(self.path, PosePath):
@@ -84,7 +86,7 @@ class DomainRecipe(Settings):
         return draw_errors(self.acquisition, self.seed, self.picture_name)
 
     def solved_path(self) -> ContactPath | PosePath:
-        """Return the contacts that really happen, one a frame."""
+        """Return the contacts that really happen, one per frame."""
         errors = self.drawn_errors()
         off = not any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg))
         if off and self.contacts == "paired":

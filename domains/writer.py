@@ -51,7 +51,9 @@ class DomainWriter:
         if overwrite or not self.folder.exists():
             return
         manifest = self.folder.read_manifest()
-        intact = {name: entry for name, entry in manifest["files"].items() if self.folder.intact(name, entry)}
+        intact = {
+            name: entry for name, entry in manifest["files"].items() if not self.folder.problem(name, entry)
+        }
         self.complete = manifest["complete"] and len(intact) == len(manifest["files"])
         differences = _differences(manifest["schema_version"], SCHEMA_VERSION, "schema_version")
         differences += _differences(manifest["configuration"], self.recipe.configuration())
