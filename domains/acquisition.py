@@ -70,11 +70,7 @@ def draw_errors(error: AcquisitionError, seed: int, domain: str) -> DrawnErrors:
         point_offset_mm=(error.point_offset_mm * unit[0], error.point_offset_mm * unit[1]),
         depth_zero_mm=error.depth_zero_mm * unit[2],
         tilt_deg=(error.tilt_deg * unit[3], error.tilt_deg * unit[4]),
-        force_bias_n=(
-            error.force_bias_n * unit[5],
-            error.force_bias_n * unit[6],
-            error.force_bias_n * unit[7],
-        ),
+        force_bias_n=tuple(error.force_bias_n * value for value in unit[5:]),
     )
 
 

@@ -30,14 +30,10 @@ class PairedFrames(Dataset):
 
     Parameters
     ----------
-    images
-        (n, h, w, 3) uint8 RGB.
-    reference
-        The picture without contact, (h, w, 3) uint8 RGB.
-    force_n
-        (n, 3) N.
-    contact_class
-        (n,) integers, −1 unknown.
+    images, reference
+        (n, h, w, 3) and (h, w, 3) uint8 RGB.
+    force_n, contact_class
+        (n, 3) N and (n,) integers, −1 unknown.
     pairing
         How the reference is given.
     device

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -156,7 +156,7 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
     """Write `sweep.json`: each domain's factors and its gap to the base."""
     base = variants[0].recipe
     table = {
-        variant.recipe.name: {"factors": variant.values, "gap": domain_gap(base, variant.recipe).as_json()}
+        variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
         for variant in variants
     }
     text = json.dumps({"base": base.name, "domains": table}, indent=1, ensure_ascii=False)

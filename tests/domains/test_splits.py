@@ -13,10 +13,9 @@ def pressed_at(points, name: str = "points", **columns) -> ArrayFrames:
     """Return black pictures of contacts at these points."""
     n = len(points)
     images = np.zeros((n, 1, 1, 3), np.uint8)
-    values = {column: np.asarray(value) for column, value in columns.items()}
-    return ArrayFrames(
-        name, images, images[0], np.zeros((n, 3)), np.arange(n), np.asarray(points), columns=values
-    )
+    labels = {"contact_class": np.arange(n), "point_id": points, **columns}
+    labels = {label: np.asarray(values) for label, values in labels.items()}
+    return ArrayFrames(name, images, images[0], np.zeros((n, 3)), **labels)
 
 
 @given(
