@@ -1,6 +1,4 @@
 from .acquisition import AcquisitionError as AcquisitionError
-from .batches import PairedFrames as PairedFrames
-from .batches import Pairing as Pairing
 from .cluster import dask_client as dask_client
 from .contacts import contact_points as contact_points
 from .contacts import paired_contacts as paired_contacts
@@ -26,6 +24,8 @@ from .inspection import inspect_domain as inspect_domain
 from .inspection import verify_domain as verify_domain
 from .opening import open_domain as open_domain
 from .overview import write_overview as write_overview
+from .paired_frames import PairedFrames as PairedFrames
+from .paired_frames import Pairing as Pairing
 from .plan import plan_generation as plan_generation
 from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes

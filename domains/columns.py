@@ -25,8 +25,8 @@ HEIGHT_MAP_OFFSET_MM = -0.5
 
 
 @dataclass(frozen=True)
-class Contact:
-    """One frame's contact: the commanded pose, the trajectory and the part it belongs to, and what was solved."""
+class LabelSource:
+    """What the labels of one frame are made from: what was commanded, solved and measured."""
 
     frame: int
     pose: Pose
@@ -35,7 +35,7 @@ class Contact:
     split: str
     state: "MembraneState"
     force_n: tuple[float, float, float]
-    """What the force sensor says; `state.force_n` is what is true."""
+    """What the force sensor reads; `state.force_n` is the true force."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Column:
 class LabelColumn(Column):
     """A column made from the contact alone; it has a value for every frame."""
 
-    value: Callable[[Contact], Any]
+    value: Callable[[LabelSource], Any]
 
 
 @dataclass(frozen=True)

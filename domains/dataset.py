@@ -13,7 +13,7 @@ from gelgap.domains.picture_codec import resized
 if TYPE_CHECKING:
     from torch import device as Device
 
-    from gelgap.domains.batches import PairedFrames, Pairing
+    from gelgap.domains.paired_frames import PairedFrames, Pairing
 
 PAPER_FORCE_RANGE_N = ((-0.75, 0.75), (-0.75, 0.75), (-3.0, 0.0))
 """The paper's fixed ranges of Fx, Fy, Fz in N, by which forces are normalised."""
@@ -169,7 +169,7 @@ class LabelledFrames(ABC):
         device: "Device | str" = "cpu",
     ) -> "PairedFrames":
         """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference."""
-        from gelgap.domains.batches import PairedFrames
+        from gelgap.domains.paired_frames import PairedFrames
 
         return PairedFrames(
             self.images(size_px),

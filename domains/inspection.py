@@ -16,7 +16,7 @@ from gelgap.domains.opening import open_domain
 
 @dataclass(frozen=True)
 class DomainSummary:
-    """The facts of one domain. `frames` can be read; `force_range_n` is what is declared, min and max what is there."""
+    """The facts of one domain: `frames` that can be read, the declared range of forces and the extremes found."""
 
     folder: str
     name: str

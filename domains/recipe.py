@@ -1,4 +1,4 @@
-"""The full configuration of one domain: everything that its bytes depend on."""
+"""The full configuration of one domain: everything on which its bytes depend."""
 
 import hashlib
 from collections.abc import Iterable, Sequence
@@ -38,7 +38,7 @@ class DomainRecipe(Settings):
     elastomer: Elastomer
     indenter: Sphere = Sphere()
     path: ContactPath | PosePath
-    quality: QualityName = Field("standard", description="of the physics")
+    quality: QualityName = Field("standard", description="quality of the physics")
     sensor: Sensor
     illumination: Illumination
     markers: bool = Field(description="whether the markers are seen")
@@ -49,7 +49,7 @@ class DomainRecipe(Settings):
     size_px: tuple[Side, Side] = Field((320, 240), description="width and height of the pictures")
     render_quality: Literal["draft", "standard", "fine"] = "standard"
     columns: tuple[OptionalColumn, ...] = Field((), description="optional columns")
-    seed: int = Field(0, ge=0, description="of sensor noise, splits and acquisition errors")
+    seed: int = Field(0, ge=0, description="seed of sensor noise, splits and acquisition errors")
     contacts: ContactSampling = Field(
         "paired", description="the same poses in every domain, or poses of its own"
     )

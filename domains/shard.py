@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.domains.columns import LABELS, OPTIONAL, Contact, LabelColumn
+from gelgap.domains.columns import LABELS, OPTIONAL, LabelColumn, LabelSource
 from gelgap.domains.frame_pictures import KEPT_RENDERERS, picture_cells, same_picture
 from gelgap.domains.plan import FrameBatch, solve_plan
 from gelgap.domains.random_streams import random_stream
@@ -94,7 +94,7 @@ def _shards_of_groups(
 
 def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> Row:
     trajectory, step = _trajectories(recipe)[frame]
-    contact = Contact(
+    source = LabelSource(
         frame=frame,
         pose=_commanded(recipe)[frame],
         trajectory=trajectory,
@@ -105,7 +105,7 @@ def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> Row:
     )
     optional = (column for name in recipe.columns for column in OPTIONAL[name])
     columns = (*LABELS, *(column for column in optional if isinstance(column, LabelColumn)))
-    return {column.name: column.value(contact) for column in columns}
+    return {column.name: column.value(source) for column in columns}
 
 
 def _measured_force(recipe: DomainRecipe, frame: int, state: "MembraneState") -> tuple[float, float, float]:

@@ -53,9 +53,9 @@ class Sweep(Settings):
     path: str = "smoke"
     method: Literal["grid", "one-at-a-time", "latin-hypercube"] = "grid"
     samples: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        8, description="of a Latin hypercube, and of draws without factors"
+        8, description="number of variants of a Latin hypercube, and of draws without factors"
     )
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the Latin hypercube and the draws")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the Latin hypercube and the draws")
     factors: tuple[Factor, ...] = ()
     variation: Variation | None = Field(
         None,
