@@ -2,10 +2,8 @@
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +13,7 @@ from gelgap.domains.picture_codec import resized
 if TYPE_CHECKING:
     from torch import device as Device
 
-    from gelgap.domains.batches import PairedFrames, Pairing
+    from gelgap.domains.paired_frames import PairedFrames, Pairing
 
 PAPER_FORCE_RANGE_N = ((-0.75, 0.75), (-0.75, 0.75), (-3.0, 0.0))
 """The paper's fixed ranges of Fx, Fy, Fz in N, by which forces are normalised."""
@@ -24,7 +22,6 @@ CONTACT_CLASSES = 361
 """How many contact classes the paper's grid has: without contact, and 5 depths × 6 radii × 12 directions."""
 
 FORCE_COLUMNS = ("fx_n", "fy_n", "fz_n")
-_NO_COLUMNS: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -96,9 +93,6 @@ class LabelledFrames(ABC):
             contact_class=int(self.contact_class[index]),
             point_id=int(self.point_id[index]),
         )
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self[index] for index in range(len(self)))
 
     @cached_property
     def force_n(self) -> np.ndarray:
@@ -175,7 +169,7 @@ class LabelledFrames(ABC):
         device: "Device | str" = "cpu",
     ) -> "PairedFrames":
         """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference."""
-        from gelgap.domains.batches import PairedFrames
+        from gelgap.domains.paired_frames import PairedFrames
 
         return PairedFrames(
             self.images(size_px),
@@ -192,22 +186,14 @@ class ArrayFrames(LabelledFrames):
 
     Parameters
     ----------
-    name
-        The domain's.
-    images
-        (n, h, w, 3) uint8 RGB.
-    reference
-        The picture without contact, (h, w, 3) uint8 RGB.
+    images, reference
+        (n, h, w, 3) and (h, w, 3) uint8 RGB.
     force_n
         (n, 3) N.
-    contact_class, point_id
-        (n,) integers; by default the data set does not say them.
-    columns
+    force_range_n, n_classes
+        As in `LabelledFrames`.
+    contact_class, point_id, **columns
         What else is known of each frame, (n,) each: `x_mm`, `y_mm`, `split`, ….
-    force_range_n
-        The declared range, (3, 2) N.
-    n_classes
-        How many contact classes the labels may take.
 
     Raises
     ------
@@ -224,19 +210,19 @@ class ArrayFrames(LabelledFrames):
         contact_class: np.ndarray | None = None,
         point_id: np.ndarray | None = None,
         *,
-        columns: Mapping[str, np.ndarray] = _NO_COLUMNS,
         force_range_n: np.ndarray = LabelledFrames.force_range_n,
         n_classes: int = CONTACT_CLASSES,
+        **columns: np.ndarray,
     ):
         self.name, self.n_classes = name, n_classes
         self.force_range_n = np.asarray(force_range_n, float)
         self._images, self._reference = images, reference
-        integers = {"contact_class": contact_class, "point_id": point_id}
-        labels = {label: values for label, values in integers.items() if values is not None} | dict(columns)
-        self._check(force_n, labels)
-        self.columns = {label: force_n[:, axis] for axis, label in enumerate(FORCE_COLUMNS)} | labels
+        stated = {"contact_class": contact_class, "point_id": point_id}
+        columns |= {label: values for label, values in stated.items() if values is not None}
+        self._check(force_n, columns)
+        self.columns = {label: force_n[:, axis] for axis, label in enumerate(FORCE_COLUMNS)} | columns
 
-    def _check(self, force_n: np.ndarray, labels: dict[str, np.ndarray]) -> None:
+    def _check(self, force_n: np.ndarray, columns: dict[str, np.ndarray]) -> None:
         images, n = self._images, len(self._images)
         if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
             raise ValueError(
@@ -247,11 +233,12 @@ class ArrayFrames(LabelledFrames):
                 f"domain {self.name}: the reference picture is {self._reference.shape}, the images are "
                 f"{images.shape[1:]}; they must have one size"
             )
-        shapes = {"force_n": (force_n.shape, (n, 3))}
-        shapes |= {label: (values.shape, (n,)) for label, values in labels.items()}
-        for label, (shape, expected) in shapes.items():
-            if shape != expected:
-                raise ValueError(f"domain {self.name}: {label} has shape {shape}; {n} images need {expected}")
+        for label, values in {"force_n": force_n, **columns}.items():
+            expected = (n, 3) if label == "force_n" else (n,)
+            if values.shape != expected:
+                raise ValueError(
+                    f"domain {self.name}: {label} has shape {values.shape}; {n} images need {expected}"
+                )
         if self.force_range_n.shape != (3, 2) or not (np.diff(self.force_range_n) > 0).all():
             raise ValueError(f"domain {self.name}: force_range_n must be (3, 2) with lower < upper bounds")
 

@@ -16,15 +16,11 @@ if TYPE_CHECKING:
 
     from gelgap.domains.recipe import DomainRecipe
 
-_PICTURE_COLUMNS = ("image", "height_map", "contact_mask", "marker_rest_mm", "marker_px")
-
 
 class GeneratedDomain(StoredFrames):
     """A domain in gelgap's own format: a manifest, a reference picture and Parquet shards."""
 
     def __init__(self, folder: Path | str):
-        import pyarrow.parquet as pq
-
         files = DomainFolder(folder)
         self.folder = files.path
         self.manifest: dict[str, Any] = files.read_manifest()
@@ -35,28 +31,8 @@ class GeneratedDomain(StoredFrames):
                 f"{self.folder} is not finished; run the same `gelgap generate` again to complete what is missing"
             )
         self._shards = sorted(name for name in self.manifest["files"] if name.endswith(".parquet"))
-        columns: dict[str, list[np.ndarray]] = {}
-        places = []
-        for number, name in enumerate(self._shards):
-            try:
-                file = pq.ParquetFile(self.folder / name)
-                names = [column for column in file.schema_arrow.names if column not in _PICTURE_COLUMNS]
-                table = file.read(columns=names)
-            except FileNotFoundError:
-                raise FileNotFoundError(
-                    f"{self.folder / name} is missing; generate the domain again"
-                ) from None
-            except (OSError, ValueError) as error:
-                raise RuntimeError(
-                    f"{self.folder / name} is damaged ({error}); run the same `gelgap generate` again to repair it"
-                ) from error
-            for column in names:
-                columns.setdefault(column, []).append(table[column].to_numpy())
-            rows_of_group = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
-            places += [
-                (number, group, row) for group, rows in enumerate(rows_of_group) for row in range(rows)
-            ]
-        joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+        tables, places = zip(*(self._read_labels(number) for number in range(len(self._shards))), strict=True)
+        joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
         kept = np.flatnonzero(joined["converged"])
         self.columns = {name: values[kept] for name, values in joined.items()}
         self.unconverged = len(joined["converged"]) - len(kept)
@@ -64,9 +40,33 @@ class GeneratedDomain(StoredFrames):
             self.notes = (
                 f"{self.unconverged} of {len(joined['converged'])} frames did not converge: left out",
             )
-        self._places = np.array(places, dtype=np.int64).reshape(-1, 3)[kept]
+        self._places = np.concatenate(places)[kept]
         self._open_files: dict[int, ParquetFile] = {}
         self._group: tuple[tuple[int, int, str] | None, list[bytes | None]] = (None, [])
+
+    def _read_labels(self, number: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the plain columns of one shard, and where its rows are: shard, row group, row (n, 3)."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        path = self.folder / self._shards[number]
+        try:
+            file = pq.ParquetFile(path)
+            names = [field.name for field in file.schema_arrow if not pa.types.is_nested(field.type)]
+            table = file.read(columns=names)
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{path} is missing; generate the domain again") from None
+        except (OSError, ValueError) as error:
+            raise RuntimeError(
+                f"{path} is damaged ({error}); run the same `gelgap generate` again to repair it"
+            ) from error
+        places = [
+            (number, group, row)
+            for group in range(file.num_row_groups)
+            for row in range(file.metadata.row_group(group).num_rows)
+        ]
+        columns = {name: table[name].to_numpy() for name in names}
+        return columns, np.array(places, dtype=np.int64).reshape(-1, 3)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open_files": {}, "_group": (None, [])}
@@ -83,27 +83,38 @@ class GeneratedDomain(StoredFrames):
     def encoded_picture(self, index: int) -> bytes:
         return self._cell(index, "image")
 
+    def optional(self, column: str, index: int) -> np.ndarray:
+        """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
+
+        Raises
+        ------
+        ValueError
+            If the domain was generated without that column.
+        """
+        if column not in self.optional_columns:
+            raise ValueError(
+                f"data set {self.name} was generated without the column {column!r}; it has "
+                f"{', '.join(self.optional_columns) or 'no optional columns'}: generate it with --columns {column}"
+            )
+        cell = self._cell(index, column)
+        return decode_picture(cell) if isinstance(cell, bytes) else np.array(cell)
+
     def height_map_mm(self, index: int) -> np.ndarray:
-        """Return the height map (h, w) in mm, if the domain was generated with that column."""
-        self._require("height_map")
-        stored = decode_picture(self._cell(index, "height_map")).astype(np.float64)
+        """Return the height map (h, w) in mm."""
         scale = self.manifest["height_map"]
-        return scale["offset_mm"] + scale["step_mm"] * stored
+        return scale["offset_mm"] + scale["step_mm"] * self.optional("height_map", index).astype(np.float64)
 
     def contact_mask(self, index: int) -> np.ndarray:
-        """Return where the indenter touches, (h, w) bool, if the domain was generated with that column."""
-        self._require("contact_mask")
-        return decode_picture(self._cell(index, "contact_mask")) > 0
+        """Return where the indenter touches, (h, w) bool."""
+        return self.optional("contact_mask", index) > 0
 
     def marker_px(self, index: int) -> np.ndarray:
-        """Return where the markers are in the picture, (m, 2) pixels, if generated with that column."""
-        self._require("marker_px")
-        return np.array(self._cell(index, "marker_px"))
+        """Return where the markers are in the picture, (m, 2) pixels."""
+        return self.optional("marker_px", index)
 
     def marker_rest_mm(self, index: int) -> np.ndarray:
-        """Return where the markers are on the undeformed membrane, (m, 2) mm, if generated with that column."""
-        self._require("marker_rest_mm")
-        return np.array(self._cell(index, "marker_rest_mm"))
+        """Return where the markers are on the undeformed membrane, (m, 2) mm."""
+        return self.optional("marker_rest_mm", index)
 
     @cached_property
     def recipe(self) -> "DomainRecipe":
@@ -116,13 +127,6 @@ class GeneratedDomain(StoredFrames):
     def optional_columns(self) -> tuple[str, ...]:
         return tuple(self.manifest["configuration"]["columns"])
 
-    def _require(self, column: str) -> None:
-        if column not in self.optional_columns:
-            raise ValueError(
-                f"data set {self.name} was generated without the column {column!r}; it has "
-                f"{', '.join(self.optional_columns) or 'no optional columns'}: generate it with --columns {column}"
-            )
-
     def _cell(self, index: int, column: str) -> Any:
         shard, group, row = (int(number) for number in self._places[index])
         if self._group[0] != (shard, group, column):
@@ -130,11 +134,12 @@ class GeneratedDomain(StoredFrames):
         return self._group[1][row]
 
     def _read_group(self, shard: int, group: int, column: str) -> list[Any]:
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         if shard not in self._open_files:
             self._open_files[shard] = pq.ParquetFile(self.folder / self._shards[shard], memory_map=True)
         cells = self._open_files[shard].read_row_group(group, columns=[column]).column(column)
-        if column in ("image", "height_map", "contact_mask"):
+        if pa.types.is_struct(cells.type):
             return [cell for chunk in cells.chunks for cell in chunk.field("bytes").to_pylist()]
         return cells.to_pylist()

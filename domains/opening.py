@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from gelgap.domains.dar_ots import PublishedDomain
 from gelgap.domains.folder import MANIFEST
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.picture_folder import PictureFolder
+from gelgap.domains.published import PublishedDomain
 from gelgap.domains.stored import StoredFrames
 
 

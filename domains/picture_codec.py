@@ -45,7 +45,7 @@ def decode_picture(data: bytes) -> np.ndarray:
     Raises
     ------
     ValueError
-        If the bytes are no readable picture.
+        If the bytes are not a readable picture.
     """
     import cv2
 

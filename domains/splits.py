@@ -1,21 +1,19 @@
-"""Dividing frames into training, validation and test frames: one seed, one split, alone or shared by two domains."""
+"""Dividing frames into training, validation and test frames: one seed, one split, for a domain alone or for two."""
 
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from gelgap.domains.contacts import contact_points
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.random_streams import random_stream
 
 SplitBy = Literal["random", "point", "given"]
+Shares = Sequence[float]
 PAPER_SHARES = (0.6, 0.2, 0.2)
 PARTS = ("train", "validation", "test")
-_TRAIN, _VALIDATION, _TEST = range(3)
-# A contact is where it was commanded to be; a micrometre is far below what a rig can tell.
-_PER_MM = 1e3
-_POINT = ("x_mm", "y_mm")
-_POSE = (*_POINT, "depth_mm", "shear_x_mm", "shear_y_mm")
+_TEST = PARTS.index("test")
 
 
 class DomainSplit(NamedTuple):
@@ -28,7 +26,7 @@ class DomainSplit(NamedTuple):
     target_test: np.ndarray
 
 
-def draw_parts(count: int, seed: int, shares: Sequence[float] = PAPER_SHARES) -> np.ndarray:
+def draw_parts(count: int, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarray:
     """Return the part (count,) of each of `count` frames or points, an index into `PARTS`.
 
     The order in which they are drawn depends on count and seed alone, so that other shares move only the cuts.
@@ -41,10 +39,7 @@ def draw_parts(count: int, seed: int, shares: Sequence[float] = PAPER_SHARES) ->
 
 
 def split_frames(
-    frames: LabelledFrames,
-    by: SplitBy | None = None,
-    seed: int = 0,
-    shares: Sequence[float] = PAPER_SHARES,
+    frames: LabelledFrames, by: SplitBy | None = None, seed: int = 0, shares: Shares = PAPER_SHARES
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the indices of the training, validation and test frames: disjoint, complete, each sorted.
 
@@ -57,15 +52,8 @@ def split_frames(
     ValueError
         If the data set lacks what is asked for, or a part with a positive share would be empty.
     """
-    _check_shares(shares)
-    by = by or _default(frames)
-    if by == "point":
-        (points,) = contact_points(frames)
-        parts = draw_parts(_count([points]), seed, shares)[points]
-        _check_filled(frames, parts, shares, f"{_count([points])} contact points")
-    else:
-        parts = _parts(frames, by, seed, shares)
-    return tuple(np.flatnonzero(parts == part) for part in (_TRAIN, _VALIDATION, _TEST))
+    (parts,) = _parts([frames], by, seed, [shares])
+    return tuple(np.flatnonzero(parts == part) for part in range(len(PARTS)))
 
 
 def split_domains(
@@ -73,7 +61,7 @@ def split_domains(
     target: LabelledFrames,
     by: SplitBy | None = None,
     seed: int = 0,
-    shares: Sequence[float] = PAPER_SHARES,
+    shares: Shares = PAPER_SHARES,
     held_out: float = 0.1,
 ) -> DomainSplit:
     """Split a source into training and held-out frames, and a target into training, validation and test frames.
@@ -84,91 +72,70 @@ def split_domains(
 
     Parameters
     ----------
+    source, target
+        The domains.
     by, seed, shares
         As for `split_frames`; the shares are the target's.
     held_out
-        Share of the source that is held out; the split that a source itself states holds out its test part, or nothing
-        for a share of 0.
+        Share of the source that is held out. A source that states its split holds out its test part, or nothing if this
+        share is 0.
 
     Raises
     ------
     ValueError
         As `split_frames`.
     """
-    _check_shares(shares)
     if by == "point":
         held_out = max(held_out, shares[_TEST])
-    source_shares = (1 - held_out, 0.0, held_out)
-    if by == "point":
-        source_parts, target_parts = _shared_parts(source, target, seed, source_shares, shares)
-    else:
-        source_parts = _parts(source, by or _default(source), seed, source_shares)
-        target_parts = _parts(target, by or _default(target), seed, shares)
-    trained_on = (source_parts != _TEST) | (held_out == 0)
+    of_source, of_target = _parts([source, target], by, seed, [(1 - held_out, 0.0, held_out), shares])
+    is_held_out = (of_source == _TEST) & (held_out > 0)
     return DomainSplit(
-        np.flatnonzero(trained_on),
-        np.flatnonzero(~trained_on),
-        *(np.flatnonzero(target_parts == part) for part in (_TRAIN, _VALIDATION, _TEST)),
+        np.flatnonzero(~is_held_out),
+        np.flatnonzero(is_held_out),
+        *(np.flatnonzero(of_target == part) for part in range(len(PARTS))),
     )
 
 
-def contact_points(*domains: LabelledFrames) -> tuple[np.ndarray, ...]:
-    """Return the number (n,) of each frame's contact point, from 0; equal numbers are one point, across the domains.
-
-    A point is its commanded position, to 1 µm, where all domains state it, and else its `point_id`.
-
-    Raises
-    ------
-    ValueError
-        If a domain states neither.
-    """
-    if all(name in frames.columns for frames in domains for name in _POINT):
-        return _numbered([_rounded(frames, _POINT) for frames in domains])
-    for frames in domains:
-        if (frames.point_id < 0).any():
-            raise ValueError(
-                f"data set {frames.name} does not say its contact points; split by random or given"
-            )
-    return _numbered([frames.point_id[:, None] for frames in domains])
-
-
-def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of frames that show the same commanded contact in both data sets, in the first one's order.
-
-    A contact is the commanded pose: point, depth and shear, to 1 µm; where a data set does not state them, the contact
-    point's number and the contact class.
-
-    Raises
-    ------
-    ValueError
-        If a data set states neither.
-    """
-    lacking = {frames.name: [name for name in _POSE if name not in frames.columns] for frames in (one, other)}
-    if not any(lacking.values()):
-        poses = [_rounded(frames, _POSE) for frames in (one, other)]
-    elif all(frames.has_classes and (frames.point_id >= 0).all() for frames in (one, other)):
-        poses = [np.stack([frames.point_id, frames.contact_class], axis=1) for frames in (one, other)]
-    else:
-        name, missing = next((name, missing) for name, missing in lacking.items() if missing)
-        raise ValueError(f"data set {name} lacks {', '.join(missing)}: its contacts cannot be paired")
-    first, second = _numbered(poses)
-    place = np.full(_count((first, second)), -1)
-    place[second] = np.arange(len(second))
-    paired = np.flatnonzero(place[first] >= 0)
-    return paired, place[first[paired]]
+def _parts(
+    domains: Sequence[LabelledFrames], by: SplitBy | None, seed: int, shares: Sequence[Shares]
+) -> list[np.ndarray]:
+    """Return the part (n,) of each domain's frames, with shares per domain."""
+    for own in shares:
+        if len(own) != 3 or min(own) < 0 or abs(sum(own) - 1) > 1e-9:
+            raise ValueError(f"shares = {tuple(own)}: must be three numbers in [0, 1] that add up to 1")
+    if by == "point":
+        return _parts_by_point(domains, seed, shares)
+    found = []
+    for frames, own in zip(domains, shares, strict=True):
+        match by or ("given" if "split" in frames.columns else "random"):
+            case "given":
+                found.append(_stated_parts(frames))
+            case "random":
+                found.append(draw_parts(len(frames), seed, own))
+                _check_filled(frames, found[-1], own, f"{len(frames)} frames")
+            case _:
+                raise ValueError(f"split {by!r} is unknown; known: random, point, given")
+    return found
 
 
-def _default(frames: LabelledFrames) -> SplitBy:
-    return "given" if "split" in frames.columns else "random"
+def _parts_by_point(
+    domains: Sequence[LabelledFrames], seed: int, shares: Sequence[Shares]
+) -> list[np.ndarray]:
+    """As `_parts`; the points of both domains, and those of one alone, are drawn as groups of their own."""
+    points = contact_points(*domains)
+    known_to = np.stack([np.isin(np.arange(np.concatenate(points).max() + 1), own) for own in points])
+    groups = np.unique(known_to, axis=1, return_inverse=True)[1].reshape(-1)
+    found = []
+    for frames, own_points, own_shares in zip(domains, points, shares, strict=True):
+        parts = np.empty(len(groups), dtype=np.int64)
+        for group in np.unique(groups):
+            parts[groups == group] = draw_parts(int((groups == group).sum()), seed, own_shares)
+        found.append(parts[own_points])
+        _check_filled(frames, found[-1], own_shares, f"{len(np.unique(own_points))} contact points")
+    return found
 
 
-def _parts(frames: LabelledFrames, by: str, seed: int, shares: Sequence[float]) -> np.ndarray:
-    if by == "random":
-        parts = draw_parts(len(frames), seed, shares)
-        _check_filled(frames, parts, shares, f"{len(frames)} frames")
-        return parts
-    if by != "given":
-        raise ValueError(f"split {by!r} is unknown; known: random, point, given")
+def _stated_parts(frames: LabelledFrames) -> np.ndarray:
     stated = frames.columns.get("split")
     if stated is None or not set(stated) <= set(PARTS):
         raise ValueError(
@@ -182,46 +149,7 @@ def _parts(frames: LabelledFrames, by: str, seed: int, shares: Sequence[float]) 
     return np.array([PARTS.index(part) for part in stated], dtype=np.int64)
 
 
-def _shared_parts(
-    source: LabelledFrames,
-    target: LabelledFrames,
-    seed: int,
-    source_shares: Sequence[float],
-    target_shares: Sequence[float],
-) -> list[np.ndarray]:
-    """Return the part of each frame of both domains; the points of both, and of either alone, are drawn apart."""
-    points = contact_points(source, target)
-    in_source, in_target = (np.isin(np.arange(_count(points)), own) for own in points)
-    frame_parts = []
-    for frames, own, shares in zip((source, target), points, (source_shares, target_shares), strict=True):
-        parts = np.empty(_count(points), dtype=np.int64)
-        for group in (in_source & in_target, in_source & ~in_target, in_target & ~in_source):
-            parts[group] = draw_parts(int(group.sum()), seed, shares)
-        frame_parts.append(parts[own])
-        _check_filled(frames, parts[own], shares, f"{len(np.unique(own))} contact points")
-    return frame_parts
-
-
-def _check_shares(shares: Sequence[float]) -> None:
-    if len(shares) != 3 or min(shares) < 0 or abs(sum(shares) - 1) > 1e-9:
-        raise ValueError(f"shares = {tuple(shares)}: must be three numbers in [0, 1] that add up to 1")
-
-
-def _check_filled(frames: LabelledFrames, parts: np.ndarray, shares: Sequence[float], drawn: str) -> None:
+def _check_filled(frames: LabelledFrames, parts: np.ndarray, shares: Shares, drawn: str) -> None:
     for part, (name, share) in enumerate(zip(PARTS, shares, strict=True)):
         if share > 0 and not (parts == part).any():
             raise ValueError(f"data set {frames.name}: {drawn} are too few for a {name} share of {share:g}")
-
-
-def _rounded(frames: LabelledFrames, columns: Sequence[str]) -> np.ndarray:
-    return np.rint(np.stack([frames.columns[name] for name in columns], axis=1) * _PER_MM).astype(np.int64)
-
-
-def _numbered(keys: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-    """Return a number for each row, from 0 in sorted order; rows that are equal, in any of the arrays, share it."""
-    numbers = np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1)
-    return tuple(np.split(numbers, np.cumsum([len(rows) for rows in keys])[:-1]))
-
-
-def _count(numbers: Sequence[np.ndarray]) -> int:
-    return max(own.max(initial=-1) for own in numbers) + 1

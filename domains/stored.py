@@ -1,9 +1,12 @@
 """Frames whose pictures lie on disk, decoded once at training size into one memory-mapped array."""
 
+import csv
+import hashlib
 import os
 from abc import abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -77,3 +80,26 @@ class StoredFrames(LabelledFrames):
                 indices = range(start, min(start + _CHUNK, len(self)))
                 encoded = [self.encoded_picture(index) for index in indices]
                 yield np.stack(list(threads.map(shrunk, indices, encoded))).tobytes()
+
+
+class PictureFiles(StoredFrames):
+    """A data set whose pictures are files of their own, `picture_paths`, one per frame."""
+
+    picture_paths: list[Path]
+
+    @cached_property
+    def digest(self) -> str:
+        stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in self.picture_paths]
+        return hashlib.sha256(repr(stats).encode()).hexdigest()
+
+    def encoded_picture(self, index: int) -> bytes:
+        return self.picture_paths[index].read_bytes()
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV table by the names of its columns, without spaces around names and values."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        return [
+            {name.strip(): (value or "").strip() for name, value in row.items() if name is not None}
+            for row in csv.DictReader(file, skipinitialspace=True)
+        ]

@@ -106,7 +106,7 @@ def arrays(n: int = 6, **changes) -> ArrayFrames:
 
 
 def test_arrays_are_a_data_set_like_any_other():
-    frames = arrays(columns={"x_mm": np.arange(6.0)})
+    frames = arrays(x_mm=np.arange(6.0))
     assert (len(frames), frames.size_px, frames.has_classes) == (6, (8, 6), True)
     assert np.array_equal(frames[2].image, frames.images()[2])
     assert frames.point_id.tolist() == [-1] * 6

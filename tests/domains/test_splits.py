@@ -3,19 +3,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelgap.domains.contacts import contact_points, paired_contacts
 from gelgap.domains.dataset import ArrayFrames
 from gelgap.domains.opening import open_domain
-from gelgap.domains.splits import contact_points, paired_contacts, split_domains, split_frames
+from gelgap.domains.splits import split_domains, split_frames
 
 
 def pressed_at(points, name: str = "points", **columns) -> ArrayFrames:
     """Return black pictures of contacts at these points."""
     n = len(points)
     images = np.zeros((n, 1, 1, 3), np.uint8)
-    values = {column: np.asarray(value) for column, value in columns.items()}
-    return ArrayFrames(
-        name, images, images[0], np.zeros((n, 3)), np.arange(n), np.asarray(points), columns=values
-    )
+    labels = {"contact_class": np.arange(n), "point_id": points, **columns}
+    labels = {label: np.asarray(values) for label, values in labels.items()}
+    return ArrayFrames(name, images, images[0], np.zeros((n, 3)), **labels)
 
 
 @given(
