@@ -82,9 +82,8 @@ class JointStage(Stage):
     def _transfer_weight(self, number: int) -> float:
         if not self.method.scheduled:
             return 1.0
-        own = self.method.settings.transfer_weight
-        final = self.profile.transfer_weight if own is None else own
-        return final * transfer_factor(number, self.steps_per_epoch * self.epochs, self.profile)
+        factor = transfer_factor(number, self.steps_per_epoch * self.epochs, self.profile)
+        return self.method.settings.final_weight(self.profile) * factor
 
     def _activations(self, number: int, source: _Batch, target: _Batch) -> tuple[Activations, Activations]:
         network = self.network

@@ -8,6 +8,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from gelgap.adapt.network import Activations, ForceNetwork
+from gelgap.adapt.profile import Profile
 from gelgap.assets.settings import Settings
 
 
@@ -17,6 +18,10 @@ class MethodSettings(Settings):
     transfer_weight: float | None = Field(
         None, ge=0, description="λ_t at the end of the ramp; by default the profile's"
     )
+
+    def final_weight(self, profile: Profile) -> float:
+        """Return λ_t at the end of the ramp."""
+        return profile.transfer_weight if self.transfer_weight is None else self.transfer_weight
 
 
 class Adaptation(Protocol):

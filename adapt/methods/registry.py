@@ -84,5 +84,4 @@ def make_method(name: str, profile: Profile, n_classes: int) -> Method:
 
 def transfer_weight(name: str, profile: Profile) -> float:
     """Return λ_t of a method: the profile's, unless its settings for the method say otherwise."""
-    own = method_settings(name, profile).transfer_weight
-    return profile.transfer_weight if own is None else own
+    return method_settings(name, profile).final_weight(profile)
