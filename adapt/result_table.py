@@ -72,7 +72,7 @@ class ResultTable:
         from rich.console import Console
         from rich.table import Table
 
-        shown = Table(
+        table = Table(
             title=self.title,
             caption=self.note or None,
             box=SIMPLE,
@@ -81,10 +81,10 @@ class ResultTable:
         )
         for index, column in enumerate(self.columns):
             numeric = all(isinstance(row[index], Real | None) for row in self.rows)
-            shown.add_column(column, justify="right" if numeric else "left", no_wrap=index == 0)
+            table.add_column(column, justify="right" if numeric else "left", no_wrap=index == 0)
         for row in self.cells:
-            shown.add_row(*row)
-        Console(width=None if Console().is_terminal else 150, highlight=False).print(shown)
+            table.add_row(*row)
+        Console(width=None if Console().is_terminal else 150, highlight=False).print(table)
 
 
 def cell_text(value: object) -> str:
