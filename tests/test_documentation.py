@@ -129,7 +129,6 @@ QUICKEST = {
     r"--profile cpu": "--profile smoke",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
     r"adaptation/cpu": "adaptation/smoke",
-    r"--minutes \d+": "--minutes 0",
     r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
     r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft"',
     r'path = "smoke"': 'path = "tiny.toml"',
@@ -141,6 +140,7 @@ NOT_RUN = {
     r"gelgap benchmark faults": "kills processes and fills a disk for minutes",
     r"gelgap benchmark adaptation --what (methods|search|ablation|gaps|cost)": "hours, and has no quick form",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
+    r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
     r"from dask_": "needs a cluster of that kind",
 }
@@ -198,7 +198,10 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
             )
         ),
     },
-    "gelgap benchmark stability --what physics --quick": {"physics.stability.QUICK_SCENES": lambda real: 1},
+    "gelgap benchmark stability --what physics --quick": {
+        "physics.stability.CORNERS": lambda real: 35,
+        "physics.stability.QUICK_SCENES": lambda real: 1,
+    },
     "gelgap benchmark stability --what render --quick": {
         "render.stability.QUICK_FRAMES": lambda real: 20,
         "render.stability.QUICK_SCENES": lambda real: 1,
