@@ -10,7 +10,6 @@ import glob
 import io
 import pkgutil
 import re
-import runpy
 import shlex
 import shutil
 import subprocess
@@ -21,9 +20,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from gelgap.adapt import Profile
 from gelgap.cli.main import COMMANDS, main, parse
+from gelgap.sim import load_path
 
 # --- what is documented -----------------------------------------------------------------------------------------
 
@@ -120,6 +122,7 @@ NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
     r"gelgap benchmark faults": "kills processes and fills a disk for minutes",
     r"gelgap benchmark adaptation --what (methods|search|ablation|gaps|cost)": "hours, and has no quick form",
+    r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
@@ -127,12 +130,18 @@ NOT_RUN = {
 }
 """What does not run, and why. Commands of gelgap are parsed nevertheless, code is compiled."""
 
+
+def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
+    """Train for a few epochs only, whatever the profile."""
+    return staticmethod(lambda name: preset(name).replace(source_epochs=4, adapt_epochs=2))
+
+
 TINY_PATH = """
-points_x_mm = [-1.0, 1.0]
-points_y_mm = [0.0]
+points_x_mm = [-1.5, 0.0, 1.5]
+points_y_mm = [-1.0, 1.0]
 depths_mm = [0.4]
 radii_mm = [0.2]
-angles_deg = [0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]
+angles_deg = [0, 90, 180, 270]
 """
 
 
@@ -144,7 +153,8 @@ def smallest_solves(_: Callable) -> Callable:
         from gelgap.sim import solve_poses
 
         for job in jobs:
-            states = solve_poses(job.elastomer, job.indenter, job.poses, "draft", job.sharing)
+            sharing = replace(job.sharing, cache=True)
+            states = solve_poses(job.elastomer, job.indenter, job.poses, "draft", sharing)
             yield Outcome(job, states, wall_s=1.0, processor_s=1.0, peak_memory_mib=1.0)
 
     return solve
@@ -161,9 +171,12 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
         "physics.accuracy.solve_jobs": smallest_solves,
         "physics.savings.solve_jobs": smallest_solves,
-        "physics.accuracy.shear_references": lambda real: lambda: [_first_travel(real()[0])],
-        "physics.path.ContactPath.preset": lambda real: lambda name: real("smoke"),
-        "physics.savings.ContactPath.preset": lambda real: lambda name: real("smoke"),
+        "physics.accuracy.press_references": lambda real: (
+            lambda: {name: shortened(reference, 2) for name, reference in real().items()}
+        ),
+        "physics.accuracy.shear_references": lambda real: lambda: [shortened(real()[0], 1)],
+        "physics.path.ContactPath.preset": lambda real: lambda name: load_path("tiny.toml"),
+        "physics.savings.ContactPath.preset": lambda real: lambda name: load_path("tiny.toml"),
         "physics.path.STATES": lambda real: 2,
     },
     "gelgap benchmark render --quick": {
@@ -174,9 +187,7 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark throughput --quick": {
         "data.throughput.preset_recipes": smallest_recipes,
         "data.throughput.generate_recipes": lambda real: (
-            lambda recipes, out, workers, progress: real(
-                recipes, out, scheduler="synchronous", progress=progress
-            )
+            lambda recipes, out, workers, progress: real(recipes, out, workers=1, progress=progress)
         ),
     },
     "gelgap benchmark stability --what physics --quick": {
@@ -194,16 +205,17 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "adaptation.groups._data": lambda real: lambda out: Path("data"),
         "adaptation.groups.TABLE_METHODS": lambda real: ("source-only", "dsan"),
         "adaptation.speed.METHODS": lambda real: real[:1],
-        "adaptation.speed.random_frames": lambda real: (
-            lambda n, profile: real(2 * profile.batch_size, profile)
-        ),
+        "adaptation.speed.measure": lambda real: lambda profile: real(profile, 2 * profile.batch_size, 1),
+        "adaptation.speed.overhead": lambda real: lambda profile: real(profile, 1),
     },
 }
 """Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""
 
 
-def _first_travel(reference):
-    return replace(reference, **{name: getattr(reference, name)[:1] for name in ("shear_mm", "fx_n", "fz_n")})
+def shortened(reference: Any, poses: int) -> Any:
+    """Return a reference's first poses."""
+    series = {name: value for name, value in vars(reference).items() if isinstance(value, tuple | np.ndarray)}
+    return replace(reference, **{name: value[:poses] for name, value in series.items()})
 
 
 # --- running them ----------------------------------------------------------------------------------------------
@@ -266,14 +278,17 @@ def run_command(line: str, parse_only: bool) -> None:
     elif words[:2] == ["python", "-m"]:
         assert find_spec(words[2]), f"there is no module {words[2]}"
         if not parse_only:
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(sys, "argv", words[2:])
-                runpy.run_module(words[2], run_name="__main__")
+            run_program([sys.executable, *words[1:]])
     elif words[0] == "make":
-        done = subprocess.run([*words, "--directory", str(ROOT)], capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        run_program([*words, "--directory", str(ROOT)])
     else:
         assert parse_only, f"{words[0]} is not a program that this test knows"
+
+
+def run_program(words: list[str]) -> None:
+    done = subprocess.run(words, capture_output=True, text=True)
+    print(done.stdout, done.stderr)
+    assert done.returncode == 0
 
 
 # --- the tests -------------------------------------------------------------------------------------------------
@@ -310,6 +325,7 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
     (folder / "tiny.toml").write_text(TINY_PATH)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr(Profile, "preset", shorter(Profile.preset))
         run_all(snippets(README), folder)
         yield folder
 
@@ -326,8 +342,9 @@ def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
 
 
 def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> None:
-    examples = examples_of_help()
-    assert {snippet.where.split()[1] for snippet in examples} >= COMMANDS.keys()
+    on_pages = {snippet.text for page in PAGES for snippet in snippets(page)}
+    examples = [snippet for snippet in examples_of_help() if snippet.text not in on_pages]
+    assert {snippet.where.split()[1] for snippet in examples_of_help()} >= COMMANDS.keys()
     folder = tmp_path / "help"
     shutil.copytree(after_the_readme, folder)
     take_pictures_to_calibrate_with(folder)
