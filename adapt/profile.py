@@ -115,4 +115,6 @@ class Profile(Settings):
         ValueError
             If there is no such preset; the message lists the known ones.
         """
-        return cls(**{"name": name, **load_preset("profiles", name)})
+        values = load_preset("profiles", name)
+        values.pop("description", None)
+        return cls(**{"name": name, **values})

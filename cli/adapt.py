@@ -1,7 +1,14 @@
 """`gelgap adapt`: train on one domain, adapt to another, and report the error."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from gelgap.cli.arguments import optional
+
+if TYPE_CHECKING:
+    from gelgap.adapt import Run
 
 
 @dataclass(frozen=True)
@@ -11,7 +18,8 @@ class Adapt:
     Stage 1 (source only) is shared by all methods with the same source, profile and seed. A finished run is not
     repeated, an interrupted one goes on from its last epoch.
 
-    Example: gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --out runs
+    For example:
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --out runs
     """
 
     source: Path
@@ -21,16 +29,16 @@ class Adapt:
     method: tuple[str, ...] = ("source-only", "dsan")
     """Adaptation methods; a wrong name lists the known ones."""
     profile: str = "smoke"
-    """Hyperparameters: smoke (seconds), cpu, or paper (ResNet-50 at 256 px; wants a GPU)."""
+    """Hyperparameters (see: gelgap presets profiles)."""
     seed: int = 0
     """Seed of weights, splits and batches."""
-    weights: Path | None = None
+    weights: Annotated[Path | None, optional("PATH", "from scratch")] = None
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
     out: Path = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
 
     def run(self, started: float) -> None:
-        """Train, adapt, print one line a method."""
+        """Train, adapt, print one line per method."""
         from gelgap.adapt import adapt_folders, console_progress
 
         with console_progress() as progress:
@@ -38,22 +46,28 @@ class Adapt:
                 self.source,
                 self.target,
                 self.method,
-                self.profile,
-                self.seed,
+                profile=self.profile,
+                seed=self.seed,
                 weights=self.weights,
                 out_dir=self.out,
                 progress=progress,
             )
-        constant = runs[0].target_constant_mean
-        head = (
-            f"{'MAE in N':<16} {'Fx':>7} {'Fy':>7} {'Fz':>7} {'mean':>7}   {'R² Fx':>6} {'Fy':>6} {'Fz':>6}"
-        )
-        print(f"{runs[0].group}, target test frames\n{head}")
-        for name, error in [("constant mean", constant), *((run.method, run.target_test) for run in runs)]:
-            errors = " ".join(f"{value:7.4f}" for value in (*error.mae_n, error.mean_mae_n))
-            print(f"{name:<16} {errors}   " + " ".join(f"{value:6.2f}" for value in error.r2))
-        for run in runs:
-            if run.problem:
-                print(f"{run.method}: {run.problem}")
-            if run.skipped_steps:
-                print(f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite")
+        print(_table(runs))
+
+
+def _table(runs: "Sequence[Run]") -> str:
+    """Return the error of each run beside that of the constant mean, and what went wrong."""
+    lines = [
+        f"{runs[0].group}, target test frames",
+        f"{'MAE in N':<16} {'Fx':>7} {'Fy':>7} {'Fz':>7} {'mean':>7}   {'R² Fx':>6} {'Fy':>6} {'Fz':>6}",
+    ]
+    constant = ("constant mean", runs[0].target_constant_mean)
+    for name, error in [constant, *((run.method, run.target_test) for run in runs)]:
+        errors = " ".join(f"{value:7.4f}" for value in (*error.mae_n, error.mean_mae_n))
+        lines.append(f"{name:<16} {errors}   " + " ".join(f"{value:6.2f}" for value in error.r2))
+    for run in runs:
+        if run.problem:
+            lines.append(f"{run.method}: {run.problem}")
+        if run.skipped_steps:
+            lines.append(f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite")
+    return "\n".join(lines)

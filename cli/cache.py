@@ -1,9 +1,9 @@
 """`gelgap cache`: what physics is kept on disk, and clearing it."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import tyro
+from gelgap.cli.arguments import Flag
 
 if TYPE_CHECKING:
     from gelgap.sim import CacheEntry
@@ -14,24 +14,28 @@ class Cache:
     """List the solved physics that is kept on disk, or clear it.
 
     The folder is $GELGAP_CACHE, else gelgap in $XDG_CACHE_HOME, else ~/.cache/gelgap.
+
+    For example:
+      gelgap cache
+      gelgap cache --clear
     """
 
-    clear: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Delete every cached solve, and the colours of LEDs."""
+    clear: Flag = False
+    """Delete every cached solution, and the colours of LEDs."""
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
         from gelgap.sim import cache_entries, cache_use, clear_cache
 
-        if not self.clear:
-            for entry in cache_entries():
-                print(_line(entry))
         if self.clear:
             from gelgap.render import clear_led_cache
 
             clear_led_cache()
-        use = clear_cache() if self.clear else cache_use()
-        verb = "deleted" if self.clear else "holds"
+            use, verb = clear_cache(), "deleted"
+        else:
+            for entry in cache_entries():
+                print(_line(entry))
+            use, verb = cache_use(), "holds"
         print(f"{use.folder} {verb} {use.solutions} solutions, {use.bytes / 1e6:.1f} MB")
 
 
@@ -51,7 +55,8 @@ def _line(entry: "CacheEntry") -> str:
         problem.quality.name,
         f"{len(problem.waypoints_mm)} poses, deepest {max(depths):g} mm",
         f"sphere {2 * problem.sphere_radius_mm:g} mm",
-        f"gel {problem.thickness_mm:g} mm, E {problem.young_modulus_mpa:.4g} MPa, ν {problem.poisson_ratio:.4g}",
+        f"gel {problem.thickness_mm:g} mm",
+        f"MuJoCo's E {problem.young_modulus_mpa:.4g} MPa, ν {problem.poisson_ratio:.4g}",
         f"friction {problem.friction:g}",
         *([] if mount is None else [f"mount {mount:g} N/mm"]),
         pad,

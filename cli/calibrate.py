@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from gelgap.cli.arguments import Flag, load_sensor
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -14,20 +16,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Fit LED levels and positions, and on wish the gloss, to a reference picture and pictures of pressed spheres.
+    """Fit LED levels and positions, optionally the gloss, to a reference picture and pictures of pressed spheres.
 
-    PRESSES is a TOML file with one table a picture; three or more at different places hold the positions:
+    PRESSES is a TOML file with one table per picture; give three or more presses, apart from each other:
 
-    [[presses]]
-    picture = "press-1.png"        # beside the TOML file
-    sphere_diameter_mm = 3.0
-    depth_mm = 0.6
-    point_mm = [1.5, -0.8]         # optional: found in the picture otherwise
+      [[presses]]
+      picture = "press-1.png"        # beside the TOML file
+      sphere_diameter_mm = 3.0
+      depth_mm = 0.6
+      point_mm = [1.5, -0.8]         # optional: found in the picture otherwise
 
-    Example: gelgap calibrate presses.toml --reference ref.png --sensor start.toml -o fitted.toml
+    For example:
+      gelgap calibrate presses.toml --reference ref.png --sensor start.toml -o fitted.toml
     """
 
-    presses: tyro.conf.Positional[Path]
+    presses: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PRESSES")]
     """TOML file that lists the pictures of pressed spheres."""
     reference: Path
     """Picture without contact."""
@@ -35,18 +38,19 @@ class Calibrate:
     """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 6 mm of its place."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The sensor TOML to write."""
-    fit_gloss: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    fit_gloss: Flag = False
     """Fit the weight of the coat's gloss as well."""
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
-        from gelgap.cli.render import load_sensor
         from gelgap.render import calibrate, save_sensor
 
         if not self.output.parent.is_dir():
             raise FileNotFoundError(f"the folder of {self.output} does not exist; create it first")
         sensor = load_sensor(self.sensor)
-        fit = calibrate(sensor, read_picture(self.reference), read_presses(self.presses), self.fit_gloss)
+        fit = calibrate(
+            sensor, read_picture(self.reference), read_presses(self.presses), fit_gloss=self.fit_gloss
+        )
         save_sensor(fit.sensor, self.output)
         points = ", ".join(f"({x:.2f}, {y:.2f})" for x, y in fit.press_points_mm)
         print(
@@ -62,17 +66,13 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     FileNotFoundError
         If the list or a picture does not exist.
     ValueError
-        If the list is no TOML, or a table lacks a field or has an unknown one.
+        If the list is not valid TOML, or a table lacks a field or has an unknown one.
     """
-    import tomllib
-
+    from gelgap.assets.toml_file import read_toml
     from gelgap.render import PressPicture
 
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; see gelgap calibrate --help for what it holds")
-    tables = tomllib.loads(path.read_text(encoding="utf-8")).get("presses", [])
     presses = []
-    for number, table in enumerate(tables, start=1):
+    for number, table in enumerate(read_toml(path).get("presses", []), start=1):
         known = {"picture", "sphere_diameter_mm", "depth_mm", "point_mm"}
         wrong = (known - {"point_mm"} - table.keys()) | (table.keys() - known)
         if wrong:
@@ -98,5 +98,5 @@ def read_picture(path: Path) -> "np.ndarray":
 
     picture = cv2.imread(str(path)) if path.is_file() else None
     if picture is None:
-        raise FileNotFoundError(f"{path} does not exist or is no picture")
+        raise FileNotFoundError(f"{path} does not exist or is not a picture")
     return picture[..., ::-1].copy()

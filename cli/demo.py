@@ -3,7 +3,9 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from gelgap.cli.arguments import optional
 
 
 @dataclass(frozen=True)
@@ -11,6 +13,9 @@ class Demo:
     """Generate two small domains, learn force on one, adapt to the other, and write a report; minutes on 2 cores.
 
     Everything is real: MuJoCo's contacts, rendered pictures, trained networks. Run again, it reuses finished domains.
+
+    For example:
+      gelgap demo
     """
 
     out: Path = Path("demo")
@@ -23,8 +28,8 @@ class Demo:
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
     size: tuple[int, int] = (320, 240)
     """Width and height of the pictures in pixels."""
-    scheduler: str | None = None
-    """Address of a Dask scheduler; `synchronous` runs in this process. Default: all cores."""
+    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster on all cores")] = None
+    """Address of a Dask scheduler; `synchronous` runs in this process."""
 
     def run(self, started: float) -> None:
         """Run the demo and print its table."""
@@ -33,7 +38,13 @@ class Demo:
 
         with shown_progress() as progress:
             result = run_demo(
-                self.out, self.path, self.profile, self.quality, self.size, self.scheduler, progress
+                self.out,
+                path=self.path,
+                profile_name=self.profile,
+                quality=self.quality,
+                size_px=self.size,
+                scheduler=self.scheduler,
+                progress=progress,
             )
         print(f"\n{result.headline}\n")
         print(f"{'predictor':<14} {'domain':<8} {'Fx':>7} {'Fy':>7} {'Fz':>7} {'mean':>7}  MAE in N")

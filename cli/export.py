@@ -11,7 +11,8 @@ import tyro
 class Export:
     """Write domains in another format: the paper's folder layout, WebDataset tars, or a Hugging Face folder.
 
-    Example: gelgap export data --format huggingface --out upload
+    For example:
+      gelgap export data --format huggingface --out upload
     """
 
     folder: tyro.conf.Positional[Path]

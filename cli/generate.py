@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gelgap.cli.arguments import Flag, load_sensor, optional
+
 OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
 
 
@@ -16,18 +18,20 @@ class Generate:
     A domain is elastomer × illumination × markers: mb0i0 has markers, elastomer b0, illumination i0; wmb1i1 is without
     markers. Each becomes a folder of Parquet shards under --out. Physics is solved once for each distinct gel.
 
-    Example: gelgap generate mb0i0 wmb1i1 --path cpu --out data
-    Example: gelgap generate --preset paper --out data
+    For example:
+      gelgap generate mb0i0 wmb1i1 --path cpu --out data
+      gelgap generate --preset paper --out paper-data
+      gelgap generate --preset paper --out paper-data --dry-run
     """
 
-    domains: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Names of domains, unless --preset names a whole data set."""
-    out: Path | None = None
-    """Folder that gets one folder a domain."""
-    preset: str | None = None
-    """A whole data set: smoke (minutes), cpu, or paper (the paper's four groups)."""
-    sweep: Path | None = None
-    """A TOML that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
+    domains: Annotated[tyro.conf.Positional[tuple[str, ...]], optional("[DOMAIN ...]")] = ()
+    """Names of domains; or leave them out and give --preset or --sweep."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(required)")] = None
+    """Folder that gets one folder per domain."""
+    preset: Annotated[str | None, optional("NAME")] = None
+    """A whole data set (see: gelgap presets datasets)."""
+    sweep: Annotated[Path | None, optional("TOML")] = None
+    """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
     path: str = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: Literal["draft", "standard", "fine"] = "standard"
@@ -38,19 +42,19 @@ class Generate:
     """Sensor preset or TOML file."""
     size: tuple[int, int] = (320, 240)
     """Width and height of the pictures in pixels."""
-    columns: tuple[OptionalColumn, ...] = ()
-    """Optional columns to write as well; `diagnostics`: how each pose was solved. A data set pays only for these."""
+    columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
+    """Optional columns to write as well; `diagnostics`: how each pose was solved."""
     contacts: Literal["paired", "independent"] = "paired"
-    """The same poses in every domain, or each domain its own draw."""
-    rendered_without_markers: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """The same poses in every domain, or a draw of its own for each domain."""
+    rendered_without_markers: Flag = False
     """Render wmb0i0 without markers instead of inpainting the markers of mb0i0 (the paper's way)."""
-    scheduler: str | None = None
-    """Address of a Dask scheduler, such as tcp://host:8786; `synchronous` runs in this process. Default: all cores."""
-    workers: int | None = None
-    """Processes of the local cluster. Default: one a core."""
-    dry_run: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster")] = None
+    """Address of a Dask scheduler, such as tcp://host:8786; `synchronous` runs in this process."""
+    workers: Annotated[int | None, optional("N", "one per core")] = None
+    """Processes of the local cluster."""
+    dry_run: Flag = False
     """Only say what would be done: solves, frames, estimated time and disk."""
-    overwrite: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    overwrite: Flag = False
     """Replace domains under --out that hold another configuration."""
 
     def run(self, started: float) -> None:
@@ -64,7 +68,6 @@ class Generate:
                 "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file"
             )
 
-        from gelgap.cli.render import load_sensor
         from gelgap.domains import (
             Sweep,
             estimate,

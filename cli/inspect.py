@@ -6,21 +6,25 @@ from typing import Annotated
 
 import tyro
 
+from gelgap.cli.arguments import Flag, optional
+
 
 @dataclass(frozen=True)
 class Inspect:
     """Say what a domain holds: frames, forces, contacts, what did not converge; check its files; draw a page.
 
-    Example: gelgap inspect data/mb0i0 --verify --html mb0i0.html
+    For example:
+      gelgap inspect data/mb0i0 --verify --html mb0i0.html
+      gelgap inspect data/wmb1i1 --gap-to data/mb0i0
     """
 
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
-    verify: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    verify: Flag = False
     """Read every byte and compare it with the manifest; exit code 1 if anything is damaged."""
-    html: Path | None = None
+    html: Annotated[Path | None, optional("PATH")] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
-    gap_to: Path | None = None
+    gap_to: Annotated[Path | None, optional("PATH")] = None
     """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""
 
     def run(self, started: float) -> None:

@@ -5,8 +5,8 @@ import io
 import re
 import sys
 import time
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Protocol, Union
 
 import tyro
 
@@ -29,24 +29,43 @@ EXIT_INTERRUPTED = 130
 
 DESCRIPTION = """Synthetic GelSight data with a domain gap that is known and under control.
 
-Start with `gelgap demo`; then `gelgap generate mb0i0 wmb1i1 --path cpu --out data` and
-`gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --out runs`.
+For example:
+  gelgap demo
+  gelgap generate mb0i0 wmb1i1 --path cpu --out data
+  gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --out runs
+
 Every command explains itself with --help. Add --debug to any command for a full traceback."""
 
-Command = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
-    | Annotated[Press, tyro.conf.subcommand("press")]
-    | Annotated[Render, tyro.conf.subcommand("render")]
-    | Annotated[Generate, tyro.conf.subcommand("generate")]
-    | Annotated[Inspect, tyro.conf.subcommand("inspect")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-    | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
-    | Annotated[Adapt, tyro.conf.subcommand("adapt")]
-    | Annotated[Report, tyro.conf.subcommand("report")]
-    | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
-    | Annotated[Presets, tyro.conf.subcommand("presets")]
-    | Annotated[Cache, tyro.conf.subcommand("cache")]
-)
+COMMANDS = {
+    "demo": Demo,
+    "press": Press,
+    "render": Render,
+    "generate": Generate,
+    "inspect": Inspect,
+    "export": Export,
+    "calibrate": Calibrate,
+    "adapt": Adapt,
+    "report": Report,
+    "benchmark": Benchmark,
+    "presets": Presets,
+    "cache": Cache,
+}
+
+
+class Command(Protocol):
+    """What the command line parses to."""
+
+    def run(self, started: float) -> None: ...
+
+
+def _one_of(commands: Mapping[str, type], *, summary: bool) -> Any:
+    """Return the type that tyro parses to; in a summary each command has the first line of its docstring alone."""
+    listed = []
+    for name, command in commands.items():
+        description = command.__doc__.partition("\n")[0] if summary else None
+        listed.append(Annotated[command, tyro.conf.subcommand(name, description=description)])
+    return Union[tuple(listed)]  # noqa: UP007
+
 
 _BOX_AND_COLOUR = re.compile(r"\x1b\[[0-9;]*m|[│╭╮╰╯─┃━]")
 
@@ -61,9 +80,10 @@ def one_line(parser_message: str) -> str:
 def parse(arguments: Sequence[str]) -> Command:
     """Return the command that the arguments describe; on bad ones print one line and exit with code 2."""
     errors = io.StringIO()
+    commands = _one_of(COMMANDS, summary=not COMMANDS.keys() & set(arguments))
     try:
         with contextlib.redirect_stderr(errors):
-            return tyro.cli(Command, prog="gelgap", description=DESCRIPTION, args=list(arguments))
+            return tyro.cli(commands, prog="gelgap", description=DESCRIPTION, args=list(arguments))
     except SystemExit as stop:
         if stop.code not in (0, None):
             fail(one_line(errors.getvalue()), EXIT_BAD_INPUT)

@@ -1,22 +1,26 @@
 """`gelgap presets`: the presets that ship with gelgap."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import tyro
+
+from gelgap.cli.arguments import optional
 
 
 @dataclass(frozen=True)
 class Presets:
     """List the presets of one kind, or of every kind.
 
-    Example: gelgap presets elastomers
+    For example:
+      gelgap presets elastomers
     """
 
-    kind: tyro.conf.Positional[str | None] = None
-    """elastomers, paths, illuminations, sensors, datasets or profiles."""
+    kind: Annotated[tyro.conf.Positional[str | None], optional("[KIND]", "all")] = None
+    """One of elastomers, paths, illuminations, sensors, datasets and profiles."""
 
     def run(self, started: float) -> None:
-        """Print one line a preset: its name and its description."""
+        """Print one line per preset: its name and its description."""
         from gelgap.assets import PRESET_KINDS, list_presets, load_preset
 
         for kind in [self.kind] if self.kind else PRESET_KINDS:

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
+from gelgap.cli.arguments import Flag, optional
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
@@ -27,30 +27,35 @@ class Press:
 
     Force is what the indenter exerts on the sensor, in N: Fz < 0 under compression, dragging towards +x gives Fx > 0.
 
-    Example: gelgap press --young-modulus-mpa 0.3 --poisson-ratio 0.49 --depth-mm 0.6 --shear-x-mm 0.3 --json
+    For example:
+      gelgap press --young-modulus-mpa 0.3 --poisson-ratio 0.49 --depth-mm 0.6 --shear-x-mm 0.3 --json
+      gelgap press --elastomer b1 --force-n 0.5 --save state.npz
     """
 
-    elastomer: str | None = None
+    elastomer: Annotated[str | None, optional("NAME")] = None
     """Elastomer preset to start from (see: gelgap presets elastomers); the values below override it."""
-    young_modulus_mpa: float | None = None
-    """Young's modulus in MPa. Default 0.3."""
-    poisson_ratio: float | None = None
-    """Poisson's ratio, below 0.5. Default 0.49."""
-    thickness_mm: float | None = None
-    """Thickness of the pad in mm. Default 3."""
-    friction: float | None = None
-    """Coulomb friction coefficient between indenter and membrane. Default 0.8."""
-    pad_size_mm: tuple[float, float] | None = None
-    """Size of the pad along x and y in mm. Default 24 20."""
-    mount_stiffness_n_per_mm: float | None = None
-    """Stiffness of the rig, a spring in series with the gel, in N/mm. Default: rigid."""
-    strain_energy: Literal["isochoric", "stable-neo-hookean"] | None = None
-    """Form of the neo-Hookean energy. Default: isochoric, as silicone behaves; the other is MuJoCo's own."""
+    young_modulus_mpa: Annotated[float | None, optional("MPA", "0.3, or the preset's")] = None
+    """Young's modulus in MPa."""
+    poisson_ratio: Annotated[float | None, optional("NU", "0.49, or the preset's")] = None
+    """Poisson's ratio, below 0.5."""
+    thickness_mm: Annotated[float | None, optional("MM", "3, or the preset's")] = None
+    """Thickness of the pad in mm."""
+    friction: Annotated[float | None, optional("MU", "0.8, or the preset's")] = None
+    """Coulomb friction coefficient between indenter and membrane."""
+    pad_size_mm: Annotated[tuple[float, float] | None, optional("MM MM", "24 20, or the preset's")] = None
+    """Size of the pad along x and y in mm."""
+    mount_stiffness_n_per_mm: Annotated[float | None, optional("N/MM", "rigid, or the preset's")] = None
+    """Stiffness of the rig, a spring in series with the gel, in N/mm."""
+    strain_energy: Annotated[
+        Literal["isochoric", "stable-neo-hookean"] | None,
+        optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
+    ] = None
+    """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
     indenter_diameter_mm: float = 3.0
     """Diameter of the sphere in mm."""
-    depth_mm: float | None = None
-    """Commanded depth below first contact in mm, at least 0. Default 0.6."""
-    normal_force_n: Annotated[float | None, tyro.conf.arg(aliases=["--force-n"])] = None
+    depth_mm: Annotated[float | None, optional("MM", "0.6, or what --force-n needs")] = None
+    """Commanded depth below first contact in mm, at least 0."""
+    normal_force_n: Annotated[float | None, optional("N", aliases=("--force-n",))] = None
     """Load control: press to this normal force in N (positive) instead of to a depth, then drag at that depth."""
     shear_x_mm: float = 0.0
     """Commanded sideways travel along x after the press, in mm."""
@@ -62,9 +67,9 @@ class Press:
     """Contact point along y in mm."""
     quality: Literal["draft", "standard", "fine"] = "standard"
     """How finely MuJoCo's mesh and load steps resolve the contact."""
-    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    json: Flag = False
     """Print one JSON object instead of a table."""
-    save: Path | None = None
+    save: Annotated[Path | None, optional("PATH")] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
 
     def run(self, started: float) -> None:

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from gelgap.cli.arguments import load_illumination, load_sensor, optional
+
 if TYPE_CHECKING:
-    import numpy as np
+    from gelgap.sim import MembraneState
 
-    from gelgap.render import Sensor
-
-ARRAYS = ("x_mm", "y_mm", "displacement_mm")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
 
 
@@ -19,27 +18,29 @@ PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
 class Render:
     """Render what the camera inside the sensor sees of a membrane saved by `gelgap press --save`.
 
-    Example: gelgap render state.npz --illumination i1 --no-markers -o picture.png
+    For example:
+      gelgap press --depth-mm 0.6 --save state.npz
+      gelgap render state.npz --illumination i1 --no-markers -o picture.png
     """
 
     state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The PNG to write."""
-    illumination: str | None = None
-    """Illumination preset or TOML file (see: gelgap presets illuminations). Default: the sensor's own, or i0."""
+    illumination: Annotated[str | None, optional("NAME", "the sensor's own, or i0")] = None
+    """Illumination preset or TOML file (see: gelgap presets illuminations)."""
     sensor: str = "paper"
     """Sensor preset or TOML file (see: gelgap presets sensors)."""
-    markers: bool = True
+    markers: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: drawn)")] = True
     """Draw the membrane's markers."""
     size: tuple[int, int] = (320, 240)
     """Width and height of the picture in pixels."""
-    linear: Path | None = None
+    linear: Annotated[Path | None, optional("PATH")] = None
     """Also write float32 (h, w, 3) linear camera RGB, before noise and encoding, to this .npy."""
-    noise_seed: int | None = None
-    """Add the camera's shot and read noise, drawn from this seed. Default: no noise."""
+    noise_seed: Annotated[int | None, optional("N", "no noise")] = None
+    """Add the camera's shot and read noise, drawn from this seed."""
     quality: str = "standard"
-    """draft, standard or fine."""
+    """How finely light and shadows are sampled: draft, standard or fine."""
 
     def run(self, started: float) -> None:
         """Render and write the picture."""
@@ -49,15 +50,14 @@ class Render:
         from gelgap.render import Illumination, MembraneRenderer, encode, sensor_noise
 
         self._check_outputs()
-        membrane = load_membrane(self.state)
+        state = load_membrane(self.state)
         sensor = load_sensor(self.sensor)
         if self.illumination is None:
             illumination = sensor.illumination or Illumination.preset("i0")
-        elif self.illumination.endswith(".toml"):
-            illumination = Illumination.load(self.illumination)
         else:
-            illumination = Illumination.preset(self.illumination)
+            illumination = load_illumination(self.illumination)
         renderer = MembraneRenderer(sensor, illumination, self.size, self.quality)
+        membrane = state.x_mm, state.y_mm, state.displacement_mm
         linear = renderer.linear(*membrane, markers=self.markers, frame_name=self.state.name)
         if self.linear is not None:
             np.save(self.linear, linear)
@@ -80,36 +80,19 @@ class Render:
                 raise FileNotFoundError(f"the folder of {path} does not exist; create it first")
 
 
-def load_sensor(name: str) -> "Sensor":
-    """Return the sensor of a TOML file or of a preset's name."""
-    from gelgap.render import Sensor
-
-    return Sensor.load(name) if name.endswith(".toml") else Sensor.preset(name)
-
-
-def load_membrane(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray]":
-    """Read x_mm, y_mm and displacement_mm from an .npz.
+def load_membrane(path: Path) -> "MembraneState":
+    """Read a saved membrane; where that fails, say how to write one.
 
     Raises
     ------
+    FileNotFoundError
+        If there is no such file.
     ValueError
-        If the file is no .npz or lacks an array.
+        If it is not a membrane's .npz file.
     """
-    import zipfile
-
-    import numpy as np
+    from gelgap.sim import MembraneState
 
     try:
-        with np.load(path) as arrays:
-            missing = [name for name in ARRAYS if name not in arrays]
-            if missing:
-                raise ValueError(
-                    f"{path} lacks {', '.join(missing)}; write it with: gelgap press --save {path}"
-                )
-            return tuple(arrays[name] for name in ARRAYS)
-    except (zipfile.BadZipFile, EOFError, OSError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise FileNotFoundError(
-                f"{path} does not exist; write it with: gelgap press --save {path}"
-            ) from None
-        raise ValueError(f"{path} is not an .npz file; write one with: gelgap press --save {path}") from None
+        return MembraneState.load(path)
+    except (FileNotFoundError, ValueError) as error:
+        raise type(error)(f"{error}; write one with: gelgap press --save {path}") from None

@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
+
+from gelgap.cli.arguments import optional
 
 
 @dataclass(frozen=True)
@@ -13,13 +16,14 @@ class Report:
     A folder with the benchmark's records gets the benchmark's report: the groups beside the paper, oracles, tests,
     selectors, gap curves.
 
-    Example: gelgap report runs
+    For example:
+      gelgap report runs
     """
 
     runs: tyro.conf.Positional[Path]
     """Folder with finished runs, at any depth."""
-    out: Path | None = None
-    """Folder for the report. Default: the runs' own."""
+    out: Annotated[Path | None, optional("PATH", "the folder of the runs")] = None
+    """Folder for the report."""
 
     def run(self, started: float) -> None:
         """Write the report and say where it is."""

@@ -19,7 +19,7 @@ register("linear-mmd", MeanMatching)
 
 
 def main(source: Path, target: Path, profile: str = "smoke") -> None:
-    for run in adapt_folders(source, target, ("source-only", "linear-mmd"), profile):
+    for run in adapt_folders(source, target, ("source-only", "linear-mmd"), profile=profile):
         print(f"{run.method:<14} mean error on the target {run.target_test.mean_mae_n:.3f} N")
 
 

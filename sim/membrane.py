@@ -1,5 +1,6 @@
 """The deformed outer membrane of one pose, with the force that deforms it."""
 
+import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
@@ -82,13 +83,16 @@ class MembraneState:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If an array is missing or the shapes do not match.
+            If it is not an .npz file of arrays, one is missing or the shapes do not match.
         """
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"membrane state {path} does not exist")
-        with np.load(path) as file:
-            arrays = dict(file)
+        try:
+            with np.load(path) as file:
+                arrays = dict(file)
+        except (zipfile.BadZipFile, EOFError, OSError, TypeError, ValueError):
+            raise ValueError(f"{path} is not an .npz file of arrays") from None
         missing = [name for name in ("x_mm", "y_mm", "displacement_mm") if name not in arrays]
         if missing:
             raise ValueError(

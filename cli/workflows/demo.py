@@ -1,84 +1,29 @@
 """The main job end to end at its smallest: two domains, source-only against adaptation, and a report."""
 
+import csv
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.benchmarks.common.stages import Stage, StageClock
+from gelgap.benchmarks.common.stages import StageClock
+from gelgap.cli.workflows.demo_result import SOURCE, TARGET, DemoResult, ForceCurve, Row
 
 if TYPE_CHECKING:
-    from gelgap.adapt import Evaluation
     from gelgap.domains import GenerationProgress
     from gelgap.sim import ContactPath
 
-SOURCE = "mb0i0"
-TARGET = "wmb1i1"
 ADAPTED = ("adabn", "dsan")
 SEED = 0
-# The contact whose force is held against theory and the reference tables (assets/reference).
+# The contact whose force is compared with theory and the reference tables (assets/reference).
 CURVE_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the demo's table: a predictor and its error on held-out frames of one domain."""
-
-    predictor: str
-    domain: str
-    evaluation: "Evaluation"
-
-
-@dataclass(frozen=True)
-class ForceCurve:
-    """Fz against depth of a 0.3 MPa gel, ν = 0.49, 3 mm thick, friction 0.8, in N; all arrays (n,)."""
-
-    depth_mm: np.ndarray
-    force_n: np.ndarray
-    hertz_n: np.ndarray
-    bonded_layer_n: np.ndarray
-    reference_n: np.ndarray
-    seconds_a_pose: float
-
-
-@dataclass(frozen=True)
-class DemoResult:
-    """What the demo found; forces are (n, 3) in N, on the target's test frames."""
-
-    rows: tuple[Row, ...]
-    stages: tuple[Stage, ...]
-    true_n: np.ndarray
-    predicted_n: dict[str, np.ndarray]
-    curve: ForceCurve
-
-    def row(self, predictor: str, domain: str) -> Row:
-        """Return the row of one predictor on one domain."""
-        return next(row for row in self.rows if (row.predictor, row.domain) == (predictor, domain))
-
-    @property
-    def learned(self) -> bool:
-        """Whether source-only has less than half the constant mean's error on held-out source frames."""
-        network = self.row("source-only", SOURCE).evaluation.mean_mae_n
-        return network < 0.5 * self.row("constant mean", SOURCE).evaluation.mean_mae_n
-
-    @property
-    def headline(self) -> str:
-        """The report's first line: whether the networks learned and whether adaptation helped."""
-        plain, adapted = (self.row(name, TARGET).evaluation.mean_mae_n for name in ("source-only", "dsan"))
-        change = f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %)"
-        verdict = "DSAN beats source-only" if adapted < plain else "DSAN does NOT beat source-only"
-        learned = (
-            ""
-            if self.learned
-            else " Source-only did NOT learn: its error on the source is over half the mean's."
-        )
-        return f"{verdict} on the target: mean error {change}.{learned}"
 
 
 def run_demo(
     out_dir: Path,
+    *,
     path: "str | ContactPath" = "smoke",
     profile_name: str = "smoke",
     quality: str = "standard",
@@ -92,7 +37,7 @@ def run_demo(
     Generation resumes: domains that are finished in `out_dir` are kept.
     """
     clock = StageClock()
-    say(f"1/4  force against depth, held against theory and reference ({quality})")
+    say(f"1/4  force against depth, compared with theory and reference ({quality})")
     with clock.stage("force curve"):
         curve = force_curve(quality)
     say(f"2/4  generating {SOURCE} and {TARGET} on the path {path if isinstance(path, str) else path.name!r}")
@@ -123,9 +68,6 @@ def run_demo(
 
 def force_curve(quality: str) -> ForceCurve:
     """Press at `CURVE_DEPTHS_MM` and compare with Hertz, the bonded layer and the FEM table."""
-    import csv
-    import time
-
     from gelgap.assets import asset_path
     from gelgap.benchmarks.fem.theory import bonded_layer_force_n, hertz_force_n
     from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
@@ -150,7 +92,7 @@ def force_curve(quality: str) -> ForceCurve:
             gel.young_modulus_mpa, sphere.radius_mm, gel.thickness_mm, depth_mm
         ),
         reference_n=np.array([-table[depth] for depth in CURVE_DEPTHS_MM]),
-        seconds_a_pose=seconds,
+        seconds_per_pose=seconds,
     )
 
 
@@ -165,7 +107,12 @@ def _train_and_evaluate(
         for method in ("source-only", *ADAPTED):
             with clock.stage(f"train {method}"):
                 runs[method] = adapt_folders(
-                    *folders, (method,), profile_name, SEED, out_dir=out_dir / "runs", progress=progress
+                    *folders,
+                    (method,),
+                    profile=profile_name,
+                    seed=SEED,
+                    out_dir=out_dir / "runs",
+                    progress=progress,
                 )[0]
     plain = runs["source-only"]
     rows = (

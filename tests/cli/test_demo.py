@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.common.stages import StageClock
-from gelgap.cli.workflows.demo import SOURCE, TARGET, run_demo
+from gelgap.cli.workflows.demo import run_demo
+from gelgap.cli.workflows.demo_result import SOURCE, TARGET
 from gelgap.sim import ContactPath
 
 
@@ -23,7 +24,7 @@ def test_the_demo_runs_end_to_end(tmp_path: Path) -> None:
     said: list[str] = []
     result = run_demo(
         tmp_path,
-        path,
+        path=path,
         quality="draft",
         size_px=(64, 48),
         scheduler="synchronous",

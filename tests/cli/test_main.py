@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.cli.main import main
+from gelgap.cli.main import COMMANDS, main
 
 
 def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -104,10 +104,35 @@ def test_render_refuses_what_is_no_membrane(capsys: pytest.CaptureFixture[str], 
     assert not (tmp_path / "out.png").exists()
 
 
-def test_presets_lists_every_kind(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("content", [b"plain text", b"", b"PK\x03\x04 half a zip"])
+def test_render_says_what_file_it_needs(
+    content: bytes, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    wrong = tmp_path / "wrong.npz"
+    wrong.write_bytes(content)
+    code, _, err = run(["render", str(wrong), "-o", str(tmp_path / "out.png")], capsys)
+    assert code == 2
+    assert "is not an .npz file" in err
+    assert f"gelgap press --save {wrong}" in err
+
+
+def test_every_preset_is_listed_with_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(["presets"], capsys)
     assert code == 0
     assert all(name in out for name in ("b0", "b2", "i0", "i2", "paper", "sparse"))
+    presets = [line for line in out.splitlines() if line.startswith("  ")]
+    assert presets
+    assert [line for line in presets if len(line.split(maxsplit=1)) < 2] == []
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS if name != "benchmark")])
+def test_help_says_each_default_once(
+    command: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    code, out, _ = run([*command, "--help"], capsys)
+    assert code == 0
+    assert [noise for noise in ("{None", "None)", "False)", "Default ") if noise in out] == []
 
 
 def test_a_sweep_file_is_planned(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

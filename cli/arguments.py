@@ -1,0 +1,31 @@
+"""What the commands' arguments share: how --help shows them, and a sensor by preset or file."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from gelgap.render import Illumination, Sensor
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
+"""A switch that is off unless it is given."""
+
+
+def optional(metavar: str, default: str = "", aliases: tuple[str, ...] = ()) -> Any:
+    """Return the annotation of an argument that may be left out, with what happens then as --help shows it."""
+    hint = f"(default: {default})" if default else ""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, aliases=aliases)
+
+
+def load_sensor(name: str) -> "Sensor":
+    """Return the sensor of a TOML file or of a preset's name."""
+    from gelgap.render import Sensor
+
+    return Sensor.load(name) if name.endswith(".toml") else Sensor.preset(name)
+
+
+def load_illumination(name: str) -> "Illumination":
+    """Return the illumination of a TOML file or of a preset's name."""
+    from gelgap.render import Illumination
+
+    return Illumination.load(name) if name.endswith(".toml") else Illumination.preset(name)

@@ -1,0 +1,389 @@
+"""The documentation is true: what it tells a reader to type runs, and what it names exists.
+
+The README's commands run first, in an empty folder; every other page, and the examples of --help, run in a copy of what
+they leave behind. Everything runs in its quickest form, which the tables below say how to make.
+"""
+
+import contextlib
+import functools
+import glob
+import io
+import pkgutil
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gelgap.adapt import Profile
+from gelgap.cli.main import COMMANDS, main, parse
+from gelgap.sim import load_path
+
+# --- what is documented -----------------------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[1]
+README = "README.md"
+OTHER_PAGES = (
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "docs/results/README.md",
+    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+)
+PAGES = (README, *OTHER_PAGES)
+_PROGRAMS = ("gelgap", "python", "make", "dask", "pip", "git")
+_COMMAND = re.compile(rf"({'|'.join(_PROGRAMS)}) \S")
+_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_FILE_NAME = re.compile(r"# (\S+\.toml)\n")
+
+
+@dataclass(frozen=True)
+class Snippet:
+    """Something to run: a command line, Python code, or a file to write (its first line is its name in a comment)."""
+
+    where: str
+    kind: str
+    text: str
+
+    @property
+    def file_name(self) -> str:
+        return _FILE_NAME.match(self.text)[1]
+
+
+def page_text(page: str) -> str:
+    """Return the Markdown of a page."""
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def snippets(page: str) -> list[Snippet]:
+    """Return what a page's fenced blocks hold, from top to bottom."""
+    text = page_text(page)
+    return [
+        snippet
+        for block in _FENCE.finditer(text)
+        for snippet in _of_block(f"{page}:{text.count(chr(10), 0, block.start()) + 2}", *block.groups())
+    ]
+
+
+def _of_block(where: str, language: str, text: str) -> Iterator[Snippet]:
+    if language == "python":
+        yield Snippet(where, "python", text)
+    elif language == "toml" and _FILE_NAME.match(text):
+        yield Snippet(where, "file", text)
+    elif language in ("", "sh", "bash", "text"):
+        for line in text.replace("\\\n", " ").splitlines():
+            if _COMMAND.match(line):
+                yield Snippet(where, "command", plain(line))
+
+
+def help_examples(command: str, text: str) -> list[Snippet]:
+    """Return the command lines that a --help text gives as examples, one to a line."""
+    lines = (line.strip().removeprefix("Example:").strip() for line in text.splitlines())
+    return [
+        Snippet(f"gelgap {command} --help", "command", plain(line))
+        for line in lines
+        if line.startswith("gelgap ")
+    ]
+
+
+def plain(line: str) -> str:
+    """Return a command line without its comment and with single spaces."""
+    return " ".join(line.partition(" # ")[0].split())
+
+
+# --- how each is made quick ------------------------------------------------------------------------------------
+
+SMALL = "--quality draft --size 64 48 --scheduler synchronous"
+QUICKEST = {
+    r"^make ": "make --dry-run ",
+    r"^gelgap press ": "gelgap press --quality draft ",
+    r"^gelgap demo$": f"gelgap demo --path tiny.toml {SMALL}",
+    r"--path cpu": f"--path tiny.toml {SMALL}",
+    r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
+    r"--preset smoke --quality draft": f"mb0i0 wmb1i1 --path tiny.toml {SMALL}",
+    r"--sweep sweep.toml": f"--sweep sweep.toml {SMALL}",
+    r"--profile cpu": "--profile smoke",
+    r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
+    r"adaptation/cpu": "adaptation/smoke",
+    r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
+    r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft"',
+    r'path = "smoke"': 'path = "tiny.toml"',
+}
+"""What makes a command, a code block or a file quick: a pattern, and what stands in its place."""
+
+NOT_RUN = {
+    r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
+    r"gelgap benchmark faults": "kills processes and fills a disk for minutes",
+    r"gelgap benchmark adaptation --what (methods|search|ablation|gaps|cost)": "hours, and has no quick form",
+    r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
+    r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
+    r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
+    r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
+    r"from dask_": "needs a cluster of that kind",
+}
+"""What does not run, and why. Commands of gelgap are parsed nevertheless, code is compiled."""
+
+
+def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
+    """Train for a few epochs only, whatever the profile."""
+    return staticmethod(lambda name: preset(name).replace(source_epochs=4, adapt_epochs=2))
+
+
+TINY_PATH = """
+points_x_mm = [-1.5, 0.0, 1.5]
+points_y_mm = [-1.0, 1.0]
+depths_mm = [0.4]
+radii_mm = [0.2]
+angles_deg = [0, 90, 180, 270]
+"""
+
+
+def smallest_solves(_: Callable) -> Callable:
+    """Solve a benchmark's jobs at draft in this process, instead of each in a process of its own."""
+
+    def solve(jobs, processes: int = 1):
+        from gelgap.benchmarks.physics.solve_jobs import Outcome
+        from gelgap.sim import solve_poses
+
+        for job in jobs:
+            sharing = replace(job.sharing, cache=True)
+            states = solve_poses(job.elastomer, job.indenter, job.poses, "draft", sharing)
+            yield Outcome(job, states, wall_s=1.0, processor_s=1.0, peak_memory_mib=1.0)
+
+    return solve
+
+
+def smallest_recipes(_: Callable) -> Callable:
+    """Make one domain of the tiny path instead of a preset's."""
+    from gelgap.domains import make_recipes
+
+    return lambda name, quality: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
+
+
+SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
+    "gelgap benchmark physics --quick": {
+        "physics.accuracy.solve_jobs": smallest_solves,
+        "physics.savings.solve_jobs": smallest_solves,
+        "physics.accuracy.press_references": lambda real: (
+            lambda: {name: shortened(reference, 2) for name, reference in real().items()}
+        ),
+        "physics.accuracy.shear_references": lambda real: lambda: [shortened(real()[0], 1)],
+        "physics.path.ContactPath.preset": lambda real: lambda name: load_path("tiny.toml"),
+        "physics.savings.ContactPath.preset": lambda real: lambda name: load_path("tiny.toml"),
+        "physics.path.STATES": lambda real: 2,
+    },
+    "gelgap benchmark render --quick": {
+        "render.accuracy.SIZES_PX": lambda real: real[:1],
+        "render.accuracy.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
+        "render.accuracy.start_up_s": lambda real: functools.cache(real),
+    },
+    "gelgap benchmark throughput --quick": {
+        "data.throughput.preset_recipes": smallest_recipes,
+        "data.throughput.generate_recipes": lambda real: (
+            lambda recipes, out, workers, progress: real(recipes, out, workers=1, progress=progress)
+        ),
+    },
+    "gelgap benchmark stability --what physics --quick": {
+        "physics.stability.CORNERS": lambda real: 35,
+        "physics.stability.QUICK_SCENES": lambda real: 1,
+    },
+    "gelgap benchmark stability --what render --quick": {
+        "render.stability.QUICK_FRAMES": lambda real: 20,
+        "render.stability.QUICK_SCENES": lambda real: 1,
+    },
+    "gelgap benchmark stability --what losses --quick": {
+        "adaptation.losses.cases": lambda real: lambda: real()[:2]
+    },
+    "gelgap benchmark adaptation --quick": {
+        "adaptation.groups._data": lambda real: lambda out: Path("data"),
+        "adaptation.groups.TABLE_METHODS": lambda real: ("source-only", "dsan"),
+        "adaptation.speed.METHODS": lambda real: real[:1],
+        "adaptation.speed.measure": lambda real: lambda profile: real(profile, 2 * profile.batch_size, 1),
+        "adaptation.speed.overhead": lambda real: lambda profile: real(profile, 1),
+    },
+}
+"""Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""
+
+
+def shortened(reference: Any, poses: int) -> Any:
+    """Return a reference's first poses."""
+    series = {name: value for name, value in vars(reference).items() if isinstance(value, tuple | np.ndarray)}
+    return replace(reference, **{name: value[:poses] for name, value in series.items()})
+
+
+# --- running them ----------------------------------------------------------------------------------------------
+
+
+def quickest(text: str) -> tuple[str, set[str]]:
+    """Return a snippet's text in its quickest form, and the patterns of the table that it needed."""
+    needed = {pattern for pattern in QUICKEST if re.search(pattern, text)}
+    for pattern in QUICKEST:
+        text = re.sub(pattern, QUICKEST[pattern], text)
+    return text, needed
+
+
+def reason_not_to_run(text: str) -> str | None:
+    """Return the pattern that excuses a snippet, or None if it runs."""
+    return next((pattern for pattern in NOT_RUN if re.match(pattern, text)), None)
+
+
+def smallest_case(line: str) -> dict[str, Callable[[Any], Any]]:
+    """Return what to replace in gelgap.benchmarks for a command line."""
+    return next((parts for command, parts in SMALLEST.items() if line.startswith(command)), {})
+
+
+def run_all(listed: list[Snippet], folder: Path) -> None:
+    """Run snippets one after another in a folder; the first that fails is named with its place."""
+    with contextlib.chdir(folder):
+        for snippet in listed:
+            output = io.StringIO()
+            try:
+                with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+                    run(snippet)
+            except BaseException as error:
+                said = output.getvalue()[-2000:]
+                raise AssertionError(f"{snippet.where}: {snippet.text}\n{error!r}\n{said}") from error
+
+
+def run(snippet: Snippet) -> None:
+    """Run one snippet in its quickest form, or check what can be checked without."""
+    excused = reason_not_to_run(snippet.text) is not None
+    text = snippet.text if excused else quickest(snippet.text)[0]
+    if snippet.kind == "file":
+        Path(snippet.file_name).write_text(text)
+    elif snippet.kind == "python":
+        code = compile(text, snippet.where, "exec")
+        if not excused:
+            exec(code, {"__name__": "__main__"})
+    else:
+        run_command(text, excused)
+
+
+def run_command(line: str, parse_only: bool) -> None:
+    """Run a command line as a shell would; of a command that does not run, check that it would start."""
+    words = [name for word in shlex.split(line) for name in sorted(glob.glob(word)) or [word]]
+    if words[0] == "gelgap":
+        with pytest.MonkeyPatch.context() as patch:
+            for name, smallest in smallest_case(line).items():
+                place = f"gelgap.benchmarks.{name}"
+                patch.setattr(place, smallest(pkgutil.resolve_name(place)))
+            parse(words[1:]) if parse_only else main(words[1:])
+    elif words[:2] == ["python", "-m"]:
+        assert find_spec(words[2]), f"there is no module {words[2]}"
+        if not parse_only:
+            run_program([sys.executable, *words[1:]])
+    elif words[0] == "make":
+        run_program([*words, "--directory", str(ROOT)])
+    else:
+        assert parse_only, f"{words[0]} is not a program that this test knows"
+
+
+def run_program(words: list[str]) -> None:
+    done = subprocess.run(words, capture_output=True, text=True)
+    print(done.stdout, done.stderr)
+    assert done.returncode == 0
+
+
+# --- the tests -------------------------------------------------------------------------------------------------
+
+
+def examples_of_help() -> list[Snippet]:
+    """Return the examples of every command's --help, in the order in which a reader needs them."""
+    found = []
+    for words in ([], *([command] for command in COMMANDS)):
+        text = io.StringIO()
+        with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit), wide_terminal():
+            main([*words, "--help"])
+        found += help_examples(" ".join(words), text.getvalue())
+    return found
+
+
+def every_snippet() -> list[Snippet]:
+    """Return all that is documented."""
+    return [*(snippet for page in PAGES for snippet in snippets(page)), *examples_of_help()]
+
+
+@contextlib.contextmanager
+def wide_terminal() -> Iterator[None]:
+    """Let --help print each example in one line."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLUMNS", "250")
+        yield
+
+
+@pytest.fixture(scope="module")
+def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Give a folder in which the README's commands have run."""
+    folder = tmp_path_factory.mktemp("readme")
+    (folder / "tiny.toml").write_text(TINY_PATH)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr(Profile, "preset", shorter(Profile.preset))
+        run_all(snippets(README), folder)
+        yield folder
+
+
+def test_the_readme_runs_in_an_empty_folder(after_the_readme: Path) -> None:
+    assert (after_the_readme / "contact.png").stat().st_size > 1000
+    assert (after_the_readme / "runs/report.html").is_file()
+
+
+@pytest.mark.parametrize("page", [page for page in OTHER_PAGES if snippets(page)])
+def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
+    shutil.copytree(after_the_readme, tmp_path / "page")
+    run_all(snippets(page), tmp_path / "page")
+
+
+def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> None:
+    on_pages = {snippet.text for page in PAGES for snippet in snippets(page)}
+    examples = [snippet for snippet in examples_of_help() if snippet.text not in on_pages]
+    assert {snippet.where.split()[1] for snippet in examples_of_help()} >= COMMANDS.keys()
+    folder = tmp_path / "help"
+    shutil.copytree(after_the_readme, folder)
+    take_pictures_to_calibrate_with(folder)
+    run_all(examples, folder)
+
+
+def take_pictures_to_calibrate_with(folder: Path) -> None:
+    """Write what `gelgap calibrate` needs: a sensor, its reference, and three presses at different points."""
+    import cv2
+
+    from gelgap.render import MembraneRenderer, Sensor, save_sensor
+    from gelgap.sim import MembraneState
+
+    sensor, state = Sensor.preset("digit-like"), MembraneState.load(folder / "state.npz")
+    renderer = MembraneRenderer(sensor, sensor.illumination)
+    save_sensor(sensor, folder / "start.toml")
+    cv2.imwrite(str(folder / "ref.png"), renderer.reference(markers=False)[..., ::-1])
+    tables = []
+    for number, (x, y) in enumerate([(1.5, -0.8), (-2.0, 1.0), (0.5, 1.5)], start=1):
+        picture = renderer.picture(state.x_mm + x, state.y_mm + y, state.displacement_mm, markers=False)
+        cv2.imwrite(str(folder / f"press-{number}.png"), picture[..., ::-1])
+        tables.append(
+            f'[[presses]]\npicture = "press-{number}.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\n'
+            f"point_mm = [{x}, {y}]\n"
+        )
+    (folder / "presses.toml").write_text("".join(tables))
+
+
+def test_no_entry_of_the_tables_is_left_over() -> None:
+    documented = every_snippet()
+    excused = {reason_not_to_run(snippet.text) for snippet in documented}
+    run_in_quick_form = [quickest(s.text) for s in documented if reason_not_to_run(s.text) is None]
+    needed = set().union(*(patterns for _, patterns in run_in_quick_form))
+    assert NOT_RUN.keys() - excused == set()
+    assert QUICKEST.keys() - needed == set()
+    assert [key for key in SMALLEST if not any(t.startswith(key) for t, _ in run_in_quick_form)] == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_block_is_of_a_kind_that_runs_or_shows(page: str) -> None:
+    languages = {block[1] for block in _FENCE.finditer(page_text(page))}
+    assert languages <= {"", "python", "toml", "text", "mermaid"}

@@ -1,0 +1,92 @@
+"""What the documentation names exists: commands and flags in its sentences, dotted names, files and links."""
+
+import contextlib
+import functools
+import io
+import pkgutil
+import re
+from pathlib import Path
+
+import pytest
+
+from gelgap.cli.main import COMMANDS, main
+
+ROOT = Path(__file__).parents[1]
+PAGES = (
+    "README.md",
+    "CONTRIBUTING.md",
+    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+)
+ROOMS = "sim|render|domains|adapt|benchmarks|assets|cli|tests|examples|scripts|docs"
+_FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+
+
+def page_text(page: str) -> str:
+    """Return the Markdown of a page."""
+    return (ROOT / page).read_text(encoding="utf-8")
+
+
+def inline_commands(page: str) -> set[str]:
+    """Return the `gelgap …` commands that a page's sentences name between backticks."""
+    sentences = _FENCE.sub("", page_text(page))
+    return {" ".join(found.split()) for found in re.findall(r"`(gelgap [^`]+)`", sentences)}
+
+
+def named_objects(page: str) -> set[str]:
+    """Return the dotted names under gelgap that a page mentions."""
+    return set(re.findall(r"\bgelgap(?:\.[a-zA-Z_]\w*)+", page_text(page)))
+
+
+def linked_files(page: str) -> set[str]:
+    """Return the files of the project that a page links to or names between backticks."""
+    text = page_text(page)
+    links = {link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link}
+    named = re.findall(rf"`((?:{ROOMS})/[\w./-]*)`", text)
+    folder = (ROOT / page).parent
+    return {str(folder / link) for link in links if link} | {str(ROOT / name) for name in named}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_in_sentences_exist(page: str) -> None:
+    for line in inline_commands(page):
+        _, command, *words = line.split()
+        assert command.startswith("-") or command in COMMANDS, line
+        flags = {word for word in words if word.startswith("--")}
+        assert flags <= flags_of(command) | {"--help"}, line
+
+
+@functools.cache
+def flags_of(command: str) -> set[str]:
+    """Return the flags that a command's --help names."""
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        main([command, "--help"])
+    return set(re.findall(r"--[a-z][a-z-]*", text.getvalue()))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_names_and_files_exist(page: str) -> None:
+    missing = [name for name in named_objects(page) if not exists(name)]
+    missing += [path for path in linked_files(page) if not Path(path).exists()]
+    assert missing == []
+
+
+def exists(name: str) -> bool:
+    try:
+        pkgutil.resolve_name(name)
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_to_sections_meet_a_heading(page: str) -> None:
+    for target, section in re.findall(r"\]\(([\w./-]*)#([\w-]+)\)", page_text(page)):
+        path = (ROOT / page).parent / target if target else ROOT / page
+        headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+        assert section in {slug(heading) for heading in headings}, f"{target}#{section}"
+
+
+def slug(heading: str) -> str:
+    """Return a heading's anchor, as GitHub makes it."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")

@@ -1,0 +1,58 @@
+"""What each room offers is there, described in code, and listed in docs/api.md."""
+
+import ast
+import inspect
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("sim", "render", "domains", "adapt")
+
+
+def names_in_stub(room: str) -> list[str]:
+    """Return the names that a room's `__init__.pyi` re-exports, in its order."""
+    tree = ast.parse((ROOT / room / "__init__.pyi").read_text(encoding="utf-8"))
+    return [alias.asname or alias.name for node in tree.body for alias in node.names]
+
+
+def names_in_guide(room: str) -> dict[str, str]:
+    """Return the names that docs/api.md lists for a room, with what it says about each."""
+    guide = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    (section,) = re.findall(rf"^## gelgap\.{room}$(.*?)(?=^## |\Z)", guide, re.MULTILINE | re.DOTALL)
+    rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", section, re.MULTILINE)
+    assert len(rows) == len(dict(rows)), "a name is listed twice"
+    return dict(rows)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_all_names_what_the_stub_lists(room: str) -> None:
+    listed = names_in_stub(room)
+    assert len(listed) == len(set(listed))
+    assert set(import_module(f"gelgap.{room}").__all__) == set(listed)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_each_name_is_there_with_a_docstring(room: str) -> None:
+    module = import_module(f"gelgap.{room}")
+    assert [name for name in names_in_stub(room) if not hasattr(module, name)] == []
+    undescribed = [name for name in names_in_stub(room) if not is_described(getattr(module, name))]
+    assert undescribed == []
+
+
+def is_described(thing: object) -> bool:
+    """Whether a class or function has a docstring of its own; other values need none."""
+    if not (inspect.isclass(thing) or inspect.isfunction(thing)):
+        return True
+    text = vars(thing).get("__doc__") if inspect.isclass(thing) else thing.__doc__
+    return bool(text) and not text.startswith(f"{thing.__name__}(")
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_guide_lists_each_name_once_and_no_other(room: str) -> None:
+    rows = names_in_guide(room)
+    assert rows.keys() - set(names_in_stub(room)) == set()
+    assert set(names_in_stub(room)) - rows.keys() == set()
+    assert [name for name, what in rows.items() if not what.strip()] == []
