@@ -1,0 +1,109 @@
+"""LEDs cut up for integration: strips for where an LED is partly hidden, nodes for where it is in full view."""
+
+from dataclasses import dataclass
+from itertools import product
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+
+from gelgap.render.led import LED_SHAPES, Emitter
+
+# Nodes of an LED in full view: along its level axis and across.
+OPEN_NODES = (8, 2)
+
+
+@dataclass(frozen=True)
+class ShadowDetail:
+    """How finely partly hidden LEDs are sampled."""
+
+    strip_width_mm: float
+    fewest_strips: int
+    march_step_mm: float
+
+
+class Strips(NamedTuple):
+    """The strips of all LEDs, float32; LED k owns those from first[k] up to first[k + 1]."""
+
+    low_mm: np.ndarray  # (strips, 3): the end that is nearer to the membrane
+    high_mm: np.ndarray  # (strips, 3)
+    normal: np.ndarray  # (strips, 3)
+    area_mm2: np.ndarray  # (strips,)
+    first: np.ndarray  # (leds + 1,) int32
+
+
+class Nodes(NamedTuple):
+    """The points that stand for each LED in full view, float32; a point light has only its first node."""
+
+    position_mm: np.ndarray  # (leds, 3, nodes): nodes lie side by side for vector registers
+    normal: np.ndarray  # (leds, 3, nodes)
+    area_mm2: np.ndarray  # (leds, nodes)
+
+
+class Outlines(NamedTuple):
+    """The bounds of each LED as seen from the membrane, float32."""
+
+    left_mm: np.ndarray  # (leds, 2): x and y of one end of the level axis
+    right_mm: np.ndarray  # (leds, 2): of the other end
+    lowest_mm: np.ndarray  # (leds,): the least height above the undeformed membrane
+
+
+class LedSamples(NamedTuple):
+    """All LEDs of an illumination as the kernels take them."""
+
+    is_point: np.ndarray  # (leds,) bool: an intensity of 1 mm² in all directions, not a Lambertian face
+    strips: Strips
+    nodes: Nodes
+    outlines: Outlines
+
+
+def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSamples:
+    """Return the strips, nodes and outlines of emitters."""
+    return LedSamples(
+        is_point=np.array([LED_SHAPES[emitter.kind].is_point for emitter in emitters]),
+        strips=_strips(emitters, detail),
+        nodes=_nodes(emitters),
+        outlines=_outlines(emitters),
+    )
+
+
+def _strips(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> Strips:
+    low, high, normal, area, first = [], [], [], [], [0]
+    for emitter in emitters:
+        length_mm = 2 * np.linalg.norm(emitter.half_u_mm)
+        count = max(ceil(length_mm / detail.strip_width_mm), detail.fewest_strips)
+        for place, weight, chord in LED_SHAPES[emitter.kind].slices(count):
+            center = emitter.center_mm + place * emitter.half_u_mm
+            half = chord * emitter.half_v_mm
+            low.append(center - half)
+            high.append(center + half)
+            normal.append(emitter.normal)
+            area.append(weight * length_mm / 2 * 2 * np.linalg.norm(half))
+        first.append(len(area))
+    return Strips(*(np.array(values, np.float32) for values in (low, high, normal, area)), np.array(first, np.int32))
+
+
+def _nodes(emitters: tuple[Emitter, ...]) -> Nodes:
+    positions = np.empty((len(emitters), 3, OPEN_NODES[0] * OPEN_NODES[1]))
+    normals = np.empty_like(positions)
+    areas = np.zeros((len(emitters), positions.shape[2]))
+    across = list(zip(*np.polynomial.legendre.leggauss(OPEN_NODES[1]), strict=True))
+    for led, emitter in enumerate(emitters):
+        positions[led], normals[led] = emitter.center_mm[:, None], emitter.normal[:, None]
+        slices = LED_SHAPES[emitter.kind].slices(OPEN_NODES[0])
+        for node, ((place, weight, chord), (v, v_weight)) in enumerate(product(slices, across)):
+            half = chord * emitter.half_v_mm
+            positions[led, :, node] += place * emitter.half_u_mm + v * half
+            areas[led, node] = weight * np.linalg.norm(emitter.half_u_mm) * v_weight * np.linalg.norm(half)
+    return Nodes(*(values.astype(np.float32) for values in (positions, normals, areas)))
+
+
+def _outlines(emitters: tuple[Emitter, ...]) -> Outlines:
+    return Outlines(
+        left_mm=np.array([(led.center_mm - led.half_u_mm)[:2] for led in emitters], np.float32),
+        right_mm=np.array([(led.center_mm + led.half_u_mm)[:2] for led in emitters], np.float32),
+        lowest_mm=np.array(
+            [-led.center_mm[2] - abs(led.half_u_mm[2]) - abs(led.half_v_mm[2]) for led in emitters],
+            np.float32,
+        ),
+    )
