@@ -7,7 +7,7 @@ import numpy as np
 
 from gelgap.render.irradiance import GENTLE_NORMAL, Light, smooth_stride
 from gelgap.render.led_samples import LedSamples, ShadowDetail
-from gelgap.render.occlusion import HeightField, occluder_of, vertex_at, visible_parts
+from gelgap.render.occlusion import HeightField, find_occluders, vertex_at, visible_parts
 from gelgap.render.plastic import highlight, rough_plastic, shadowing, transmitted_share
 from gelgap.render.shaded_surface import Surface
 
@@ -83,11 +83,12 @@ def _partial_gloss(vertex, camera_mm, coat, leds, led, parts):
             r2 = qx * qx + qy * qy + qz * qz
             inverse = one / np.sqrt(r2)
             cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
+            area = area_mm2[k]
             if leds.is_point[led]:
-                solid_angle = weight[g] / r2
+                solid_angle = weight[g] * area / r2
             else:
                 away = -(normal[k, 0] * qx + normal[k, 1] * qy + normal[k, 2] * qz) * inverse
-                solid_angle = weight[g] * (s1 - s0) * area_mm2[k] * away / r2
+                solid_angle = weight[g] * (s1 - s0) * area * away / r2
             if cosine_in <= zero or solid_angle <= zero:
                 continue
             in_dot_out = (qx * view.x + qy * view.y + qz * view.z) * inverse
@@ -126,7 +127,7 @@ def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
     rows, columns = changed.shape
     count = len(leds.is_point)
     field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
-    occluders = [occluder_of(surface, leds.outlines, led) for led in range(count)]
+    occluders = find_occluders(surface, leds.outlines)
     parts = np.empty((len(leds.strips.area_mm2), 2), np.float32)
     gentle = np.empty(((rows - 1) // stride + 1, (columns - 1) // stride + 1), np.bool_)
     coarse = np.empty((*gentle.shape, count, 2), np.float32)

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from gelgap.render.led_samples import LedSamples, ShadowDetail
-from gelgap.render.occlusion import HeightField, may_be_hidden, occluder_of, vertex_at, visible_parts
+from gelgap.render.occlusion import HeightField, find_occluders, may_be_hidden, vertex_at, visible_parts
 from gelgap.render.shaded_surface import Surface
 
 # Cosine of the tilt below which a vertex counts as nearly flat: 2°.
@@ -81,6 +81,7 @@ def _partial_irradiance(vertex, leds, led, parts):
         if s1 <= s0:
             continue
         ax, ay, az = low_mm[k, 0] - px, low_mm[k, 1] - py, low_mm[k, 2] - pz
+        area = area_mm2[k]
         if leds.is_point[led]:
             r2 = ax * ax + ay * ay + az * az
             total += max(nx * ax + ny * ay + nz * az, zero) / (r2 * np.sqrt(r2))
@@ -93,7 +94,7 @@ def _partial_irradiance(vertex, leds, led, parts):
             r2 = qx * qx + qy * qy + qz * qz
             away = -(normal[k, 0] * qx + normal[k, 1] * qy + normal[k, 2] * qz)
             part += weight[g] * max(nx * qx + ny * qy + nz * qz, zero) * max(away, zero) / (r2 * r2)
-        total += part * (s1 - s0) * area_mm2[k]
+        total += part * (s1 - s0) * area
     return total
 
 
@@ -137,7 +138,7 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
     rows, columns = changed.shape
     count = len(leds.is_point)
     field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
-    occluders = [occluder_of(surface, leds.outlines, led) for led in range(count)]
+    occluders = find_occluders(surface, leds.outlines)
     parts = np.empty((len(leds.strips.area_mm2), 2), np.float32)
     # The visible share of each LED; negative where it says nothing about the neighbours.
     share[:] = one

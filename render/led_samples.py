@@ -28,7 +28,7 @@ class Strips(NamedTuple):
     low_mm: np.ndarray  # (strips, 3): the end that is nearer to the membrane
     high_mm: np.ndarray  # (strips, 3)
     normal: np.ndarray  # (strips, 3)
-    area_mm2: np.ndarray  # (strips,)
+    area_mm2: np.ndarray  # (strips,); 1 for a point light
     first: np.ndarray  # (leds + 1,) int32
 
 
@@ -72,15 +72,18 @@ def _strips(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> Strips:
     for emitter in emitters:
         length_mm = 2 * np.linalg.norm(emitter.half_u_mm)
         count = max(ceil(length_mm / detail.strip_width_mm), detail.fewest_strips)
-        for place, weight, chord in LED_SHAPES[emitter.kind].slices(count):
+        shape = LED_SHAPES[emitter.kind]
+        for place, weight, chord in shape.slices(count):
             center = emitter.center_mm + place * emitter.half_u_mm
             half = chord * emitter.half_v_mm
             low.append(center - half)
             high.append(center + half)
             normal.append(emitter.normal)
-            area.append(weight * length_mm / 2 * 2 * np.linalg.norm(half))
+            area.append(1.0 if shape.is_point else weight * length_mm / 2 * 2 * np.linalg.norm(half))
         first.append(len(area))
-    return Strips(*(np.array(values, np.float32) for values in (low, high, normal, area)), np.array(first, np.int32))
+    return Strips(
+        *(np.array(values, np.float32) for values in (low, high, normal, area)), np.array(first, np.int32)
+    )
 
 
 def _nodes(emitters: tuple[Emitter, ...]) -> Nodes:

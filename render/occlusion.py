@@ -13,6 +13,16 @@ from gelgap.render.lattice import Grid
 
 # A horizon below this slope is not looked for: an LED's light from there is negligible.
 SMALLEST_SLOPE = 0.01
+# The part of the membrane that can hide an LED: its bounds in mm, the disc around them and its greatest height.
+# Where nothing is steep enough to hide the LED, `exists` is false and the bounds are reversed.
+OCCLUDER = np.dtype(
+    [("exists", np.bool_)]
+    + [
+        (name, np.float32)
+        for name in ("x_low", "x_high", "y_low", "y_high", "center_x", "center_y", "radius", "top")
+    ],
+    align=True,
+)
 
 
 class Vertex(NamedTuple):
@@ -32,23 +42,6 @@ class HeightField(NamedTuple):
     height_mm: np.ndarray  # (rows * columns,)
     columns: int
     grid: Grid
-
-
-class Occluder(NamedTuple):
-    """The part of the membrane that can hide an LED: its bounds in mm, the disc around them and its greatest height.
-
-    Where nothing is steep enough to hide the LED, `exists` is false and the bounds are reversed.
-    """
-
-    exists: bool
-    x_low: float
-    x_high: float
-    y_low: float
-    y_high: float
-    center_x: float
-    center_y: float
-    radius: float
-    top: float
 
 
 class Ray(NamedTuple):
@@ -95,8 +88,8 @@ def _smallest_slope(surface, outlines, led):
 
 
 @numba.njit(cache=True, fastmath=True)
-def occluder_of(surface, outlines, led):
-    """Return what can hide an LED.
+def _find_occluder(surface, outlines, led, occluder):
+    """Fill in what can hide an LED.
 
     At the horizon a ray touches the surface, so the surface there is as steep as the ray. Only what is steeper than the
     lowest ray that can reach the LED matters.
@@ -116,9 +109,11 @@ def occluder_of(surface, outlines, led):
             if gx * gx + gy * gy > least * least:
                 i0, i1, j0, j1 = min(i0, i), max(i1, i), min(j0, j), max(j1, j)
                 peak = max(peak, height[j, i])
-    x_low, x_high = x0 + spacing * np.float32(i0 - 1), x0 + spacing * np.float32(i1 + 1)
-    y_low, y_high = y0 + spacing * np.float32(j0 - 1), y0 + spacing * np.float32(j1 + 1)
-    cx, cy = np.float32(0.5) * (x_low + x_high), np.float32(0.5) * (y_low + y_high)
+    occluder.exists = i1 >= i0
+    occluder.x_low, occluder.x_high = x0 + spacing * np.float32(i0 - 1), x0 + spacing * np.float32(i1 + 1)
+    occluder.y_low, occluder.y_high = y0 + spacing * np.float32(j0 - 1), y0 + spacing * np.float32(j1 + 1)
+    cx = np.float32(0.5) * (occluder.x_low + occluder.x_high)
+    cy = np.float32(0.5) * (occluder.y_low + occluder.y_high)
     radius2 = np.float32(0)
     for j in range(j0, j1 + 1):
         for i in range(i0, i1 + 1):
@@ -127,8 +122,17 @@ def occluder_of(surface, outlines, led):
             if gx * gx + gy * gy > least * least:
                 dx, dy = x0 + spacing * np.float32(i) - cx, y0 + spacing * np.float32(j) - cy
                 radius2 = max(radius2, dx * dx + dy * dy)
-    radius, top = np.sqrt(radius2) + spacing, peak + spacing * least
-    return Occluder(i1 >= i0, x_low, x_high, y_low, y_high, cx, cy, radius, top)
+    occluder.center_x, occluder.center_y = cx, cy
+    occluder.radius, occluder.top = np.sqrt(radius2) + spacing, peak + spacing * least
+
+
+@numba.njit(cache=True, fastmath=True)
+def find_occluders(surface, outlines):
+    """Return what can hide each LED, as an array of `OCCLUDER`."""
+    occluders = np.empty(len(outlines.lowest_mm), OCCLUDER)
+    for led in range(len(occluders)):
+        _find_occluder(surface, outlines, led, occluders[led])
+    return occluders
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
