@@ -85,7 +85,7 @@ class MembraneRenderer:
             )
         emitters = illumination.emitters(sensor.camera, self.linear_by_led_to_camera)
         self._shadows = settings.shadows
-        self._samples = led_samples(emitters, self._shadows)
+        self._leds = led_samples(emitters, self._shadows)
         coating = sensor.coating
         diffuse = self.linear_by_led_to_camera * np.asarray(coating.albedo) / np.pi
         self._lambert_to_linear = ((1 - coating.specular) * diffuse).astype(np.float32)
@@ -100,17 +100,17 @@ class MembraneRenderer:
         )
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
         flat = self._surface_on_lattice(self._flat, "reference")
-        light = direct_light(flat, self._samples, self._shadows, None)
+        light = direct_light(flat, self._leds, self._shadows, None)
         self._reference_irradiance = light.irradiance
         self._reference_gloss = self._gloss(flat, light, None) if coating.specular > 0 else None
 
     def _gloss(self, surface: Surface, light: Light, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
-        return gloss(surface, self._samples, self._shadows, light, camera_mm, roughness, reference)
+        return gloss(surface, self._leds, self._shadows, light, camera_mm, roughness, reference)
 
     def _radiance(self, surface: Surface) -> np.ndarray:
         """Return (rows, columns, 3) float32: linear camera RGB of every vertex of the shaded grid, without markers."""
-        light = direct_light(surface, self._samples, self._shadows, self._reference_irradiance)
+        light = direct_light(surface, self._leds, self._shadows, self._reference_irradiance)
         linear = light.irradiance @ self._lambert_to_linear
         if self._reference_gloss is not None:
             by_led = self._gloss(surface, light, self._reference_gloss)
