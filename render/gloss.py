@@ -31,7 +31,7 @@ def view_from(vertex, camera_mm):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _open_gloss(vertex, camera_mm, coat, leds, led):
+def _open_gloss(vertex, camera_mm, coat, nodes, led):
     """Return base and highlight of an area LED in full view; its nodes lie side by side, as for the irradiance."""
     zero = np.float32(0)
     view = view_from(vertex, camera_mm)
@@ -39,7 +39,7 @@ def _open_gloss(vertex, camera_mm, coat, leds, led):
         return zero, zero
     px, py, pz = vertex.x, vertex.y, vertex.z
     nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
-    node_mm, normal, area_mm2 = leds.nodes
+    node_mm, normal, area_mm2 = nodes
     shadowing_out = shadowing(view.cosine, coat) / (np.float32(4) * view.cosine)
     base, glossy = zero, zero
     for k in range(node_mm.shape[2]):
@@ -57,7 +57,7 @@ def _open_gloss(vertex, camera_mm, coat, leds, led):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _partial_gloss(vertex, camera_mm, coat, leds, led, parts):
+def _partial_gloss(vertex, camera_mm, coat, strips, parts):
     """Return base and highlight from the visible parts of an LED's strips."""
     one, zero = np.float32(1), np.float32(0)
     gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
@@ -67,27 +67,25 @@ def _partial_gloss(vertex, camera_mm, coat, leds, led, parts):
         return zero, zero
     px, py, pz = vertex.x, vertex.y, vertex.z
     nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
-    low_mm, high_mm, normal, area_mm2, first = leds.strips
     shadowing_out = shadowing(view.cosine, coat) / (np.float32(4) * view.cosine)
     base, glossy = zero, zero
-    for k in range(first[led], first[led + 1]):
-        s0, s1 = parts[k - first[led], 0], parts[k - first[led], 1]
+    for k in range(len(strips)):
+        strip = strips[k]
+        s0, s1 = parts[k, 0], parts[k, 1]
         if s1 <= s0:
             continue
-        ex, ey, ez = high_mm[k, 0] - low_mm[k, 0], high_mm[k, 1] - low_mm[k, 1], high_mm[k, 2] - low_mm[k, 2]
+        ex, ey, ez = strip.high_x - strip.low_x, strip.high_y - strip.low_y, strip.high_z - strip.low_z
         for g in range(3):
             w = s0 + (s1 - s0) * gauss[g]
-            qx = low_mm[k, 0] + w * ex - px
-            qy = low_mm[k, 1] + w * ey - py
-            qz = low_mm[k, 2] + w * ez - pz
+            qx, qy, qz = strip.low_x + w * ex - px, strip.low_y + w * ey - py, strip.low_z + w * ez - pz
             r2 = qx * qx + qy * qy + qz * qz
             inverse = one / np.sqrt(r2)
             cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
-            area = area_mm2[k]
-            if leds.is_point[led]:
+            area = strip.area
+            if strip.is_point:
                 solid_angle = weight[g] * area / r2
             else:
-                away = -(normal[k, 0] * qx + normal[k, 1] * qy + normal[k, 2] * qz) * inverse
+                away = -(strip.normal_x * qx + strip.normal_y * qy + strip.normal_z * qz) * inverse
                 solid_angle = weight[g] * (s1 - s0) * area * away / r2
             if cosine_in <= zero or solid_angle <= zero:
                 continue
@@ -111,7 +109,7 @@ def _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse):
             for led in range(len(leds.is_point)):
                 base, glossy = out[j, i, led, 0], out[j, i, led, 1]
                 if surface.changed[j, i]:
-                    base, glossy = _open_gloss(vertex, camera_mm, coat, leds, led)
+                    base, glossy = _open_gloss(vertex, camera_mm, coat, leds.nodes, led)
                 coarse[row, column, led, 0], coarse[row, column, led, 1] = base, glossy
 
 
@@ -128,7 +126,7 @@ def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
     count = len(leds.is_point)
     field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
     occluders = find_occluders(surface, leds.outlines)
-    parts = np.empty((len(leds.strips.area_mm2), 2), np.float32)
+    parts = np.empty((len(leds.strips), 2), np.float32)
     gentle = np.empty(((rows - 1) // stride + 1, (columns - 1) // stride + 1), np.bool_)
     coarse = np.empty((*gentle.shape, count, 2), np.float32)
     _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse)
@@ -170,11 +168,12 @@ def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
                                 + w11 * coarse[north + 1, west + 1, led, k]
                             )
                         continue
-                    base, glossy = _open_gloss(vertex, camera_mm, coat, leds, led)
+                    base, glossy = _open_gloss(vertex, camera_mm, coat, leds.nodes, led)
                     base, glossy = base * share, glossy * share
                 else:
-                    visible_parts(vertex, field, occluders[led], leds.strips, led, march_step_mm, parts)
-                    base, glossy = _partial_gloss(vertex, camera_mm, coat, leds, led, parts)
+                    strips = leds.strips[leds.first_strip[led] : leds.first_strip[led + 1]]
+                    visible_parts(vertex, field, occluders[led], strips, march_step_mm, parts)
+                    base, glossy = _partial_gloss(vertex, camera_mm, coat, strips, parts)
                 out[j, i, led, 0] = base
                 out[j, i, led, 1] = glossy
 

@@ -67,32 +67,32 @@ def _open_irradiance(vertex, leds, led):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _partial_irradiance(vertex, leds, led, parts):
+def _partial_irradiance(vertex, strips, parts):
     """Return the irradiance from the visible parts of an LED's strips."""
     zero = np.float32(0)
     gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
     weight = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
     px, py, pz = vertex.x, vertex.y, vertex.z
     nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
-    low_mm, high_mm, normal, area_mm2, first = leds.strips
     total = zero
-    for k in range(first[led], first[led + 1]):
-        s0, s1 = parts[k - first[led], 0], parts[k - first[led], 1]
+    for k in range(len(strips)):
+        strip = strips[k]
+        s0, s1 = parts[k, 0], parts[k, 1]
         if s1 <= s0:
             continue
-        ax, ay, az = low_mm[k, 0] - px, low_mm[k, 1] - py, low_mm[k, 2] - pz
-        area = area_mm2[k]
-        if leds.is_point[led]:
+        ax, ay, az = strip.low_x - px, strip.low_y - py, strip.low_z - pz
+        area = strip.area
+        if strip.is_point:
             r2 = ax * ax + ay * ay + az * az
             total += max(nx * ax + ny * ay + nz * az, zero) / (r2 * np.sqrt(r2))
             continue
-        ex, ey, ez = high_mm[k, 0] - low_mm[k, 0], high_mm[k, 1] - low_mm[k, 1], high_mm[k, 2] - low_mm[k, 2]
+        ex, ey, ez = strip.high_x - strip.low_x, strip.high_y - strip.low_y, strip.high_z - strip.low_z
         part = zero
         for g in range(3):
             w = s0 + (s1 - s0) * gauss[g]
             qx, qy, qz = ax + w * ex, ay + w * ey, az + w * ez
             r2 = qx * qx + qy * qy + qz * qz
-            away = -(normal[k, 0] * qx + normal[k, 1] * qy + normal[k, 2] * qz)
+            away = -(strip.normal_x * qx + strip.normal_y * qy + strip.normal_z * qz)
             part += weight[g] * max(nx * qx + ny * qy + nz * qz, zero) * max(away, zero) / (r2 * r2)
         total += part * (s1 - s0) * area
     return total
@@ -139,7 +139,7 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
     count = len(leds.is_point)
     field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
     occluders = find_occluders(surface, leds.outlines)
-    parts = np.empty((len(leds.strips.area_mm2), 2), np.float32)
+    parts = np.empty((len(leds.strips), 2), np.float32)
     # The visible share of each LED; negative where it says nothing about the neighbours.
     share[:] = one
     cell = max(smooth_stride, 1)
@@ -193,12 +193,11 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
                             out[j, i, led] = total * around
                             share[j, i, led] = around
                             continue
-                    if not visible_parts(
-                        vertex, field, occluders[led], leds.strips, led, march_step_mm, parts
-                    ):
+                    strips = leds.strips[leds.first_strip[led] : leds.first_strip[led + 1]]
+                    if not visible_parts(vertex, field, occluders[led], strips, march_step_mm, parts):
                         out[j, i, led] = total
                         continue
-                    partial = _partial_irradiance(vertex, leds, led, parts)
+                    partial = _partial_irradiance(vertex, strips, parts)
                     out[j, i, led] = partial
                     # Behind an LED's face no light arrives that could be shared.
                     shares = gentle and lowest > zero and total > zero

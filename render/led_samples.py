@@ -22,14 +22,16 @@ class ShadowDetail:
     march_step_mm: float
 
 
-class Strips(NamedTuple):
-    """The strips of all LEDs, float32; LED k owns those from first[k] up to first[k + 1]."""
-
-    low_mm: np.ndarray  # (strips, 3): the end that is nearer to the membrane
-    high_mm: np.ndarray  # (strips, 3)
-    normal: np.ndarray  # (strips, 3)
-    area_mm2: np.ndarray  # (strips,); 1 for a point light
-    first: np.ndarray  # (leds + 1,) int32
+# A strip of an LED: its ends in mm (low is nearer to the membrane), its normal and its area in mm². A point is one
+# strip of 1 mm² without length.
+STRIP = np.dtype(
+    [
+        *((f"{part}_{axis}", np.float32) for part in ("low", "high", "normal") for axis in "xyz"),
+        ("area", np.float32),
+        ("is_point", np.bool_),
+    ],
+    align=True,
+)
 
 
 class Nodes(NamedTuple):
@@ -52,38 +54,36 @@ class LedSamples(NamedTuple):
     """All LEDs of an illumination as the kernels take them."""
 
     is_point: np.ndarray  # (leds,) bool: an intensity of 1 mm² in all directions, not a Lambertian face
-    strips: Strips
+    strips: np.ndarray  # (strips,) of STRIP; LED k owns those from first_strip[k] up to first_strip[k + 1]
+    first_strip: np.ndarray  # (leds + 1,) int32
     nodes: Nodes
     outlines: Outlines
 
 
 def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSamples:
     """Return the strips, nodes and outlines of emitters."""
+    strips = [_strips(emitter, detail) for emitter in emitters]
     return LedSamples(
         is_point=np.array([LED_SHAPES[emitter.kind].is_point for emitter in emitters]),
-        strips=_strips(emitters, detail),
+        strips=np.concatenate(strips),
+        first_strip=np.cumsum([0] + [len(own) for own in strips]).astype(np.int32),
         nodes=_nodes(emitters),
         outlines=_outlines(emitters),
     )
 
 
-def _strips(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> Strips:
-    low, high, normal, area, first = [], [], [], [], [0]
-    for emitter in emitters:
-        length_mm = 2 * np.linalg.norm(emitter.half_u_mm)
-        count = max(ceil(length_mm / detail.strip_width_mm), detail.fewest_strips)
-        shape = LED_SHAPES[emitter.kind]
-        for place, weight, chord in shape.slices(count):
-            center = emitter.center_mm + place * emitter.half_u_mm
-            half = chord * emitter.half_v_mm
-            low.append(center - half)
-            high.append(center + half)
-            normal.append(emitter.normal)
-            area.append(1.0 if shape.is_point else weight * length_mm / 2 * 2 * np.linalg.norm(half))
-        first.append(len(area))
-    return Strips(
-        *(np.array(values, np.float32) for values in (low, high, normal, area)), np.array(first, np.int32)
-    )
+def _strips(emitter: Emitter, detail: ShadowDetail) -> np.ndarray:
+    shape = LED_SHAPES[emitter.kind]
+    length_mm = 2 * np.linalg.norm(emitter.half_u_mm)
+    strips = []
+    for place, weight, chord in shape.slices(
+        max(ceil(length_mm / detail.strip_width_mm), detail.fewest_strips)
+    ):
+        center = emitter.center_mm + place * emitter.half_u_mm
+        half = chord * emitter.half_v_mm
+        area = 1.0 if shape.is_point else weight * length_mm / 2 * 2 * np.linalg.norm(half)
+        strips.append((*(center - half), *(center + half), *emitter.normal, area, shape.is_point))
+    return np.array(strips, STRIP)
 
 
 def _nodes(emitters: tuple[Emitter, ...]) -> Nodes:

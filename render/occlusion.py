@@ -69,14 +69,10 @@ def vertex_at(surface, row, column):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _smallest_slope(surface, outlines, led):
-    """Return the slope of the lowest ray that can reach an LED from anywhere on the grid."""
-    height, grid = surface.height_mm, surface.grid
-    rows, columns = height.shape
-    top = np.float32(0)
-    for j in range(rows):
-        for i in range(columns):
-            top = max(top, height[j, i])
+def _smallest_slope(surface, top, outlines, led):
+    """Return the slope of the lowest ray that can reach an LED from a grid whose greatest height is `top`."""
+    grid = surface.grid
+    rows, columns = surface.height_mm.shape
     x0, y0, spacing = grid.x0_mm, grid.y0_mm, grid.spacing_mm
     x1, y1 = x0 + spacing * np.float32(columns - 1), y0 + spacing * np.float32(rows - 1)
     left, right = outlines.left_mm[led], outlines.right_mm[led]
@@ -88,17 +84,16 @@ def _smallest_slope(surface, outlines, led):
 
 
 @numba.njit(cache=True, fastmath=True)
-def _find_occluder(surface, outlines, led, occluder):
-    """Fill in what can hide an LED.
+def _find_occluder(surface, least, occluder):
+    """Fill in what can hide an LED that no ray below the slope `least` can reach.
 
     At the horizon a ray touches the surface, so the surface there is as steep as the ray. Only what is steeper than the
-    lowest ray that can reach the LED matters.
+    lowest ray matters.
     """
     height, grid = surface.height_mm, surface.grid
     x0, y0, spacing = grid.x0_mm, grid.y0_mm, grid.spacing_mm
     rows, columns = height.shape
     half = np.float32(0.5) / spacing
-    least = _smallest_slope(surface, outlines, led)
     i0, i1, j0, j1 = columns, -1, rows, -1
     peak = np.float32(0)
     # Two cells from the edge, so that a walk within the bounds never leaves the grid.
@@ -129,9 +124,14 @@ def _find_occluder(surface, outlines, led, occluder):
 @numba.njit(cache=True, fastmath=True)
 def find_occluders(surface, outlines):
     """Return what can hide each LED, as an array of `OCCLUDER`."""
+    height = surface.height_mm
+    top = np.float32(0)
+    for j in range(height.shape[0]):
+        for i in range(height.shape[1]):
+            top = max(top, height[j, i])
     occluders = np.empty(len(outlines.lowest_mm), OCCLUDER)
     for led in range(len(occluders)):
-        _find_occluder(surface, outlines, led, occluders[led])
+        _find_occluder(surface, _smallest_slope(surface, top, outlines, led), occluders[led])
     return occluders
 
 
@@ -205,7 +205,7 @@ def _steepest(field, ray, t_in, t_out, steps):
 
 
 @numba.njit(cache=True, fastmath=True)
-def visible_parts(vertex, field, occluder, strips, led, step_mm, parts):
+def visible_parts(vertex, field, occluder, strips, step_mm, parts):
     """Fill the (start, end) in `parts` of what a vertex sees of an LED's strips, 0…1 from low to high.
 
     Return whether anything is hidden.
@@ -217,12 +217,11 @@ def visible_parts(vertex, field, occluder, strips, led, step_mm, parts):
     px, py, pz = vertex.x, vertex.y, vertex.z
     nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
     u, v = (px - grid.x0_mm) * inverse_spacing, (py - grid.y0_mm) * inverse_spacing
-    low_mm, high_mm = strips.low_mm, strips.high_mm
-    begin, end = strips.first[led], strips.first[led + 1]
     hidden = False
-    for k in range(begin, end):
-        ax, ay, az = low_mm[k, 0] - px, low_mm[k, 1] - py, low_mm[k, 2] - pz
-        bx, by, bz = high_mm[k, 0] - px, high_mm[k, 1] - py, high_mm[k, 2] - pz
+    for k in range(len(strips)):
+        strip = strips[k]
+        ax, ay, az = strip.low_x - px, strip.low_y - py, strip.low_z - pz
+        bx, by, bz = strip.high_x - px, strip.high_y - py, strip.high_z - pz
         s0, s1 = zero, one
         # above the tangent plane
         front_a, front_b = nx * ax + ny * ay + nz * az, nx * bx + ny * by + nz * bz
@@ -258,6 +257,6 @@ def visible_parts(vertex, field, occluder, strips, led, step_mm, parts):
                     s0 = max(s0, above_a / (above_a - above_b))
                 elif above_b < zero:
                     s1 = min(s1, above_a / (above_a - above_b))
-        parts[k - begin, 0], parts[k - begin, 1] = s0, s1
+        parts[k, 0], parts[k, 1] = s0, s1
         hidden |= s0 > zero or s1 < one
     return hidden
