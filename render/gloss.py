@@ -198,14 +198,8 @@ def gloss(
         out = np.zeros((*light.irradiance.shape, 2), np.float32)
     else:
         out = reference.copy()
-    _gloss(
-        surface,
-        light,
-        np.asarray(camera_mm, np.float32),
-        rough_plastic(roughness),
-        leds,
-        np.float32(detail.march_step_mm),
-        smooth_stride(surface.grid.spacing_mm),
-        out,
-    )
+    coat = rough_plastic(roughness)
+    coat = coat._replace(base_scale=np.float32(coat.base_scale))  # all in single precision, for speed
+    step_mm, stride = np.float32(detail.march_step_mm), smooth_stride(surface.grid.spacing_mm)
+    _gloss(surface, light, np.asarray(camera_mm, np.float32), coat, leds, step_mm, stride, out)
     return out

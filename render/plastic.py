@@ -17,7 +17,7 @@ TERMS = 7
 
 
 class Plastic(NamedTuple):
-    """Rough plastic of one roughness as kernels take it, float32.
+    """Rough plastic of one roughness as kernels take it.
 
     The base reflects albedo/π × base_scale × (share transmitted in) × (share transmitted out). The transmitted share is
     a polynomial in the cosine to the normal (TERMS coefficients, from c⁰).
@@ -26,7 +26,7 @@ class Plastic(NamedTuple):
     roughness: np.float32  # Beckmann α
     refractive_index: np.float32
     transmission: np.ndarray  # (TERMS,)
-    base_scale: np.float32
+    base_scale: float
 
 
 def _fresnel(cosine: np.ndarray, eta: float) -> np.ndarray:
@@ -86,7 +86,7 @@ def rough_plastic(roughness: float) -> Plastic:
         roughness=np.float32(roughness),
         refractive_index=np.float32(REFRACTIVE_INDEX),
         transmission=coefficients.astype(np.float32),
-        base_scale=np.float32(1 / ((1 - internal) * REFRACTIVE_INDEX**2)),
+        base_scale=1 / ((1 - internal) * REFRACTIVE_INDEX**2),
     )
 
 
