@@ -4,15 +4,15 @@ from math import radians, tan
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from gelgap.assets.settings import Settings
 
 Point = tuple[float, float, float]
 
 
-class Camera(BaseModel):
+class Camera(Settings):
     """A camera that looks along +z at the membrane; its optical axis meets the picture's centre."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     position_mm: tuple[float, float, Annotated[float, Field(lt=-2.5, ge=-500)]] = Field(
         (0.0, 0.0, -25.0), description="pinhole in the sensor frame; z < -2.5 mm, inside the sensor"

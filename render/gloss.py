@@ -1,138 +1,135 @@
-"""Light that a rough-plastic coat sends to the camera: base and highlight of each LED, with the shadows of shading."""
+"""Light that a rough-plastic coat sends to the camera: base and highlight of each LED, with the LED's shadows."""
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from gelgap.render.plastic import REFRACTIVE_INDEX, highlight, interface_shares, shadowing, transmitted_share
-from gelgap.render.shading import (
-    GENTLE_NORMAL,
-    LedSamples,
-    Light,
-    ShadowDetail,
-    occluders_of,
-    smooth_stride,
-    visible_parts,
-)
-from gelgap.render.surface import Surface
+from gelgap.render.irradiance import GENTLE_NORMAL, Light, smooth_stride
+from gelgap.render.led_samples import LedSamples, ShadowDetail
+from gelgap.render.occlusion import HeightField, find_occluders, vertex_at, visible_parts
+from gelgap.render.plastic import highlight, rough_plastic, shadowing, transmitted_share
+from gelgap.render.shaded_surface import Surface
+
+
+class View(NamedTuple):
+    """The unit vector from a vertex to the camera, and its cosine to the vertex's normal."""
+
+    x: float
+    y: float
+    z: float
+    cosine: float
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
-def _to_camera(px, py, pz, camera):
-    """Return the unit vector from a point to the camera."""
-    vx, vy, vz = camera[0] - px, camera[1] - py, camera[2] - pz
+def view_from(vertex, camera_mm):
+    """Return how a vertex sees the camera at a place (3,)."""
+    vx, vy, vz = camera_mm[0] - vertex.x, camera_mm[1] - vertex.y, camera_mm[2] - vertex.z
     inverse = np.float32(1) / np.sqrt(vx * vx + vy * vy + vz * vz)
-    return vx * inverse, vy * inverse, vz * inverse
+    vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
+    return View(vx, vy, vz, vertex.nx * vx + vertex.ny * vy + vertex.nz * vz)
 
 
 @numba.njit(cache=True, fastmath=True)
-def _open_gloss(px, py, pz, nx, ny, nz, camera, nodes, led, shares, scale, roughness, eta):
-    """Return base and highlight of an LED in full view; its nodes lie side by side, as for the irradiance."""
+def _open_gloss(vertex, camera_mm, coat, nodes, led):
+    """Return base and highlight of an area LED in full view; its nodes lie side by side, as for the irradiance."""
     zero = np.float32(0)
-    vx, vy, vz = _to_camera(px, py, pz, camera)
-    cosine_out = nx * vx + ny * vy + nz * vz
-    if cosine_out <= zero:
+    view = view_from(vertex, camera_mm)
+    if view.cosine <= zero:
         return zero, zero
-    shadowing_out = shadowing(cosine_out, roughness) / (np.float32(4) * cosine_out)
+    px, py, pz = vertex.x, vertex.y, vertex.z
+    nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
+    node_mm, normal, area_mm2 = nodes
+    shadowing_out = shadowing(view.cosine, coat) / (np.float32(4) * view.cosine)
     base, glossy = zero, zero
-    for k in range(nodes.shape[2]):
-        qx, qy, qz = nodes[led, 0, k] - px, nodes[led, 1, k] - py, nodes[led, 2, k] - pz
+    for k in range(node_mm.shape[2]):
+        qx, qy, qz = node_mm[led, 0, k] - px, node_mm[led, 1, k] - py, node_mm[led, 2, k] - pz
         r2 = qx * qx + qy * qy + qz * qz
         inverse = np.float32(1) / np.sqrt(r2)
         cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
-        away = -(nodes[led, 3, k] * qx + nodes[led, 4, k] * qy + nodes[led, 5, k] * qz) * inverse
-        solid_angle = nodes[led, 6, k] * (away if away > zero else zero) / r2
+        away = -(normal[led, 0, k] * qx + normal[led, 1, k] * qy + normal[led, 2, k] * qz) * inverse
+        solid_angle = area_mm2[led, k] * (away if away > zero else zero) / r2
         cosine_in = cosine_in if cosine_in > zero else zero
-        in_dot_out = (qx * vx + qy * vy + qz * vz) * inverse
-        base += solid_angle * cosine_in * transmitted_share(cosine_in, shares)
-        glossy += solid_angle * highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta)
-    return base * transmitted_share(cosine_out, shares) * scale, glossy
+        in_dot_out = (qx * view.x + qy * view.y + qz * view.z) * inverse
+        base += solid_angle * cosine_in * transmitted_share(cosine_in, coat)
+        glossy += solid_angle * highlight(cosine_in, view.cosine, in_dot_out, shadowing_out, coat)
+    return base * transmitted_share(view.cosine, coat) * coat.base_scale, glossy
 
 
 @numba.njit(cache=True, fastmath=True)
-def _partial_gloss(px, py, pz, nx, ny, nz, camera, strips, begin, end, parts, shares, scale, roughness, eta):
-    """Return base and highlight from the visible intervals of an LED's strips."""
+def _partial_gloss(vertex, camera_mm, coat, strips, parts):
+    """Return base and highlight from the visible parts of an LED's strips."""
     one, zero = np.float32(1), np.float32(0)
     gauss = (np.float32(0.11270167), np.float32(0.5), np.float32(0.88729833))
     weight = (np.float32(5 / 18), np.float32(8 / 18), np.float32(5 / 18))
-    vx, vy, vz = _to_camera(px, py, pz, camera)
-    cosine_out = nx * vx + ny * vy + nz * vz
-    if cosine_out <= zero:
+    view = view_from(vertex, camera_mm)
+    if view.cosine <= zero:
         return zero, zero
-    shadowing_out = shadowing(cosine_out, roughness) / (np.float32(4) * cosine_out)
+    px, py, pz = vertex.x, vertex.y, vertex.z
+    nx, ny, nz = vertex.nx, vertex.ny, vertex.nz
+    shadowing_out = shadowing(view.cosine, coat) / (np.float32(4) * view.cosine)
     base, glossy = zero, zero
-    for k in range(begin, end):
-        s0, s1 = parts[k - begin, 0], parts[k - begin, 1]
+    for k in range(len(strips)):
+        strip = strips[k]
+        s0, s1 = parts[k, 0], parts[k, 1]
         if s1 <= s0:
             continue
-        ex, ey, ez = strips[k, 3] - strips[k, 0], strips[k, 4] - strips[k, 1], strips[k, 5] - strips[k, 2]
+        ex, ey, ez = strip.high_x - strip.low_x, strip.high_y - strip.low_y, strip.high_z - strip.low_z
         for g in range(3):
             w = s0 + (s1 - s0) * gauss[g]
-            qx = strips[k, 0] + w * ex - px
-            qy = strips[k, 1] + w * ey - py
-            qz = strips[k, 2] + w * ez - pz
+            qx, qy, qz = strip.low_x + w * ex - px, strip.low_y + w * ey - py, strip.low_z + w * ez - pz
             r2 = qx * qx + qy * qy + qz * qz
             inverse = one / np.sqrt(r2)
             cosine_in = (nx * qx + ny * qy + nz * qz) * inverse
-            if strips[k, 9] == zero:
-                solid_angle = weight[g] / r2
+            area = strip.area
+            if strip.is_point:
+                solid_angle = weight[g] * area / r2
             else:
-                away = -(strips[k, 6] * qx + strips[k, 7] * qy + strips[k, 8] * qz) * inverse
-                solid_angle = weight[g] * (s1 - s0) * strips[k, 9] * away / r2
+                away = -(strip.normal_x * qx + strip.normal_y * qy + strip.normal_z * qz) * inverse
+                solid_angle = weight[g] * (s1 - s0) * area * away / r2
             if cosine_in <= zero or solid_angle <= zero:
                 continue
-            in_dot_out = (qx * vx + qy * vy + qz * vz) * inverse
-            base += solid_angle * cosine_in * transmitted_share(cosine_in, shares)
-            glossy += solid_angle * highlight(
-                cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta
-            )
-    return base * transmitted_share(cosine_out, shares) * scale, glossy
+            in_dot_out = (qx * view.x + qy * view.y + qz * view.z) * inverse
+            base += solid_angle * cosine_in * transmitted_share(cosine_in, coat)
+            glossy += solid_angle * highlight(cosine_in, view.cosine, in_dot_out, shadowing_out, coat)
+    return base * transmitted_share(view.cosine, coat) * coat.base_scale, glossy
 
 
 @numba.njit(cache=True, fastmath=True)
-def _coarse_gloss(
-    positions, normals, changed, camera, nodes, shares, scale, roughness, eta, out, stride, gentle, coarse
-):
+def _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse):
     """Fill coarse[row, column, led] with what every stride-th, nearly flat vertex sends if nothing hides the LED."""
     rows, columns = gentle.shape
     for row in range(rows):
         for column in range(columns):
             j, i = row * stride, column * stride
-            px, py, pz = positions[j, i, 0], positions[j, i, 1], positions[j, i, 2]
-            nx, ny, nz = normals[j, i, 0], normals[j, i, 1], normals[j, i, 2]
-            gentle[row, column] = nz < np.float32(-GENTLE_NORMAL)
+            vertex = vertex_at(surface, j, i)
+            gentle[row, column] = vertex.nz < np.float32(-GENTLE_NORMAL)
             if not gentle[row, column]:
                 continue
-            for led in range(len(nodes)):
+            for led in range(len(leds.is_point)):
                 base, glossy = out[j, i, led, 0], out[j, i, led, 1]
-                if changed[j, i]:
-                    base, glossy = _open_gloss(
-                        px, py, pz, nx, ny, nz, camera, nodes, led, shares, scale, roughness, eta
-                    )
+                if surface.changed[j, i]:
+                    base, glossy = _open_gloss(vertex, camera_mm, coat, leds.nodes, led)
                 coarse[row, column, led, 0], coarse[row, column, led, 1] = base, glossy
 
 
 @numba.njit(cache=True, fastmath=True)
-def _gloss(
-    positions, normals, changed, height, x0, y0, spacing, strips, first_strip, nodes, outlines, step, camera,
-    irradiance, visible, shares, scale, roughness, eta, stride, out,
-):  # fmt: skip
+def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
     """Overwrite out[row, column, led] = (base, highlight) where the surface changed or an LED is partly hidden.
 
     Where the surface is nearly flat, light in full view is computed for every stride-th vertex and interpolated, and
     what is partly hidden is the visible share of it.
     """
     one, zero = np.float32(1), np.float32(0)
-    rows, columns, _ = positions.shape
-    leds = len(outlines)
-    flat_height = height.ravel()
-    occluders = np.empty((leds, 8), np.float32)
-    occluders_of(height, x0, y0, spacing, outlines, occluders)
-    parts = np.empty((len(strips), 2), np.float32)
+    changed = surface.changed
+    rows, columns = changed.shape
+    count = len(leds.is_point)
+    field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
+    occluders = find_occluders(surface, leds.outlines)
+    parts = np.empty((len(leds.strips), 2), np.float32)
     gentle = np.empty(((rows - 1) // stride + 1, (columns - 1) // stride + 1), np.bool_)
-    coarse = np.empty((*gentle.shape, leds, 2), np.float32)
-    _coarse_gloss(
-        positions, normals, changed, camera, nodes, shares, scale, roughness, eta, out, stride, gentle, coarse
-    )
+    coarse = np.empty((*gentle.shape, count, 2), np.float32)
+    _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse)
     inverse_stride = np.float32(1 / stride)
     for j in range(rows):
         north = min(j // stride, gentle.shape[0] - 2)
@@ -140,10 +137,9 @@ def _gloss(
         for i in range(columns):
             west = min(i // stride, gentle.shape[1] - 2)
             fu = np.float32(i - west * stride) * inverse_stride
-            px, py, pz = positions[j, i, 0], positions[j, i, 1], positions[j, i, 2]
-            nx, ny, nz = normals[j, i, 0], normals[j, i, 1], normals[j, i, 2]
+            vertex = vertex_at(surface, j, i)
             smooth = (
-                nz < np.float32(-GENTLE_NORMAL)
+                vertex.nz < np.float32(-GENTLE_NORMAL)
                 and fu <= one
                 and fv <= one
                 and gentle[north, west]
@@ -152,17 +148,17 @@ def _gloss(
                 and gentle[north + 1, west + 1]
             )
             w00, w10, w01, w11 = (one - fu) * (one - fv), fu * (one - fv), (one - fu) * fv, fu * fv
-            for led in range(leds):
-                share = visible[j, i, led]
+            for led in range(count):
+                share = light.visible[j, i, led]
                 if share == one and not changed[j, i]:
                     continue
-                if irradiance[j, i, led] == zero:
+                if light.irradiance[j, i, led] == zero:
                     out[j, i, led] = zero
                     continue
                 if share > zero and not changed[j, i]:
                     out[j, i, led] *= share
                     continue
-                if nodes[led, 6, 0] > zero and share > zero:
+                if share > zero and not leds.is_point[led]:
                     if smooth:
                         for k in range(2):
                             out[j, i, led, k] = share * (
@@ -172,27 +168,19 @@ def _gloss(
                                 + w11 * coarse[north + 1, west + 1, led, k]
                             )
                         continue
-                    base, glossy = _open_gloss(
-                        px, py, pz, nx, ny, nz, camera, nodes, led, shares, scale, roughness, eta
-                    )
+                    base, glossy = _open_gloss(vertex, camera_mm, coat, leds.nodes, led)
                     base, glossy = base * share, glossy * share
                 else:
-                    begin, end = first_strip[led], first_strip[led + 1]
-                    visible_parts(
-                        px, py, pz, nx, ny, nz, flat_height, columns, x0, y0, spacing, occluders[led], strips,
-                        begin, end, step, parts,
-                    )  # fmt: skip
-                    base, glossy = _partial_gloss(
-                        px, py, pz, nx, ny, nz, camera, strips, begin, end, parts, shares, scale, roughness,
-                        eta,
-                    )  # fmt: skip
+                    strips = leds.strips[leds.first_strip[led] : leds.first_strip[led + 1]]
+                    visible_parts(vertex, field, occluders[led], strips, march_step_mm, parts)
+                    base, glossy = _partial_gloss(vertex, camera_mm, coat, strips, parts)
                 out[j, i, led, 0] = base
                 out[j, i, led, 1] = glossy
 
 
 def gloss(
     surface: Surface,
-    samples: LedSamples,
+    leds: LedSamples,
     detail: ShadowDetail,
     light: Light,
     camera_mm: tuple[float, float, float],
@@ -205,34 +193,13 @@ def gloss(
     highlight. `light` is that of the same surface: it knows which LEDs are hidden. What the contact did not change is
     taken from `reference`.
     """
-    lattice = surface.lattice
     if reference is None:
-        shape = (lattice.rows, lattice.columns)
-        changed, out = np.ones(shape, bool), np.zeros((*shape, len(samples.outlines), 2), np.float32)
+        surface = surface.all_changed()
+        out = np.zeros((*light.irradiance.shape, 2), np.float32)
     else:
-        changed, out = surface.changed, reference.copy()
-    shares, scale = interface_shares(roughness)
-    _gloss(
-        surface.positions_mm,
-        surface.normals,
-        changed,
-        surface.height_mm,
-        np.float32(lattice.x0_mm),
-        np.float32(lattice.y0_mm),
-        np.float32(lattice.spacing_mm),
-        samples.strips,
-        samples.first_strip,
-        samples.nodes,
-        samples.outlines,
-        np.float32(detail.march_step_mm),
-        np.asarray(camera_mm, np.float32),
-        light.irradiance,
-        light.visible,
-        shares,
-        np.float32(scale),
-        np.float32(roughness),
-        np.float32(REFRACTIVE_INDEX),
-        smooth_stride(lattice.spacing_mm),
-        out,
-    )
+        out = reference.copy()
+    coat = rough_plastic(roughness)
+    coat = coat._replace(base_scale=np.float32(coat.base_scale))  # all in single precision, for speed
+    step_mm, stride = np.float32(detail.march_step_mm), smooth_stride(surface.grid.spacing_mm)
+    _gloss(surface, light, np.asarray(camera_mm, np.float32), coat, leds, step_mm, stride, out)
     return out

@@ -31,7 +31,7 @@ _SRGB_CODE = np.round(255 * srgb_encode(np.arange(_LINEAR_LEVELS) / (_LINEAR_LEV
 
 
 @numba.njit(cache=True, fastmath=True)
-def gather(geometry, values, x0, y0, inverse_spacing, out):
+def gather(geometry, values, grid, out):
     """Interpolate (rows, columns, 3) values at each pixel's rest coordinates; 0 where no membrane is."""
     height, width, _ = geometry.shape
     rows, columns, _ = values.shape
@@ -40,8 +40,8 @@ def gather(geometry, values, x0, y0, inverse_spacing, out):
     u_most, v_most = np.float32(columns - 1) - np.float32(1e-3), np.float32(rows - 1) - np.float32(1e-3)
     for j in range(height):
         for i in range(width):
-            u = min(max((geometry[j, i, 0] - x0) * inverse_spacing, zero), u_most)
-            v = min(max((geometry[j, i, 1] - y0) * inverse_spacing, zero), v_most)
+            u = min(max((geometry[j, i, 0] - grid.x0_mm) * grid.cells_per_mm, zero), u_most)
+            v = min(max((geometry[j, i, 1] - grid.y0_mm) * grid.cells_per_mm, zero), v_most)
             a, b = np.int64(u), np.int64(v)
             fu, fv = u - np.float32(a), v - np.float32(b)
             there = geometry[j, i, 3]

@@ -1,6 +1,7 @@
 """The regular rest grid of the membrane, and bringing any state's grid onto it."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,15 @@ from gelgap.render.camera import Camera
 STATE_HALF_EXTENT_MM = (7.0, 5.5)
 MARGIN_MM = 1.0
 TAPER_MM = 3.0
+
+
+class Grid(NamedTuple):
+    """Where a lattice's first point lies and how far apart its points are, as kernels take it: float32."""
+
+    x0_mm: np.float32
+    y0_mm: np.float32
+    spacing_mm: np.float32
+    cells_per_mm: np.float32
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,10 @@ class Lattice:
     @property
     def y_mm(self) -> np.ndarray:
         return self.y0_mm + self.spacing_mm * np.arange(self.rows)
+
+    @property
+    def grid(self) -> Grid:
+        return Grid(*np.float32([self.x0_mm, self.y0_mm, self.spacing_mm, 1 / self.spacing_mm]))
 
     def points_mm(self) -> np.ndarray:
         """Return (rows, columns, 2) rest coordinates."""

@@ -6,6 +6,7 @@ interface transmits, so that a picture can be checked against a path tracer with
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -13,6 +14,19 @@ import numpy as np
 REFRACTIVE_INDEX = 1.49 / 1.000277
 TABLE_SIZE = 64
 TERMS = 7
+
+
+class Plastic(NamedTuple):
+    """Rough plastic of one roughness as kernels take it.
+
+    The base reflects albedo/π × base_scale × (share transmitted in) × (share transmitted out). The transmitted share is
+    a polynomial in the cosine to the normal (TERMS coefficients, from c⁰).
+    """
+
+    roughness: np.float32  # Beckmann α
+    refractive_index: np.float32
+    transmission: np.ndarray  # (TERMS,)
+    base_scale: float
 
 
 def _fresnel(cosine: np.ndarray, eta: float) -> np.ndarray:
@@ -56,11 +70,10 @@ def _through_interface(cosine: float, roughness: float, eta: float) -> tuple[flo
 
 
 @lru_cache(maxsize=16)
-def interface_shares(roughness: float) -> tuple[np.ndarray, float]:
-    """Return the transmitted share as a polynomial in the cosine (TERMS coefficients, from c⁰), and the base's scale.
+def rough_plastic(roughness: float) -> Plastic:
+    """Return the rough plastic of a roughness (Beckmann α).
 
-    The base reflects albedo/π × scale × (share transmitted in) × (share transmitted out). The polynomial is fitted to
-    share × cosine, as it is used: within 5e-4 for a roughness of 0.1, 1e-4 from 0.2 on.
+    The transmission is fitted to share × cosine, as it is used: within 5e-4 for a roughness of 0.1, 1e-4 from 0.2 on.
     """
     cosines = np.maximum(np.linspace(0, 1, TABLE_SIZE), 1e-3)
     transmitted = np.array([_through_interface(c, roughness, REFRACTIVE_INDEX)[1] for c in cosines])
@@ -69,26 +82,31 @@ def interface_shares(roughness: float) -> tuple[np.ndarray, float]:
     # The mean over the table is how the path tracer integrates; a finer rule would make the base 1–2 % brighter.
     inside = np.array([_through_interface(c, roughness, 1 / REFRACTIVE_INDEX)[0] for c in cosines])
     internal = 2 * float((inside * cosines).mean())
-    return coefficients.astype(np.float32), 1 / ((1 - internal) * REFRACTIVE_INDEX**2)
+    return Plastic(
+        roughness=np.float32(roughness),
+        refractive_index=np.float32(REFRACTIVE_INDEX),
+        transmission=coefficients.astype(np.float32),
+        base_scale=1 / ((1 - internal) * REFRACTIVE_INDEX**2),
+    )
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
-def transmitted_share(cosine, coefficients):
-    """Return the share of light that the interface transmits."""
-    share = coefficients[TERMS - 1]
+def transmitted_share(cosine, coat):
+    """Return the share of light that the interface transmits at a cosine to the normal."""
+    share = coat.transmission[TERMS - 1]
     for k in range(TERMS - 2, -1, -1):
-        share = share * cosine + coefficients[k]
+        share = share * cosine + coat.transmission[k]
     return share
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
-def shadowing(cosine, roughness):
+def shadowing(cosine, coat):
     """Return `_smith_g1` without a branch, so that loops over it run in vector registers."""
     one = np.float32(1)
     positive = cosine if cosine > np.float32(1e-6) else np.float32(1e-6)
     sine2 = one - positive * positive
     sine2 = sine2 if sine2 > np.float32(1e-12) else np.float32(1e-12)
-    a = positive / (roughness * np.sqrt(sine2))
+    a = positive / (coat.roughness * np.sqrt(sine2))
     a = a if a < np.float32(1.6) else np.float32(1.6)
     share = (np.float32(3.535) * a + np.float32(2.181) * a * a) / (
         one + np.float32(2.276) * a + np.float32(2.577) * a * a
@@ -111,11 +129,12 @@ def _exp_minus(t):
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")
-def highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta):
+def highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, coat):
     """Return the interface's microfacet BRDF × cosine_in × 4 cosine_out; both cosines must be positive.
 
     Angles are those of both directions to the normal and to each other.
     """
+    eta = coat.refractive_index
     one, half, zero = np.float32(1), np.float32(0.5), np.float32(0)
     # |in + out|² = 2 (1 + in·out)
     length2 = np.float32(2) * (one + in_dot_out)
@@ -126,7 +145,7 @@ def highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta):
     facing2 = np.float32(0.25) * length2
     facing2 = facing2 if facing2 < one else one
     facing = np.sqrt(facing2)
-    rough2 = roughness * roughness
+    rough2 = coat.roughness * coat.roughness
     inverse = one / (tilt2 * rough2)
     distribution = _exp_minus((one - tilt2) * inverse) * inverse / (np.float32(np.pi) * tilt2)
     inside2 = one - (one - facing2) / (eta * eta)
@@ -134,4 +153,4 @@ def highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, roughness, eta):
     parallel = (facing - eta * inside) / (facing + eta * inside)
     perpendicular = (eta * facing - inside) / (eta * facing + inside)
     fresnel = half * (parallel * parallel + perpendicular * perpendicular)
-    return fresnel * distribution * shadowing(cosine_in, roughness) * shadowing_out
+    return fresnel * distribution * shadowing(cosine_in, coat) * shadowing_out

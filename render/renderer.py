@@ -6,14 +6,16 @@ from typing import Literal
 import numpy as np
 
 from gelgap.render import imaging
+from gelgap.render.displacement import Membrane
 from gelgap.render.gloss import gloss
 from gelgap.render.illumination import Illumination
+from gelgap.render.irradiance import Light, direct_light
 from gelgap.render.lattice import Lattice
+from gelgap.render.led_samples import ShadowDetail, led_samples
 from gelgap.render.markers import marker_rest_mm
 from gelgap.render.rasterizer import rasterizer_for
 from gelgap.render.sensor import Sensor
-from gelgap.render.shading import Light, ShadowDetail, direct_light, led_samples
-from gelgap.render.surface import Surface, displacement_on, shared_surface
+from gelgap.render.shaded_surface import Surface, shared_surface
 
 Quality = Literal["draft", "standard", "fine"]
 
@@ -83,7 +85,7 @@ class MembraneRenderer:
             )
         emitters = illumination.emitters(sensor.camera, self.linear_by_led_to_camera)
         self._shadows = settings.shadows
-        self._samples = led_samples(emitters, self._shadows)
+        self._leds = led_samples(emitters, self._shadows)
         coating = sensor.coating
         diffuse = self.linear_by_led_to_camera * np.asarray(coating.albedo) / np.pi
         self._lambert_to_linear = ((1 - coating.specular) * diffuse).astype(np.float32)
@@ -98,29 +100,28 @@ class MembraneRenderer:
         )
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
         flat = self._surface_on_lattice(self._flat, "reference")
-        light = direct_light(flat, self._samples, self._shadows, None)
+        light = direct_light(flat, self._leds, self._shadows, None)
         self._reference_irradiance = light.irradiance
         self._reference_gloss = self._gloss(flat, light, None) if coating.specular > 0 else None
 
     def _gloss(self, surface: Surface, light: Light, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
-        return gloss(surface, self._samples, self._shadows, light, camera_mm, roughness, reference)
+        return gloss(surface, self._leds, self._shadows, light, camera_mm, roughness, reference)
 
     def _radiance(self, surface: Surface) -> np.ndarray:
         """Return (rows, columns, 3) float32: linear camera RGB of every vertex of the shaded grid, without markers."""
-        light = direct_light(surface, self._samples, self._shadows, self._reference_irradiance)
+        light = direct_light(surface, self._leds, self._shadows, self._reference_irradiance)
         linear = light.irradiance @ self._lambert_to_linear
         if self._reference_gloss is not None:
             by_led = self._gloss(surface, light, self._reference_gloss)
             linear += by_led[..., 0] @ self._base_to_linear + by_led[..., 1] @ self._highlight_to_linear
         return linear
 
-    def _surface_on_lattice(self, displacement_mm: np.ndarray, frame_name: str) -> Surface:
-        return shared_surface(self.lattice, displacement_mm, frame_name)
+    def _surface_on_lattice(self, displacement_mm: np.ndarray, name: str) -> Surface:
+        return shared_surface(self.lattice, displacement_mm, name)
 
-    def _surface(self, x_mm, y_mm, displacement_mm, frame_name: str) -> Surface:
-        on_lattice = displacement_on(self.lattice, x_mm, y_mm, displacement_mm, frame_name)
-        return self._surface_on_lattice(on_lattice, frame_name)
+    def _surface(self, membrane: Membrane) -> Surface:
+        return self._surface_on_lattice(membrane.displacement_on(self.lattice), membrane.name)
 
     def _geometry(self, surface: Surface) -> np.ndarray:
         raster_lattice = self.lattice.every(2)
@@ -129,12 +130,8 @@ class MembraneRenderer:
 
     def _gather(self, geometry: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): float32 (rows, columns, 3) values of the shaded grid's vertices in each pixel."""
-        lattice = self.lattice
         out = np.empty((*geometry.shape[:2], 3), np.float32)
-        inverse_spacing = np.float32(1 / lattice.spacing_mm)
-        imaging.gather(
-            geometry, values, np.float32(lattice.x0_mm), np.float32(lattice.y0_mm), inverse_spacing, out
-        )
+        imaging.gather(geometry, values, self.lattice.grid, out)
         return out
 
     def _paint_markers(self, geometry: np.ndarray, linear: np.ndarray) -> None:
@@ -184,7 +181,7 @@ class MembraneRenderer:
         ValueError
             If the grid is not regular or the displacement has another shape, is not finite, or folds the membrane.
         """
-        return self._linear(self._surface(x_mm, y_mm, displacement_mm, frame_name), markers)
+        return self._linear(self._surface(Membrane(x_mm, y_mm, displacement_mm, frame_name)), markers)
 
     def picture(
         self,
@@ -208,14 +205,8 @@ class MembraneRenderer:
 
     def height_map_mm(self, x_mm, y_mm, displacement_mm, frame_name: str = "membrane") -> np.ndarray:
         """Return float32 (h, w): how far the membrane in each pixel stands towards the camera (−z), in mm."""
-        surface = self._surface(x_mm, y_mm, displacement_mm, frame_name)
+        surface = self._surface(Membrane(x_mm, y_mm, displacement_mm, frame_name))
         return -self._gather(self._geometry(surface), surface.positions_mm)[..., 2]
-
-    def normal_map(self, x_mm, y_mm, displacement_mm, frame_name: str = "membrane") -> np.ndarray:
-        """Return float32 (h, w, 3): the membrane's unit normal towards the camera in each pixel, sensor frame."""
-        surface = self._surface(x_mm, y_mm, displacement_mm, frame_name)
-        normals = self._gather(self._geometry(surface), surface.normals)
-        return normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6)
 
     def contact_mask(self, x_mm, y_mm, displacement_mm, contact, frame_name: str = "membrane") -> np.ndarray:
         """Return bool (h, w): pixels that see a part of the membrane in contact, given `contact` (ny, nx)."""
@@ -225,10 +216,10 @@ class MembraneRenderer:
                 f"{frame_name}: contact has shape {contact.shape}; the displacement asks for "
                 f"{np.shape(displacement_mm)[:2]}"
             )
-        surface = self._surface(x_mm, y_mm, displacement_mm, frame_name)
+        membrane = Membrane(x_mm, y_mm, displacement_mm, frame_name)
         as_field = np.repeat(contact.astype(np.float32)[..., None], 3, axis=2)
-        on_lattice = displacement_on(self.lattice, x_mm, y_mm, as_field, frame_name).astype(np.float32)
-        return self._gather(self._geometry(surface), on_lattice)[..., 0] > 0.5
+        on_lattice = membrane.field_on(self.lattice, as_field).astype(np.float32)
+        return self._gather(self._geometry(self._surface(membrane)), on_lattice)[..., 0] > 0.5
 
     def marker_px(self, x_mm, y_mm, displacement_mm, frame_name: str = "membrane") -> np.ndarray:
         """Return (rows, columns, 2): each dot's centre in the picture (pixel centres at +0.5); NaN: missing."""
@@ -238,7 +229,7 @@ class MembraneRenderer:
         if rest_mm.size == 0:
             return rest_mm
         lattice = self.lattice
-        on_lattice = displacement_on(lattice, x_mm, y_mm, displacement_mm, frame_name)
+        on_lattice = Membrane(x_mm, y_mm, displacement_mm, frame_name).displacement_on(lattice)
         cells = (rest_mm - (lattice.x0_mm, lattice.y0_mm)) / lattice.spacing_mm
         at = np.nan_to_num(cells[..., ::-1]).transpose(2, 0, 1)
         moved = np.stack(

@@ -3,30 +3,29 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from gelgap.assets import load_preset
+from gelgap.assets.settings import Settings
+from gelgap.assets.toml_file import read_toml, toml_text
+from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
-from gelgap.render.illumination import Illumination, read_toml
+from gelgap.render.illumination import Illumination
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]
 
 
-class Coating(BaseModel):
+class Coating(Settings):
     """The reflecting coat on the membrane: (1 − specular) Lambertian + specular × rough plastic, of equal albedo."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     albedo: Rgb = Field((0.5, 0.5, 0.5), description="diffuse reflectance, camera RGB")
     specular: Reflectance = Field(0.0, description="weight of the rough-plastic part")
     roughness: float = Field(0.3, ge=0.1, le=0.8, description="Beckmann α of the rough-plastic part")
 
 
-class Markers(BaseModel):
+class Markers(Settings):
     """Printed dots, given in rest coordinates, so that they move and stretch with the membrane."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     layout: Literal["grid", "none"] = "grid"
     columns: int = Field(11, ge=1, le=200)
@@ -39,10 +38,8 @@ class Markers(BaseModel):
     seed: int = Field(0, ge=0, description="of jitter and missing dots")
 
 
-class Sensor(BaseModel):
+class Sensor(Settings):
     """Everything about a sensor but its gel."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: str = ""
     description: str = ""
@@ -62,3 +59,25 @@ class Sensor(BaseModel):
     def load(cls, path: str | Path) -> "Sensor":
         """Read a sensor TOML file."""
         return cls(**{"name": Path(path).stem, **read_toml(path)})
+
+
+def save_sensor(sensor: Sensor, path: str | Path) -> None:
+    """Write a sensor TOML that `Sensor.load` reads back, numbers to 9 decimals.
+
+    Raises
+    ------
+    RuntimeError
+        If the file cannot be written.
+    """
+    write_whole(Path(path), toml_text(_rounded(sensor.model_dump(exclude_none=True))).encode())
+
+
+def _rounded(value: object) -> object:
+    match value:
+        case dict():
+            return {key: _rounded(item) for key, item in value.items()}
+        case tuple():
+            return [_rounded(item) for item in value]
+        case float():
+            return round(value, 9)
+    return value

@@ -4,25 +4,23 @@ from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from gelgap.assets.settings import Settings
 
 FIRST_NM, LAST_NM = 380, 780
 VISIBLE_NM = (400.0, 700.0)
 Channel = Annotated[float, Field(ge=0, le=100)]
 
 
-class _Spectrum(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class PeakSpectrum(_Spectrum):
+class PeakSpectrum(Settings):
     """A Gaussian line, as a coloured LED's data sheet gives it."""
 
     peak_nm: float = Field(ge=FIRST_NM, le=LAST_NM, description="wavelength of the peak, nm")
     width_nm: float = Field(gt=1, le=200, description="full width at half maximum, nm")
 
 
-class TableSpectrum(_Spectrum):
+class TableSpectrum(Settings):
     """A measured spectrum; between its wavelengths it is interpolated linearly, outside it is 0."""
 
     wavelength_nm: tuple[float, ...] = Field(min_length=2, description="increasing wavelengths, nm")
@@ -43,13 +41,13 @@ class TableSpectrum(_Spectrum):
         return self
 
 
-class RgbSpectrum(_Spectrum):
+class RgbSpectrum(Settings):
     """A colour given directly as linear camera RGB at drive 1; no spectrum is computed."""
 
     rgb: tuple[Channel, Channel, Channel] = Field(description="linear camera RGB")
 
 
-class WhiteSpectrum(_Spectrum):
+class WhiteSpectrum(Settings):
     """White light of a correlated colour temperature: a Planckian radiator within the visible range."""
 
     cct_k: float = Field(ge=1500, le=20000, description="correlated colour temperature, kelvin")

@@ -1,22 +1,22 @@
 """Seeded draws around a sensor and its LEDs: what differs between two copies of one design, and as a gel ages."""
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from gelgap.render.illumination import Illumination, Led
+from gelgap.assets.settings import Settings
+from gelgap.render.illumination import Illumination
+from gelgap.render.led import Led
 from gelgap.render.sensor import Sensor
 from gelgap.render.spectrum import PeakSpectrum, Spectrum, WhiteSpectrum
 
 
-class Variation(BaseModel):
+class Variation(Settings):
     """How much to vary. Spreads are standard deviations of normal draws cut at two; 0 leaves a property alone.
 
     `yellowing` is what can be said of an ageing gel without inventing scratches: silicone loses blue, then green, on
     the way to the coat and back. The share of blue that is lost is drawn evenly between 0 and this value; green loses
     a third of it.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     led_position_mm: float = Field(0.3, ge=0, le=5, description="along each axis")
     led_angle_deg: float = Field(3.0, ge=0, le=45, description="tilt of the facing about each axis")
@@ -63,8 +63,7 @@ def _varied_led(led: Led, variation: Variation, draws: _Draws) -> Led:
         update={"facing": tuple(facing.tolist()), "position_mm": tuple(position_mm.tolist())}
     )
     # A draw must not push an LED through the membrane.
-    lowest_mm = position_mm[2] + np.abs(changed.half_axes_mm()[:, 2]).sum()
-    position_mm[2] -= max(lowest_mm + 0.05, 0)
+    position_mm[2] -= max(changed.highest_z_mm() + 0.05, 0)
     return Led(
         **{
             **led.model_dump(),

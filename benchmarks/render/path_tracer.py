@@ -3,19 +3,20 @@
 `python -m gelgap.benchmarks.render.path_tracer` renders the small pictures of `assets/reference/render` anew.
 """
 
+from pathlib import Path
+
 import numpy as np
 
 from gelgap.assets import asset_path
-from gelgap.benchmarks.render.scenes import STORED_SCENES, STORED_SIZE_PX, Membrane, RenderScene
+from gelgap.benchmarks.render.scenes import STORED_SCENES, RenderScene, triangle_mesh
 from gelgap.render import Coating, Emitter
 
 STORED_SAMPLES = 1024
+STORED_SIZE_PX = (128, 96)
 
 
-def trace(
-    scene: RenderScene, size_px: tuple[int, int], samples_per_pixel: int, seed: int = 0, max_depth: int = -1
-) -> np.ndarray:
-    """Return the float32 (h, w, 3) linear picture of a scene, with interreflection unless `max_depth` is 2.
+def trace(scene: RenderScene, size_px: tuple[int, int], samples_per_pixel: int, seed: int = 0) -> np.ndarray:
+    """Return the float32 (h, w, 3) linear picture of a scene, with interreflection.
 
     Raises
     ------
@@ -29,13 +30,12 @@ def trace(
             "the path tracer needs Mitsuba 3; install it with: pip install 'gelgap[benchmark]'"
         ) from error
     mi.set_variant("scalar_rgb")
-    sensor, light = scene.sensor(), scene.light()
-    camera = sensor.camera
+    camera, light = scene.sensor().camera, scene.light()
     x, y, _ = camera.position_mm
     description = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": max_depth},
-        "membrane": _mesh(mi, scene.membrane(), sensor.coating),
+        "integrator": {"type": "path"},
+        "membrane": _mesh(mi, scene),
         "sensor": {
             "type": "perspective",
             "fov": camera.horizontal_field_of_view_deg,
@@ -45,14 +45,7 @@ def trace(
             "to_world": mi.ScalarTransform4f().look_at(
                 origin=list(camera.position_mm), target=[x, y, 0], up=[0, -1, 0]
             ),
-            "film": {
-                "type": "hdrfilm",
-                "width": size_px[0],
-                "height": size_px[1],
-                "rfilter": {"type": "box"},
-                "pixel_format": "rgb",
-                "component_format": "float32",
-            },
+            "film": {"type": "hdrfilm", "width": size_px[0], "height": size_px[1], **_FILM},
             "sampler": {"type": "multijitter", "sample_count": samples_per_pixel, "seed": seed},
         },
     }
@@ -61,17 +54,16 @@ def trace(
     return np.array(mi.render(mi.load_dict(description), spp=samples_per_pixel, seed=seed))
 
 
-def _mesh(mi, membrane: Membrane, coating: Coating):
-    x, y, displacement = membrane
-    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1) + displacement
+_FILM = {"rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"}
+
+
+def _mesh(mi, scene: RenderScene):
+    points, faces = triangle_mesh(scene.membrane())
     normals = -np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    index = np.arange(len(y) * len(x)).reshape(len(y), len(x))
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)])
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(_bsdf(coating))
-    mesh = mi.Mesh("membrane", index.size, len(faces), has_vertex_normals=True, props=properties)
+    properties["bsdf"] = mi.load_dict(_bsdf(scene.sensor().coating))
+    mesh = mi.Mesh("membrane", points[..., 0].size, len(faces), has_vertex_normals=True, props=properties)
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = points.reshape(-1).astype(np.float32)
     parameters["vertex_normals"] = normals.reshape(-1).astype(np.float32)
@@ -112,18 +104,20 @@ def _emitter(mi, emitter: Emitter) -> dict:
 
 def stored_reference(scene: RenderScene) -> np.ndarray:
     """Return the float32 (h, w, 3) linear picture of a scene that ships with the package."""
-    with np.load(asset_path("reference", "render", scene.file)) as file:
+    with np.load(_stored_file(scene)) as file:
         return file["linear"].astype(np.float32)
 
 
 def store_references() -> None:
     """Render every stored scene, as half-precision floats."""
-    folder = asset_path("reference", "render")
-    folder.mkdir(parents=True, exist_ok=True)
     for scene in STORED_SCENES:
         linear = trace(scene, STORED_SIZE_PX, STORED_SAMPLES)
-        np.savez_compressed(folder / scene.file, linear=linear.astype(np.float16))
-        print(f"wrote {folder / scene.file}")
+        np.savez_compressed(_stored_file(scene), linear=linear.astype(np.float16))
+        print(f"wrote {_stored_file(scene)}")
+
+
+def _stored_file(scene: RenderScene) -> Path:
+    return asset_path("reference", "render", scene.name.replace(" ", "_") + ".npz")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ import numpy as np
 
 from gelgap.render import Coating, Illumination, Sensor, Variation, vary_illumination, vary_sensor
 
-SPHERE_RADIUS_MM = 1.5
 Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -16,18 +15,28 @@ def sphere_dent(
     point_mm: tuple[float, float] = (0.0, 0.0),
     half_extent_mm: tuple[float, float] = (7.0, 5.5),
     spacing_mm: float = 0.1,
+    radius_mm: float = 1.5,
 ) -> Membrane:
     """Return x_mm, y_mm, displacement_mm: a spherical cap with an exponential flank, dragged by a smooth field."""
     x, y = (np.linspace(-half, half, round(2 * half / spacing_mm) + 1) for half in half_extent_mm)
     r = np.hypot(*np.meshgrid(x - point_mm[0], y - point_mm[1]))
-    contact = min(np.sqrt(depth_mm * SPHERE_RADIUS_MM), 0.9 * SPHERE_RADIUS_MM)
-    rim = np.sqrt(SPHERE_RADIUS_MM**2 - contact**2)
-    rim_depth = depth_mm - SPHERE_RADIUS_MM + rim
+    contact = min(np.sqrt(depth_mm * radius_mm), 0.9 * radius_mm)
+    rim = np.sqrt(radius_mm**2 - contact**2)
+    rim_depth = depth_mm - radius_mm + rim
     decay = contact / rim / rim_depth
-    cap = depth_mm - SPHERE_RADIUS_MM + np.sqrt(np.maximum(SPHERE_RADIUS_MM**2 - r**2, 0))
+    cap = depth_mm - radius_mm + np.sqrt(np.maximum(radius_mm**2 - r**2, 0))
     depth = np.where(r <= contact, cap, rim_depth * np.exp(-decay * np.maximum(r - contact, 0)))
     drag = np.exp(-((r / 1.8) ** 2))
     return x, y, np.stack([shear_mm[0] * drag, shear_mm[1] * drag, -depth], axis=-1)
+
+
+def triangle_mesh(membrane: Membrane) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points (ny, nx, 3) of a membrane in mm and the corners (triangles, 3) of its faces."""
+    x, y, displacement = membrane
+    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1) + displacement
+    index = np.arange(len(y) * len(x)).reshape(len(y), len(x))
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    return points, np.stack([a, c, b, a, d, c], axis=-1).reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -47,16 +56,17 @@ class RenderScene:
 
     @property
     def name(self) -> str:
-        place = f" at {self.point_mm[0]:.1f} {self.point_mm[1]:.1f}" if any(self.point_mm) else ""
-        shear = f" shear {np.hypot(*self.shear_mm):.1f}" if any(self.shear_mm) else ""
-        gloss = f" gloss {self.roughness}" if self.roughness else ""
-        drawn = "" if self.drawn is None else f" drawn {self.drawn}"
-        lit = self.sensor_name if self.illumination == "own" else self.illumination
-        return f"{lit} d {self.depth_mm:g}{shear}{place}{gloss}{drawn}"
-
-    @property
-    def file(self) -> str:
-        return self.name.replace(" ", "_") + ".npz"
+        """The scene in words; also the name of its stored picture."""
+        words = [self.sensor_name if self.illumination == "own" else self.illumination, f"d {self.depth_mm}"]
+        if any(self.shear_mm):
+            words.append(f"shear {np.hypot(*self.shear_mm):.1f}")
+        if any(self.point_mm):
+            words.append(f"at {self.point_mm[0]:.1f} {self.point_mm[1]:.1f}")
+        if self.roughness is not None:
+            words.append(f"gloss {self.roughness}")
+        if self.drawn is not None:
+            words.append(f"drawn {self.drawn}")
+        return " ".join(words)
 
     @property
     def matt(self) -> bool:
@@ -105,21 +115,23 @@ def drawn_scene(seed: int) -> RenderScene:
     )
 
 
-MATT_SCENES = tuple(
-    RenderScene(light, depth, shear)
-    for light in ("i0", "i1", "i2")
-    for depth in (0.2, 0.6, 1.0)
-    for shear in ((0.0, 0.0), (0.5 * depth, 0.2 * depth))
-)
-GLOSSY_SCENES = (
+OWN_LIT_SENSORS = ("gelsight-mini-like", "digit-like", "gelsight-2014-like")
+GLOSSY_SCENE = RenderScene("i1", 1.0, (0.4, 0.0), roughness=0.3)
+ALL_SCENES = (
+    *(
+        RenderScene(light, depth, shear)
+        for light in ("i0", "i1", "i2")
+        for depth in (0.2, 0.6, 1.0)
+        for shear in ((0.0, 0.0), (0.5 * depth, 0.2 * depth))
+    ),
     RenderScene("i0", 0.6, roughness=0.2),
-    RenderScene("i1", 1.0, (0.4, 0.0), roughness=0.3),
+    GLOSSY_SCENE,
     RenderScene("i2", 0.6, roughness=0.4),
-)
-DRAWN_SCENES = tuple(drawn_scene(seed) for seed in range(9))
-SENSOR_SCENES = tuple(
-    RenderScene("own", 0.7, (0.3, 0.1), point_mm=(1.5, -1.0), sensor_name=name)
-    for name in ("gelsight-mini-like", "digit-like", "gelsight-2014-like")
+    *(drawn_scene(seed) for seed in range(9)),
+    *(
+        RenderScene("own", 0.7, (0.3, 0.1), point_mm=(1.5, -1.0), sensor_name=name)
+        for name in OWN_LIT_SENSORS
+    ),
 )
 # Kept as small pictures in assets/reference/render, so that a check needs no path tracer.
 STORED_SCENES = (
@@ -129,6 +141,5 @@ STORED_SCENES = (
     RenderScene("i1", 1.0),
     RenderScene("i2", 0.6, (0.3, 0.12)),
     RenderScene("i2", 1.0, (0.5, 0.2)),
-    GLOSSY_SCENES[1],
+    GLOSSY_SCENE,
 )
-STORED_SIZE_PX = (128, 96)

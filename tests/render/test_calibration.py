@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from gelgap.render.calibration import PressPicture, calibrate, find_contact_mm, save_sensor
+from gelgap.render.calibration import calibrate
+from gelgap.render.contact_pixels import PressPicture, find_contact_mm
 from gelgap.render.illumination import Illumination
 from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.sensor import Coating, Sensor
+from gelgap.render.sensor import Coating, Sensor, save_sensor
 
 DEPTH_MM = 0.9
 

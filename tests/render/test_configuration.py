@@ -7,13 +7,15 @@ from hypothesis import strategies as st
 
 from gelgap.assets import list_presets
 from gelgap.render.camera import Camera
-from gelgap.render.gap import picture_gap, reference_gap
-from gelgap.render.illumination import Illumination, Led
+from gelgap.render.colour_difference import picture_gap, reference_gap
+from gelgap.render.illumination import Illumination
+from gelgap.render.irradiance import direct_light
+from gelgap.render.led import Led
 from gelgap.render.led_cache import cached_camera_rgb, clear_led_cache
+from gelgap.render.led_samples import ShadowDetail, led_samples
 from gelgap.render.markers import marker_rest_mm
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor
-from gelgap.render.shading import ShadowDetail, direct_light, led_samples
 from gelgap.render.spectrum import PeakSpectrum, RgbSpectrum, TableSpectrum, WhiteSpectrum, camera_rgb
 from gelgap.render.variation import Variation, vary_illumination, vary_sensor
 

@@ -1,0 +1,112 @@
+"""A membrane as a caller gives it: checked, and brought onto the renderer's lattice."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from gelgap.render.lattice import TAPER_MM, Lattice
+
+UNIFORM_TOLERANCE_MM = 1e-4
+
+
+@dataclass(frozen=True)
+class Membrane:
+    """The displacement of the outer membrane on a regular rest grid; pressing moves to −z.
+
+    Raises
+    ------
+    ValueError
+        With the membrane's name, if the grid is not regular, shapes do not match or a value is not finite.
+    """
+
+    x_mm: np.ndarray  # (nx,)
+    y_mm: np.ndarray  # (ny,)
+    displacement_mm: np.ndarray  # (ny, nx, 3)
+    name: str = "membrane"
+
+    def __post_init__(self) -> None:
+        shape, expected = np.shape(self.displacement_mm), (len(self.y_mm), len(self.x_mm), 3)
+        if shape != expected:
+            raise ValueError(
+                f"{self.name}: displacement_mm has shape {shape}; x_mm and y_mm ask for {expected}"
+            )
+        self._check_axis("x_mm", self.x_mm)
+        self._check_axis("y_mm", self.y_mm)
+        bad = np.count_nonzero(~np.isfinite(self.displacement_mm))
+        if bad:
+            raise ValueError(f"{self.name}: displacement_mm has {bad} values that are not finite")
+
+    def _check_axis(self, axis: str, values_mm: np.ndarray) -> None:
+        values_mm = np.asarray(values_mm, float)
+        if values_mm.ndim != 1 or len(values_mm) < 4:
+            raise ValueError(
+                f"{self.name}: {axis} must be a vector of at least 4 values, not of shape {values_mm.shape}"
+            )
+        _, spacing_mm = _start_and_spacing(values_mm)
+        steps_mm = np.diff(values_mm)
+        uneven = np.abs(steps_mm - spacing_mm).max() > UNIFORM_TOLERANCE_MM
+        if not np.isfinite(spacing_mm) or spacing_mm <= 0 or uneven:
+            raise ValueError(f"{self.name}: {axis} must increase in equal steps")
+
+    def displacement_on(self, lattice: Lattice) -> np.ndarray:
+        """Return the (rows, columns, 3) displacement on the lattice's points."""
+        return self.field_on(lattice, np.asarray(self.displacement_mm))
+
+    def field_on(self, lattice: Lattice, field: np.ndarray) -> np.ndarray:
+        """Return a (ny, nx, 3) field of the membrane on the lattice's points; the same grid is passed through."""
+        x, y = _start_and_spacing(self.x_mm), _start_and_spacing(self.y_mm)
+        same = (
+            field.shape[:2] == (lattice.rows, lattice.columns)
+            and np.allclose([x[0], y[0]], [lattice.x0_mm, lattice.y0_mm], atol=UNIFORM_TOLERANCE_MM)
+            and np.allclose([x[1], y[1]], lattice.spacing_mm, rtol=1e-6)
+        )
+        if same:
+            return field
+        return _resample(field.astype(float), x, y, lattice.x_mm, lattice.y_mm, TAPER_MM)
+
+
+def _start_and_spacing(axis_mm: np.ndarray) -> tuple[float, float]:
+    first_mm, last_mm = float(axis_mm[0]), float(axis_mm[-1])
+    return first_mm, (last_mm - first_mm) / (len(axis_mm) - 1)
+
+
+@numba.njit(cache=True)
+def _cubic_weights(t):
+    return (
+        -0.5 * t + t * t - 0.5 * t * t * t,
+        1 - 2.5 * t * t + 1.5 * t * t * t,
+        0.5 * t + 2 * t * t - 1.5 * t * t * t,
+        -0.5 * t * t + 0.5 * t * t * t,
+    )
+
+
+@numba.njit(cache=True)
+def _resample(field, x_axis, y_axis, x_mm, y_mm, taper_mm):
+    """Catmull-Rom interpolation of a (rows, columns, 3) field; beyond its edge it fades linearly to 0.
+
+    An axis of the field is (first value, spacing); x_mm and y_mm are the axes of the result.
+    """
+    rows, columns, channels = field.shape
+    (x0, dx), (y0, dy) = x_axis, y_axis
+    out = np.empty((len(y_mm), len(x_mm), channels))
+    for jo in range(len(y_mm)):
+        v = (y_mm[jo] - y0) / dy
+        inside_v = min(max(v, 0.0), rows - 1.0)
+        j = min(int(inside_v), rows - 2)
+        wv = _cubic_weights(inside_v - j)
+        for io in range(len(x_mm)):
+            u = (x_mm[io] - x0) / dx
+            inside_u = min(max(u, 0.0), columns - 1.0)
+            i = min(int(inside_u), columns - 2)
+            wu = _cubic_weights(inside_u - i)
+            beyond_mm = max(abs(u - inside_u) * dx, abs(v - inside_v) * dy)
+            fade = max(0.0, 1 - beyond_mm / taper_mm)
+            for k in range(channels):
+                total = 0.0
+                for b in range(4):
+                    jj = min(max(j + b - 1, 0), rows - 1)
+                    for a in range(4):
+                        total += wv[b] * wu[a] * field[jj, min(max(i + a - 1, 0), columns - 1), k]
+                out[jo, io, k] = fade * total
+    return out
