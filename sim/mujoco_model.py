@@ -23,7 +23,7 @@ _PLANE_INERTIA_T = 1e12
 _INVWEIGHT_SCALE = 1e-3
 # Vertices this near the indenter are constrained not to enter it.
 _CONTACT_MARGIN_MM = 0.2
-# Vertices up to this far beside the indenter's way can touch it, since the gel bulges.
+# Vertices up to this far outside of what the indenter passes over can touch it, since the gel bulges.
 _TOUCHING_MARGIN_MM = 0.4
 _CONTACT = 'solref="1e-3 1" solimp="0.9999 0.9999 0.001 0.5 2"'
 

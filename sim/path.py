@@ -26,7 +26,7 @@ class Pose:
 
     `contact_class` is 0 for the reference without contact, 1 + 72·depth index + 12·radius index + angle index on the
     paper's grid, and `NO_CLASS` elsewhere. Poses of one `trajectory` are visited in their order, each in a straight
-    line from the one before, with the friction of the whole way.
+    line from the one before, so that friction depends on all that came before.
     """
 
     depth_mm: float

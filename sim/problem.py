@@ -43,7 +43,7 @@ class ContactProblem:
 
     @property
     def symmetric(self) -> bool:
-        """Whether indenter, gel and waypoints are symmetric to y = 0, so that only y ≥ 0 is solved."""
+        """Whether indenter, gel and waypoints are symmetric about y = 0, so that only y ≥ 0 is solved."""
         _, _, y_min, y_max = self.pad_mm or (0.0, 0.0, 0.0, 0.0)
         straight = y_max == -y_min and all(y == 0 for _, y, _ in self.waypoints_mm)
         return straight and self.indenter.symmetry is not Symmetry.NONE

@@ -1,4 +1,4 @@
-"""When a load step, an equilibrium and a contact count as what: the thresholds of the quasi-static solution."""
+"""The thresholds of the quasi-static solution, and the reasons for them."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class Thresholds:
     """Numbers that decide how the iteration goes on and what is called converged; shares have no unit."""
 
-    # The first load step onto the gel, where every vertex in touch is new, begins with these shares of itself.
+    # The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
     first_contact_shares: tuple[float, float] = (0.2, 0.5)
     # A load step that takes longer, or in which a vertex runs away, is taken back and done in two halves; a half is
     # left as it is after its number of iterations.
@@ -30,8 +30,8 @@ class Thresholds:
     snapped_load_share: float = 0.25
     # A vertex sticks if its friction is below this share of Coulomb's bound.
     sticking_share: float = 0.99
-    # A state is converged only if the audit's residual, imbalance and tension are below the first, and its Coulomb
-    # excess at most the second; that many iterations more are spent on a settled state to get there.
+    # A state is converged only if the audit's residual, imbalance and tension are below `largest_error` and its Coulomb
+    # excess is at most `largest_coulomb_excess`; a settled state gets up to `polishing_iterations` more to get there.
     largest_error: float = 1e-2
     largest_coulomb_excess: float = 1e-3
     polishing_iterations: int = 40

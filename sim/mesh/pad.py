@@ -42,7 +42,7 @@ def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symm
     """Mesh the part of the pad that lies within a disc around the contact axis.
 
     `layers_mm` are the z of the layers from 0 down; `pad_mm` is (x min, x max, y min, y max), on whose edges the axis
-    may lie, or None for a pad without edges. Of a scene that is symmetric to y = 0, only y ≥ 0 is meshed.
+    may lie, or None for a pad without edges. If the scene is `symmetric` about y = 0, only y ≥ 0 is meshed.
     """
     plane, quads = half_disc(grid)
     plane, cells = (plane, list(quads)) if symmetric else mirrored(plane, quads)
