@@ -43,20 +43,20 @@ def _line(entry: "CacheEntry") -> str:
     head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {_age(entry.age_s)}"
     problem = entry.problem
     if problem is None:
-        return f"{head}  damaged"
+        return f"{head}  damaged, or of an older version"
     pad = "edges far"
     if problem.pad_mm is not None:
         x_min, x_max, y_min, y_max = problem.pad_mm
         at = 0.0 - (x_min + x_max) / 2, 0.0 - (y_min + y_max) / 2
         pad = f"at ({at[0]:g}, {at[1]:g}) of a pad of {x_max - x_min:g} × {y_max - y_min:g} mm"
     depths = [-z for _, _, z in problem.waypoints_mm]
-    mount = problem.mount_stiffness_n_per_mm
+    moduli, mount = problem.moduli, problem.mount_stiffness_n_per_mm
     parts = [
         problem.quality.name,
         f"{len(problem.waypoints_mm)} poses, deepest {max(depths):g} mm",
-        f"sphere {2 * problem.sphere_radius_mm:g} mm",
+        problem.indenter.label,
         f"gel {problem.thickness_mm:g} mm",
-        f"MuJoCo's E {problem.young_modulus_mpa:.4g} MPa, ν {problem.poisson_ratio:.4g}",
+        f"MuJoCo's E {moduli.young_modulus_mpa:.4g} MPa, ν {moduli.poisson_ratio:.4g}",
         f"friction {problem.friction:g}",
         *([] if mount is None else [f"mount {mount:g} N/mm"]),
         pad,

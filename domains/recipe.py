@@ -20,7 +20,7 @@ from gelgap.domains.dataset import PAPER_FORCE_RANGE_N
 from gelgap.domains.domain import OWN_LIGHT, Domain
 from gelgap.domains.folder import canonical_json
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
+from gelgap.sim import AnyIndenter, ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
 
 Interval = tuple[float, float]
 Side = Annotated[int, Field(ge=16, le=4096)]
@@ -36,7 +36,7 @@ class DomainRecipe(Settings):
         description="the domain's name, and its folder's", pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
     )
     elastomer: Elastomer
-    indenter: Sphere = Sphere()
+    indenter: AnyIndenter = Sphere()
     path: ContactPath | PosePath
     quality: QualityName = Field("standard", description="quality of the physics")
     sensor: Sensor

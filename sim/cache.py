@@ -1,25 +1,15 @@
-"""Solutions on disk, one file a key, safe for concurrent writers and for a crash."""
+"""Solutions on disk, one file per key, safe for concurrent writers and for a crash."""
 
-import pickle
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelgap.assets.user_cache import cache_folder
-from gelgap.assets.whole_file import write_whole
-from gelgap.sim.indentation import Solution
+from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 from gelgap.sim.problem import ContactProblem
+from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
 
-_DAMAGED = (
-    OSError,
-    pickle.UnpicklingError,
-    EOFError,
-    AttributeError,
-    ImportError,
-    IndexError,
-    TypeError,
-    ValueError,
-)
+_SUFFIX = ".solution"
 
 
 @dataclass(frozen=True)
@@ -49,20 +39,20 @@ def load_solution(key: str) -> Solution | None:
 
 
 def store_solution(solution: Solution) -> None:
-    """Write a solution under its problem's key."""
-    write_whole(_path(solution.problem.key), pickle.dumps(solution, protocol=5))
+    """Write a solution under its problem's key, or raise RuntimeError if the disk does not take it."""
+    write_whole(_path(solution.problem.key), solution_bytes(solution))
 
 
 def cache_use() -> CacheUse:
     """Count what the cache holds."""
-    files = list(cache_folder().glob("*.solution"))
+    files = list(cache_folder().glob(f"*{_SUFFIX}"))
     return CacheUse(cache_folder(), len(files), sum(file.stat().st_size for file in files))
 
 
 def cache_entries() -> tuple[CacheEntry, ...]:
     """Read what each cached file is, newest first."""
     entries = []
-    for file in cache_folder().glob("*.solution"):
+    for file in cache_folder().glob(f"*{_SUFFIX}"):
         try:
             about = file.stat()
         except FileNotFoundError:
@@ -77,20 +67,18 @@ def cache_entries() -> tuple[CacheEntry, ...]:
 def clear_cache() -> CacheUse:
     """Delete all cached solutions and return what there was."""
     use = cache_use()
-    for pattern in ("*.solution", "*.tmp"):
-        for file in cache_folder().glob(pattern):
+    for suffix in (_SUFFIX, TEMPORARY_SUFFIX):
+        for file in cache_folder().glob(f"*{suffix}"):
             file.unlink(missing_ok=True)
     return use
 
 
 def _path(key: str) -> Path:
-    return cache_folder() / f"{key}.solution"
+    return cache_folder() / f"{key}{_SUFFIX}"
 
 
 def _read(path: Path) -> Solution | None:
     try:
-        with path.open("rb") as file:
-            solution = pickle.load(file)
-    except _DAMAGED:
+        return solution_from_bytes(path.read_bytes())
+    except OSError:
         return None
-    return solution if isinstance(solution, Solution) else None

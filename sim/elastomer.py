@@ -6,6 +6,7 @@ from pydantic import Field
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings, within
+from gelgap.sim.material import Moduli, equivalent_moduli
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
 Length = Annotated[float, within(1.0, 100.0, "mm")]
@@ -54,3 +55,9 @@ class Elastomer(Settings):
         values = load_preset("elastomers", name)
         values.pop("description", None)
         return cls(**values)
+
+    @property
+    def mujoco_moduli(self) -> Moduli:
+        """The moduli with which MuJoCo's energy acts as this gel's."""
+        own = Moduli(self.young_modulus_mpa, self.poisson_ratio)
+        return equivalent_moduli(own) if self.strain_energy == "isochoric" else own

@@ -5,13 +5,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-# A series is taken for one if two steps are as parallel as this cosine, and the second not shorter than such a share.
-_PARALLEL = 0.9
+# Two steps belong to a series if the cosine of the angle between them is at least the first of these numbers, and the
+# second step is at least the second number times as long as the first.
+_PARALLEL_COSINE = 0.9
 _SMALLEST_RATIO = 0.3
-# Steps of a larger ratio go on for so long that their end is out of sight.
+# From this ratio of two steps on, the series' end is too uncertain: it is led on as far as is allowed.
 _LARGEST_RATIO = 0.95
-# So many extrapolations come at once, each further one takes a series longer by two.
-_PATIENCE = 2
+# This many extrapolations need a series of one pair of steps; each further one needs two pairs more.
+_QUICK_EXTRAPOLATIONS = 2
 
 
 class GeometricSeries:
@@ -23,11 +24,11 @@ class GeometricSeries:
         self._extrapolations = 0
 
     def remainder(self, step: NDArray[np.float64], dofs: NDArray[np.int64], furthest: float) -> float:
-        """Add a step (n,); return by how many times itself the iteration will still go on, 0 if that is not clear.
+        """Add a step (n,); return the sum of the steps still to come as a multiple of it, 0 while that is not clear.
 
-        Only `dofs` are looked at; none is to go on by more than `furthest`. The first of three steps does not count:
-        it answers the last extrapolation. An iteration that goes in circles from one extrapolation to the next needs
-        time to settle by itself, so each one but the first few asks for a longer series than the last did.
+        Only `dofs` are looked at, none of which shall go on by more than `furthest`. The first step after an
+        extrapolation answers the jump and belongs to no series. An iteration that goes in circles from one
+        extrapolation to the next needs time to settle by itself, so later ones wait for longer series.
         """
         last, self._last = self._last, np.array(step)
         if last is None:
@@ -35,9 +36,9 @@ class GeometricSeries:
         last, step = last[dofs], step[dofs]
         product = float(last @ step)
         ratio = product / max(float(last @ last), 1e-300)
-        parallel = product >= _PARALLEL * float(np.linalg.norm(last) * np.linalg.norm(step))
+        parallel = product >= _PARALLEL_COSINE * float(np.linalg.norm(last) * np.linalg.norm(step))
         self._pairs = self._pairs + 1 if parallel and ratio >= _SMALLEST_RATIO else 0
-        if self._pairs < max(1, 2 * (self._extrapolations - _PATIENCE)):
+        if self._pairs < max(1, 2 * (self._extrapolations - _QUICK_EXTRAPOLATIONS)):
             return 0.0
         self._last, self._pairs = None, -1
         self._extrapolations += 1

@@ -11,6 +11,10 @@ from numpy.typing import NDArray
 GRID_SPACING_MM = 0.1
 GRID_SIZE_MM = (14.0, 11.0)
 
+# The arrays of a saved state.
+_NEEDED = ("x_mm", "y_mm", "displacement_mm")
+_OPTIONAL = ("contact", "force_n", "contact_radius_mm", "converged")
+
 
 def grid_axes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the rest grid's axes: x_mm (141,) and y_mm (111,), centred on the sensor."""
@@ -24,12 +28,12 @@ def grid_axes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 class Diagnostics:
     """How a pose was solved, for labels and for trust.
 
-    `residual` is the largest out-of-balance nodal force over the indenter's force; `sticking_fraction` the share of
-    the normal force carried by nodes that stick; `slip_mm` the largest sideways slip of a contact node along the path
-    so far; `elastic_energy_mj` the energy stored in the gel, mJ; `min_volume_ratio` the smallest element's volume over
-    its rest volume. `imbalance` is the difference of the forces on indenter and backing over the indenter's;
-    `coulomb_excess` by how much, relative to friction, the worst contact node exceeds Coulomb's bound (negative if none
-    does); `tension` the largest pull on a contact node over the largest push.
+    `residual` is the largest force on a free vertex and `imbalance` the difference of the forces on indenter and
+    backing, both over the indenter's force; `coulomb_excess` the largest |f_t| / (μ f_n) − 1 over the contact's
+    vertices, −1 without friction; `tension` the largest pull on one of them over the largest push. `sticking_fraction`
+    is the share of the normal force carried by vertices that stick; `slip_mm` the largest sideways slip of a vertex on
+    the path so far; `elastic_energy_mj` the energy stored in the gel, mJ; `min_volume_ratio` the smallest element's
+    volume over its rest volume.
     """
 
     residual: float = 0.0
@@ -62,17 +66,9 @@ class MembraneState:
 
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
+        arrays = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
         with Path(path).open("wb") as file:
-            np.savez_compressed(
-                file,
-                x_mm=self.x_mm,
-                y_mm=self.y_mm,
-                displacement_mm=self.displacement_mm,
-                contact=self.contact,
-                force_n=self.force_n,
-                contact_radius_mm=self.contact_radius_mm,
-                converged=self.converged,
-            )
+            np.savez_compressed(file, **arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -93,22 +89,32 @@ class MembraneState:
                 arrays = dict(file)
         except (zipfile.BadZipFile, EOFError, OSError, TypeError, ValueError):
             raise ValueError(f"{path} is not an .npz file of arrays") from None
-        missing = [name for name in ("x_mm", "y_mm", "displacement_mm") if name not in arrays]
+        missing = [name for name in _NEEDED if name not in arrays]
         if missing:
             raise ValueError(
-                f"{path} lacks {', '.join(missing)}: a membrane state needs x_mm, y_mm, displacement_mm"
+                f"{path} lacks {', '.join(missing)}: a membrane state needs {', '.join(_NEEDED)}"
             )
-        shape = (len(arrays["y_mm"]), len(arrays["x_mm"]))
-        if arrays["displacement_mm"].shape != (*shape, 3):
+        x_mm, y_mm, displacement_mm = (arrays[name] for name in _NEEDED)
+        shape = (len(y_mm), len(x_mm))
+        if displacement_mm.shape != (*shape, 3):
             raise ValueError(
-                f"displacement_mm in {path} has shape {arrays['displacement_mm'].shape}: must be {(*shape, 3)}"
+                f"displacement_mm in {path} has shape {displacement_mm.shape}: must be {(*shape, 3)}"
             )
         return cls(
-            x_mm=arrays["x_mm"],
-            y_mm=arrays["y_mm"],
-            displacement_mm=arrays["displacement_mm"],
+            x_mm=x_mm,
+            y_mm=y_mm,
+            displacement_mm=displacement_mm,
             contact=arrays.get("contact", np.zeros(shape, dtype=bool)),
             force_n=arrays.get("force_n", np.zeros(3)),
             contact_radius_mm=float(arrays.get("contact_radius_mm", 0.0)),
             converged=bool(arrays.get("converged", True)),
         )
+
+
+def flat_state() -> MembraneState:
+    """Return the undeformed membrane, without contact."""
+    x_mm, y_mm = grid_axes()
+    shape = (len(y_mm), len(x_mm))
+    return MembraneState(
+        x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
+    )

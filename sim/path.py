@@ -1,14 +1,15 @@
 """Contact paths: the poses that the indenter visits, on the paper's grid, along trajectories, or at random."""
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, Self
 
 from gelgap.assets import load_preset
+from gelgap.assets.toml_file import read_toml
 
 # The paper's grid of contacts; any path that visits one of them gives it the paper's number.
 CLASS_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -25,7 +26,7 @@ class Pose:
 
     `contact_class` is 0 for the reference without contact, 1 + 72·depth index + 12·radius index + angle index on the
     paper's grid, and `NO_CLASS` elsewhere. Poses of one `trajectory` are visited in their order, each in a straight
-    line from the one before, and friction remembers the way.
+    line from the one before, so that friction depends on all that came before.
     """
 
     depth_mm: float
@@ -57,7 +58,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class ContactPath:
-    """Every combination of points, depths, radii and angles, and one reference without contact a point.
+    """Every combination of points, depths, radii and angles, and one reference without contact per point.
 
     The order is the paper's: point by point, the reference first, then depth by depth, and at one depth the circle of
     all angles before the next radius.
@@ -81,7 +82,7 @@ class ContactPath:
         """
         path = load_path(name)
         if not isinstance(path, cls):
-            raise ValueError(f"path preset {name!r} lists poses and is no grid: use load_path")
+            raise ValueError(f"path preset {name!r} is not a grid but a list of poses: use load_path")
         return path
 
     @cached_property
@@ -91,20 +92,17 @@ class ContactPath:
 
     def _poses_at(self, index: int, x_mm: float, y_mm: float) -> list[Pose]:
         place = {"point_x_mm": x_mm, "point_y_mm": y_mm, "point_id": _point_id(x_mm, y_mm, index)}
-        poses = [Pose(depth_mm=0.0, contact_class=0, **place)]
-        for depth in self.depths_mm:
-            for radius in self.radii_mm:
-                for angle in self.angles_deg:
-                    poses.append(
-                        Pose(
-                            depth_mm=depth,
-                            shear_x_mm=radius * _cosine(angle),
-                            shear_y_mm=radius * _cosine(angle - 90.0),
-                            contact_class=_contact_class(depth, radius, angle),
-                            **place,
-                        )
-                    )
-        return poses
+        contacts = product(self.depths_mm, self.radii_mm, self.angles_deg)
+        return [Pose(depth_mm=0.0, contact_class=0, **place)] + [
+            Pose(
+                depth_mm=depth,
+                shear_x_mm=radius * _cosine(angle),
+                shear_y_mm=radius * _cosine(angle - 90.0),
+                contact_class=_contact_class(depth, radius, angle),
+                **place,
+            )
+            for depth, radius, angle in contacts
+        ]
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ class PosePath:
         Raises
         ------
         ValueError
-            If a trajectory lacks waypoints, or something in it is no list of numbers of that length.
+            If a trajectory lacks waypoints, or one of its lists does not hold that many numbers.
         """
         points: dict[tuple[float, ...], int] = {}
         poses = []
@@ -161,12 +159,12 @@ class PosePath:
     ) -> Self:
         """Return a reference without contact and `number` poses drawn evenly from ranges, in any direction.
 
-        The same seed always gives the same poses. Every pose has a depth of its own and so a solve of its own.
+        The same seed always gives the same poses. Every pose has its own depth, and so its own solve.
 
         Raises
         ------
         ValueError
-            If the number is below 1, or a range is no pair that rises.
+            If the number is below 1, or a range is not a pair of rising numbers.
         """
         import numpy as np
 
@@ -189,12 +187,11 @@ class PosePath:
         drawn = np.round(rng.uniform([*low, 0.0], [*high, 360.0], (number, 5)), 6)
         poses = [Pose(depth_mm=0.0, contact_class=0, point_id=_point_id(math.nan, math.nan, 0))]
         for index, (x, y, depth, radius, angle) in enumerate(map(tuple, drawn.tolist())):
-            shear = round(radius * _cosine(angle), 9), round(radius * _cosine(angle - 90.0), 9)
             poses.append(
                 Pose(
                     depth_mm=depth,
-                    shear_x_mm=shear[0],
-                    shear_y_mm=shear[1],
+                    shear_x_mm=round(radius * _cosine(angle), 9),
+                    shear_y_mm=round(radius * _cosine(angle - 90.0), 9),
                     point_x_mm=x,
                     point_y_mm=y,
                     point_id=_point_id(x, y, index + 1),
@@ -217,14 +214,7 @@ def load_path(name: str) -> ContactPath | PosePath:
         If there is no such preset (the message lists the known ones), or the file does not describe a path.
     """
     if name.endswith(".toml"):
-        file = Path(name)
-        if not file.is_file():
-            raise FileNotFoundError(f"path file {name} does not exist")
-        try:
-            values = tomllib.loads(file.read_text(encoding="utf-8"))
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"path file {name} is no TOML: {error}") from None
-        name = file.stem
+        values, name = read_toml(name), Path(name).stem
     else:
         values = load_preset("paths", name)
     values.pop("description", None)
@@ -248,11 +238,11 @@ def load_path(name: str) -> ContactPath | PosePath:
 
 def _numbers(values: Any, length: int | None, what: str) -> tuple[float, ...]:
     """Return the values as floats, or raise ValueError if they are not `length` numbers (None: at least one)."""
-    sound = isinstance(values, (list, tuple)) and all(
+    numeric = isinstance(values, (list, tuple)) and all(
         isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
         for value in values
     )
-    if not sound or (len(values) != length if length is not None else not values):
+    if not numeric or (len(values) != length if length is not None else not values):
         raise ValueError(f"{what} = {values!r}: must be {'a list of' if length is None else length} numbers")
     return tuple(map(float, values))
 
@@ -261,21 +251,24 @@ def _cosine(angle_deg: float) -> float:
     return round(math.cos(math.radians(angle_deg)), 15)
 
 
-def _index(value: float, values: Sequence[float]) -> int | None:
-    return next((k for k, other in enumerate(values) if math.isclose(value, other, abs_tol=1e-9)), None)
-
-
 def _contact_class(depth_mm: float, radius_mm: float, angle_deg: float) -> int:
+    """Return the number of a contact on the grid, from 1 on, or `NO_CLASS` for one off it."""
     depth = _index(depth_mm, CLASS_DEPTHS_MM)
     radius = _index(radius_mm, CLASS_RADII_MM)
     angle = _index(angle_deg % 360.0, CLASS_ANGLES_DEG)
     if depth is None or radius is None or angle is None:
         return NO_CLASS
-    return 1 + 72 * depth + 12 * radius + angle
+    directions = len(CLASS_ANGLES_DEG)
+    return 1 + directions * len(CLASS_RADII_MM) * depth + directions * radius + angle
 
 
 def _point_id(x_mm: float, y_mm: float, index: int) -> int:
+    """Return the number of a contact point on the grid; others, in the order `index` of their path, come after it."""
     column, row = _index(x_mm, CLASS_POINTS_X_MM), _index(y_mm, CLASS_POINTS_Y_MM)
     if column is None or row is None:
         return len(CLASS_POINTS_X_MM) * len(CLASS_POINTS_Y_MM) + index
     return len(CLASS_POINTS_X_MM) * row + column
+
+
+def _index(value: float, values: Sequence[float]) -> int | None:
+    return next((k for k, known in enumerate(values) if math.isclose(value, known, abs_tol=1e-9)), None)

@@ -1,7 +1,7 @@
-"""Derive `equivalent_material` from locking-free presses of both energies, and check it elsewhere.
+"""Derive `equivalent_moduli` from locking-free presses of both energies, and check it elsewhere.
 
 `python -m gelgap.benchmarks.calibration.material` takes some ten minutes on one core and prints the coefficients
-that `sim/equivalent_material.py` holds, and the errors with and without them where they were not fitted.
+that `sim/material.py` holds, and the errors with and without them where they were not fitted.
 """
 
 import math
@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.fem.axisymmetric import Press, PressState, solve_press
-from gelgap.sim.equivalent_material import equivalent_material
+from gelgap.sim.material import Moduli, equivalent_moduli
 
 Floats = NDArray[np.float64]
 
@@ -188,9 +188,13 @@ def check(cases: tuple[CheckCase, ...] = CHECKS) -> None:
             element_mm=ELEMENT_MM * case.indenter_radius_mm / 1.5,
         )
         truth = respond(gel)
-        modulus, poisson_ratio = equivalent_material(gel.young_modulus_mpa, gel.poisson_ratio)
+        equivalent = equivalent_moduli(Moduli(gel.young_modulus_mpa, gel.poisson_ratio))
         same = replace(gel, energy="stable")
-        moved = replace(same, young_modulus_mpa=modulus, poisson_ratio=poisson_ratio)
+        moved = replace(
+            same,
+            young_modulus_mpa=equivalent.young_modulus_mpa,
+            poisson_ratio=equivalent.poisson_ratio,
+        )
         for moduli, problem in (("same", same), ("equivalent", moved)):
             errors = material_errors(respond(problem), truth)
             rows.append(

@@ -19,7 +19,7 @@ from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
 from gelgap.benchmarks.physics.reference import NO_SLIP_FRICTION
 from gelgap.benchmarks.physics.solve_jobs import Job, solve_jobs
 from gelgap.sim import Elastomer, Pose, Sharing, Sphere
-from gelgap.sim.mesh_stiffness import LARGEST_POISSON_RATIO, mesh_moduli
+from gelgap.sim.material import LARGEST_POISSON_RATIO, Moduli, mesh_moduli
 from gelgap.sim.quality import quality_named
 
 YOUNG_MPA = 0.3
@@ -94,7 +94,7 @@ def force_ratios(scenes: Sequence[PressScene], quality: str, mesh: str, processe
 
 
 def main() -> None:
-    """Print the factors by quality and ν that remain, and the check; both are 1 where `mesh_stiffness` is right."""
+    """Print the factors by quality and ν that remain, and the check; both are 1 where `mesh_moduli` is right."""
     parser = argparse.ArgumentParser(description="Calibrate the meshes' stiffness.")
     parser.add_argument("--quality", nargs="+", default=["draft", "standard"])
     parser.add_argument("--mesh", nargs="+", default=["disc"], choices=["disc", "pad"])
@@ -134,7 +134,10 @@ def coefficients(ratios: Sequence[np.ndarray], stiffness: tuple[float, float]) -
     """Fit 1 + a + b / (1 − 2ν) to the factors: ratios that remain times the stiffness taken out already."""
     slack = 1 - 2 * np.array([scene.poisson_ratio for scene in CALIBRATION])
     taken_out = np.array(
-        [YOUNG_MPA / mesh_moduli(YOUNG_MPA, s.poisson_ratio, stiffness)[0] for s in CALIBRATION]
+        [
+            YOUNG_MPA / mesh_moduli(Moduli(YOUNG_MPA, s.poisson_ratio), stiffness).young_modulus_mpa
+            for s in CALIBRATION
+        ]
     )
     factor = np.array([ratio.mean() for ratio in ratios]) * taken_out
     fitted = np.linalg.lstsq(np.stack([np.ones_like(slack), 1 / slack], axis=-1), factor - 1, rcond=None)[0]

@@ -15,9 +15,9 @@ from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.physics.accuracy import PressErrors, judge_press, press_job
 from gelgap.benchmarks.physics.reference import press_references
 from gelgap.benchmarks.physics.solve_jobs import Outcome, single_threaded
-from gelgap.sim.indentation import solve
+from gelgap.sim import PosePath, plan_solves
+from gelgap.sim.newton import solve
 from gelgap.sim.quality import QUALITIES, MeshSize
-from gelgap.sim.sharing import Placement, placed_state, visiting_problem
 
 CASES = ("nh49_no_slip", "nh49_frictionless", "nh499_no_slip")
 STANDARD = QUALITIES["standard"].disc
@@ -35,16 +35,13 @@ def press(case: str, size: MeshSize) -> PressErrors:
     """Solve a case of the tables with a mesh of that size, and judge it."""
     reference = press_references()[case]
     job = press_job(reference, "standard")
-    problem, frame, records = visiting_problem(
-        job.elastomer, job.indenter, job.poses, job.quality, job.sharing
-    )
+    path = PosePath(case, tuple(replace(pose, trajectory=0) for pose in job.poses))
+    plan = plan_solves(job.elastomer, job.indenter, path, job.quality, job.sharing)
+    problem = plan.solves[0].problem
     started = time.process_time()
     solution = solve(replace(problem, quality=replace(problem.quality, disc=size)))
     seconds = time.process_time() - started
-    states = tuple(
-        placed_state(job.elastomer, pose, Placement(0, record, frame), solution)
-        for pose, record in zip(job.poses, records, strict=True)
-    )
+    states = tuple(plan.state(index, solution) for index in range(len(job.poses)))
     return judge_press(Outcome(job, states, seconds, seconds, 0.0), reference)
 
 

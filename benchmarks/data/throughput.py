@@ -263,7 +263,7 @@ def _cost_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
 
     A solve is sampled on the shallowest problem, uncached; a frame alone takes the load steps of its own contact.
     """
-    from gelgap.sim.indentation import solve
+    from gelgap.sim.newton import solve
 
     problems = [solve.problem for solve in plan_generation(recipes).solves.values()]
     problem = min(problems, key=lambda problem: problem.depth_mm)

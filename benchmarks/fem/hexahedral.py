@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from gelgap.benchmarks.fem.disc_hexahedra import half_disc_hexahedra
 from gelgap.benchmarks.fem.tangent import solve_tangent
 from gelgap.benchmarks.fem.theory import bulk_modulus_mpa, shear_modulus_mpa
-from gelgap.sim.mesh import half_disc_hexahedra, layer_depths
+from gelgap.sim.mesh.pad import layer_heights_mm
+from gelgap.sim.mesh.plane import DiscGrid
 
 Floats = NDArray[np.float64]
 
@@ -94,11 +96,10 @@ class _Pad:
         below = max(problem.sphere_radius_mm - problem.depth_mm, 0.0)
         contact = math.sqrt(problem.sphere_radius_mm**2 - below**2)
         self.nodes, self.hexahedra = half_disc_hexahedra(
-            problem.pad_radius_mm,
-            1.15 * contact + furthest_mm,
-            problem.element_mm,
-            layer_depths(problem.thickness_mm, 0.75 * problem.element_mm, 1.25),
-            problem.sectors,
+            DiscGrid(
+                problem.pad_radius_mm, 1.15 * contact + furthest_mm, problem.element_mm, problem.sectors
+            ),
+            layer_heights_mm(problem.thickness_mm, 0.75 * problem.element_mm, 1.25),
         )
         self.surface = np.flatnonzero(self.nodes[:, 2] > -1e-9)
         self.area = _nodal_areas_mm2(self.nodes, self.hexahedra, self.surface)

@@ -4,7 +4,7 @@ import pytest
 
 from gelgap.assets import list_presets
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenter import Sphere
+from gelgap.sim.indenters.sphere import Sphere
 
 GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 

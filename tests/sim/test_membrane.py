@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim.membrane import MembraneState, grid_axes
-from gelgap.sim.sharing import flat_state
+from gelgap.sim.membrane import MembraneState, flat_state, grid_axes
 
 
 def test_the_grid_covers_the_footprint_and_its_margin() -> None:

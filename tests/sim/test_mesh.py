@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from gelgap.sim.elimination import _minimum_degree, elimination_order, factor_work
-from gelgap.sim.mesh import GelMesh, half_disc_mesh, layer_depths, ordered_for_elimination, pad_mesh
+from gelgap.sim.mesh.ordering import (
+    _minimum_degree,
+    elimination_order,
+    factor_work,
+    ordered_for_elimination,
+)
+from gelgap.sim.mesh.pad import GelMesh, layer_heights_mm, pad_mesh
+from gelgap.sim.mesh.plane import DiscGrid
 
-LAYERS = layer_depths(3.0, 0.3, 1.5)
+LAYERS = layer_heights_mm(3.0, 0.3, 1.5)
+GRID = DiscGrid(9.9, 2.5, 0.4, 8)
 PADS = {
     "centred": (-5.0, 5.0, -4.0, 4.0),
     "beside a corner": (-8.75, 1.25, -6.6, 1.4),
@@ -33,10 +40,10 @@ def _open_faces(mesh: GelMesh) -> np.ndarray:
 @pytest.mark.parametrize("name", PADS)
 def test_a_pad_is_filled_without_gaps(name: str) -> None:
     x_min, x_max, y_min, y_max = PADS[name]
-    mesh = pad_mesh(PADS[name], 9.9, 2.5, 0.4, LAYERS, 8, half=False)
+    mesh = pad_mesh(GRID, LAYERS, PADS[name], symmetric=False)
     volume = _volumes(mesh)
     assert volume.min() > 0
-    whole = pad_mesh((-30.0, 30.0, -30.0, 30.0), 9.9, 2.5, 0.4, LAYERS, 8, half=False)
+    whole = pad_mesh(GRID, LAYERS, (-30.0, 30.0, -30.0, 30.0), symmetric=False)
     disc = _volumes(whole).sum()
     if name == "centred":
         assert volume.sum() == pytest.approx(10 * 8 * 3)
@@ -56,7 +63,7 @@ def test_a_pad_is_filled_without_gaps(name: str) -> None:
 
 def test_half_a_pad_is_half_of_it() -> None:
     halves, whole = (
-        pad_mesh((-4.0, 6.0, -5.0, 5.0), 9.9, 2.5, 0.4, LAYERS, 8, half=half) for half in (True, False)
+        pad_mesh(GRID, LAYERS, (-4.0, 6.0, -5.0, 5.0), symmetric=symmetric) for symmetric in (True, False)
     )
     assert 2 * _volumes(halves).sum() == pytest.approx(_volumes(whole).sum())
     assert halves.vertices_mm[:, 1].min() == 0
@@ -64,32 +71,32 @@ def test_half_a_pad_is_half_of_it() -> None:
 
 
 def test_a_pad_with_far_edges_is_the_disc() -> None:
-    disc = half_disc_mesh(9.9, 2.5, 0.4, LAYERS, 8)
-    pad = pad_mesh((-30.0, 30.0, -30.0, 30.0), 9.9, 2.5, 0.4, LAYERS, 8, half=True)
+    disc = pad_mesh(GRID, LAYERS, None, symmetric=True)
+    pad = pad_mesh(GRID, LAYERS, (-30.0, 30.0, -30.0, 30.0), symmetric=True)
     np.testing.assert_array_equal(pad.vertices_mm, disc.vertices_mm)
     np.testing.assert_array_equal(pad.tetrahedra, disc.tetrahedra)
 
 
 def test_a_new_order_of_vertices_is_the_same_mesh() -> None:
-    mesh = half_disc_mesh(9.9, 2.5, 0.4, LAYERS, 8)
-    ways = np.array([[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.6, 0.0]]])
-    ordered = ordered_for_elimination(mesh, 1.4, ways)
+    mesh = pad_mesh(GRID, LAYERS, None, symmetric=True)
+    segments = np.array([[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.6, 0.0]]])
+    ordered = ordered_for_elimination(mesh, 1.4, segments)
     assert np.sort(_volumes(ordered)) == pytest.approx(np.sort(_volumes(mesh)))
-    touched = _distance_to_the_way(mesh.vertices_mm[mesh.surface]) <= 1.4
+    touched = _distance_to_the_segment(mesh.vertices_mm[mesh.surface]) <= 1.4
     first = ordered.vertices_mm[: np.sum(touched)]
     assert (first[:, 2] == 0).all()
-    distance = _distance_to_the_way(first)
+    distance = _distance_to_the_segment(first)
     assert (np.diff(distance) > -1e-12).all()
     assert distance[-1] <= 1.4
 
 
-def _distance_to_the_way(vertices_mm: np.ndarray) -> np.ndarray:
+def _distance_to_the_segment(vertices_mm: np.ndarray) -> np.ndarray:
     x, y = vertices_mm[:, 0], vertices_mm[:, 1]
     return np.hypot(x - np.clip(x, 0.0, 0.6), y)
 
 
 def test_the_order_of_elimination_is_cheaper_than_minimum_degree() -> None:
-    mesh = half_disc_mesh(9.9, 2.7, 0.25, layer_depths(3.0, 0.15, 1.25), 8)
+    mesh = pad_mesh(DiscGrid(9.9, 2.7, 0.25, 8), layer_heights_mm(3.0, 0.15, 1.25), None, symmetric=True)
     count = len(mesh.vertices_mm)
     rows, columns = np.repeat(mesh.tetrahedra, 4, axis=1).ravel(), np.tile(mesh.tetrahedra, 4).ravel()
     graph = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()

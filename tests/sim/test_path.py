@@ -84,7 +84,7 @@ def test_random_poses_follow_their_seed_and_ranges() -> None:
 @pytest.mark.parametrize("name", ["loops", "random"])
 def test_presets_that_list_poses(name: str) -> None:
     assert len(load_path(name).poses) > 10
-    with pytest.raises(ValueError, match="no grid"):
+    with pytest.raises(ValueError, match="not a grid"):
         ContactPath.preset(name)
 
 
@@ -98,7 +98,7 @@ def test_presets_that_list_poses(name: str) -> None:
         ("[random]\nnumber = 2\ndepth_mm = [0.4, 0.2]", "depth_mm"),
         ("[random]\ncount = 2", "count"),
         ("depths_mm = [0.1]", "points_x_mm"),
-        ("=", "no TOML"),
+        ("=", "not valid TOML"),
     ],
 )
 def test_a_bad_path_file_is_refused(text: str, words: str, tmp_path: Path) -> None:

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelgap.sim.contact_radius import contact_radius_mm
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indentation import Record, Solution
-from gelgap.sim.indenter import Sphere
+from gelgap.sim.indenters.sphere import Sphere
 from gelgap.sim.membrane import Diagnostics
-from gelgap.sim.sharing import Sharing, contact_problem
-from gelgap.sim.surface import contact_radius_mm
+from gelgap.sim.scene import Scene, Sharing
+from gelgap.sim.solution import Record, Solution
 
 SPACING_MM = 0.02
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.45, friction=0.5)
 
 
 def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
-    problem = contact_problem(GEL, Sphere(), None, ((0, 0, -0.1),), (-1,), "draft", Sharing())
+    problem = Scene(GEL, Sphere(), "draft", Sharing()).problem(None, ((0, 0, -0.1),), (-1,))
     # A whole gel, so that nothing is mirrored.
     problem = replace(problem, pad_mm=(-12.0, 12.0, -10.0, 9.0))
     record = Record(

@@ -9,10 +9,11 @@ import pytest
 
 from gelgap.sim.cache import cache_use, clear_cache, load_solution, store_solution
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indentation import solve
-from gelgap.sim.indenter import Sphere
+from gelgap.sim.indenters.sphere import Sphere
+from gelgap.sim.newton import solve
 from gelgap.sim.path import ContactPath, PosePath
-from gelgap.sim.sharing import Sharing, SolvePlan, plan_solves
+from gelgap.sim.plan import SolvePlan, plan_solves
+from gelgap.sim.scene import Sharing
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 SMALL = GEL.model_copy(update={"pad_size_mm": (10.0, 8.0)})
@@ -47,7 +48,7 @@ def test_depths_share_a_descent_and_drags_branch_off_it() -> None:
         assert waypoint == (pose.radius_mm, 0.0, -pose.depth_mm)
 
 
-def test_depths_that_deserve_different_meshes_share_no_descent() -> None:
+def test_depths_that_need_different_meshes_share_no_descent() -> None:
     path = ContactPath("depths", (0.0,), (0.0,), (0.4, 0.6, 0.8, 1.0), (0.0,), (0.0,))
     assert len(plan_solves(GEL, Sphere(diameter_mm=3.0), path, "draft").solves) == 2
     assert len(plan_solves(GEL, Sphere(diameter_mm=6.0), path, "draft").solves) == 4
@@ -134,7 +135,7 @@ def test_a_trajectory_is_one_solve_that_remembers_its_way(cache: Path) -> None:
     plan = _plan(path=path)
     assert len(plan.solves) == 2
     solution = plan.solves[0].run()
-    assert solution.problem.half
+    assert solution.problem.symmetric
     states = [plan.state(index, solution) for index in range(4)]
     assert not states[0].displacement_mm.any()
     assert states[2].force_n[0] > 0
@@ -150,7 +151,7 @@ def test_a_trajectory_around_a_corner_needs_the_whole_gel() -> None:
     )
     (solve,) = _plan(path=path).solves
     assert solve.problem.pad_mm is None
-    assert not solve.problem.half
+    assert not solve.problem.symmetric
 
 
 def _store_concurrently(solution) -> None:

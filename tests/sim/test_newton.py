@@ -5,17 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelgap.sim import indentation
+from gelgap.sim import newton
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indentation import Solution, solve
-from gelgap.sim.indenter import Sphere
-from gelgap.sim.sharing import Sharing, contact_problem
+from gelgap.sim.indenters.sphere import Sphere
+from gelgap.sim.newton import solve
+from gelgap.sim.scene import Scene, Sharing
+from gelgap.sim.solution import Solution
 
 NO_SLIP = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.45, friction=10)
 
 
 def _pressed(step_mm: float) -> Solution:
-    problem = contact_problem(NO_SLIP, Sphere(), None, ((0, 0, -0.8),), (-1,), "draft", Sharing())
+    problem = Scene(NO_SLIP, Sphere(), "draft", Sharing()).problem(None, ((0, 0, -0.8),), (-1,))
     return solve(replace(problem, quality=replace(problem.quality, press_step_mm=step_mm)))
 
 
@@ -32,10 +33,10 @@ def test_vertices_that_land_within_a_load_step_hardly_depend_on_its_size() -> No
 def test_a_load_step_that_does_not_settle_is_taken_in_halves(monkeypatch: pytest.MonkeyPatch) -> None:
     gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.8)
     way = ((0, 0, -0.4), (0.2, 0, -0.4))
-    problem = contact_problem(gel, Sphere(), None, way, (-1, 0), "draft", Sharing())
-    in_half_steps = replace(problem.quality, press_step_mm=0.1, shear_step_mm=0.05)
+    problem = Scene(gel, Sphere(), "draft", Sharing()).problem(None, way, (-1, 0))
+    in_half_steps = replace(problem.quality, press_step_mm=0.1, travel_step_mm=0.05)
     expected = solve(replace(problem, quality=in_half_steps)).records[-1].force_n
-    monkeypatch.setattr(indentation, "_ITERATIONS_OF_A_STEP", 2)
+    monkeypatch.setattr(newton, "THRESHOLDS", replace(newton.THRESHOLDS, iterations_per_step=2))
     dragged = solve(problem).records[-1]
     assert dragged.converged
     np.testing.assert_allclose(dragged.force_n, expected, rtol=2e-3, atol=1e-6)

@@ -7,11 +7,11 @@ import pytest
 
 from gelgap.benchmarks.fem.theory import bonded_layer_force_n
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenter import Sphere
+from gelgap.sim.indenters.sphere import Sphere
 from gelgap.sim.membrane import MembraneState
 from gelgap.sim.path import Pose
-from gelgap.sim.sharing import Sharing
-from gelgap.sim.solver import pose_for_force, solve_pose, solve_poses
+from gelgap.sim.press import pose_for_force, solve_pose, solve_poses
+from gelgap.sim.scene import Sharing
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
 BALL = Sphere()

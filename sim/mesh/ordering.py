@@ -1,4 +1,4 @@
-"""An order of elimination that keeps the sparse factor of a mesh's stiffness small: geometric nested dissection."""
+"""The order of a mesh's vertices in which MuJoCo's sparse Cholesky factor stays small and is cheap to update."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,9 +6,56 @@ from scipy import sparse
 from scipy.sparse.csgraph import maximum_bipartite_matching
 from scipy.sparse.linalg import SuperLU, splu
 
+from gelgap.sim.mesh.pad import GelMesh
+
 # Parts of the mesh this small are ordered by minimum degree.
 _LEAF = 100
 _DIRECTIONS = 8
+
+
+def ordered_for_elimination(
+    mesh: GelMesh, penetration_radius_mm: float, segments_mm: NDArray[np.float64]
+) -> GelMesh:
+    """Renumber the vertices in reverse order of elimination.
+
+    MuJoCo eliminates from the last vertex to the first, and an update of the factor for a contact takes as long as
+    there are vertices that depend on the contact's. So surface vertices within the penetration radius of the straight
+    `segments_mm` (n, 2, 2), along which the indenter travels over the plane, are numbered first, the nearest at the
+    front; the rest follow in reverse order of elimination, the bonded ones at the end.
+    """
+    vertices, tetrahedra = mesh.vertices_mm, mesh.tetrahedra
+    count = len(vertices)
+    pairs = sparse.coo_array(
+        (
+            np.ones(16 * len(tetrahedra)),
+            (np.repeat(tetrahedra, 4, axis=1).ravel(), np.tile(tetrahedra, 4).ravel()),
+        ),
+        shape=(count, count),
+    ).tocsr()
+    group = np.full(count, 1)
+    distance = _distance_to_segments(vertices[:, :2], segments_mm)
+    group[mesh.surface[distance[mesh.surface] <= penetration_radius_mm]] = 0
+    group[mesh.bottom] = 2
+    moving = np.flatnonzero(group < 2)
+    touched = np.flatnonzero(group[moving] == 0)
+    last = touched[np.argsort(-distance[moving][touched], kind="stable")]
+    elimination = elimination_order(pairs[moving][:, moving], vertices[moving], last=last)
+    order = np.concatenate([moving[elimination[::-1]], np.flatnonzero(group == 2)])
+    number = np.empty(count, dtype=np.int32)
+    number[order] = np.arange(count, dtype=np.int32)
+    return GelMesh(vertices[order], number[tetrahedra], mesh.symmetric)
+
+
+def _distance_to_segments(
+    points_mm: NDArray[np.float64], segments_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the distance of each point (k, 2) from the nearest of segments (n, 2, 2), each from start to end."""
+    distance = np.full(len(points_mm), np.inf)
+    for start, end in segments_mm:
+        along = end - start
+        share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)
+        distance = np.minimum(distance, np.linalg.norm(points_mm - start - share[:, None] * along, axis=1))
+    return distance
 
 
 def elimination_order(

@@ -1,29 +1,24 @@
-"""Solve one scene: a pose, or several that the indenter visits in one go."""
+"""Solve one scene: a pose, several that the indenter visits in one go, or a press to a force."""
+
+from dataclasses import replace
 
 import numpy as np
 
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenter import Sphere
+from gelgap.sim.indenters.base import Indenter
 from gelgap.sim.membrane import MembraneState
-from gelgap.sim.path import Pose
-from gelgap.sim.sharing import (
-    Placement,
-    Sharing,
-    Solve,
-    check_pose,
-    flat_state,
-    placed_state,
-    visiting_problem,
-)
+from gelgap.sim.path import Pose, PosePath
+from gelgap.sim.plan import plan_solves
+from gelgap.sim.scene import Sharing
 
-# How near load control comes to its force, and after how many corrections it gives up.
-_LOAD_TOLERANCE = 0.01
-_LOAD_CORRECTIONS = 4
+# Load control ends within this share of its force, or gives up after this many corrections of the depth.
+_FORCE_TOLERANCE = 0.01
+_DEPTH_CORRECTIONS = 4
 
 
 def solve_pose(
     elastomer: Elastomer,
-    indenter: Sphere,
+    indenter: Indenter,
     pose: Pose,
     quality: str = "standard",
     sharing: Sharing | None = None,
@@ -40,7 +35,7 @@ def solve_pose(
 
 def solve_poses(
     elastomer: Elastomer,
-    indenter: Sphere,
+    indenter: Indenter,
     poses: tuple[Pose, ...],
     quality: str = "standard",
     sharing: Sharing | None = None,
@@ -52,38 +47,27 @@ def solve_poses(
     Raises
     ------
     ValueError
-        If the poses do not share their point, lie off the pad or deeper than it allows.
+        If the poses do not share their point, lie off the pad or deeper than it allows, or there is no such quality.
     """
-    sharing = sharing or Sharing()
-    if not poses:
-        return ()
-    for pose in poses:
-        check_pose(elastomer, indenter, pose)
-    problem, frame, records = visiting_problem(elastomer, indenter, poses, quality, sharing)
-    if problem is None:
-        return tuple(flat_state() for _ in poses)
-    solution = Solve(problem, sharing.cache).run()
-    return tuple(
-        placed_state(elastomer, pose, Placement(0, record, frame), solution)
-        if pose.depth_mm
-        else flat_state()
-        for pose, record in zip(poses, records, strict=True)
-    )
+    path = PosePath("visit", tuple(replace(pose, trajectory=0) for pose in poses))
+    plan = plan_solves(elastomer, indenter, path, quality, sharing)
+    solution = plan.solves[0].run() if plan.solves else None
+    return tuple(plan.state(index, solution) for index in range(len(poses)))
 
 
 def pose_for_force(
     elastomer: Elastomer,
-    indenter: Sphere,
+    indenter: Indenter,
     normal_force_n: float,
     point_mm: tuple[float, float] = (0.0, 0.0),
     quality: str = "standard",
     sharing: Sharing | None = None,
 ) -> Pose:
-    """Return the pose whose depth gives a target normal force (load control); positive N, whatever Fz's sign.
+    """Return the pose whose depth gives a normal force (load control): `normal_force_n` is positive, as −Fz.
 
-    One descent in steps of a thirtieth of the thickness, down to a third of it, is solved and inverted by a monotone
-    cubic. The depth found is solved for itself, on the mesh that it deserves, and corrected until its force is within
-    1 % of the target.
+    One descent in ten steps, down to a third of the thickness or 0.8 of the indenter's largest depth, is solved and
+    inverted by a monotone cubic. The depth found is solved by itself, on the mesh that it needs, and corrected until
+    its force is within 1 % of the target.
 
     Raises
     ------
@@ -96,7 +80,7 @@ def pose_for_force(
 
     if not normal_force_n > 0:
         raise ValueError(f"normal_force_n = {normal_force_n!r}: must be more than 0 N")
-    deepest = min(elastomer.thickness_mm / 3, 0.8 * indenter.radius_mm)
+    deepest = min(elastomer.thickness_mm / 3, 0.8 * indenter.deepest_mm)
     depths = np.round(np.linspace(0.0, deepest, 11), 9)
     place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
     poses = tuple(Pose(depth_mm=float(depth), **place) for depth in depths[1:])
@@ -111,12 +95,12 @@ def pose_for_force(
     # Force grows about as depth^1.5, so its power 2/3 is nearly straight.
     depth_of = PchipInterpolator(force ** (2 / 3), depths)
     sought = normal_force_n
-    for _ in range(_LOAD_CORRECTIONS + 1):
+    for _ in range(_DEPTH_CORRECTIONS + 1):
         pose = Pose(depth_mm=round(float(depth_of(min(sought, force[-1]) ** (2 / 3))), 6), **place)
         reached = -solve_pose(elastomer, indenter, pose, quality, sharing).force_n[2]
-        if abs(reached / normal_force_n - 1) <= _LOAD_TOLERANCE:
+        if abs(reached / normal_force_n - 1) <= _FORCE_TOLERANCE:
             return pose
         sought *= normal_force_n / reached
     raise RuntimeError(
-        f"load control did not come within {100 * _LOAD_TOLERANCE:g} % of {normal_force_n:g} N"
+        f"load control did not come within {100 * _FORCE_TOLERANCE:g} % of {normal_force_n:g} N"
     )

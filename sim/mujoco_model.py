@@ -1,0 +1,149 @@
+"""The MuJoCo model of a gel under an indenter: a flex of Stable Neo-Hookean tetrahedra, and contact at its vertices."""
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelgap.sim.material import Moduli
+from gelgap.sim.mesh.pad import GelMesh
+from gelgap.sim.problem import ContactProblem
+
+# With masses in tonnes and steps of 1 s, total mass / (E · thickness · step²) near 1 makes each step one damped
+# Newton iteration of a static problem: much less leaves MuJoCo's solver without metric, much more slows it down.
+_MASS_RATIO = 0.33
+# A rigid drive is an indenter too heavy for the gel to move; a mounted one has this share of the gel's mass.
+_RIGID_MASS_T = 1e7
+_MOUNTED_MASS_RATIO = 1e-3
+# Inertia of what must not leave the plane of symmetry.
+_PLANE_INERTIA_T = 1e12
+# The contact's inverse weights, scaled so that contacts are stiff against the gel's static stiffness.
+_INVWEIGHT_SCALE = 1e-3
+# Vertices this near the indenter are constrained not to enter it.
+_CONTACT_MARGIN_MM = 0.2
+# Vertices up to this far outside of what the indenter passes over can touch it, since the gel bulges.
+_TOUCHING_MARGIN_MM = 0.4
+_CONTACT = 'solref="1e-3 1" solimp="0.9999 0.9999 0.001 0.5 2"'
+
+
+@dataclass(frozen=True)
+class GelModel:
+    """A compiled model, what it is made of, and where its parts are.
+
+    A node is a vertex of the membrane that can touch the indenter; it has a geom in MuJoCo and is known by that geom's
+    number. `vertex_dof` is each mesh vertex's first dof, −1 if bonded; `vertex_of_geom` −1 for other geoms.
+    """
+
+    model: Any
+    mesh: GelMesh
+    moduli: Moduli
+    vertex_dof: NDArray[np.int64]
+    vertex_of_geom: NDArray[np.int64]
+    indenter_dof: slice
+    indenter_qpos: slice
+    indenter_geom: int
+
+    def dofs(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the dofs (3 n,) of nodes (n,)."""
+        return (self.vertex_dof[self.vertex_of_geom[nodes]][:, None] + np.arange(3)).ravel()
+
+
+def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> GelModel:
+    """Compile the model of a problem on its mesh, whose tetrahedra get `moduli`."""
+    import mujoco
+
+    # Warnings would go to a log file in the user's folder; `mjData.warning` counts them all the same.
+    mujoco.set_mju_user_warning(lambda message: None)
+    spec = mujoco.MjSpec.from_string(_xml(problem, mesh, moduli))
+    for flex in spec.flexes:
+        flex.elastic3d = 1
+    nodes = _add_nodes(spec, problem, mesh)
+    with warnings.catch_warnings():
+        # The compiler does not see that the flex is elastic through its strain energy alone.
+        warnings.filterwarnings("ignore", message=".*has no equality constraints or passive forces.*")
+        model = spec.compile()
+    body = model.flex_vertbodyid
+    moving = (body > 0) & (model.body_dofnum[body] == 3)
+    vertex_dof = np.where(moving, model.body_dofadr[body], -1)
+    first_dof, first_qpos = model.joint("indenter_x").dofadr[0], model.joint("indenter_x").qposadr[0]
+    if mesh.symmetric:
+        on_plane = np.intersect1d(mesh.symmetry_plane, np.flatnonzero(moving))
+        across = np.append(vertex_dof[on_plane], first_dof) + 1
+        # Point masses take their inertia from dof_M0, which the compiler has filled.
+        model.dof_armature[across] = _PLANE_INERTIA_T
+        model.dof_M0[across] = _PLANE_INERTIA_T
+    model.body_invweight0[:] *= _INVWEIGHT_SCALE
+    model.dof_invweight0[:] *= _INVWEIGHT_SCALE
+    # MuJoCo adds each contact's surface velocity to its friction rows only if some geom seems to have one.
+    model.flg_surfacevel = True
+    vertex_of_geom = np.full(model.ngeom, -1)
+    for vertex in nodes:
+        vertex_of_geom[model.geom(f"node_{vertex}").id] = vertex
+    return GelModel(
+        model=model,
+        mesh=mesh,
+        moduli=moduli,
+        vertex_dof=vertex_dof,
+        vertex_of_geom=vertex_of_geom,
+        indenter_dof=slice(first_dof, first_dof + 3),
+        indenter_qpos=slice(first_qpos, first_qpos + 3),
+        indenter_geom=model.geom("indenter").id,
+    )
+
+
+def _add_nodes(spec: Any, problem: ContactProblem, mesh: GelMesh) -> NDArray[np.int64]:
+    """Give a tiny geom to each vertex that the indenter can touch, and return these vertices."""
+    import mujoco
+
+    half_width_mm = problem.indenter.penetration_radius_mm(problem.indenter.deepest_mm)
+    zone_mm = half_width_mm + problem.travel_mm + _TOUCHING_MARGIN_MM
+    nodes = mesh.surface[np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= zone_mm]
+    bodies = {body.name: body for body in spec.bodies}
+    for vertex in nodes:
+        bodies[f"gel_{vertex}"].add_geom(
+            name=f"node_{vertex}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[1e-5, 0, 0],
+            mass=0,
+            contype=2,
+            conaffinity=1,
+            condim=3,
+        )
+    return nodes
+
+
+def _xml(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> str:
+    points = " ".join(f"{value:.17g}" for value in mesh.vertices_mm.ravel())
+    elements = " ".join(map(str, mesh.tetrahedra.ravel()))
+    pinned = " ".join(map(str, mesh.bottom))
+    gel_mass = _MASS_RATIO * moduli.young_modulus_mpa * problem.thickness_mm
+    mass, spring = _RIGID_MASS_T, ""
+    if problem.mount_stiffness_n_per_mm is not None:
+        # Half a gel carries half the force, and its half of the spring.
+        stiffness = problem.mount_stiffness_n_per_mm / (2 if mesh.symmetric else 1)
+        mass, spring = _MOUNTED_MASS_RATIO * gel_mass, f'stiffness="{stiffness:.12g}"'
+    joints = "".join(
+        f'<joint name="indenter_{name}" type="slide" axis="{axis}" {spring}/>'
+        for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1"))
+    )
+    return f"""<mujoco>
+  <option timestep="1" gravity="0 0 0" integrator="discrete" solver="Newton" iterations="30" ls_iterations="50"
+          tolerance="0" cone="elliptic" jacobian="sparse"><flag refsafe="disable"/></option>
+  <size memory="4G"/>
+  <worldbody>
+    <body name="indenter" pos="0 0 {problem.indenter.origin_height_mm:.12g}">{joints}
+      <geom name="indenter" {problem.indenter.mujoco_geom} mass="{mass:.12g}" contype="1" conaffinity="2"
+            condim="3" friction="{problem.friction:.12g} 0 0" {_CONTACT} priority="1"
+            margin="{_CONTACT_MARGIN_MM:.12g}"/>
+    </body>
+    <flexcomp name="gel" type="direct" dim="3" dof="full" mass="{gel_mass:.12g}" radius="1e-6" inertiabox="1e-3"
+              point="{points}" element="{elements}">
+      <pin id="{pinned}"/>
+      <contact selfcollide="none" contype="0" conaffinity="0"/>
+      <edge equality="false"/>
+      <elasticity young="{moduli.young_modulus_mpa:.12g}" poisson="{moduli.poisson_ratio:.12g}"/>
+    </flexcomp>
+  </worldbody>
+</mujoco>"""

@@ -1,0 +1,116 @@
+"""Solutions on disk: every bit comes back, any damage is seen, and nothing in a file is ever run."""
+
+import os
+import pickle
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelgap.sim.cache import cache_entries, cache_use, clear_cache, load_solution, store_solution
+from gelgap.sim.elastomer import Elastomer
+from gelgap.sim.indenters.sphere import Sphere
+from gelgap.sim.membrane import Diagnostics
+from gelgap.sim.scene import Scene, Sharing
+from gelgap.sim.solution import Record, Solution, solution_bytes, solution_from_bytes
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def solution() -> Solution:
+    gel = Elastomer(young_modulus_mpa=0.1, poisson_ratio=0.45, friction=0.3, mount_stiffness_n_per_mm=7.0)
+    scene = Scene(gel, Sphere(diameter_mm=2.2), "standard", Sharing())
+    problem = scene.problem((-12.0, 11.9, -0.1, 0.3), ((0, 0, -0.1), (1 / 3, -0.0, -0.1)), (-1, 0))
+    rng = np.random.default_rng(0)
+    records = tuple(
+        Record(
+            displacement_mm=rng.normal(size=(5, 3)).astype(np.float32),
+            normal_force_n=rng.normal(size=5).astype(np.float32),
+            indenter_mm=rng.normal(size=3),
+            force_n=np.array([-0.0, np.nan, 1e-310]),
+            converged=converged,
+            diagnostics=Diagnostics(*rng.normal(size=1), 7, *rng.normal(size=7)),
+        )
+        for converged in (True, False)
+    )
+    return Solution(problem, rng.normal(size=(5, 2)), records)
+
+
+def test_every_bit_comes_back(solution: Solution) -> None:
+    store_solution(solution)
+    loaded = load_solution(solution.problem.key)
+    assert loaded.problem == solution.problem
+    assert loaded.problem.key == solution.problem.key
+    assert type(loaded.problem.indenter) is Sphere
+    assert loaded.rest_mm.tobytes() == solution.rest_mm.tobytes()
+    for found, record in zip(loaded.records, solution.records, strict=True):
+        for name in ("displacement_mm", "normal_force_n", "indenter_mm", "force_n"):
+            assert getattr(found, name).dtype == getattr(record, name).dtype
+            assert getattr(found, name).tobytes() == getattr(record, name).tobytes()
+        assert found.converged is record.converged
+        assert astuple(found.diagnostics) == astuple(record.diagnostics)
+        assert type(found.diagnostics.iterations) is int
+
+
+def test_any_flipped_bit_is_seen(solution: Solution) -> None:
+    data = solution_bytes(solution)
+    assert solution_from_bytes(data) is not None
+    rng = np.random.default_rng(0)
+    for place in (*range(60), *rng.integers(60, len(data), 200), len(data) - 1):
+        damaged = bytearray(data)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        assert solution_from_bytes(bytes(damaged)) is None
+    assert solution_from_bytes(data[:-1]) is None
+    assert solution_from_bytes(data + b"\0") is None
+    assert solution_from_bytes(b"") is None
+
+
+def test_damaged_and_foreign_files_are_listed_counted_and_cleared(cache: Path, solution: Solution) -> None:
+    store_solution(solution)
+    key = solution.problem.key
+    (cache / f"{'0' * 64}.solution").write_bytes(b"half a file")
+    (cache / f"{'1' * 64}.solution").write_bytes((cache / f"{key}.solution").read_bytes())
+    entries = {entry.key[0]: entry for entry in cache_entries() if entry.key != key}
+    assert (entries["0"].problem, entries["0"].current) == (None, False)
+    # A solution under another key is one of another version.
+    assert (entries["1"].problem, entries["1"].current) == (solution.problem, False)
+    assert load_solution("1" * 64) is None
+    assert [entry.current for entry in cache_entries() if entry.key == key] == [True]
+    assert cache_use().solutions == 3
+    assert clear_cache().solutions == 3
+    assert cache_use().solutions == 0
+
+
+class _Bomb:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple:
+        return os.mkdir, (str(self.path),)
+
+
+def test_a_pickle_in_the_cache_is_never_opened(cache: Path, tmp_path: Path) -> None:
+    cache.mkdir()
+    key = "a" * 64
+    (cache / f"{key}.solution").write_bytes(pickle.dumps(_Bomb(tmp_path / "exploded")))
+    assert load_solution(key) is None
+    assert cache_entries()[0].problem is None
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_a_solution_goes_between_processes(solution: Solution) -> None:
+    sent = pickle.loads(pickle.dumps(solution))
+    assert sent == solution
+    assert solution_bytes(sent) == solution_bytes(solution)
+
+
+def test_a_disk_that_takes_no_file_is_a_clear_error(cache: Path, solution: Solution) -> None:
+    cache.write_text("a file where the folder should be")
+    with pytest.raises(RuntimeError, match="cannot write"):
+        store_solution(solution)

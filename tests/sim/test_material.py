@@ -1,0 +1,88 @@
+"""Moduli: those of an equivalent material on a press that its calibration did not use, and those of a mesh."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelgap.benchmarks.calibration.material import describe, material_errors
+from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
+from gelgap.sim.material import LARGEST_POISSON_RATIO, Moduli, equivalent_moduli, mesh_moduli
+from gelgap.sim.quality import QUALITIES
+
+STIFFNESS = QUALITIES["draft"].disc.stiffness
+
+
+def test_equivalent_moduli_bring_mujocos_energy_to_the_isochoric_gel():
+    gel = Press(
+        poisson_ratio=0.46, friction=math.inf, indenter_radius_mm=2.0, thickness_mm=4.0, element_mm=0.2
+    )
+    equivalent = equivalent_moduli(Moduli(gel.young_modulus_mpa, gel.poisson_ratio))
+
+    def errors(problem: Press):
+        pressed = (describe(solve_press(p, (0.6, 1.2), nodes_per_step=1.0), 6.0) for p in (problem, gel))
+        return material_errors(*pressed)
+
+    same = errors(replace(gel, energy="stable"))
+    moved = errors(
+        replace(
+            gel,
+            energy="stable",
+            young_modulus_mpa=equivalent.young_modulus_mpa,
+            poisson_ratio=equivalent.poisson_ratio,
+        ),
+    )
+    assert np.abs(same.force_percent).max() > 3
+    assert np.abs(moved.force_percent).max() < 2
+    assert moved.surface_rms_um < same.surface_rms_um
+
+
+@given(st.floats(0.0, 0.4999), st.floats(1e-3, 100))
+def test_equivalent_moduli_are_moduli_and_scale_with_the_modulus(poisson_ratio, modulus_mpa):
+    moved = equivalent_moduli(Moduli(modulus_mpa, poisson_ratio))
+    assert modulus_mpa <= moved.young_modulus_mpa <= 1.1 * modulus_mpa
+    assert abs(moved.poisson_ratio - poisson_ratio) < 0.006
+    assert 0 <= moved.poisson_ratio < 0.5
+    unit = equivalent_moduli(Moduli(1.0, poisson_ratio))
+    assert moved.young_modulus_mpa / modulus_mpa == pytest.approx(unit.young_modulus_mpa)
+
+
+def test_equivalent_moduli_tend_to_the_identity():
+    moved = equivalent_moduli(Moduli(0.3, 0.49999))
+    assert moved.young_modulus_mpa == pytest.approx(0.3, rel=1e-5)
+    assert moved.poisson_ratio == pytest.approx(0.49999, abs=1e-6)
+
+
+@pytest.mark.parametrize(("modulus", "poisson"), [(0.0, 0.4), (0.3, 0.5), (0.3, -0.1), (math.nan, 0.4)])
+def test_bad_moduli_are_refused(modulus, poisson):
+    with pytest.raises(ValueError, match="must be"):
+        Moduli(modulus, poisson)
+
+
+@pytest.mark.parametrize("quality", QUALITIES.values())
+@pytest.mark.parametrize("mesh", ["disc", "pad"])
+def test_meshes_get_softer_moduli_and_never_more_than_the_largest_poisson_ratio(quality, mesh):
+    stiffness = getattr(quality, mesh).stiffness
+    for poisson_ratio in (0.0, 0.3, 0.45, 0.48, 0.49, 0.499):
+        given = mesh_moduli(Moduli(0.3, poisson_ratio), stiffness)
+        assert given.poisson_ratio == min(poisson_ratio, LARGEST_POISSON_RATIO)
+        assert 0.9 * 0.3 < given.young_modulus_mpa < 1.03 * 0.3
+
+
+def test_cap_is_continuous_and_scales_with_the_modulus():
+    def modulus(young_modulus_mpa, poisson_ratio):
+        return mesh_moduli(Moduli(young_modulus_mpa, poisson_ratio), STIFFNESS).young_modulus_mpa
+
+    below, above = (modulus(1.0, LARGEST_POISSON_RATIO + step) for step in (-1e-9, 1e-9))
+    assert below == pytest.approx(above, rel=1e-6)
+    assert modulus(7.0, 0.495) == pytest.approx(7 * modulus(1.0, 0.495))
+
+
+def test_shear_and_lame_moduli_are_those_of_confined_and_hydrostatic_compression():
+    moduli = Moduli(0.9, 0.2)
+    confined, bulk = 0.9 * 0.8 / (1.2 * 0.6), 0.9 / (3 * 0.6)
+    assert moduli.lame_mpa + 2 * moduli.shear_mpa == pytest.approx(confined)
+    assert moduli.lame_mpa + 2 / 3 * moduli.shear_mpa == pytest.approx(bulk)
