@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.benchmarks.common.stages import Stage, StageClock
+from gelgap.cli.workflows.stages import Stage, StageClock
 
 if TYPE_CHECKING:
     from gelgap.adapt import Evaluation

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.common.stages import StageClock
 from gelgap.cli.workflows.demo import SOURCE, TARGET, run_demo
+from gelgap.cli.workflows.stages import StageClock
 from gelgap.sim import ContactPath
 
 
