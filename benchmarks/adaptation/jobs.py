@@ -113,10 +113,11 @@ class Bench:
         return report
 
     def generate_preset(self) -> None:
-        """Generate what is missing of the data that the profile is meant for."""
+        """Generate what is missing of the data that the profile is meant for, those of smoke at draft quality."""
         from gelgap.domains import preset_recipes
 
-        self.generate(preset_recipes(self.profile, quality="standard", seed=0))
+        quality = "draft" if self.profile == "smoke" else "standard"
+        self.generate(preset_recipes(self.profile, quality=quality, seed=0))
 
     def is_over(self) -> bool:
         """Return whether no further run is to be begun."""
