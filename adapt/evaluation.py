@@ -1,20 +1,21 @@
-"""Errors of force predictions: MAE and R² per axis, in newtons and as a share of the range, and the
-constant mean."""
+"""Errors of force predictions: MAE and R² per axis, in newtons and as a share of the declared range."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from gelgap.adapt.frames import Frames
 from gelgap.adapt.model import ForceModel
+from gelgap.domains import LabelledFrames
 
 AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Error of n predictions. mae_n, mae_percent (of the full range) and r2 are (x, y, z) tuples; an axis
-    whose true force is constant has r2 = nan."""
+    """Error of n predictions.
+
+    mae_n, mae_percent (of the full range) and r2 hold x, y, z; an axis whose true force is constant has r2 = nan.
+    """
 
     n: int
     mae_n: tuple[float, float, float]
@@ -35,12 +36,12 @@ class Evaluation:
 def evaluate_predictions(
     true_n: np.ndarray, predicted_n: np.ndarray, force_range_n: np.ndarray
 ) -> Evaluation:
-    """Compare forces (n, 3) in N.
+    """Return the error of predicted forces (n, 3) in N; force_range_n is the declared range (3, 2).
 
     Raises
     ------
     ValueError
-        If there is no frame or a prediction is not finite.
+        If there are no frames or a prediction is not finite.
     """
     true_n, predicted_n = np.asarray(true_n, float), np.asarray(predicted_n, float)
     if true_n.shape != predicted_n.shape or true_n.ndim != 2 or len(true_n) == 0:
@@ -59,12 +60,12 @@ def evaluate_predictions(
     )
 
 
-def evaluate(model: ForceModel, frames: Frames) -> Evaluation:
+def evaluate(model: ForceModel, frames: LabelledFrames) -> Evaluation:
     """Return the error of a model on labelled frames."""
     return evaluate_predictions(frames.force_n, model.predict_n(frames), frames.force_range_n)
 
 
-def evaluate_constant_mean(train: Frames, frames: Frames) -> Evaluation:
+def evaluate_constant_mean(train: LabelledFrames, frames: LabelledFrames) -> Evaluation:
     """Return the error of predicting, for every frame, the mean force of the training frames."""
     prediction = np.broadcast_to(train.force_n.astype(float).mean(axis=0), frames.force_n.shape)
     return evaluate_predictions(frames.force_n, prediction, frames.force_range_n)

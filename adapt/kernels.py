@@ -16,8 +16,10 @@ def squared_distances(x: Tensor) -> Tensor:
 
 
 def bandwidth(distances: Tensor, robust: bool) -> Tensor:
-    """Return the kernel bandwidth of a pooled sample: the mean squared distance of distinct rows, as
-    published, or (robust) their median, which one outlier does not move. No gradient flows through it."""
+    """Return the kernel bandwidth of a pooled sample: the mean squared distance of distinct rows, as published.
+
+    robust takes the median instead, which one outlier does not move. No gradient flows through the bandwidth.
+    """
     n = len(distances)
     pairs = distances.detach()[~torch.eye(n, dtype=torch.bool, device=distances.device)]
     return pairs.median() if robust else pairs.mean()

@@ -1,5 +1,4 @@
-"""A trained force model: network, force range and profile; predicts newtons and is saved as a state
-dictionary."""
+"""A trained force model: predicts newtons, is saved and loaded."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,10 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from gelgap.adapt.frames import Frames
+from gelgap.adapt.batches import network_inputs
 from gelgap.adapt.network import ForceNetwork, make_network
-from gelgap.adapt.pictures import Pictures
 from gelgap.adapt.profile import Profile
+from gelgap.assets.whole_file import whole_file
+from gelgap.domains import LabelledFrames
 
 _FORMAT = 1
 _INFERENCE_BATCH = 256
@@ -22,7 +22,7 @@ class ForceModel:
     """A network with what is needed to use it: `predict_n` maps frames to forces in newtons.
 
     force_range_n (3, 2) is the source's declared range; source, target and method say how it was trained;
-    history holds one `EpochRecord` dictionary an epoch and stage.
+    history holds the `EpochRecord` of every epoch of both stages as a dictionary.
     """
 
     network: ForceNetwork
@@ -39,24 +39,23 @@ class ForceModel:
     def device(self) -> torch.device:
         return next(self.network.parameters()).device
 
-    def features(self, frames: Frames) -> np.ndarray:
+    def features(self, frames: LabelledFrames) -> np.ndarray:
         """Return the transfer features (n, feature_dim) float32."""
         return self._infer(frames)[0]
 
-    def predict_n(self, frames: Frames) -> np.ndarray:
+    def predict_n(self, frames: LabelledFrames) -> np.ndarray:
         """Return the predicted forces (n, 3), N."""
         low, high = np.asarray(self.force_range_n, float).T
         return low + self._infer(frames)[1].astype(float) * (high - low)
 
     @torch.inference_mode()
-    def _infer(self, frames: Frames) -> tuple[np.ndarray, np.ndarray]:
+    def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
         self.network.eval()
-        pictures = Pictures(frames, self.profile, self.device)
+        pictures = network_inputs(frames, self.profile, self.device)
         features, predictions = [], []
         for start in range(0, len(frames), _INFERENCE_BATCH):
-            batch = self.network.features(
-                pictures.batch(np.arange(start, min(start + _INFERENCE_BATCH, len(frames))))
-            )
+            rows = np.arange(start, min(start + _INFERENCE_BATCH, len(frames)))
+            batch = self.network.features(pictures.inputs(rows))
             features.append(batch.float().cpu().numpy())
             predictions.append(self.network.regressor(batch).float().cpu().numpy())
         if not features:
@@ -65,21 +64,20 @@ class ForceModel:
 
     def save(self, path: str | Path) -> None:
         """Write the state dictionary and the description to one file."""
-        torch.save(
-            {
-                "format": _FORMAT,
-                "state": self.network.state_dict(),
-                "profile": self.profile.model_dump_json(),
-                "force_range_n": np.asarray(self.force_range_n, float).tolist(),
-                "n_classes": self.n_classes,
-                "seed": self.seed,
-                "source": self.source,
-                "target": self.target,
-                "method": self.method,
-                "history": list(self.history),
-            },
-            path,
-        )
+        content = {
+            "format": _FORMAT,
+            "state": self.network.state_dict(),
+            "profile": self.profile.model_dump_json(),
+            "force_range_n": np.asarray(self.force_range_n, float).tolist(),
+            "n_classes": self.n_classes,
+            "seed": self.seed,
+            "source": self.source,
+            "target": self.target,
+            "method": self.method,
+            "history": list(self.history),
+        }
+        with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
+            torch.save(content, file)
 
     @classmethod
     def load(cls, path: str | Path) -> "ForceModel":
@@ -90,14 +88,14 @@ class ForceModel:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If the file is no gelgap checkpoint.
+            If it is not a gelgap checkpoint.
         """
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"checkpoint {path} does not exist")
         content = torch.load(path, map_location="cpu", weights_only=True)
         if not isinstance(content, dict) or content.get("format") != _FORMAT:
-            raise ValueError(f"{path} is no gelgap checkpoint of format {_FORMAT}")
+            raise ValueError(f"{path} is not a gelgap checkpoint of format {_FORMAT}")
         profile = Profile.model_validate_json(content["profile"])
         network = make_network(profile, content["n_classes"], seed=0)
         network.load_state_dict(content["state"])

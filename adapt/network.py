@@ -1,5 +1,4 @@
-"""The force network: backbone, 256-d bottleneck, regression head and contact classifier (the paper's figure
-2)."""
+"""The force network: backbone, bottleneck, regression head and contact classifier (the paper's figure 2)."""
 
 from dataclasses import dataclass
 

@@ -7,34 +7,26 @@ can beat them.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelgap.adapt.evaluation import Evaluation, evaluate_predictions
+from gelgap.domains import LabelledFrames, paired_contacts
 
 if TYPE_CHECKING:
     from gelgap.domains import GeneratedDomain
 
 
-class Contacts(Protocol):
-    """Anything with force_n (n, 3) in N, point_id (n,) and contact_class (n,): `Frames`, or a reader of a data set."""
-
-    force_n: np.ndarray
-    point_id: np.ndarray
-    contact_class: np.ndarray
-    force_range_n: np.ndarray
-
-
 @dataclass(frozen=True)
 class Presses:
-    """Contacts with what was commanded: `command_mm` (n, 3) is the indenter's commanded displacement from touching the
-    gel, `mount_n_per_mm` the stiffness of the rig (none: rigid)."""
+    """The frames of a domain with what was commanded, and how far the rig yields.
 
-    force_n: np.ndarray
-    point_id: np.ndarray
-    contact_class: np.ndarray
-    force_range_n: np.ndarray
+    command_mm (n, 3) is the indenter's commanded displacement from touching the gel; mount_n_per_mm the stiffness of
+    the rig (None: rigid).
+    """
+
+    frames: LabelledFrames
     command_mm: np.ndarray
     mount_n_per_mm: float | None
 
@@ -43,10 +35,7 @@ class Presses:
         """Read a generated domain's labels."""
         names = ("shear_x_mm", "shear_y_mm", "commanded_z_mm")
         return cls(
-            force_n=domain.force_n,
-            point_id=domain.point_id,
-            contact_class=domain.contact_class,
-            force_range_n=domain.force_range_n,
+            frames=domain,
             command_mm=np.stack([domain.columns[name] for name in names], axis=1),
             mount_n_per_mm=domain.recipe.elastomer.mount_stiffness_n_per_mm,
         )
@@ -54,33 +43,25 @@ class Presses:
     @property
     def actual_mm(self) -> np.ndarray:
         """Where the indenter is (n, 3): the commanded displacement less what the rig yields."""
-        yielded = 0.0 if self.mount_n_per_mm is None else self.force_n / self.mount_n_per_mm
+        yielded = 0.0 if self.mount_n_per_mm is None else self.frames.force_n / self.mount_n_per_mm
         return self.command_mm - yielded
 
+    def direction(self, index: int) -> tuple[float, float]:
+        """Return the unit vector of a contact's commanded travel, rounded; (0, 0) without travel."""
+        x, y = self.command_mm[index, :2]
+        length = float(np.hypot(x, y)) or 1.0
+        return round(float(x) / length, 6) + 0.0, round(float(y) / length, 6) + 0.0
 
-def paired_indices(source: Contacts, target: Contacts) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices (k,) in source and target of the contacts (point and class) that both have.
+
+def pose_oracle(source: LabelledFrames, target: LabelledFrames) -> Evaluation:
+    """Return the error of the source's force at the target's commanded pose, over the contacts that both have.
 
     Raises
     ------
     ValueError
         If the domains share no contact.
     """
-
-    def keys(contacts: Contacts) -> list[tuple[int, int]]:
-        return list(zip(contacts.point_id.tolist(), contacts.contact_class.tolist(), strict=True))
-
-    place = {key: i for i, key in enumerate(keys(source)) if min(key) >= 0}
-    pairs = [(place[key], j) for j, key in enumerate(keys(target)) if key in place]
-    if not pairs:
-        raise ValueError("source and target share no contact (point and class); generate paired contacts")
-    in_source, in_target = np.array(pairs).T
-    return in_source, in_target
-
-
-def pose_oracle(source: Contacts, target: Contacts) -> Evaluation:
-    """Return the error of the source's force at the target's commanded pose."""
-    in_source, in_target = paired_indices(source, target)
+    in_source, in_target = _pairs(source, target)
     return evaluate_predictions(target.force_n[in_target], source.force_n[in_source], target.force_range_n)
 
 
@@ -90,34 +71,43 @@ def geometry_oracle(source: Presses, target: Presses) -> Evaluation:
     With a rigid rig the actual contact is the commanded one, and this is the pose oracle. With a compliant one the
     indenter of a stiffer gel goes less deep; the source's force there is interpolated between its own contacts at the
     same point and in the same direction. The source keeps its friction.
+
+    Raises
+    ------
+    ValueError
+        If the domains share no contact.
     """
-    _, in_target = paired_indices(source, target)
-    actual = target.actual_mm
-    guess = np.zeros((len(in_target), 3))
-    for way, members in _ways(target, in_target).items():
-        own = [i for i in np.flatnonzero(source.point_id == way[0]) if _direction(source, i) == way[1]]
-        guess[members] = _force_along(source, np.array(own), way[1], actual[in_target[members]])
-    return evaluate_predictions(target.force_n[in_target], guess, target.force_range_n)
+    _, in_target = _pairs(source.frames, target.frames)
+    actual_mm = target.actual_mm[in_target]
+    guess_n = np.zeros((len(in_target), 3))
+    for (point, direction), members in _by_point_and_direction(target, in_target).items():
+        at_point = np.flatnonzero(source.frames.point_id == point)
+        own = np.array([i for i in at_point if source.direction(i) == direction])
+        guess_n[members] = _force_along(source, own, direction, actual_mm[members])
+    truth = target.frames.force_n[in_target]
+    return evaluate_predictions(truth, guess_n, target.frames.force_range_n)
 
 
-Way = tuple[int, tuple[float, float]]
+def _pairs(source: LabelledFrames, target: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
+    pairs = paired_contacts(source, target)
+    if not len(pairs[0]):
+        raise ValueError("source and target share no contact; generate paired contacts")
+    return pairs
 
 
-def _ways(presses: Presses, indices: np.ndarray) -> dict[Way, list[int]]:
-    """Return, by point and direction, the positions in `indices` of the contacts; those without contact are left out:
-    their force is 0."""
-    found: dict[Way, list[int]] = {}
+def _by_point_and_direction(
+    presses: Presses, indices: np.ndarray
+) -> dict[tuple[int, tuple[float, float]], list[int]]:
+    """Return the positions in `indices` of the contacts, by point and direction.
+
+    Frames without contact are left out: their force is 0.
+    """
+    found: dict[tuple[int, tuple[float, float]], list[int]] = {}
     for position, i in enumerate(indices):
         if presses.command_mm[i, 2] < 0:
-            found.setdefault((int(presses.point_id[i]), _direction(presses, i)), []).append(position)
+            key = int(presses.frames.point_id[i]), presses.direction(i)
+            found.setdefault(key, []).append(position)
     return found
-
-
-def _direction(presses: Presses, index: int) -> tuple[float, float]:
-    """Return the unit vector of the commanded shear, rounded; (0, 0) without shear."""
-    x, y = presses.command_mm[index, :2]
-    length = float(np.hypot(x, y)) or 1.0
-    return round(float(x) / length, 6) + 0.0, round(float(y) / length, 6) + 0.0
 
 
 def _force_along(
@@ -125,7 +115,7 @@ def _force_along(
 ) -> np.ndarray:
     """Return the source's force (m, 3) at displacements (m, 3), from its contacts `own` in one direction.
 
-    A thin-plate spline over depth and way passes through every one of them; the gel that is not touched adds a zero.
+    A thin-plate spline over depth and travel passes through all of them, and through zero where the gel is not touched.
     """
     from scipy.interpolate import RBFInterpolator
 
@@ -133,15 +123,12 @@ def _force_along(
         return np.stack([displacement_mm[:, 2], displacement_mm[:, :2] @ direction], axis=1)
 
     known = np.concatenate([place(source.actual_mm[own]), np.zeros((1, 2))])
-    force = np.concatenate([source.force_n[own], np.zeros((1, 3))])
+    force_n = np.concatenate([source.frames.force_n[own], np.zeros((1, 3))])
     if np.linalg.matrix_rank(known) < 2:
-        return np.stack([np.interp(-actual_mm[:, 2], *_by_depth(known, axis)) for axis in force.T], axis=1)
-    return RBFInterpolator(known, force)(place(actual_mm))
-
-
-def _by_depth(known: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    order = np.argsort(-known[:, 0])
-    return -known[order, 0], values[order]
+        order = np.argsort(-known[:, 0])
+        depths_mm, sorted_n = -known[order, 0], force_n[order]
+        return np.stack([np.interp(-actual_mm[:, 2], depths_mm, axis) for axis in sorted_n.T], axis=1)
+    return RBFInterpolator(known, force_n)(place(actual_mm))
 
 
 def gap_closed(source_only_n: float, adapted_n: float, supervised_n: float) -> float:

@@ -2,16 +2,14 @@
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, field_validator
 
-from gelgap.assets import list_presets, load_preset
+from gelgap.assets import load_preset
+from gelgap.assets.settings import Settings
 
 
-class Profile(BaseModel):
-    """Network, input, optimiser, schedule and splits of a run; what a single method needs is in
-    `settings`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class Profile(Settings):
+    """Network, input, optimiser, schedule and splits of a run; `settings` holds what a single method needs."""
 
     name: str = Field("custom", description="name under which results are filed")
     backbone: Literal["resnet18", "resnet50"] = Field("resnet18", description="feature encoder")
@@ -29,9 +27,7 @@ class Profile(BaseModel):
     batch_size: int = Field(32, ge=2, le=4096, description="frames of each domain in a step")
     source_epochs: int = Field(20, ge=1, description="epochs of stage 1 (source regression only)")
     source_learning_rate: float = Field(0.1, gt=0, description="initial learning rate of stage 1")
-    adapt_epochs: int = Field(
-        10, ge=1, description="epochs of stage 2; one epoch is one pass over the source"
-    )
+    adapt_epochs: int = Field(10, ge=1, description="epochs of stage 2; an epoch is one pass over the source")
     adapt_learning_rate: float = Field(0.01, gt=0, description="initial learning rate of stage 2")
     backbone_rate_factor: float = Field(
         0.1, gt=0, le=1, description="learning rate of the backbone over the heads'"
@@ -75,25 +71,31 @@ class Profile(BaseModel):
     target_split: tuple[float, float, float] = Field(
         (0.6, 0.2, 0.2), description="target shares for training (unlabelled), validation and test"
     )
-    split_by: Literal["random", "point"] = Field(
-        "random", description="split at random, or by contact point so that no near-duplicate crosses it"
+    split_by: Literal["random", "point", "given"] = Field(
+        "random",
+        description="split at random by the run's seed, by contact point so that no near-duplicate crosses it, or as "
+        "the data set states it",
     )
     precision: Literal["float32", "bfloat16"] = Field("float32", description="of the backbone's arithmetic")
     threads: int = Field(1, ge=1, le=256, description="CPU threads of one run")
     settings: dict[str, dict[str, Any]] = Field(
         default_factory=dict,
-        description="per method: overrides of the method's own settings and of transfer_weight",
+        description="by method: settings of the method that differ from its defaults",
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> "Profile":
-        if min(self.image_size_px) < 32:
-            raise ValueError(f"image_size_px is {self.image_size_px}; both sides must be at least 32 px")
-        if min(self.target_split) <= 0 or abs(sum(self.target_split) - 1) > 1e-6:
-            raise ValueError(
-                f"target_split is {self.target_split}; it must be three positive shares that add up to 1"
-            )
-        return self
+    @field_validator("image_size_px")
+    @classmethod
+    def _is_large_enough(cls, size_px: tuple[int, int]) -> tuple[int, int]:
+        if min(size_px) < 32:
+            raise ValueError("both sides must be at least 32 px")
+        return size_px
+
+    @field_validator("target_split")
+    @classmethod
+    def _adds_up(cls, shares: tuple[float, float, float]) -> tuple[float, float, float]:
+        if min(shares) <= 0 or abs(sum(shares) - 1) > 1e-6:
+            raise ValueError("must be three positive shares that add up to 1")
+        return shares
 
     @property
     def in_channels(self) -> int:
@@ -114,21 +116,3 @@ class Profile(BaseModel):
             If there is no such preset; the message lists the known ones.
         """
         return cls(**{"name": name, **load_preset("profiles", name)})
-
-
-def parse_profile(value: "str | Profile") -> Profile:
-    """Return the profile itself, or the preset of that name; a bad field is a one-line ValueError."""
-    if isinstance(value, Profile):
-        return value
-    try:
-        return Profile.preset(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(
-            f"profile {value!r}, field {'.'.join(map(str, first['loc']))}: {first['msg']}"
-        ) from error
-
-
-def profile_names() -> tuple[str, ...]:
-    """Return the names of the presets."""
-    return list_presets("profiles")

@@ -5,8 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Progress = Callable[[str, int, int, str], None]
-"""Called after every epoch with the stage's title, the epochs done, the epochs in all, and a short
-message."""
+"""Called after every epoch with the stage's title, the epochs done, the epochs in all, and a short message."""
 
 
 def silent(title: str, done: int, total: int, message: str) -> None:

@@ -9,7 +9,7 @@ from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.figures import feature_tsne, force_scatter
 from gelgap.adapt.result_pages import NamedFigure, write_pages
 from gelgap.adapt.result_table import ResultTable
-from gelgap.adapt.runs import Run, load_predictions, load_runs
+from gelgap.adapt.run_record import Run, load_predictions, load_runs
 
 
 def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Path:

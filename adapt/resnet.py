@@ -1,5 +1,4 @@
-"""ResNet-18 and ResNet-50 with torchvision's state-dict keys, any number of input channels and a width
-factor."""
+"""ResNet-18 and ResNet-50 with torchvision's state-dict keys, any number of input channels, any width."""
 
 from collections.abc import Sequence
 from pathlib import Path

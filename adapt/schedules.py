@@ -11,8 +11,10 @@ def learning_rate_factor(step: int, profile: Profile) -> float:
 
 
 def transfer_factor(step: int, steps: int, profile: Profile) -> float:
-    """Return the factor in [0, 1] on λ_t: 0 in the warm-up, then 2/(1+e^(−γp))−1 with p from 0 to 1
-    (Ganin and Lempitsky, ICML 2015, section 4)."""
+    """Return the factor in [0, 1] on λ_t: 0 in the warm-up, then 2/(1+e^(−γp))−1 with p from 0 to 1 [1].
+
+    [1] Ganin, Lempitsky, "Unsupervised domain adaptation by backpropagation", ICML 2015, section 4.
+    """
     progress = step / max(steps - 1, 1)
     if progress < profile.transfer_warmup:
         return 0.0

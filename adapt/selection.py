@@ -1,4 +1,4 @@
-"""Choosing among adapted models without target labels, and what a choice costs (its regret).
+"""Choosing among adapted models without target labels.
 
 [1] Sugiyama, Krauledat, Müller, "Covariate shift adaptation by importance weighted cross validation", JMLR 8, 2007.
 [2] You, Wang, Long, Jordan, "Towards accurate model selection in deep unsupervised domain adaptation" (DEV), ICML 2019.
@@ -7,7 +7,7 @@
     learning", ECML 2010; the reverse model here is a nearest-neighbour regression in the feature space.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,11 @@ _NEIGHBOURS = 5
 
 @dataclass(frozen=True)
 class Candidate:
-    """What a selector sees: features (n, D), forces and predictions (n, 3) of held-out source frames, features (m, D)
-    and predictions (m, 3) of target frames; no target label."""
+    """What a selector sees of an adapted model.
+
+    Of held-out source frames features (n, D), forces and predictions (n, 3) in N; of target frames features (m, D) and
+    predictions (m, 3) alone.
+    """
 
     source_features: np.ndarray
     source_force_n: np.ndarray
@@ -69,14 +72,16 @@ def proxy_a_distance(candidate: Candidate) -> float:
     """Return 2(1 − 2ε) with ε the cross-validated error of a linear domain classifier [3]; 0 when it can only guess."""
     from sklearn.model_selection import cross_val_score
 
-    features, domain = _both(candidate)
+    features, domain = _features_and_domain(candidate)
     accuracy = cross_val_score(_classifier(), features, domain, cv=3).mean()
     return float(2 * (1 - 2 * min(1 - accuracy, 0.5)))
 
 
 def reverse_validation(candidate: Candidate) -> float:
-    """Return the error on the source of a model that learnt from the target's predictions alone (reverse validation
-    [4]): aligned features with right predictions lead back to the source's forces."""
+    """Return the error on the source of a model that learnt from the target's predictions alone [4].
+
+    Aligned features with right predictions lead back to the source's forces.
+    """
     from sklearn.neighbors import KNeighborsRegressor
 
     neighbours = min(_NEIGHBOURS, len(candidate.target_features))
@@ -95,7 +100,7 @@ def rank_alarm(candidate: Candidate) -> bool:
     """Return whether the target features' effective rank is below 30 % of the source features'."""
     import torch
 
-    from gelgap.adapt.stage import effective_rank
+    from gelgap.adapt.diagnosis import effective_rank
 
     source, target = (
         effective_rank(torch.from_numpy(x)) for x in (candidate.source_features, candidate.target_features)
@@ -114,7 +119,7 @@ SELECTORS = {
 
 
 def scores(candidate: Candidate) -> dict[str, float]:
-    """Return what every selector makes of a candidate; lower is better."""
+    """Return every selector's score of a candidate; lower is better."""
     return {name: score(candidate) for name, score in SELECTORS.items()}
 
 
@@ -124,17 +129,17 @@ def alarm(candidate: Candidate) -> bool:
 
 
 def best_of(values: Sequence[float], alarms: Sequence[bool]) -> int:
-    """Return the index of the lowest score among candidates without an alarm (among all, if all have one).
+    """Return the index of the lowest score among candidates without an alarm, or among all if all have one.
 
     Raises
     ------
     ValueError
-        If there is no candidate.
+        If there are no candidates.
     """
     if not len(values):
-        raise ValueError("there is no candidate to select from")
-    warned = np.asarray(alarms, bool)
-    return int(np.argmin(np.where(warned & ~warned.all(), np.inf, np.asarray(values, float))))
+        raise ValueError("there are no candidates to select from")
+    alarmed = np.asarray(alarms, bool)
+    return int(np.argmin(np.where(alarmed & ~alarmed.all(), np.inf, np.asarray(values, float))))
 
 
 def select(candidates: Sequence[Candidate], selector: str) -> int:
@@ -143,7 +148,7 @@ def select(candidates: Sequence[Candidate], selector: str) -> int:
     Raises
     ------
     ValueError
-        If there is no such selector or no candidate.
+        If there is no such selector, or there are no candidates.
     """
     if selector not in SELECTORS:
         raise ValueError(f"selector {selector!r} is unknown; known selectors: {', '.join(SELECTORS)}")
@@ -151,18 +156,12 @@ def select(candidates: Sequence[Candidate], selector: str) -> int:
     return best_of(values, [alarm(candidate) for candidate in candidates])
 
 
-def regrets(candidates: Sequence[Candidate], target_error_n: Sequence[float]) -> Mapping[str, float]:
-    """Return, per selector, the target error of its choice minus that of the best candidate, N. Uses target labels."""
-    error = np.asarray(target_error_n, float)
-    return {name: float(error[select(candidates, name)] - error.min()) for name in SELECTORS}
-
-
 def _relative_error(prediction_n: np.ndarray, force_n: np.ndarray) -> np.ndarray:
     variance = np.maximum(force_n.var(axis=0), 1e-12)
     return ((prediction_n - force_n) ** 2 / variance).mean(axis=1)
 
 
-def _both(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
+def _features_and_domain(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
     features = np.concatenate([candidate.source_features, candidate.target_features]).astype(np.float64)
     domain = np.repeat([0, 1], [len(candidate.source_features), len(candidate.target_features)])
     return features, domain
@@ -178,7 +177,7 @@ def _classifier():
 
 def _density_ratio(candidate: Candidate) -> np.ndarray:
     """Return p_target/p_source at the source features, from a probabilistic domain classifier."""
-    features, domain = _both(candidate)
+    features, domain = _features_and_domain(candidate)
     probability = (
         _classifier().fit(features, domain).predict_proba(candidate.source_features.astype(np.float64))
     )

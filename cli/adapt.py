@@ -40,9 +40,9 @@ class Adapt:
                 self.method,
                 self.profile,
                 self.seed,
-                self.weights,
-                self.out,
-                progress,
+                weights=self.weights,
+                out_dir=self.out,
+                progress=progress,
             )
         constant = runs[0].target_constant_mean
         head = (

@@ -1,6 +1,5 @@
-"""What goes wrong when data are taken: a rig that is off its place, a force sensor that errs. Off by default."""
+"""What goes wrong when data are taken: a rig that is misplaced, a force sensor that errs. Off by default."""
 
-import hashlib
 import itertools
 import math
 from collections.abc import Sequence
@@ -11,17 +10,17 @@ import numpy as np
 from pydantic import Field
 
 from gelgap.assets.settings import Settings
+from gelgap.domains.random_streams import random_stream
 from gelgap.sim import ContactPath, Pose
 
-Contacts = Literal["paired", "independent"]
-Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]
+ContactSampling = Literal["paired", "independent"]
 
-# Solves are shared between poses that agree; a micrometre is far below what a rig can tell.
+# Poses that agree share a solve; a micrometre is far below what a rig can tell.
 _RESOLUTION_MM = 1e-3
 
 
 class AcquisitionError(Settings):
-    """Standard deviations of the errors of a rig, each drawn once a domain (force noise: once a frame)."""
+    """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
 
     point_offset_mm: Annotated[float, Field(ge=0, le=1)] = Field(
         0.0, description="offset of all contact points along x and along y, mm, 0 to 1"
@@ -34,7 +33,7 @@ class AcquisitionError(Settings):
         description="tilt of the pad about x and about y, degrees, 0 to 3; it changes the depth from point to point",
     )
     force_noise_n: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="noise of the force sensor a frame and axis, N, 0 to 1"
+        0.0, description="noise of the force sensor per frame and axis, N, 0 to 1"
     )
     force_bias_n: Annotated[float, Field(ge=0, le=1)] = Field(
         0.0, description="bias of the force sensor along each axis, N, 0 to 1"
@@ -64,37 +63,25 @@ class DrawnErrors:
         )
 
 
-def generator(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> np.random.Generator:
-    """Return the random numbers of one domain, frame and purpose: independent of who draws them, and when."""
-    words = [
-        int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") for text in (domain, purpose)
-    ]
-    return np.random.default_rng(np.random.SeedSequence([seed, *words, frame]))
-
-
 def draw_errors(error: AcquisitionError, seed: int, domain: str) -> DrawnErrors:
     """Draw a domain's errors: the same (seed, domain) always gives the same."""
-    unit = [float(value) for value in generator(seed, domain, "acquisition").standard_normal(8)]
+    unit = [float(value) for value in random_stream(seed, domain, "acquisition").standard_normal(8)]
     return DrawnErrors(
         point_offset_mm=(error.point_offset_mm * unit[0], error.point_offset_mm * unit[1]),
         depth_zero_mm=error.depth_zero_mm * unit[2],
         tilt_deg=(error.tilt_deg * unit[3], error.tilt_deg * unit[4]),
-        force_bias_n=(
-            error.force_bias_n * unit[5],
-            error.force_bias_n * unit[6],
-            error.force_bias_n * unit[7],
-        ),
+        force_bias_n=tuple(error.force_bias_n * value for value in unit[5:]),
     )
 
 
 def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, ...]:
     """Return the path's poses moved within their cells, so that no contact has an exact partner in another domain.
 
-    A point moves by up to a quarter of the point spacing, a direction by up to half the spacing of the angles, every
-    level of depth and radius by up to a quarter of its spacing, all uniformly. Levels move once a domain and not once a
-    frame: real runs repeat their levels too, and poses at one level share their solves.
+    Uniformly, a point moves by up to a quarter of the spacing of points, a direction by up to half the spacing of
+    angles, and each level of depth and travel by up to a quarter of its spacing. A level moves as a whole: real runs
+    repeat their levels too, and poses at one level share their solves.
     """
-    rng = generator(seed, domain, "contacts")
+    rng = random_stream(seed, domain, "contacts")
     depths = _moved_levels(rng, path.depths_mm)
     radii = _moved_levels(rng, path.radii_mm)
     half_angle = 180.0 / max(len(path.angles_deg), 1)

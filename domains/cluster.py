@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gelgap.domains.generation_progress import GenerationProgress
 from gelgap.domains.plan import FrameBatch, GenerationPlan
-from gelgap.domains.progress import Progress
 from gelgap.domains.shard import Shard, render_batch
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SYNCHRONOUS = "synchronous"
 """Scheduler name for running in this process: no cluster is started."""
 
-# A worker that dies takes a task with it; the task is tried again this often before the fault is the task's own.
+# A worker that dies takes its task with it; the task is tried this many times again before it gets the blame.
 _RETRIES_AFTER_WORKER_DEATH = 5
 CONNECTION_TIMEOUT_S = 20
 
@@ -31,7 +31,7 @@ def solve(problem: Any) -> Any:
 def render_in_worker(
     batch: FrameBatch, matrices: Sequence[np.ndarray], solutions: dict[str, Any]
 ) -> list[Shard]:
-    """Render a batch with one thread, as becomes a process that has one core."""
+    """Render a batch with one OpenCV thread: a worker process has one core."""
     import cv2
 
     cv2.setNumThreads(1)
@@ -39,7 +39,7 @@ def render_in_worker(
 
 
 def run_in_process(
-    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: Progress
+    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: GenerationProgress
 ) -> Iterator[list[Shard]]:
     """Run a plan in this process, batch by batch; a solution is dropped after the last batch that needs it."""
     waiting = Counter(key for batch in plan.batches for key in batch.solve_keys)
@@ -59,7 +59,7 @@ def run_in_process(
 
 
 def run_on_cluster(
-    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: Progress, client: "Client"
+    plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: GenerationProgress, client: "Client"
 ) -> Iterator[list[Shard]]:
     """Run a plan on a Dask cluster and yield the shards as they come; keys are content, so work is never done twice.
 
@@ -121,21 +121,21 @@ def _of_batch(batch: FrameBatch, matrices: dict[str, np.ndarray]) -> Sequence[np
 
 @contextlib.contextmanager
 def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"]:
-    """Yield a client of the cluster at an address, or of a local one: a process a core, a thread each.
+    """Yield a client of the cluster at an address, or of a local one with one process per core, one thread each.
 
     Raises
     ------
     RuntimeError
         If nothing answers at the address.
     ValueError
-        If a number of workers is asked of a cluster that is already there.
+        If a number of workers is given for a cluster that is already there.
     """
     import logging
 
     import dask
     from distributed import Client, LocalCluster
 
-    # Dask tells of every lost connection in many lines; what matters is raised as one error.
+    # Dask reports every lost connection in many lines; what matters is raised as one error.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if scheduler is not None:
         if workers is not None:

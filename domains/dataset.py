@@ -1,26 +1,27 @@
-"""Reading a data set: labelled frames of one domain, whatever their layout on disk."""
+"""The data set: labelled frames of one domain, in memory, on disk, or some frames of another."""
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.domains.folder import MANIFEST, REFERENCE, DomainFolder
-from gelgap.domains.pixel_cache import cached_images, resized
-from gelgap.domains.schema import PAPER_FORCE_RANGE_N, decode_picture
+from gelgap.domains.picture_codec import resized
 
 if TYPE_CHECKING:
-    from pyarrow.parquet import ParquetFile
+    from torch import device as Device
 
-    from gelgap.domains.recipe import DomainRecipe
-    from gelgap.domains.torch_dataset import PairedFrames, Pairing
+    from gelgap.domains.paired_frames import PairedFrames, Pairing
 
-_PICTURE_COLUMNS = ("image", "height_map", "contact_mask", "marker_rest_mm", "marker_px")
+PAPER_FORCE_RANGE_N = ((-0.75, 0.75), (-0.75, 0.75), (-3.0, 0.0))
+"""The paper's fixed ranges of Fx, Fy, Fz in N, by which forces are normalised."""
+
+CONTACT_CLASSES = 361
+"""How many contact classes the paper's grid has: without contact, and 5 depths × 6 radii × 12 directions."""
+
+FORCE_COLUMNS = ("fx_n", "fy_n", "fz_n")
 
 
 @dataclass(frozen=True)
@@ -34,18 +35,30 @@ class Frame:
 
 
 class LabelledFrames(ABC):
-    """The frames of one domain: `columns` as arrays (n,), pictures on demand.
+    """The frames of one domain: labels as `columns` (n,), pictures on demand; `take` gives some of them.
 
-    `notes` says in sentences what is unusual about the data set, `unconverged` how many frames were left out because
-    the simulation did not converge, `force_range_n` (3, 2) which forces the data set declares.
+    Attributes
+    ----------
+    name
+        The domain's.
+    columns
+        What is known of each frame, arrays (n,) by name; always `fx_n`, `fy_n` and `fz_n`.
+    force_range_n
+        Which forces the data set declares, (3, 2) N.
+    n_classes
+        How many contact classes the labels may take.
+    notes
+        Sentences on what is unusual about the data set.
+    unconverged
+        How many frames were left out because the simulation did not converge.
     """
 
     name: str
-    folder: Path
     columns: dict[str, np.ndarray]
+    force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
+    n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
-    force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
 
     @property
     @abstractmethod
@@ -58,8 +71,16 @@ class LabelledFrames(ABC):
         """A hash that changes when the pictures change."""
 
     @abstractmethod
-    def encoded_picture(self, index: int) -> bytes:
-        """Return the PNG or JPEG bytes of one frame."""
+    def picture(self, index: int) -> np.ndarray:
+        """Return one picture as stored, (h, w, 3) uint8 RGB."""
+
+    @abstractmethod
+    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        """Return all pictures (n, h, w, 3) uint8, area-averaged to `size_px` (see `image_size_px`)."""
+
+    def take(self, indices: np.ndarray) -> "LabelledFrames":
+        """Return the frames with these indices, in this order."""
+        return FrameSubset(self, indices)
 
     def __len__(self) -> int:
         return len(self.columns["fz_n"])
@@ -73,35 +94,10 @@ class LabelledFrames(ABC):
             point_id=int(self.point_id[index]),
         )
 
-    def __iter__(self) -> Iterator[Frame]:
-        return (self[index] for index in range(len(self)))
-
-    def picture(self, index: int) -> np.ndarray:
-        """Return one picture, (h, w, 3) uint8 RGB."""
-        return self.decoded(index, self.encoded_picture(index))
-
-    def decoded(self, index: int, data: bytes) -> np.ndarray:
-        """Decode the bytes of one frame.
-
-        Raises
-        ------
-        ValueError
-            If the picture is damaged or its size is not the reference's.
-        """
-        picture = decode_picture(data)
-        if picture.ndim == 2:
-            picture = np.repeat(picture[..., None], 3, axis=2)
-        if picture.shape != self.reference.shape:
-            raise ValueError(
-                f"data set {self.name}: the picture of frame {index} is {picture.shape[1]}×{picture.shape[0]} px, the "
-                f"reference {self.reference.shape[1]}×{self.reference.shape[0]} px; all pictures must have one size"
-            )
-        return picture
-
     @cached_property
     def force_n(self) -> np.ndarray:
         """Forces (n, 3) in N."""
-        return np.stack([self.columns[name] for name in ("fx_n", "fy_n", "fz_n")], axis=1)
+        return np.stack([self.columns[name] for name in FORCE_COLUMNS], axis=1)
 
     @property
     def contact_class(self) -> np.ndarray:
@@ -119,7 +115,32 @@ class LabelledFrames(ABC):
     @property
     def has_classes(self) -> bool:
         """Whether every frame has a contact class."""
-        return "contact_class" in self.columns and bool((self.contact_class >= 0).all())
+        return bool((self.contact_class >= 0).all())
+
+    def check_labels(self) -> None:
+        """Check that every force lies in the declared range and every label is a contact class or −1.
+
+        Raises
+        ------
+        ValueError
+            If one does not; the message names the first such frame.
+        """
+        low, high = np.asarray(self.force_range_n, float).T
+        outside = ~((self.force_n >= low) & (self.force_n <= high))
+        if outside.any():
+            frame, axis = np.argwhere(outside)[0]
+            raise ValueError(
+                f"domain {self.name}: {outside.any(axis=1).sum()} of {len(self)} frames have a force outside "
+                f"the declared range; first: frame {frame}, F{'xyz'[axis]} = "
+                f"{self.force_n[frame, axis]:.4g} N, allowed [{low[axis]:g}, {high[axis]:g}] N; "
+                f"labels are never clipped"
+            )
+        classes = self.contact_class
+        if len(self) and not (classes.min() >= -1 and classes.max() < self.n_classes):
+            raise ValueError(
+                f"domain {self.name}: contact_class spans {classes.min()}…{classes.max()}, "
+                f"allowed 0…{self.n_classes - 1} (−1: unknown)"
+            )
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -137,14 +158,6 @@ class LabelledFrames(ABC):
         width, height = (max(1, round(side * size_px / longest)) for side in self.size_px)
         return width, height
 
-    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        """Return all pictures (n, h, w, 3) uint8, area-averaged to `size_px`, memory-mapped from a cache on disk.
-
-        The first call for a size builds the cache (beside the data, or in the user's cache folder where the data
-        cannot be written to).
-        """
-        return cached_images(self, self.image_size_px(size_px))
-
     def reference_at(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
         """Return the reference picture as `images` returns pictures."""
         return resized(self.reference, self.image_size_px(size_px))
@@ -153,158 +166,127 @@ class LabelledFrames(ABC):
         self,
         size_px: int | tuple[int, int] | None = 64,
         pairing: "Pairing" = "channels",
-        indices: np.ndarray | None = None,
+        device: "Device | str" = "cpu",
     ) -> "PairedFrames":
         """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference."""
-        from gelgap.domains.torch_dataset import PairedFrames
+        from gelgap.domains.paired_frames import PairedFrames
 
-        return PairedFrames(self, size_px, pairing, indices)
-
-
-class GeneratedDomain(LabelledFrames):
-    """A domain in gelgap's own format: a manifest, a reference picture and Parquet shards."""
-
-    def __init__(self, folder: Path | str):
-        import pyarrow.parquet as pq
-
-        files = DomainFolder(folder)
-        self.folder = files.path
-        self.manifest: dict[str, Any] = files.read_manifest()
-        self.name = self.manifest["domain"]
-        self.force_range_n = np.array(self.manifest["force_range_n"])
-        if not self.manifest["complete"]:
-            raise RuntimeError(
-                f"{self.folder} is not finished; run the same `gelgap generate` again to complete what is missing"
-            )
-        self._shards = sorted(name for name in self.manifest["files"] if name.endswith(".parquet"))
-        columns: dict[str, list[np.ndarray]] = {}
-        places = []
-        for number, name in enumerate(self._shards):
-            try:
-                file = pq.ParquetFile(self.folder / name)
-                names = [column for column in file.schema_arrow.names if column not in _PICTURE_COLUMNS]
-                table = file.read(columns=names)
-            except FileNotFoundError:
-                raise FileNotFoundError(
-                    f"{self.folder / name} is missing; generate the domain again"
-                ) from None
-            except (OSError, ValueError) as error:
-                raise RuntimeError(
-                    f"{self.folder / name} is damaged ({error}); run the same `gelgap generate` again to repair it"
-                ) from error
-            for column in names:
-                columns.setdefault(column, []).append(table[column].to_numpy())
-            rows_of_group = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
-            places += [
-                (number, group, row) for group, rows in enumerate(rows_of_group) for row in range(rows)
-            ]
-        joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-        kept = np.flatnonzero(joined["converged"])
-        self.columns = {name: values[kept] for name, values in joined.items()}
-        self.unconverged = len(joined["converged"]) - len(kept)
-        if self.unconverged:
-            self.notes = (
-                f"{self.unconverged} of {len(joined['converged'])} frames did not converge: left out",
-            )
-        self._places = np.array(places, dtype=np.int64).reshape(-1, 3)[kept]
-        self._open_files: dict[int, ParquetFile] = {}
-        self._group: tuple[tuple[int, int, str] | None, list[bytes | None]] = (None, [])
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open_files": {}, "_group": (None, [])}
-
-    @cached_property
-    def reference(self) -> np.ndarray:
-        return decode_picture((self.folder / REFERENCE).read_bytes())
-
-    @cached_property
-    def digest(self) -> str:
-        hashes = sorted((name, entry["sha256"]) for name, entry in self.manifest["files"].items())
-        return hashlib.sha256(repr(hashes).encode()).hexdigest()
-
-    def encoded_picture(self, index: int) -> bytes:
-        return self._cell(index, "image")
-
-    def height_map_mm(self, index: int) -> np.ndarray:
-        """Return the height map (h, w) in mm, if the domain was generated with that column."""
-        self._require("height_map")
-        stored = decode_picture(self._cell(index, "height_map")).astype(np.float64)
-        scale = self.manifest["height_map"]
-        return scale["offset_mm"] + scale["step_mm"] * stored
-
-    def contact_mask(self, index: int) -> np.ndarray:
-        """Return where the indenter touches, (h, w) bool, if the domain was generated with that column."""
-        self._require("contact_mask")
-        return decode_picture(self._cell(index, "contact_mask")) > 0
-
-    def marker_px(self, index: int) -> np.ndarray:
-        """Return where the markers are in the picture, (m, 2) pixels, if generated with that column."""
-        self._require("marker_px")
-        return np.array(self._cell(index, "marker_px"))
-
-    def marker_rest_mm(self, index: int) -> np.ndarray:
-        """Return where the markers are on the undeformed membrane, (m, 2) mm, if generated with that column."""
-        self._require("marker_rest_mm")
-        return np.array(self._cell(index, "marker_rest_mm"))
-
-    @cached_property
-    def recipe(self) -> "DomainRecipe":
-        """The configuration that the domain was generated from."""
-        from gelgap.domains.recipe import DomainRecipe
-
-        return DomainRecipe(**self.manifest["configuration"])
-
-    @property
-    def optional_columns(self) -> tuple[str, ...]:
-        return tuple(self.manifest["configuration"]["columns"])
-
-    def _require(self, column: str) -> None:
-        if column not in self.optional_columns:
-            raise ValueError(
-                f"data set {self.name} was generated without the column {column!r}; it has "
-                f"{', '.join(self.optional_columns) or 'no optional columns'}: generate it with --columns {column}"
-            )
-
-    def _cell(self, index: int, column: str) -> Any:
-        shard, group, row = (int(number) for number in self._places[index])
-        if self._group[0] != (shard, group, column):
-            self._group = ((shard, group, column), self._read_group(shard, group, column))
-        return self._group[1][row]
-
-    def _read_group(self, shard: int, group: int, column: str) -> list[Any]:
-        import pyarrow.parquet as pq
-
-        if shard not in self._open_files:
-            self._open_files[shard] = pq.ParquetFile(self.folder / self._shards[shard], memory_map=True)
-        cells = self._open_files[shard].read_row_group(group, columns=[column]).column(column)
-        if column in ("image", "height_map", "contact_mask"):
-            return [cell for chunk in cells.chunks for cell in chunk.field("bytes").to_pylist()]
-        return cells.to_pylist()
+        return PairedFrames(
+            self.images(size_px),
+            self.reference_at(size_px),
+            self.force_n,
+            self.contact_class,
+            pairing,
+            device,
+        )
 
 
-def open_domain(folder: Path | str) -> LabelledFrames:
-    """Open a data set: gelgap's own format, the paper's published layout, or a folder of pictures with a CSV table.
+class ArrayFrames(LabelledFrames):
+    """Labelled frames in memory.
+
+    Parameters
+    ----------
+    images, reference
+        (n, h, w, 3) and (h, w, 3) uint8 RGB.
+    force_n
+        (n, 3) N.
+    force_range_n, n_classes
+        As in `LabelledFrames`.
+    contact_class, point_id, **columns
+        What else is known of each frame, (n,) each: `x_mm`, `y_mm`, `split`, ….
 
     Raises
     ------
-    FileNotFoundError
-        If there is no data set of a known layout; the message says what was looked for.
-    RuntimeError
-        If the data set is damaged or not finished.
+    ValueError
+        If the arrays do not fit together.
     """
-    folder = Path(folder)
-    if (folder / MANIFEST).exists():
-        return GeneratedDomain(folder)
-    from gelgap.domains.dar_ots import PublishedDomain
-    from gelgap.domains.picture_folder import PictureFolder
 
-    for layout in (PublishedDomain, PictureFolder):
-        if layout.recognises(folder):
-            return layout(folder)
-    what = "does not exist" if not folder.exists() else "is no data set"
-    inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST}"))
-    hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
-    raise FileNotFoundError(
-        f"{folder} {what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
-        f"(the published layout), or with pictures and one CSV table{hint}"
-    )
+    def __init__(
+        self,
+        name: str,
+        images: np.ndarray,
+        reference: np.ndarray,
+        force_n: np.ndarray,
+        contact_class: np.ndarray | None = None,
+        point_id: np.ndarray | None = None,
+        *,
+        force_range_n: np.ndarray = LabelledFrames.force_range_n,
+        n_classes: int = CONTACT_CLASSES,
+        **columns: np.ndarray,
+    ):
+        self.name, self.n_classes = name, n_classes
+        self.force_range_n = np.asarray(force_range_n, float)
+        self._images, self._reference = images, reference
+        stated = {"contact_class": contact_class, "point_id": point_id}
+        columns |= {label: values for label, values in stated.items() if values is not None}
+        self._check(force_n, columns)
+        self.columns = {label: force_n[:, axis] for axis, label in enumerate(FORCE_COLUMNS)} | columns
+
+    def _check(self, force_n: np.ndarray, columns: dict[str, np.ndarray]) -> None:
+        images, n = self._images, len(self._images)
+        if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
+            raise ValueError(
+                f"domain {self.name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"
+            )
+        if self._reference.shape != images.shape[1:]:
+            raise ValueError(
+                f"domain {self.name}: the reference picture is {self._reference.shape}, the images are "
+                f"{images.shape[1:]}; they must have one size"
+            )
+        for label, values in {"force_n": force_n, **columns}.items():
+            expected = (n, 3) if label == "force_n" else (n,)
+            if values.shape != expected:
+                raise ValueError(
+                    f"domain {self.name}: {label} has shape {values.shape}; {n} images need {expected}"
+                )
+        if self.force_range_n.shape != (3, 2) or not (np.diff(self.force_range_n) > 0).all():
+            raise ValueError(f"domain {self.name}: force_range_n must be (3, 2) with lower < upper bounds")
+
+    @property
+    def reference(self) -> np.ndarray:
+        return self._reference
+
+    @cached_property
+    def digest(self) -> str:
+        found = hashlib.sha256(self.name.encode())
+        for array in (self._images, self._reference, self.force_n, self.contact_class, self.point_id):
+            found.update(np.ascontiguousarray(array).data)
+        return found.hexdigest()
+
+    def picture(self, index: int) -> np.ndarray:
+        return self._images[index]
+
+    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        size = self.image_size_px(size_px)
+        if size == self.size_px:
+            return self._images
+        return np.stack([resized(image, size) for image in self._images])
+
+
+class FrameSubset(LabelledFrames):
+    """Some frames of a data set, `whole`, in the order of `indices` (n,)."""
+
+    def __init__(self, whole: LabelledFrames, indices: np.ndarray):
+        self.whole = whole
+        self.indices = np.arange(len(whole))[indices]
+        self.name, self.force_range_n, self.n_classes = whole.name, whole.force_range_n, whole.n_classes
+        self.notes, self.unconverged = whole.notes, whole.unconverged
+        self.columns = {name: values[self.indices] for name, values in whole.columns.items()}
+        self._images: dict[tuple[int, int], np.ndarray] = {}
+
+    @property
+    def reference(self) -> np.ndarray:
+        return self.whole.reference
+
+    @cached_property
+    def digest(self) -> str:
+        return hashlib.sha256(self.whole.digest.encode() + self.indices.tobytes()).hexdigest()
+
+    def picture(self, index: int) -> np.ndarray:
+        return self.whole.picture(int(self.indices[index]))
+
+    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        size = self.image_size_px(size_px)
+        if size not in self._images:
+            self._images[size] = self.whole.images(size)[self.indices]
+        return self._images[size]

@@ -31,7 +31,7 @@ class Domain:
         Raises
         ------
         ValueError
-            If the name does not put together known presets; the message lists them.
+            If the name is not made of known presets; the message lists them.
         """
         found = {domain.name: domain for domain in known_domains()}
         if name not in found:

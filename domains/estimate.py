@@ -2,13 +2,13 @@
 
 import os
 import time
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.domains.pictures import led_to_camera, picture_cells, same_picture
+from gelgap.domains.frame_pictures import led_to_camera, picture_cells, same_picture
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState, grid_axes
@@ -16,8 +16,8 @@ from gelgap.sim import MembraneState, grid_axes
 if TYPE_CHECKING:
     from gelgap.sim import Solve
 
-# Seconds of one core for one load step, measured on the gel of the paper-like presets.
-SECONDS_A_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
+# Seconds of one core per load step, measured on the gel of the paper-like presets.
+SECONDS_PER_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Estimate:
         return (self.solve_core_s + self.frame_core_s) / self.workers
 
     def __str__(self) -> str:
-        ms = 1e3 * self.frame_core_s / self.frames
+        ms, kilobytes = 1e3 * self.frame_core_s / self.frames, self.disk_bytes / self.frames / 1e3
         return "\n".join(
             [
                 f"domains  {', '.join(self.domains)}",
@@ -49,14 +49,14 @@ class Estimate:
                 f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
                 f"time     about {_duration(self.wall_s)} with {self.workers} workers: "
                 f"{_duration(self.solve_core_s)} of a core to solve, {_duration(self.frame_core_s)} to render "
-                f"({ms:.1f} ms a frame)",
-                f"disk     about {self.disk_bytes / 1e6:.0f} MB ({self.disk_bytes / self.frames / 1e3:.1f} kB a frame)",
+                f"({ms:.1f} ms per frame)",
+                f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
             ]
         )
 
 
 def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Estimate:
-    """Plan domains and estimate their cost; a few frames of each light are rendered to see."""
+    """Plan domains and estimate their cost; a few frames of each light are rendered for it."""
     from gelgap.sim import load_solution
 
     plan = plan_generation(recipes)
@@ -84,7 +84,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
 def _solve_s(solve: "Solve") -> float:
     """Return the expected seconds of a solve."""
     problem = solve.problem
-    return SECONDS_A_LOAD_STEP[problem.quality.name] * problem.load_steps
+    return SECONDS_PER_LOAD_STEP[problem.quality.name] * problem.load_steps
 
 
 def _frame_costs(plan: GenerationPlan) -> tuple[float, float]:
@@ -106,12 +106,9 @@ def _frame_cost(
     recipes: Sequence[DomainRecipe], matrices: Sequence[np.ndarray], state: MembraneState
 ) -> tuple[float, float]:
     start = time.process_time()
-    groups: dict[Hashable, list[int]] = {}
-    for index, recipe in enumerate(recipes):
-        groups.setdefault(same_picture(recipe), []).append(index)
     cells = [
         row
-        for members in groups.values()
+        for members in same_picture(recipes)
         for row in picture_cells([recipes[index] for index in members], matrices[members[0]], 0, state)
     ]
     seconds = time.process_time() - start

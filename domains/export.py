@@ -6,26 +6,30 @@ import json
 import os
 import shutil
 import tarfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gelgap.domains import dar_ots
-from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains import published
+from gelgap.domains.columns import OPTIONAL, Column
+from gelgap.domains.dataset import LabelledFrames
+from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import domain_folders, inspect_domain
-from gelgap.domains.schema import DIAGNOSTICS_COLUMNS, encode_png
+from gelgap.domains.opening import open_domain
+from gelgap.domains.picture_codec import encode_jpeg, encode_png
+from gelgap.domains.splits import PARTS
+from gelgap.domains.stored import StoredFrames
 
-_JPEG_QUALITY = 95
 _SAMPLES_PER_TAR = 1000
 
 
 def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[Path, ...]:
-    """Write the domains at a path in another format and return what was written, one path a domain.
+    """Write the domains at a path in another format and return what was written, one path per domain.
 
     `paper` is the published layout (JPEG pictures), `webdataset` tars of PNG and JSON, `huggingface` one folder with a
-    data card and a configuration a domain. Frames that did not converge are left out.
+    data card and one configuration per domain. Frames that did not converge are left out.
 
     Raises
     ------
@@ -59,13 +63,13 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
     for frames in domains:
         folder = out_dir / frames.name
         folder.mkdir()
-        (folder / dar_ots.REFERENCE).write_bytes(_jpeg(frames.reference))
-        unsplit = folder / dar_ots.UNSPLIT
+        (folder / published.REFERENCE).write_bytes(encode_jpeg(frames.reference))
+        unsplit = folder / published.UNSPLIT
         _paper_table(frames, unsplit, np.arange(len(frames)))
         for index in range(len(frames)):
-            (unsplit / "images" / f"{index}.jpg").write_bytes(_jpeg(frames.picture(index)))
-        split = frames.columns.get("split", np.full(len(frames), "train", dtype=object))
-        for part, members in {"train": split != "test", "test": split == "test"}.items():
+            (unsplit / "images" / f"{index}.jpg").write_bytes(encode_jpeg(frames.picture(index)))
+        is_test = _stated_split(frames) == "test"
+        for part, members in {"train": ~is_test, "test": is_test}.items():
             indices = np.flatnonzero(members)
             if len(indices):
                 _paper_table(frames, folder / part, indices)
@@ -79,22 +83,15 @@ def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> N
     (folder / "forcePosition").mkdir()
     with (folder / "forcePosition" / "force.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*dar_ots.FORCE_COLUMNS, *([dar_ots.LABEL_COLUMN] if frames.has_classes else [])])
+        writer.writerow(
+            [*published.PUBLISHED_FORCES, *([published.LABEL_COLUMN] if frames.has_classes else [])]
+        )
         for index in indices:
             label = [int(frames.contact_class[index])] if frames.has_classes else []
             writer.writerow([*frames.force_n[index].tolist(), *label])
 
 
-def _jpeg(picture: np.ndarray) -> bytes:
-    import cv2
-
-    done, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    if not done:
-        raise RuntimeError(f"OpenCV could not encode a picture of shape {picture.shape}")
-    return data.tobytes()
-
-
-def _webdataset(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
+def _webdataset(domains: Iterable[StoredFrames], out_dir: Path) -> None:
     """`<domain>/<split>-000000.tar` of `<frame>.png` and `<frame>.json`, and `<domain>/reference.png` beside them."""
     for frames in domains:
         folder = out_dir / frames.name
@@ -124,13 +121,14 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and np.isnan(value) else value
 
 
+def _stated_split(frames: LabelledFrames) -> np.ndarray:
+    """Return the part (n,) of each frame; without a stated split all are for training."""
+    return frames.columns.get("split", np.full(len(frames), "train", dtype=object))
+
+
 def _by_split(frames: LabelledFrames) -> dict[str, np.ndarray]:
-    split = frames.columns.get("split", np.full(len(frames), "train", dtype=object))
-    return {
-        name: np.flatnonzero(split == name)
-        for name in ("train", "validation", "test")
-        if (split == name).any()
-    }
+    split = _stated_split(frames)
+    return {part: np.flatnonzero(split == part) for part in PARTS if (split == part).any()}
 
 
 def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
@@ -149,10 +147,9 @@ def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
         (folder / "reference.png").write_bytes(encode_png(frames.reference))
         shards = sorted(frames.folder.glob("frames-*.parquet"))
         schema = pq.read_schema(shards[0])
-        parts = [part for part in ("train", "validation", "test") if (frames.columns["split"] == part).any()]
         writers = {
             part: pq.ParquetWriter(folder / f"{part}-00000.parquet", schema, compression="zstd")
-            for part in parts
+            for part in _by_split(frames)
         }
         for shard in shards:
             table = pq.read_table(shard)
@@ -215,21 +212,17 @@ def _data_card(domains: list[GeneratedDomain]) -> str:
 
 def _optional_columns(domains: list[GeneratedDomain]) -> list[str]:
     """Return what the card says of optional columns: the height map's scale is in no other file of the export."""
-    scale = domains[0].manifest["height_map"]
-    meanings = {
-        "height_map": f"`height_map`: height towards the camera in mm is {scale['offset_mm']:g} + "
-        f"{scale['step_mm']:g} × code",
-        "contact_mask": "`contact_mask`: 255 where the sphere touches",
-        "marker_rest_mm": "`marker_rest_mm`: (x, y) of each dot on the undeformed membrane, mm",
-        "marker_px": "`marker_px`: (x, y) of each dot in the picture, pixel centres at +0.5",
-        "diagnostics": f"how the pose was solved: {', '.join(f'`{name}`' for name in DIAGNOSTICS_COLUMNS)}",
-    }
-    used = {column for frames in domains for column in frames.optional_columns}
-    told = [text for column, text in meanings.items() if column in used]
+    used = {name for frames in domains for name in frames.optional_columns}
+    told = [_described(columns) for name, columns in OPTIONAL.items() if name in used]
     return ["", f"Optional columns, where a domain has them: {'; '.join(told)}."] if told else []
 
 
-FORMATS: dict[str, Callable[[Iterable[LabelledFrames], Path], None]] = {
+def _described(columns: Sequence[Column]) -> str:
+    unit = f" ({columns[0].unit})" if columns[0].unit else ""
+    return f"{', '.join(f'`{column.name}`' for column in columns)}{unit}: {columns[0].meaning}"
+
+
+FORMATS: dict[str, Callable[[Iterable[StoredFrames], Path], None]] = {
     "paper": _paper,
     "webdataset": _webdataset,
     "huggingface": _huggingface,

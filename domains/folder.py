@@ -1,20 +1,15 @@
-"""A domain's folder on disk: its manifest, its shards, how they are written so that nothing is ever half there."""
+"""A domain's folder on disk: its manifest, its shards, and what differs between the two."""
 
-import contextlib
-import fcntl
 import hashlib
 import json
-import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
+
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
-LOCK = ".lock"
-RUN_LOG = "run.jsonl"
-_TEMPORARY = ".tmp"
 
 
 def sha256(data: bytes) -> str:
@@ -29,55 +24,6 @@ def file_sha256(path: Path) -> str:
 def canonical_json(value: Any) -> bytes:
     """Return the one JSON text of a value: sorted keys, so that equal values hash equally."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there completely or not at all, also after a crash or on a full disk.
-
-    Raises
-    ------
-    RuntimeError
-        If the disk does not take it; what was there before is untouched.
-    """
-    temporary = path.with_name(f".{path.name}{_TEMPORARY}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise RuntimeError(
-            f"cannot write {path}: {error.strerror or error}; what is finished is safe: "
-            "make room and run the same command again to complete it"
-        ) from error
-
-
-@contextlib.contextmanager
-def sole_writer(out_dir: Path) -> Iterator[None]:
-    """Hold the folder's lock; the kernel gives it back however the process ends.
-
-    Raises
-    ------
-    RuntimeError
-        If another process is writing to the folder.
-    """
-    out_dir.mkdir(parents=True, exist_ok=True)
-    with (out_dir / LOCK).open("a+") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            file.seek(0)
-            raise RuntimeError(
-                f"another process ({file.read().strip() or 'unknown'}) is writing to {out_dir}; "
-                "wait for it to end or choose another folder"
-            ) from error
-        file.truncate(0)
-        file.write(f"pid {os.getpid()}")
-        file.flush()
-        yield
 
 
 def shard_name(number: int) -> str:
@@ -147,23 +93,27 @@ class DomainFolder:
         write_whole(self.path / name, data)
         return {"sha256": sha256(data), "bytes": len(data)}
 
-    def intact(self, name: str, entry: dict[str, Any]) -> bool:
-        """Tell whether the file is there with exactly the bytes that the manifest states."""
+    def problem(self, name: str, entry: dict[str, Any]) -> str | None:
+        """Return how a file differs from what the manifest states, or None if it has exactly those bytes."""
         path = self.path / name
-        try:
-            return path.stat().st_size == entry["bytes"] and file_sha256(path) == entry["sha256"]
-        except FileNotFoundError:
-            return False
+        if not path.exists():
+            return "is missing"
+        size = path.stat().st_size
+        if size != entry["bytes"]:
+            return f"has {size} bytes, the manifest states {entry['bytes']}"
+        if file_sha256(path) != entry["sha256"]:
+            return "has other bytes than the manifest states (SHA-256 differs)"
+        return None
 
     def clear(self) -> None:
         """Remove what generation wrote here, and nothing else."""
-        for pattern in (MANIFEST, REFERENCE, "frames-*.parquet", f".*{_TEMPORARY}", ".cache/*"):
+        for pattern in (MANIFEST, REFERENCE, "frames-*.parquet", f".*{TEMPORARY_SUFFIX}", ".cache/*"):
             for path in self.path.glob(pattern):
                 path.unlink()
 
     def remove_leftovers(self, names: set[str]) -> None:
         """Remove temporary files, and shards that the plan does not know."""
-        for path in [*self.path.glob(f".*{_TEMPORARY}"), *self.path.glob("frames-*.parquet")]:
+        for path in [*self.path.glob(f".*{TEMPORARY_SUFFIX}"), *self.path.glob("frames-*.parquet")]:
             if path.name not in names:
                 path.unlink()
 
@@ -174,17 +124,8 @@ class DomainFolder:
         except (FileNotFoundError, RuntimeError) as error:
             return [Damage(MANIFEST, str(error))]
         files = manifest["files"]
-        found = []
-        for name, entry in sorted(files.items()):
-            path = self.path / name
-            if not path.exists():
-                found.append(Damage(name, "is missing"))
-            elif path.stat().st_size != entry["bytes"]:
-                found.append(
-                    Damage(name, f"has {path.stat().st_size} bytes, the manifest states {entry['bytes']}")
-                )
-            elif file_sha256(path) != entry["sha256"]:
-                found.append(Damage(name, "has other bytes than the manifest states (SHA-256 differs)"))
+        problems = {name: self.problem(name, entry) for name, entry in sorted(files.items())}
+        found = [Damage(name, problem) for name, problem in problems.items() if problem]
         unknown = {path.name for path in self.path.glob("frames-*.parquet")} - set(files)
         found += [Damage(name, "is not in the manifest") for name in sorted(unknown)]
         if not manifest["complete"]:

@@ -1,40 +1,25 @@
-"""Generating domains: plan, run, write; finished work is never done again and never lost."""
+"""Generating domains: plan, run, write; finished work is neither repeated nor lost."""
 
-import json
-import platform
+import itertools
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gelgap.assets.sole_use import sole_use
 from gelgap.domains.cluster import SYNCHRONOUS, dask_client, run_in_process, run_on_cluster
 from gelgap.domains.domain import Domain
-from gelgap.domains.folder import REFERENCE, RUN_LOG, DomainFolder, sole_writer
-from gelgap.domains.pictures import led_to_camera, reference_png
-from gelgap.domains.plan import GenerationPlan, plan_generation, shard_bounds
-from gelgap.domains.progress import Progress, Silent
+from gelgap.domains.frame_pictures import led_to_camera
+from gelgap.domains.generation_progress import GenerationProgress
+from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe, make_recipes
-from gelgap.domains.schema import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
+from gelgap.domains.run_log import RUN_LOG, RunLog
 from gelgap.domains.shard import Shard
+from gelgap.domains.writer import DomainWriter
 from gelgap.sim import ContactPath, PosePath
-
-PACKAGES = (
-    "gelgap",
-    "mujoco",
-    "numpy",
-    "scipy",
-    "numba",
-    "pyrender",
-    "colour-science",
-    "opencv-python-headless",
-    "pyarrow",
-)
-"""The packages whose versions a domain's bytes may depend on."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +73,7 @@ def generate(
     scheduler: str | None = None,
     workers: int | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: GenerationProgress | None = None,
     **settings: Any,
 ) -> GenerationReport:
     """Generate domains by their names into one folder each under `out_dir`; see `make_recipes` for the settings.
@@ -108,7 +93,7 @@ def generate_recipes(
     scheduler: str | None = None,
     workers: int | None = None,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: GenerationProgress | None = None,
 ) -> GenerationReport:
     """Generate domains; what an earlier, interrupted run finished is kept if its bytes are intact.
 
@@ -117,11 +102,11 @@ def generate_recipes(
     recipes
         The domains, each with a name of its own.
     out_dir
-        Gets one folder a domain, and `run.jsonl` (times, machine, events).
+        Gets one folder per domain, and `run.jsonl` (times, machine, events).
     scheduler
         Address of a Dask scheduler, or `synchronous` for this process; by default a local cluster is started.
     workers
-        Processes of the local cluster; by default one a core.
+        Processes of the local cluster; by default one per core.
     overwrite
         Replace domains that hold another configuration.
     progress
@@ -136,56 +121,41 @@ def generate_recipes(
     """
     start = time.monotonic()
     out_dir = Path(out_dir)
-    progress = progress or Silent()
-    names = [recipe.name for recipe in recipes]
+    progress = progress or GenerationProgress()
+    names = tuple(recipe.name for recipe in recipes)
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: must be 1 or more")
     if len(set(names)) < len(names):
         raise ValueError(f"two domains have one name in {', '.join(names)}; give each its own")
-    with sole_writer(out_dir):
-        writers = [DomainWriter(recipe, out_dir / recipe.name) for recipe in recipes]
-        for writer in writers:
-            writer.check(overwrite)
-        for writer in writers:
-            writer.prepare()
-        plan = plan_generation(recipes, {writer.recipe.name: writer.finished for writer in writers})
-        skipped = tuple(writer.recipe.name for writer in writers if writer.complete)
+    with sole_use(out_dir):
+        writers = _prepared_writers(recipes, out_dir, overwrite)
+        skipped = tuple(name for name in names if writers[name].complete)
+        plan = plan_generation(recipes, {name: writer.finished for name, writer in writers.items()})
         progress.begin(len(plan.solves), plan.frames)
-        by_name = {writer.recipe.name: writer for writer in writers}
-        written = unrenderable = 0
         log = RunLog(out_dir)
         log.event("begin", domains=names, solves=len(plan.solves), frames=plan.frames, scheduler=scheduler)
         try:
-            if plan.batches or not all(writer.complete for writer in writers):
-                matrices = {
-                    writer.recipe.name: led_to_camera(writer.recipe)
-                    for writer in writers
-                    if not writer.complete
-                }
-                for writer in writers:
-                    if not writer.complete:
-                        writer.write_reference(matrices[writer.recipe.name])
-                for shards in _run(plan, matrices, progress, scheduler, workers):
-                    for shard in shards:
-                        written += by_name[shard.domain].write_shard(shard)
-                        progress.written(shard.frames)
-                        unrenderable += len(shard.unrenderable)
-                        if shard.unrenderable:
-                            log.event("not rendered", domain=shard.domain, frames=shard.unrenderable)
-                for writer in writers:
-                    writer.finish()
+            matrices = {
+                name: led_to_camera(writer.recipe) for name, writer in writers.items() if not writer.complete
+            }
+            for name, matrix in matrices.items():
+                writers[name].write_reference(matrix)
+            shards = _run(plan, matrices, progress, scheduler, workers)
+            written, unrenderable = _write(shards, writers, log, progress)
+            for writer in writers.values():
+                writer.finish()
         except BaseException as error:
             log.event("stopped", error=f"{type(error).__name__}: {error}")
             raise
         report = GenerationReport(
             out_dir=out_dir,
-            domains=tuple(names),
+            domains=names,
             skipped=skipped,
             frames=sum(len(recipe.path.poses) for recipe in recipes),
             frames_written=plan.frames,
-            unconverged=sum(writer.total("unconverged") for writer in writers),
+            unconverged=sum(writer.total("unconverged") for writer in writers.values()),
             unrenderable=unrenderable,
-            outside_range=sum(writer.total("outside_range") for writer in writers),
+            outside_range=sum(writer.total("outside_range") for writer in writers.values()),
             solves=len(plan.solves),
             bytes_written=written,
             wall_s=time.monotonic() - start,
@@ -194,10 +164,39 @@ def generate_recipes(
         return report
 
 
+def _prepared_writers(
+    recipes: Sequence[DomainRecipe], out_dir: Path, overwrite: bool
+) -> dict[str, DomainWriter]:
+    """Return a writer per domain, by name; nothing is changed on disk unless all folders are free or resumable."""
+    writers = {recipe.name: DomainWriter(recipe, out_dir / recipe.name) for recipe in recipes}
+    for writer in writers.values():
+        writer.check(overwrite)
+    for writer in writers.values():
+        writer.prepare()
+    return writers
+
+
+def _write(
+    batches: Iterable[Sequence[Shard]],
+    writers: dict[str, DomainWriter],
+    log: RunLog,
+    progress: GenerationProgress,
+) -> tuple[int, int]:
+    """Write shards as they come; return how many bytes they have, and how many frames could not be rendered."""
+    written = unrenderable = 0
+    for shard in itertools.chain.from_iterable(batches):
+        written += writers[shard.domain].write_shard(shard)
+        progress.written(shard.frames)
+        unrenderable += len(shard.unrenderable)
+        if shard.unrenderable:
+            log.event("not rendered", domain=shard.domain, frames=shard.unrenderable)
+    return written, unrenderable
+
+
 def _run(
     plan: GenerationPlan,
     matrices: dict[str, np.ndarray],
-    progress: Progress,
+    progress: GenerationProgress,
     scheduler: str | None,
     workers: int | None,
 ) -> Iterator[list[Shard]]:
@@ -208,140 +207,3 @@ def _run(
         return
     with dask_client(scheduler, workers) as client:
         yield from run_on_cluster(plan, matrices, progress, client)
-
-
-class DomainWriter:
-    """Writes one domain's folder, shard by shard, keeping the manifest true after each."""
-
-    def __init__(self, recipe: DomainRecipe, path: Path):
-        self.recipe = recipe
-        self.folder = DomainFolder(path)
-        self.files: dict[str, Any] = {}
-        self.complete = False
-        self._replace = False
-
-    @property
-    def finished(self) -> set[str]:
-        """Names of the shards that need no work."""
-        return set(self.files) - {REFERENCE}
-
-    def check(self, overwrite: bool) -> None:
-        """Refuse a folder that holds something else, before anything is changed; else see what is intact."""
-        self._replace = overwrite
-        if overwrite or not self.folder.exists():
-            return
-        manifest = self.folder.read_manifest()
-        intact = {name: entry for name, entry in manifest["files"].items() if self.folder.intact(name, entry)}
-        self.complete = manifest["complete"] and len(intact) == len(manifest["files"])
-        differences = _differences(manifest["schema_version"], SCHEMA_VERSION, "schema_version")
-        differences += _differences(manifest["configuration"], self.recipe.configuration())
-        if not self.complete:
-            differences += _differences(manifest["versions"], package_versions(), "versions")
-        if differences:
-            raise ValueError(
-                f"{self.folder.path} holds another configuration ({'; '.join(differences[:3])}"
-                f"{'; …' if len(differences) > 3 else ''}): use the same settings to resume it, --overwrite to "
-                "replace it, or another output folder"
-            )
-        self.files = intact
-
-    def prepare(self) -> None:
-        """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
-        self.folder.path.mkdir(parents=True, exist_ok=True)
-        if self._replace:
-            self.folder.clear()
-        self.folder.remove_leftovers(set(self.files))
-        if not self.complete:
-            self._write_manifest()
-
-    def write_reference(self, matrix: np.ndarray) -> None:
-        if REFERENCE not in self.files:
-            self.files[REFERENCE] = self.folder.write_file(REFERENCE, reference_png(self.recipe, matrix))
-            self._write_manifest()
-
-    def write_shard(self, shard: Shard) -> int:
-        """Write one shard and enter it in the manifest; return how many bytes it has."""
-        entry = self.folder.write_file(shard.file, shard.data)
-        counts = ("frames", "unconverged", "force_min_n", "force_max_n", "outside_range")
-        self.files[shard.file] = entry | {name: getattr(shard, name) for name in counts}
-        self._write_manifest()
-        return len(shard.data)
-
-    def finish(self) -> None:
-        if not self.complete:
-            self.complete = True
-            self._write_manifest()
-
-    def total(self, count: str) -> int:
-        """Return the sum of one count over all shards."""
-        return sum(entry.get(count, 0) for entry in self.files.values())
-
-    def _write_manifest(self) -> None:
-        forces = [entry for entry in self.files.values() if entry.get("force_min_n")]
-        complete = self.complete and len(self.finished) == len(shard_bounds(len(self.recipe.path.poses)))
-        manifest = {
-            "schema_version": SCHEMA_VERSION,
-            "domain": self.recipe.name,
-            "complete": complete,
-            "configuration": self.recipe.configuration(),
-            "seed": self.recipe.seed,
-            "frames": len(self.recipe.path.poses),
-            "unconverged": self.total("unconverged"),
-            "outside_range": self.total("outside_range"),
-            "force_range_n": self.recipe.force_range_n,
-            "force_min_n": np.min([entry["force_min_n"] for entry in forces], axis=0).tolist()
-            if forces
-            else None,
-            "force_max_n": np.max([entry["force_max_n"] for entry in forces], axis=0).tolist()
-            if forces
-            else None,
-            "height_map": {"step_mm": HEIGHT_MAP_STEP_MM, "offset_mm": HEIGHT_MAP_OFFSET_MM},
-            "versions": package_versions(),
-            "files": dict(sorted(self.files.items())),
-        }
-        self.folder.write_manifest(manifest)
-
-
-class RunLog:
-    """`run.jsonl`: when, where and what; the one file that may differ between equal data sets."""
-
-    def __init__(self, out_dir: Path):
-        self._path = out_dir / RUN_LOG
-
-    def event(self, what: str, **values: Any) -> None:
-        line = {
-            "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            "host": platform.node(),
-            "event": what,
-        }
-        try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line | values) + "\n")
-        except OSError:
-            # A log that cannot be written, on a full disk, must not hide the error that it is about.
-            pass
-
-
-@lru_cache(maxsize=1)
-def package_versions() -> dict[str, str]:
-    """Return the versions of the packages that a domain's bytes may depend on."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
-
-
-def _differences(there: Any, asked: Any, field: str = "") -> list[str]:
-    if isinstance(there, dict) and isinstance(asked, dict):
-        return [
-            line
-            for key in sorted(there.keys() | asked.keys())
-            for line in _differences(there.get(key), asked.get(key), f"{field}.{key}" if field else key)
-        ]
-    if there == asked:
-        return []
-    texts = [text if len(text := str(value)) < 60 else "…" for value in (there, asked)]
-    return [f"{field}: {texts[0]} there, {texts[1]} asked for"]

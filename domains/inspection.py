@@ -6,13 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains.contacts import paired_contacts
+from gelgap.domains.dataset import LabelledFrames
+from gelgap.domains.domain_gaps import domain_gap
 from gelgap.domains.folder import MANIFEST, Damage, DomainFolder
+from gelgap.domains.generated import GeneratedDomain
+from gelgap.domains.opening import open_domain
 
 
 @dataclass(frozen=True)
 class DomainSummary:
-    """The facts of one domain. `frames` can be read; `force_range_n` is what is declared, min and max what is there."""
+    """The facts of one domain: `frames` that can be read, the declared range of forces and the extremes found."""
 
     folder: str
     name: str
@@ -106,9 +110,6 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     seen = picture_gap(base.reference, frames.reference)
     rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
     if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):
-        from gelgap.domains.gap import domain_gap
-        from gelgap.domains.splits import paired_contacts
-
         gap = domain_gap(base.recipe, frames.recipe)
         rows += [
             (
@@ -148,7 +149,7 @@ def _label_notes(frames: LabelledFrames) -> list[str]:
     notes = []
     if not np.isfinite(frames.force_n).all():
         notes.append(
-            f"{int((~np.isfinite(frames.force_n)).any(axis=1).sum())} frames have a force that is no number"
+            f"{int((~np.isfinite(frames.force_n)).any(axis=1).sum())} frames have a force that is not a number"
         )
     pulling = int((frames.force_n[:, 2] > 0).sum())
     if pulling:

@@ -1,40 +1,35 @@
 """One self-contained HTML page that shows what a data set holds."""
 
 import base64
-import html
 import io
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.domains.dataset import GeneratedDomain, LabelledFrames, open_domain
-from gelgap.domains.inspection import gap_rows, inspect_domain
-from gelgap.domains.schema import encode_png
+from gelgap.assets.pages import html_page
+from gelgap.domains.dataset import LabelledFrames
+from gelgap.domains.generated import GeneratedDomain
+from gelgap.domains.inspection import DomainSummary, gap_rows, inspect_domain
+from gelgap.domains.opening import open_domain
+from gelgap.domains.picture_codec import encode_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1c2330; background: #fff; max-width: 1080px; margin: 2em auto;
-  padding: 0 1em }
-h1 { font-size: 1.5em }
-h2 { font-size: 1.15em; margin: 2em 0 .4em; border-bottom: 1px solid #d5dae3 }
-table { border-collapse: collapse }
-td, th { padding: .15em 1em .15em 0; text-align: left; vertical-align: top }
-td:first-child { white-space: nowrap }
-td.number { text-align: right; font-variant-numeric: tabular-nums }
-figure { display: inline-block; margin: 0 .6em .8em 0 }
-figcaption { font-size: .82em; color: #566 }
-img { max-width: 100% }
-.sample img { width: 200px }
-pre { background: #f5f6f8; padding: .8em; overflow-x: auto; font-size: .8em }
-.warning { color: #a33 }
-"""
 _AXES = ("Fx", "Fy", "Fz")
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
+
+
+@dataclass(frozen=True)
+class _Image:
+    """A picture for the page: PNG in base64, and what is written below it."""
+
+    png: str
+    caption: str = ""
 
 
 def write_overview(folder: Path | str, page: Path | str, other: Path | str | None = None) -> Path:
@@ -45,24 +40,23 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
     FileNotFoundError, RuntimeError
         As `open_domain`.
     """
-    frames = open_domain(folder)
-    parts = [
-        _section("Counts", _counts(frames, folder)),
-        _section("Forces", _figure(_force_histograms, frames) + _force_table(frames)),
-        _section("Force against the contact", _figure(_force_against_contact, frames)),
-        _section("Coverage of the path", _figure(_coverage, frames)),
-        _section("Samples", _samples(frames)),
-        _section("Marker flow", _marker_flow(frames)),
-        _section("Frames left out", _left_out(frames)),
-    ]
-    if other is not None:
-        parts.append(_section("Gap", _gap(frames, open_domain(other))))
-    parts.append(_section("Provenance", _provenance(frames)))
-    title = html.escape(f"Domain {frames.name}")
-    text = (
-        f"<!DOCTYPE html><html lang='en'><head><meta charset='utf-8'><title>{title}</title>"
-        f"<meta name='viewport' content='width=device-width, initial-scale=1'><style>{_STYLE}</style></head>"
-        f"<body><h1>{title}</h1>{''.join(parts)}</body></html>"
+    frames, summary = open_domain(folder), inspect_domain(folder)
+    base = None if other is None else open_domain(other)
+    text = html_page(
+        "overview.html",
+        name=frames.name,
+        counts=_counts(summary),
+        notes=summary.notes,
+        force_histograms=_plot(_force_histograms, frames),
+        force_quantiles=_force_quantiles(frames),
+        force_against_contact=_plot(_force_against_contact, frames),
+        coverage=_plot(_coverage, frames),
+        samples=_samples(frames),
+        marker_flow=_marker_flow(frames),
+        unconverged=frames.unconverged,
+        gap=None if base is None else {"base": base.name, "rows": gap_rows(frames, base)},
+        folder=frames.folder,
+        **_provenance(frames),
     )
     page = Path(page)
     page.parent.mkdir(parents=True, exist_ok=True)
@@ -70,33 +64,25 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
     return page
 
 
-def _section(title: str, content: str) -> str:
-    return f"<h2>{html.escape(title)}</h2>{content}"
+def _counts(summary: DomainSummary) -> list[tuple[str, str]]:
+    return [
+        ("frames", str(summary.frames)),
+        ("left out, not converged", str(summary.unconverged)),
+        ("contact points", str(summary.points)),
+        ("contact classes", str(summary.classes)),
+        ("picture", f"{summary.size_px[0]}×{summary.size_px[1]} px"),
+        ("on disk", f"{summary.bytes / 1e6:.1f} MB"),
+        ("forces outside the declared range", str(summary.outside_range)),
+    ]
 
 
-def _table(rows: list[tuple[str, ...]], header: tuple[str, ...] = ()) -> str:
-    head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
-    body = "".join(
-        "<tr>" + "".join(f"<td{_number_class(cell)}>{html.escape(cell)}</td>" for cell in row) + "</tr>"
-        for row in rows
-    )
-    return f"<table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
+def _force_quantiles(frames: LabelledFrames) -> list[tuple[str, ...]]:
+    quantiles = np.quantile(frames.force_n, [0, 0.05, 0.5, 0.95, 1], axis=0).T
+    return [(name, *(f"{value:.3f}" for value in row)) for name, row in zip(_AXES, quantiles, strict=True)]
 
 
-def _number_class(cell: str) -> str:
-    return " class='number'" if cell.replace("−", "-").replace(".", "").lstrip("-").isdigit() else ""
-
-
-def _image(data: bytes, kind: str, caption: str = "", style: str = "") -> str:
-    source = base64.b64encode(data).decode()
-    text = html.escape(caption)
-    return (
-        f"<figure class='{style}'><img alt='{text or 'plot'}' src='data:image/{kind};base64,{source}'>"
-        f"{f'<figcaption>{text}</figcaption>' if caption else ''}</figure>"
-    )
-
-
-def _figure(draw: "Callable[[Figure, LabelledFrames], None]", frames: LabelledFrames) -> str:
+def _plot(draw: "Callable[[Figure, LabelledFrames], None]", frames: LabelledFrames) -> str:
+    """Return a plot as PNG in base64."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.5, 3.2), layout="constrained")
@@ -105,22 +91,11 @@ def _figure(draw: "Callable[[Figure, LabelledFrames], None]", frames: LabelledFr
         axes.spines[["top", "right"]].set_visible(False)
     out = io.BytesIO()
     figure.savefig(out, format="png", dpi=110)
-    return _image(out.getvalue(), "png")
+    return _base64(out.getvalue())
 
 
-def _counts(frames: LabelledFrames, folder: Path | str) -> str:
-    facts = inspect_domain(folder)
-    rows = [
-        ("frames", str(facts.frames)),
-        ("left out, not converged", str(facts.unconverged)),
-        ("contact points", str(facts.points)),
-        ("contact classes", str(facts.classes)),
-        ("picture", f"{facts.size_px[0]}×{facts.size_px[1]} px"),
-        ("on disk", f"{facts.bytes / 1e6:.1f} MB"),
-        ("forces outside the declared range", str(facts.outside_range)),
-    ]
-    warnings = "".join(f"<p class='warning'>{html.escape(note)}</p>" for note in facts.notes)
-    return _table(rows) + warnings
+def _base64(png: bytes) -> str:
+    return base64.b64encode(png).decode()
 
 
 def _force_histograms(figure: "Figure", frames: LabelledFrames) -> None:
@@ -130,12 +105,6 @@ def _force_histograms(figure: "Figure", frames: LabelledFrames) -> None:
         axes.axvspan(low, high, color="#000", alpha=0.05, zorder=0)
         axes.set_xlabel(f"{_AXES[axis]} in N (grey: declared range)")
         axes.set_ylabel("frames")
-
-
-def _force_table(frames: LabelledFrames) -> str:
-    quantiles = np.quantile(frames.force_n, [0, 0.05, 0.5, 0.95, 1], axis=0).T
-    rows = [(name, *(f"{value:.3f}" for value in row)) for name, row in zip(_AXES, quantiles, strict=True)]
-    return _table(rows, ("N", "smallest", "5 %", "median", "95 %", "largest"))
 
 
 def _force_against_contact(figure: "Figure", frames: LabelledFrames) -> None:
@@ -180,19 +149,13 @@ def _coverage(figure: "Figure", frames: LabelledFrames) -> None:
         figure.colorbar(grey, ax=poses, label="frames")
 
 
-def _samples(frames: LabelledFrames) -> str:
-    shown = [_image(encode_png(frames.reference), "png", "reference", "sample")]
+def _samples(frames: LabelledFrames) -> list[_Image]:
+    shown = [_Image(_base64(encode_png(frames.reference)), "reference")]
     for index in _sample_indices(frames):
         force = ", ".join(f"{value:.2f}" for value in frames.force_n[index])
-        shown.append(
-            _image(
-                encode_png(frames.picture(index)),
-                "png",
-                f"class {frames.contact_class[index]}: ({force}) N",
-                "sample",
-            )
-        )
-    return "".join(shown)
+        caption = f"class {frames.contact_class[index]}: ({force}) N"
+        shown.append(_Image(_base64(encode_png(frames.picture(index))), caption))
+    return shown
 
 
 def _sample_indices(frames: LabelledFrames, count: int = 14) -> list[int]:
@@ -205,51 +168,32 @@ def _sample_indices(frames: LabelledFrames, count: int = 14) -> list[int]:
     return [int(index) for index in order[np.unique(np.linspace(0, len(order) - 1, count).astype(int))]]
 
 
-def _marker_flow(frames: LabelledFrames) -> str:
+def _marker_flow(frames: LabelledFrames) -> _Image | None:
+    """Return the frame with the largest shear force with its markers' motion, where the data set has it."""
     if not isinstance(frames, GeneratedDomain) or "marker_px" not in frames.optional_columns:
-        return "<p>Not in this data set; generate with the column marker_px to have it.</p>"
-    hardest = int(np.linalg.norm(frames.force_n[:, :2], axis=1).argmax())
+        return None
+    sheared = int(np.linalg.norm(frames.force_n[:, :2], axis=1).argmax())
     rest = frames.marker_px(int(np.linalg.norm(frames.force_n, axis=1).argmin()))
 
     def draw(figure: "Figure", frames: LabelledFrames) -> None:
         axes = figure.subplots()
-        moved = frames.marker_px(hardest) - rest
-        axes.imshow(frames.picture(hardest))
+        moved = frames.marker_px(sheared) - rest
+        axes.imshow(frames.picture(sheared))
         axes.quiver(*rest.T, *moved.T, angles="xy", scale_units="xy", scale=0.25, color="white", width=0.002)
         axes.set_axis_off()
 
-    return (
-        _figure(draw, frames)
-        + f"<p>The frame with the largest shear force (row {hardest}); arrows four times as long.</p>"
-    )
+    caption = f"The frame with the largest shear force (row {sheared}); arrows four times as long."
+    return _Image(_plot(draw, frames), caption)
 
 
-def _left_out(frames: LabelledFrames) -> str:
-    if not frames.unconverged:
-        return "<p>None.</p>"
-    numbers = []
-    if isinstance(frames, GeneratedDomain):
-        everything = np.arange(frames.manifest["frames"])
-        numbers = np.setdiff1d(everything, frames.columns["frame_id"]).tolist()
-    more = " …" if len(numbers) > 60 else ""
-    return f"<p>{frames.unconverged} frames: {', '.join(map(str, numbers[:60]))}{more}</p>"
-
-
-def _gap(frames: LabelledFrames, other: LabelledFrames) -> str:
-    return f"<p>From {html.escape(other.name)} to {html.escape(frames.name)}:</p>" + _table(
-        gap_rows(frames, other)
-    )
-
-
-def _provenance(frames: LabelledFrames) -> str:
+def _provenance(frames: LabelledFrames) -> dict[str, Any]:
+    """Return what only a manifest tells; real data have none."""
     if not isinstance(frames, GeneratedDomain):
-        return f"<p>Read from {html.escape(str(frames.folder))}.</p>"
+        return {"manifest": None, "left_out": []}
     manifest = frames.manifest
-    versions = _table([(name, number) for name, number in manifest["versions"].items()])
-    files = _table([(name, entry["sha256"]) for name, entry in manifest["files"].items()])
-    configuration = html.escape(json.dumps(manifest["configuration"], indent=1, ensure_ascii=False))
-    return (
-        f"<p>Seed {manifest['seed']}, schema version {manifest['schema_version']}.</p>{versions}"
-        f"<details><summary>Configuration</summary><pre>{configuration}</pre></details>"
-        f"<details><summary>Files and their SHA-256</summary>{files}</details>"
-    )
+    return {
+        "manifest": manifest,
+        "configuration": json.dumps(manifest["configuration"], indent=1, ensure_ascii=False),
+        "hashes": [(name, entry["sha256"]) for name, entry in manifest["files"].items()],
+        "left_out": np.setdiff1d(np.arange(manifest["frames"]), frames.columns["frame_id"]).tolist(),
+    }

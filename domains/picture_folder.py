@@ -1,14 +1,12 @@
 """Real data as people keep them: a folder of pictures and one CSV table with named columns, as of a GelSight Mini."""
 
-import csv
-import hashlib
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.dataset import LabelledFrames
-from gelgap.domains.schema import decode_picture
+from gelgap.domains.picture_codec import decode_picture
+from gelgap.domains.stored import PictureFiles, read_table
 
 # Names under which people write the same thing; letters and digits alone count.
 NAMES = {
@@ -29,7 +27,7 @@ PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
 REFERENCE_STEMS = ("reference", "ref", "background", "bg", "nocontact")
 
 
-class PictureFolder(LabelledFrames):
+class PictureFolder(PictureFiles):
     """A folder with one CSV table: a column that names the picture, and the forces `fx, fy, fz` in N.
 
     The reference is a picture called reference, ref, background or bg; without one, the frame of class 0 or else the
@@ -41,10 +39,9 @@ class PictureFolder(LabelledFrames):
         self.folder = Path(folder)
         self.name = self.folder.name
         table = next(iter(_tables(self.folder)))
-        with table.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file, skipinitialspace=True))
+        rows = read_table(table)
         if not rows:
-            raise ValueError(f"{table} has no rows; expected one a picture")
+            raise ValueError(f"{table} has no rows; expected one per picture")
         header = [name for name in rows[0] if name]
         columns = {ours: _find(header, theirs) for ours, theirs in (NAMES | OPTIONAL).items()}
         missing = [ours for ours in NAMES if columns[ours] is None]
@@ -54,22 +51,11 @@ class PictureFolder(LabelledFrames):
                 "image, fx_n, fy_n, fz_n"
             )
         notes: list[str] = []
-        self._pictures = [self._picture_path(row[columns["picture"]], table) for row in rows]
+        self.picture_paths = [self._picture_path(row[columns["picture"]], table) for row in rows]
         self.columns = {"frame_id": np.arange(len(rows))}
         for ours, theirs in columns.items():
-            if theirs is None or ours == "picture":
-                continue
-            values = [row[theirs] for row in rows]
-            if ours == "split":
-                self.columns[ours] = np.array(values, dtype=object)
-                continue
-            try:
-                numbers = np.array([float(value) for value in values])
-            except (TypeError, ValueError):
-                raise ValueError(f"{table}, column {theirs!r}: every row must hold a number") from None
-            self.columns[ours] = (
-                numbers.astype(np.int64) if ours in ("contact_class", "point_id") else numbers
-            )
+            if theirs is not None and ours != "picture":
+                self.columns[ours] = _values(ours, theirs, rows, table)
         self.force_range_n = self._declared_range(notes)
         self._reference_file = self._find_reference(notes)
         self.notes = tuple(notes)
@@ -81,14 +67,6 @@ class PictureFolder(LabelledFrames):
     @cached_property
     def reference(self) -> np.ndarray:
         return decode_picture(self._reference_file.read_bytes())
-
-    @cached_property
-    def digest(self) -> str:
-        stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in self._pictures]
-        return hashlib.sha256(repr(stats).encode()).hexdigest()
-
-    def encoded_picture(self, index: int) -> bytes:
-        return self._pictures[index].read_bytes()
 
     def _picture_path(self, name: str, table: Path) -> Path:
         for place in (self.folder / name, self.folder / "images" / name):
@@ -120,7 +98,18 @@ class PictureFolder(LabelledFrames):
         )
         force = np.linalg.norm(self.force_n[index])
         notes.append(f"no reference picture: frame {index}, with a force of {force:.3f} N, takes its place")
-        return self._pictures[index]
+        return self.picture_paths[index]
+
+
+def _values(ours: str, theirs: str, rows: list[dict[str, str]], table: Path) -> np.ndarray:
+    values = [row[theirs] for row in rows]
+    if ours == "split":
+        return np.array(values, dtype=object)
+    try:
+        numbers = np.array([float(value) for value in values])
+    except ValueError:
+        raise ValueError(f"{table}, column {theirs!r}: every row must hold a number") from None
+    return numbers.astype(np.int64) if ours in ("contact_class", "point_id") else numbers
 
 
 def _tables(folder: Path) -> list[Path]:

@@ -18,7 +18,7 @@ FRAMES_PER_SHARD = 128
 
 @dataclass(frozen=True)
 class FrameBatch:
-    """The frames start…stop of every domain that shows these same contacts: one task, one shard a domain."""
+    """The frames start…stop of every domain that shows these same contacts: one task, one shard per domain."""
 
     recipes: tuple[DomainRecipe, ...]
     number: int

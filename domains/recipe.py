@@ -1,24 +1,24 @@
-"""The full configuration of one domain: everything that its bytes depend on."""
+"""The full configuration of one domain: everything on which its bytes depend."""
 
 import hashlib
-import tomllib
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from gelgap.assets import asset_path
+from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings
 from gelgap.domains.acquisition import (
     AcquisitionError,
-    Contacts,
+    ContactSampling,
     DrawnErrors,
     draw_errors,
     independent_poses,
 )
+from gelgap.domains.columns import OptionalColumn
+from gelgap.domains.dataset import PAPER_FORCE_RANGE_N
 from gelgap.domains.domain import OWN_LIGHT, Domain
 from gelgap.domains.folder import canonical_json
-from gelgap.domains.schema import PAPER_FORCE_RANGE_N, OptionalColumn
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
 
@@ -38,7 +38,7 @@ class DomainRecipe(Settings):
     elastomer: Elastomer
     indenter: Sphere = Sphere()
     path: ContactPath | PosePath
-    quality: QualityName = Field("standard", description="of the physics")
+    quality: QualityName = Field("standard", description="quality of the physics")
     sensor: Sensor
     illumination: Illumination
     markers: bool = Field(description="whether the markers are seen")
@@ -49,8 +49,10 @@ class DomainRecipe(Settings):
     size_px: tuple[Side, Side] = Field((320, 240), description="width and height of the pictures")
     render_quality: Literal["draft", "standard", "fine"] = "standard"
     columns: tuple[OptionalColumn, ...] = Field((), description="optional columns")
-    seed: int = Field(0, ge=0, description="of sensor noise, splits and acquisition errors")
-    contacts: Contacts = Field("paired", description="the same poses in every domain, or each its own")
+    seed: int = Field(0, ge=0, description="seed of sensor noise, splits and acquisition errors")
+    contacts: ContactSampling = Field(
+        "paired", description="the same poses in every domain, or poses of its own"
+    )
     acquisition: AcquisitionError = AcquisitionError()
     force_range_n: tuple[Interval, Interval, Interval] = Field(
         PAPER_FORCE_RANGE_N, description="declared range of Fx, Fy, Fz in N, by which labels are normalised"
@@ -71,7 +73,7 @@ class DomainRecipe(Settings):
         return self.inpainted_from or self.name
 
     def commanded_poses(self) -> tuple[Pose, ...]:
-        """Return the poses as a rig would record them, one a frame."""
+        """Return the poses as a rig would record them, one per frame."""
         if self.contacts == "paired":
             return self.path.poses
         if isinstance(self.path, PosePath):
@@ -84,7 +86,7 @@ class DomainRecipe(Settings):
         return draw_errors(self.acquisition, self.seed, self.picture_name)
 
     def solved_path(self) -> ContactPath | PosePath:
-        """Return the contacts that really happen, one a frame."""
+        """Return the contacts that really happen, one per frame."""
         errors = self.drawn_errors()
         off = not any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg))
         if off and self.contacts == "paired":
@@ -169,17 +171,9 @@ def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:
     ValueError
         If there is no such data set.
     """
-    known = known_datasets()
-    if name not in known:
-        raise ValueError(f"data set preset {name!r} is unknown; known presets: {', '.join(known)}")
-    values = tomllib.loads(asset_path("datasets", f"{name}.toml").read_text(encoding="utf-8"))
+    values = load_preset("datasets", name)
     return tuple(
         recipe
         for group in values["groups"]
         for recipe in make_recipes(group["domains"], group["path"], **settings)
     )
-
-
-def known_datasets() -> tuple[str, ...]:
-    """Return the names of the data set presets."""
-    return tuple(sorted(path.stem for path in asset_path("datasets").glob("*.toml")))

@@ -1,24 +1,25 @@
 """From contacts to shards: what a worker does with a batch of frames. Imports neither torch nor colour-science."""
 
-from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.domains.acquisition import generator
-from gelgap.domains.pictures import KEPT_RENDERERS, picture_cells, same_picture
+from gelgap.domains.columns import LABELS, OPTIONAL, LabelColumn, LabelSource
+from gelgap.domains.frame_pictures import KEPT_RENDERERS, picture_cells, same_picture
 from gelgap.domains.plan import FrameBatch, solve_plan
+from gelgap.domains.random_streams import random_stream
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.domains.schema import encode_shard
+from gelgap.domains.splits import PARTS, draw_parts
 from gelgap.sim import Pose
 
 if TYPE_CHECKING:
     from gelgap.sim import MembraneState
 
-SPLITS = (("train", 0.6), ("validation", 0.2), ("test", 0.2))
-"""The paper's random split, written into every domain."""
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class Shard:
 
 
 def render_batch(batch: FrameBatch, matrices: Sequence[np.ndarray], solutions: dict[str, Any]) -> list[Shard]:
-    """Render a batch's frames in the light of each of its domains, and encode one shard a domain.
+    """Render a batch's frames in the light of each of its domains, and encode one shard per domain.
 
     `matrices` holds each domain's LED-to-camera matrix, `solutions` the batch's solves by key. A frame whose membrane
     cannot be rendered is flagged as not converged.
@@ -50,32 +51,29 @@ def render_batch(batch: FrameBatch, matrices: Sequence[np.ndarray], solutions: d
     physics = solve_plan(batch.recipes[0])
     frames = range(batch.start, batch.stop)
     states = [physics.state(frame, solutions.get(physics.solve_key(frame))) for frame in frames]
-    pictures: dict[Hashable, list[int]] = {}
-    for index, recipe in enumerate(batch.recipes):
-        pictures.setdefault(same_picture(recipe), []).append(index)
-    lights = list(pictures.values())
+    groups = same_picture(batch.recipes)
     shards: list[Shard | None] = [None] * len(batch.recipes)
-    for start in range(0, len(lights), KEPT_RENDERERS):
-        for index, shard in _shards_of_lights(
-            lights[start : start + KEPT_RENDERERS], batch, matrices, states
-        ):
+    # Contacts are the inner loop as long as the renderers of the outer one are kept.
+    for start in range(0, len(groups), KEPT_RENDERERS):
+        kept = groups[start : start + KEPT_RENDERERS]
+        for index, shard in _shards_of_groups(kept, batch, matrices, states):
             shards[index] = shard
     return shards
 
 
-def _shards_of_lights(
-    lights: Sequence[Sequence[int]],
+def _shards_of_groups(
+    groups: Sequence[Sequence[int]],
     batch: FrameBatch,
     matrices: Sequence[np.ndarray],
     states: Sequence["MembraneState"],
 ) -> Iterator[tuple[int, Shard]]:
     """Yield (recipe, shard). Contact by contact, so that a membrane is rastered once for all lights that fall on it."""
-    rows: dict[int, list[dict[str, Any]]] = {index: [] for members in lights for index in members}
-    unrenderable: list[dict[int, str]] = [{} for _ in lights]
+    rows: dict[int, list[Row]] = {index: [] for members in groups for index in members}
+    unrenderable: list[dict[int, str]] = [{} for _ in groups]
     for frame, state in zip(range(batch.start, batch.stop), states, strict=True):
-        for members, refused in zip(lights, unrenderable, strict=True):
+        for members, refused in zip(groups, unrenderable, strict=True):
             recipes = [batch.recipes[index] for index in members]
-            cells: list[dict[str, Any]] = [{"converged": False} for _ in recipes]
+            cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
             if state.converged:
                 try:
                     cells = picture_cells(recipes, matrices[members[0]], frame, state)
@@ -83,7 +81,7 @@ def _shards_of_lights(
                     refused[frame] = str(error)
             for index, recipe, own_cells in zip(members, recipes, cells, strict=True):
                 rows[index].append(_labels(recipe, frame, state) | own_cells)
-    for members, refused in zip(lights, unrenderable, strict=True):
+    for members, refused in zip(groups, unrenderable, strict=True):
         if len(refused) > len(batch) / 2:
             frame, reason = next(iter(refused.items()))
             raise RuntimeError(
@@ -94,42 +92,29 @@ def _shards_of_lights(
             yield index, _shard(batch.recipes[index], batch.shard, rows[index], refused)
 
 
-def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> dict[str, Any]:
-    pose = _commanded(recipe)[frame]
+def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> Row:
     trajectory, step = _trajectories(recipe)[frame]
-    force = _measured_force(recipe, frame, state)
-    return {
-        "frame_id": frame,
-        "point_id": pose.point_id,
-        "contact_class": pose.contact_class,
-        "depth_mm": pose.depth_mm,
-        "radius_mm": pose.radius_mm,
-        "angle_deg": pose.angle_deg if pose.radius_mm else None,
-        "trajectory_id": trajectory,
-        "step": step,
-        "x_mm": pose.point_x_mm,
-        "y_mm": pose.point_y_mm,
-        "commanded_z_mm": -pose.depth_mm,
-        "shear_x_mm": pose.shear_x_mm,
-        "shear_y_mm": pose.shear_y_mm,
-        "fx_n": force[0],
-        "fy_n": force[1],
-        "fz_n": force[2],
-        "converged": bool(state.converged),
-        "contact_radius_mm": float(state.contact_radius_mm),
-        "split": _splits(len(recipe.path.poses), recipe.seed)[frame],
-        "image": None,
-        **(asdict(state.diagnostics) if "diagnostics" in recipe.columns else {}),
-    }
+    source = LabelSource(
+        frame=frame,
+        pose=_commanded(recipe)[frame],
+        trajectory=trajectory,
+        step=step,
+        split=_split(len(recipe.path.poses), recipe.seed)[frame],
+        state=state,
+        force_n=_measured_force(recipe, frame, state),
+    )
+    optional = (column for name in recipe.columns for column in OPTIONAL[name])
+    columns = (*LABELS, *(column for column in optional if isinstance(column, LabelColumn)))
+    return {column.name: column.value(source) for column in columns}
 
 
-def _measured_force(recipe: DomainRecipe, frame: int, state: "MembraneState") -> list[float]:
+def _measured_force(recipe: DomainRecipe, frame: int, state: "MembraneState") -> tuple[float, float, float]:
     force = np.asarray(state.force_n, float) + recipe.drawn_errors().force_bias_n
     if recipe.acquisition.force_noise_n:
-        rng = generator(recipe.seed, recipe.picture_name, "force noise", frame)
+        rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
         force = force + recipe.acquisition.force_noise_n * rng.standard_normal(3)
     # Adding zero turns −0.0, which some readers show, into 0.0.
-    return [float(value) + 0.0 for value in force]
+    return tuple(float(value) + 0.0 for value in force)
 
 
 @lru_cache(maxsize=8)
@@ -139,36 +124,28 @@ def _commanded(recipe: DomainRecipe) -> tuple[Pose, ...]:
 
 @lru_cache(maxsize=8)
 def _trajectories(recipe: DomainRecipe) -> tuple[tuple[int, int], ...]:
-    """Return (trajectory, step) of each frame: the path's, or one way sideways at a point, depth and direction."""
+    """Return (trajectory, step) of each frame: the path's, or the travel at one point, depth and direction."""
     numbers: dict[tuple, int] = {}
     steps: dict[int, int] = {}
     found = []
     for pose in recipe.path.poses:
-        way = (pose.point_id, pose.depth_mm, pose.angle_deg if pose.radius_mm else -1.0)
+        travel = (pose.point_id, pose.depth_mm, pose.angle_deg if pose.radius_mm else -1.0)
         if pose.trajectory is not None:
-            way = ("trajectory", pose.trajectory)
-        number = numbers.setdefault(way, len(numbers))
+            travel = ("trajectory", pose.trajectory)
+        number = numbers.setdefault(travel, len(numbers))
         steps[number] = steps.get(number, -1) + 1
         found.append((number, steps[number]))
     return tuple(found)
 
 
 @lru_cache(maxsize=8)
-def _splits(frames: int, seed: int) -> tuple[str, ...]:
-    order = generator(seed, "", "split").permutation(frames)
-    ends = np.rint(np.cumsum([share for _, share in SPLITS]) * frames).astype(int)
-    names = np.empty(frames, dtype=object)
-    for (name, _), start, stop in zip(SPLITS, [0, *ends[:-1]], ends, strict=True):
-        names[order[start:stop]] = name
-    return tuple(names)
+def _split(frames: int, seed: int) -> tuple[str, ...]:
+    return tuple(PARTS[part] for part in draw_parts(frames, seed))
 
 
-def _shard(
-    recipe: DomainRecipe, file: str, rows: list[dict[str, Any]], unrenderable: dict[int, str]
-) -> Shard:
-    forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in rows if row["converged"]]).reshape(
-        -1, 3
-    )
+def _shard(recipe: DomainRecipe, file: str, rows: list[Row], unrenderable: dict[int, str]) -> Shard:
+    forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in rows if row["converged"]])
+    forces = forces.reshape(-1, 3)
     low, high = np.array(recipe.force_range_n).T
     return Shard(
         domain=recipe.name,

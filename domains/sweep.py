@@ -1,9 +1,8 @@
 """Sweeps: domains that differ from a base domain in chosen factors, each with its gap to the base recorded."""
 
 import json
-import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -12,8 +11,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gelgap.assets.settings import Settings
-from gelgap.domains.folder import write_whole
-from gelgap.domains.gap import domain_gap
+from gelgap.assets.toml_file import read_toml
+from gelgap.assets.whole_file import write_whole
+from gelgap.domains.domain_gaps import domain_gap
 from gelgap.domains.recipe import DomainRecipe, make_recipes
 from gelgap.render import Variation, vary_illumination, vary_sensor
 
@@ -53,9 +53,9 @@ class Sweep(Settings):
     path: str = "smoke"
     method: Literal["grid", "one-at-a-time", "latin-hypercube"] = "grid"
     samples: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        8, description="of a Latin hypercube, and of draws without factors"
+        8, description="number of variants of a Latin hypercube, and of draws without factors"
     )
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="of the Latin hypercube and the draws")
+    seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the Latin hypercube and the draws")
     factors: tuple[Factor, ...] = ()
     variation: Variation | None = Field(
         None,
@@ -71,16 +71,10 @@ class Sweep(Settings):
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is no TOML or a value is out of range.
+            If it is not valid TOML or a value is out of range.
         """
         file = Path(file)
-        try:
-            values = tomllib.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise FileNotFoundError(f"sweep file {file} does not exist") from None
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"sweep file {file} is no valid TOML: {error}") from None
-        return cls(**{"name": file.stem} | values)
+        return cls(**{"name": file.stem} | read_toml(file))
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -150,7 +144,7 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
                 "illumination": vary_illumination(base.illumination, sweep.variation, rng),
                 "sensor": vary_sensor(base.sensor, sweep.variation, rng),
             }
-            configuration |= {part: settings.model_dump(mode="json") for part, settings in drawn.items()}
+            configuration |= {part: own.model_dump(mode="json") for part, own in drawn.items()}
         for field, value in values.items():
             _change(configuration, field.split("."), value, changes[field], field)
         drawn_as = {"draw": number} if sweep.variation is not None else {}
@@ -162,49 +156,42 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
     """Write `sweep.json`: each domain's factors and its gap to the base."""
     base = variants[0].recipe
     table = {
-        variant.recipe.name: {"factors": variant.values, "gap": domain_gap(base, variant.recipe).as_json()}
+        variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
         for variant in variants
     }
-    out_dir = Path(out_dir)
-    out_dir.mkdir(parents=True, exist_ok=True)
-    path = out_dir / SWEEP_FILE
-    write_whole(
-        path, json.dumps({"base": base.name, "domains": table}, indent=1, ensure_ascii=False).encode()
-    )
+    text = json.dumps({"base": base.name, "domains": table}, indent=1, ensure_ascii=False)
+    path = Path(out_dir) / SWEEP_FILE
+    write_whole(path, text.encode())
     return path
 
 
 def _change(node: Any, steps: list[str], value: Value, change: str, field: str) -> None:
+    """Change the value at `steps` inside a configuration; `*` goes to all of a list or table."""
     head, *rest = steps
-    if isinstance(node, list):
-        keys = (
-            range(len(node))
-            if head == "*"
-            else [int(head)]
-            if head.isdigit() and int(head) < len(node)
-            else []
-        )
-        known = f"*, 0…{len(node) - 1}"
-    elif isinstance(node, dict):
-        keys = list(node) if head == "*" else [head] if head in node else []
-        known = ", ".join(node)
-    else:
-        keys, known = [], "nothing inside it"
-    if not keys:
-        raise ValueError(f"factor {field}: {head!r} does not exist; there is {known}")
-    for key in keys:
+    for key in _keys(node, head, field):
         if rest:
             _change(node[key], rest, value, change, field)
-        elif change == "set":
-            node[key] = value
         else:
-            old = node[key]
-            if (
-                not isinstance(old, int | float)
-                or isinstance(old, bool)
-                or isinstance(value, str | bool | None)
-            ):
-                raise ValueError(
-                    f"factor {field}: cannot {change} {old!r} by {value!r}; both must be numbers"
-                )
-            node[key] = old * value if change == "scale" else old + value
+            node[key] = _changed(node[key], value, change, field)
+
+
+def _keys(node: Any, head: str, field: str) -> Sequence[int | str]:
+    """Return the indices or names that one step of a field means."""
+    if isinstance(node, list):
+        names, known = [str(index) for index in range(len(node))], f"*, 0…{len(node) - 1}"
+    elif isinstance(node, dict):
+        names, known = list(node), ", ".join(node)
+    else:
+        names, known = [], "nothing inside it"
+    chosen = names if head == "*" else [name for name in names if name == head]
+    if not chosen:
+        raise ValueError(f"factor {field}: {head!r} does not exist; there is {known}")
+    return [int(name) for name in chosen] if isinstance(node, list) else chosen
+
+
+def _changed(old: Any, value: Value, change: str, field: str) -> Value:
+    if change == "set":
+        return value
+    if any(isinstance(number, bool) or not isinstance(number, int | float) for number in (old, value)):
+        raise ValueError(f"factor {field}: cannot {change} {old!r} by {value!r}; both must be numbers")
+    return old * value if change == "scale" else old + value

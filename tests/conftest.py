@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from gelgap.adapt.frames import Frames
 from gelgap.adapt.profile import Profile
+from gelgap.domains import ArrayFrames
 
 
 def draw_domain(
     name: str, n: int = 96, seed: int = 0, tint: tuple[float, float, float] = (1, 1, 1)
-) -> Frames:
+) -> ArrayFrames:
     """Return n frames of a shaded dimple; its size says Fz, its asymmetry Fx and Fy."""
     rng = np.random.default_rng(seed)
     height, width = 32, 40
@@ -28,24 +28,23 @@ def draw_domain(
     images = (
         reference + 60 * dimple[..., None] * light * np.array(tint) + rng.normal(0, 1, (n, height, width, 3))
     )
-    return Frames(
+    return ArrayFrames(
         name=name,
         images=images.clip(0, 255).astype(np.uint8),
         reference=reference.astype(np.uint8),
         force_n=force.astype(np.float32),
         contact_class=1 + 72 * depth + 12 * radius + angle,
         point_id=point,
-        digest=f"{name}-{n}-{seed}-{tint}",
     )
 
 
 @pytest.fixture(scope="session")
-def source() -> Frames:
+def source() -> ArrayFrames:
     return draw_domain("mb0i0")
 
 
 @pytest.fixture(scope="session")
-def target() -> Frames:
+def target() -> ArrayFrames:
     return draw_domain("wmb1i1", seed=1, tint=(0.7, 1.2, 1.0))
 
 

@@ -1,29 +1,70 @@
-"""What every adaptation method is: settings, what it may see, and what it adds to the source's regression
-loss."""
+"""What an adaptation method is, and what it may work with."""
 
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Iterator
+from typing import ClassVar, Protocol
 
-from pydantic import BaseModel, ConfigDict
+import numpy as np
+from pydantic import Field
 from torch import Tensor, nn
 
-from gelgap.adapt.network import Activations
+from gelgap.adapt.network import Activations, ForceNetwork
+from gelgap.adapt.profile import Profile
+from gelgap.assets.settings import Settings
 
-if TYPE_CHECKING:
-    from gelgap.adapt.training import Adaptation
+
+class MethodSettings(Settings):
+    """Hyperparameters of one method (frozen); a method that has more declares its own."""
+
+    transfer_weight: float | None = Field(
+        None, ge=0, description="λ_t at the end of the ramp; by default the profile's"
+    )
+
+    def final_weight(self, profile: Profile) -> float:
+        """Return λ_t at the end of the ramp."""
+        return profile.transfer_weight if self.transfer_weight is None else self.transfer_weight
 
 
-class MethodSettings(BaseModel):
-    """Hyperparameters of one method (frozen); each method declares its own."""
+class Adaptation(Protocol):
+    """What a method may work with while it adapts `network` in place."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    network: ForceNetwork
+
+    def train(self, method: "Method") -> None:
+        """Run stage 2 with the method's transfer loss."""
+
+    def estimate_target_statistics(self) -> None:
+        """Replace the batch normalisations' statistics by those of the target's pictures."""
+
+    def source_mean(self) -> np.ndarray:
+        """Return the mean normalised force (3,) of the source's frames."""
+
+    def source_batches(self, epoch: int) -> Iterator[Tensor]:
+        """Yield the network's inputs for the source's frames in shuffled batches, one pass."""
+
+    def target_batches(self, epoch: int) -> Iterator[Tensor]:
+        """Yield the network's inputs for the target's frames in shuffled batches, one pass."""
 
 
 class Method(nn.Module):
     """A way to adapt a source-trained network to unlabelled target pictures.
 
-    Most methods only give `transfer_loss`; what it owns as parameters (a discriminator) is trained along. A
-    method that is no loss (normalisation statistics, test-time adaptation) overrides `adapt`. A method
-    that is not `scheduled` has λ_t = 1 throughout.
+    Most methods only give `transfer_loss`; what they own as parameters (a discriminator) is trained along. A method
+    without a loss (normalisation statistics, test-time adaptation) overrides `adapt`.
+
+    Attributes
+    ----------
+    Settings
+        The method's hyperparameters.
+    uses_target
+        Whether it sees target pictures.
+    uses_classifier
+        Whether it needs class logits, and so a source with contact classes.
+    uses_target_labels
+        Whether target labels reach its loss; then it is no method for domain adaptation.
+    scheduled
+        Whether λ_t and its ramp apply; otherwise λ_t = 1 throughout.
+    diagnostics
+        Numbers that it wants recorded after each epoch.
     """
 
     Settings: ClassVar[type[MethodSettings]] = MethodSettings
@@ -39,7 +80,7 @@ class Method(nn.Module):
         self.n_classes = n_classes
         self.diagnostics: dict[str, float] = {}
 
-    def adapt(self, adaptation: "Adaptation") -> None:
+    def adapt(self, adaptation: Adaptation) -> None:
         """Adapt the network; by default stage 2 with this method's transfer loss."""
         adaptation.train(self)
 

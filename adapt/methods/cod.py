@@ -1,13 +1,10 @@
-"""COD: align the conditional distributions of features given the force, by conditional kernel mean
-embeddings [1].
+"""COD: match the distributions of the features given the force, by conditional mean embeddings [1].
 
-The conditional mean embedding of a domain maps a force y to μ(y) = Σ_i β_i(y) φ(f_i), β(y) = (K_y + nεI)⁻¹
-k_y(y). The discrepancy is the mean over the forces of both batches of the squared distance between the two
-domains' embeddings. Target forces are the network's own predictions. The marginal part of [1], which may be
-any discrepancy, is left to be MK-MMD.
+The conditional mean embedding of a domain maps a force y to μ(y) = Σ_i β_i(y) φ(f_i), β(y) = (K_y + nεI)⁻¹ k_y(y). The
+discrepancy is the squared distance between the two domains' embeddings, averaged over the forces of both batches.
+Target forces are the network's own predictions. The marginal part of [1] may be any discrepancy; here it is MK-MMD.
 
-[1] Yang, Ren, Luo, "COD: learning conditional invariant representation for domain adaptation regression",
-ECCV 2024.
+[1] Yang, Ren, Luo, "COD: learning conditional invariant representation for domain adaptation regression", ECCV 2024.
 """
 
 import torch
@@ -17,6 +14,7 @@ from torch import Tensor
 from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.network import Activations
 
 
 def conditional_discrepancy(
@@ -62,7 +60,7 @@ class COD(Method):
         ridge: float = Field(0.01, gt=0, description="regularisation of the conditional embeddings")
         marginal: float = Field(1.0, ge=0, description="weight of the marginal MK-MMD")
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings
         distances = squared_distances(torch.cat([source.features, target.features]))
         kernel = multi_gaussian(distances, bandwidth(distances, robust=False))

@@ -2,15 +2,15 @@
 
 import torch
 
-from gelgap.adapt.methods.base import Method
+from gelgap.adapt.methods.base import Adaptation, Method
 
 
 class ConstantMean(Method):
-    """No network at all: the regression head's weights are zero and its offset gives the mean."""
+    """The regression head with zero weights: its bias gives the mean, whatever the picture."""
 
     uses_target = False
 
-    def adapt(self, adaptation) -> None:
+    def adapt(self, adaptation: Adaptation) -> None:
         """Set the head to the source's mean force."""
         mean = adaptation.source_mean()
         head = adaptation.network.regressor[0]

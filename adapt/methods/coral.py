@@ -6,6 +6,7 @@
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Method
+from gelgap.adapt.network import Activations
 
 
 def coral(source: Tensor, target: Tensor) -> Tensor:
@@ -19,7 +20,7 @@ def coral(source: Tensor, target: Tensor) -> Tensor:
         If a batch has one frame, which has no covariance.
     """
     if min(len(source), len(target)) < 2:
-        raise ValueError(f"CORAL needs at least 2 frames a domain, not {len(source)} and {len(target)}")
+        raise ValueError(f"CORAL needs at least 2 frames per domain, not {len(source)} and {len(target)}")
     difference = _covariance(source) - _covariance(target)
     return (difference.square().sum() / (4 * source.shape[1] ** 2)).to(source.dtype)
 
@@ -33,5 +34,5 @@ def _covariance(features: Tensor) -> Tensor:
 class DeepCORAL(Method):
     """Regression with CORAL on the transfer feature."""
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return coral(source.features, target.features)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.network import Activations
 
 
 def mmd_of_kernel(kernel: Tensor, n: int, unbiased: bool = False) -> Tensor:
@@ -42,5 +43,5 @@ class DAN(Method):
         robust: bool = Field(False, description="median instead of mean squared distance as kernel bandwidth")
         unbiased: bool = Field(False, description="U-statistic (may be negative) instead of V-statistic")
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return mk_mmd(source.features, target.features, self.settings.robust, self.settings.unbiased)

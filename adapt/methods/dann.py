@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.network import Activations
 
 
 class _Reverse(torch.autograd.Function):
@@ -22,14 +23,15 @@ class _Reverse(torch.autograd.Function):
 
 
 def reverse_gradient(features: Tensor) -> Tensor:
-    """Return the features unchanged; the gradient that comes back through them changes sign ([1], section
-    4.2)."""
+    """Return the features unchanged; the gradient that flows back changes sign ([1], section 4.2)."""
     return _Reverse.apply(features)
 
 
 def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
-    """Return ½[BCE(D(f_s), 1) + BCE(D(f_t), 0)] of discriminator logits; ln 2 − JSD for the best
-    discriminator."""
+    """Return ½[BCE(D(f_s), 1) + BCE(D(f_t), 0)] of discriminator logits.
+
+    With the best discriminator it is ln 2 less the Jensen–Shannon divergence of the two feature distributions.
+    """
     source = functional.binary_cross_entropy_with_logits(logits_source, torch.ones_like(logits_source))
     target = functional.binary_cross_entropy_with_logits(logits_target, torch.zeros_like(logits_target))
     return (source + target) / 2
@@ -38,8 +40,8 @@ def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
 class DANN(Method):
     """Regression with a domain-adversarial loss on the transfer feature.
 
-    The discriminator sees source and target as one batch. Its input is standardised by that joint batch:
-    called once a domain, a batch normalisation would remove the very shift that it should see.
+    The discriminator sees source and target as one batch, whose statistics standardise its input: a batch normalisation
+    of each domain by itself would remove the very shift that it should see.
     """
 
     class Settings(MethodSettings):
@@ -58,7 +60,7 @@ class DANN(Method):
                 nn.Linear(settings.hidden, 1),
             )
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         features = reverse_gradient(torch.cat([source.features, target.features]))
         logits = self.discriminator(features)[:, 0]
         n = len(source.features)

@@ -1,11 +1,11 @@
 """DARE-GRAM: align angle and scale of the pseudo-inverse Gram matrices of the features [1], in three forms.
 
-`stable` uses the B×B dual matrix, cuts in a gap of the spectrum and has the exact gradient; `published` is
-the authors' (D+1)² `pinv` cut exactly on a singular value, kept for comparison; `tikhonov` replaces the cut
-by a ridge.
+`daregram` uses the B×B dual matrix, cuts in a gap of the spectrum and has the exact gradient. `daregram_published` is
+the authors' form, which inverts a (D+1)×(D+1) matrix and cuts exactly on a singular value; it is kept for comparison.
+`daregram_tikhonov` has a ridge in place of the cut.
 
-[1] Nejjar, Wang, Fink, "DARE-GRAM: unsupervised domain adaptation regression by aligning inverse Gram
-matrices", CVPR 2023.
+[1] Nejjar, Wang, Fink, "DARE-GRAM: unsupervised domain adaptation regression by aligning inverse Gram matrices", CVPR
+2023.
 """
 
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.network import Activations
 
 
 def daregram_published(
@@ -50,9 +51,11 @@ def daregram(source: Tensor, target: Tensor, angle: float, scale: float, thresho
 
 
 def daregram_tikhonov(source: Tensor, target: Tensor, angle: float, scale: float, ridge: float) -> Tensor:
-    """As `daregram`, with (AᵀA + εI)⁻¹ in place of the cut pseudo-inverse; ε is `ridge` times the mean of
-    the leading B eigenvalues of both domains, so that both inverses have the same scale. No eigenvalue is
-    ever cut."""
+    """Return what `daregram` returns, with (AᵀA + εI)⁻¹ in place of the cut pseudo-inverse.
+
+    ε is `ridge` times the mean of the leading B eigenvalues of both domains, so that both inverses have the same scale.
+    No eigenvalue is ever cut.
+    """
     a_s, a_t = _with_ones(source).double(), _with_ones(target).double()
     k_s, k_t = a_s @ a_s.T, a_t @ a_t.T
     epsilon = ridge * (k_s.diagonal().mean() + k_t.diagonal().mean()) / 2
@@ -70,8 +73,10 @@ def _with_ones(features: Tensor) -> Tensor:
 
 
 def _kept(spectrum: Tensor, threshold: float) -> int:
-    """Return how many eigenvalues (descending) the authors keep: one fewer than have a cumulative share up
-    to the threshold, which is at least the first two's share."""
+    """Return the number of eigenvalues (descending) that the authors keep.
+
+    It is one fewer than have a cumulative share up to the threshold, which is at least the first two's share.
+    """
     shares = spectrum.cumsum(dim=0) / spectrum.sum()
     return max(int((shares <= shares[:2].max().clamp_min(threshold)).sum()) - 1, 1)
 
@@ -158,7 +163,7 @@ class DAREGRAM(Method):
 
     Settings = _CutSettings
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings
         return daregram(source.features, target.features, s.angle, s.scale, s.threshold)
 
@@ -168,7 +173,7 @@ class PublishedDAREGRAM(Method):
 
     Settings = _CutSettings
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings
         return daregram_published(source.features, target.features, s.angle, s.scale, s.threshold)
 
@@ -179,6 +184,6 @@ class TikhonovDAREGRAM(Method):
     class Settings(_Settings):
         ridge: float = Field(0.01, gt=0, description="regularisation over the mean eigenvalue")
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings
         return daregram_tikhonov(source.features, target.features, s.angle, s.scale, s.ridge)

@@ -1,9 +1,8 @@
-"""DSAN: align the features of each contact class by the local maximum mean discrepancy (LMMD) [1]; the
-paper's method.
+"""DSAN, the paper's method: align the features of each contact class by the local MMD (LMMD) [1].
 
-Subdomains are the contact classes, groups of neighbouring classes (a batch of 32 shares only 2.6 of 361
-classes), or soft: every source force of the batch is the centre of a subdomain, and frames belong to it by
-a Gaussian of their (predicted) force.
+Subdomains are the contact classes, groups of neighbouring classes (two batches of 32 frames have only 2.6 of 361
+classes in common), or soft: every source force of the batch is the centre of a subdomain, to which frames belong by a
+Gaussian of their (predicted) force.
 
 [1] Zhu et al., "Deep subdomain adaptation network for image classification", IEEE TNNLS 2020.
 """
@@ -49,9 +48,11 @@ def lmmd(
 
 
 def coarse_classes(n_classes: int, radius_groups: int, angle_groups: int) -> np.ndarray:
-    """Return the group (n_classes,) of each contact class: class 0 (no contact) alone, the others by depth,
-    by one of `radius_groups` ranges of the shear's radius and one of `angle_groups` sectors centred on the
-    axes."""
+    """Return the group (n_classes,) of each contact class.
+
+    Class 0 (no contact) is alone; the others are grouped by depth, by `radius_groups` ranges of how far and
+    `angle_groups` sectors, centred on the axes, of where the indenter travelled.
+    """
     index = np.arange(n_classes - 1)
     depth, radius, angle = index // (_RADII * _ANGLES), index // _ANGLES % _RADII, index % _ANGLES
     sector = ((angle * angle_groups * 2 + _ANGLES) // (2 * _ANGLES)) % angle_groups
@@ -62,8 +63,8 @@ def coarse_classes(n_classes: int, radius_groups: int, angle_groups: int) -> np.
 class DSANSettings(MethodSettings):
     """Settings of all three forms."""
 
-    radius_groups: int = Field(1, ge=1, le=6, description="ranges of shear radius of a coarse class")
-    angle_groups: int = Field(4, ge=1, le=12, description="shear directions of a coarse class")
+    radius_groups: int = Field(1, ge=1, le=6, description="ranges of travel of a coarse class")
+    angle_groups: int = Field(4, ge=1, le=12, description="directions of travel of a coarse class")
     force_width: float = Field(
         0.1, gt=0, le=1, description="Gaussian width of a soft subdomain, in the normalised force"
     )
@@ -95,8 +96,7 @@ class DSAN(Method):
 
 
 class CoarseDSAN(DSAN):
-    """Regression with LMMD on groups of neighbouring contact classes; the classifier still knows all
-    classes."""
+    """Regression with LMMD on groups of neighbouring contact classes; the classifier knows all classes."""
 
     def groups(self) -> np.ndarray:
         return coarse_classes(self.n_classes, self.settings.radius_groups, self.settings.angle_groups)

@@ -12,6 +12,7 @@ from torch import Tensor
 from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.network import Activations
 
 
 def joint_mmd(source: Sequence[Tensor], target: Sequence[Tensor], robust: bool = False) -> Tensor:
@@ -34,7 +35,7 @@ class JAN(Method):
     class Settings(MethodSettings):
         robust: bool = Field(False, description="median instead of mean squared distance as kernel bandwidth")
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return joint_mmd(
             (source.features, source.prediction), (target.features, target.prediction), self.settings.robust
         )

@@ -1,12 +1,13 @@
-"""No transfer: stage 2 without a transfer loss, the control that tells what a method's loss itself brings."""
+"""No transfer: stage 2 without a transfer loss, the control for what a method's loss itself brings."""
 
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Method
+from gelgap.adapt.network import Activations
 
 
 class NoTransfer(Method):
     """Regression on the source for as long as the methods train, under the same batch statistics."""
 
-    def transfer_loss(self, source, target) -> Tensor:
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return source.features.new_zeros(())

@@ -1,8 +1,8 @@
-"""The known methods: a name, and where its class is. Adding a method is one file and one line here."""
+"""The known methods by name. A new one is a file in this folder and a line in `METHODS`."""
 
 from importlib import import_module
 
-from gelgap.adapt.methods.base import Method
+from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.profile import Profile
 
 METHODS = {
@@ -62,15 +62,26 @@ def find_method(name: str) -> type[Method]:
     return getattr(import_module(f"gelgap.adapt.methods.{module}"), attribute)
 
 
+def method_settings(name: str, profile: Profile) -> MethodSettings:
+    """Return a method's settings, with what the profile changes of them.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method, or the profile gives it a setting that it cannot have.
+    """
+    settings = find_method(name).Settings
+    try:
+        return settings(**profile.settings.get(name, {}))
+    except ValueError as error:
+        raise ValueError(f"settings of method {name}: {error}") from error
+
+
 def make_method(name: str, profile: Profile, n_classes: int) -> Method:
     """Return a method with the profile's settings for it."""
-    method = find_method(name)
-    overrides = {
-        key: value for key, value in profile.settings.get(name, {}).items() if key != "transfer_weight"
-    }
-    return method(method.Settings(**overrides), profile.feature_dim, n_classes)
+    return find_method(name)(method_settings(name, profile), profile.feature_dim, n_classes)
 
 
 def transfer_weight(name: str, profile: Profile) -> float:
     """Return λ_t of a method: the profile's, unless its settings for the method say otherwise."""
-    return float(profile.settings.get(name, {}).get("transfer_weight", profile.transfer_weight))
+    return method_settings(name, profile).final_weight(profile)

@@ -8,16 +8,16 @@ from pydantic import Field
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.network import Activations
 
 
 def projection_distance(source: Tensor, target: Tensor, ridge: float = 1e-3) -> Tensor:
-    """Return ½‖P_s − P_t‖²_F with P = Fᵀ(FFᵀ + εI)⁻¹F, the regularised projector on the span of the rows of
-    F (B, D).
+    """Return ½‖P_s − P_t‖²_F, P = Fᵀ(FFᵀ + εI)⁻¹F the regularised projector on the rows of F (B, D).
 
-    Without ridge and with equal ranks this is Σ sin²θ over the principal angles: another loss than the
-    published Σ sin θ, with the same zero, and with a finite gradient everywhere; [1] differentiates two
-    SVDs, which gives NaN for equal features and repeated singular values. ε is `ridge` times the mean
-    eigenvalue of FFᵀ, so that scaling the features changes nothing. Never forms a D×D matrix.
+    Without ridge and with equal ranks this is Σ sin²θ over the principal angles: another loss than the published
+    Σ sin θ, with the same zero, and with a finite gradient everywhere; [1] differentiates two SVDs, which gives NaN for
+    equal features and repeated singular values. ε is `ridge` times the mean eigenvalue of FFᵀ, so that scaling the
+    features changes nothing. No D×D matrix is formed.
 
     Raises
     ------
@@ -52,5 +52,5 @@ class RSD(Method):
     class Settings(MethodSettings):
         ridge: float = Field(1e-3, gt=0, description="regularisation over the Gram matrix's mean eigenvalue")
 
-    def transfer_loss(self, source, target):
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return projection_distance(source.features, target.features, self.settings.ridge)

@@ -1,6 +1,6 @@
 """Source-only: the stage-1 network as it is. It never sees a target picture."""
 
-from gelgap.adapt.methods.base import Method
+from gelgap.adapt.methods.base import Adaptation, Method
 
 
 class SourceOnly(Method):
@@ -8,5 +8,5 @@ class SourceOnly(Method):
 
     uses_target = False
 
-    def adapt(self, adaptation) -> None:
+    def adapt(self, adaptation: Adaptation) -> None:
         """Leave the network as stage 1 left it."""

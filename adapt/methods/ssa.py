@@ -1,25 +1,25 @@
 """SSA: source-free adaptation by aligning the features' significant subspace at test time [1].
 
-Only the source's feature mean and leading principal directions are kept; source pictures are not used any
-more. The scales and offsets of the batch normalisations are trained on unlabelled target pictures so that
-the target's features, projected on these directions, have the source's mean and variance.
+Of the source only the features' mean and leading principal directions are used. The scales and offsets of the batch
+normalisations are trained on unlabelled target pictures so that the target's features, projected on these directions,
+have the source's mean and variance.
 
-[1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR
-2025.
+[1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR 2025.
 """
+
+from typing import NamedTuple
 
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings
 
 
 def subspace_loss(
     features: Tensor, mean: Tensor, directions: Tensor, variances: Tensor, weights: Tensor
 ) -> Tensor:
-    """Return Σ_d α_d·½(KL(target‖source) + KL(source‖target)) of one-dimensional Gaussians along the
-    directions.
+    """Return Σ_d α_d·½(KL(target‖source) + KL(source‖target)) of one Gaussian per direction and domain.
 
     Parameters
     ----------
@@ -37,6 +37,15 @@ def subspace_loss(
     return (weights * both / 4).sum().to(features.dtype)
 
 
+class _Subspace(NamedTuple):
+    """What is kept of the source: see `subspace_loss`."""
+
+    mean: Tensor
+    directions: Tensor
+    variances: Tensor
+    weights: Tensor
+
+
 class SSA(Method):
     """Test-time adaptation by significant-subspace alignment."""
 
@@ -47,28 +56,30 @@ class SSA(Method):
         epochs: int = Field(3, ge=1, description="passes over the target")
         learning_rate: float = Field(1e-3, gt=0, description="Adam's learning rate")
 
-    def adapt(self, adaptation) -> None:
+    def adapt(self, adaptation: Adaptation) -> None:
         """Take the source's feature statistics, then train the normalisations on target pictures alone."""
-        network = adaptation.network
-        with torch.no_grad():
-            features = torch.cat([network.features(batch) for batch in adaptation.source_batches(0)]).double()
-        mean = features.mean(dim=0)
-        values, vectors = torch.linalg.eigh((features - mean).T @ (features - mean) / (len(features) - 1))
-        count = int(min(self.settings.directions, (values > 1e-8 * values[-1]).sum()))
-        variances, directions = values.flip(0)[:count], vectors.flip(1)[:, :count]
-        head = network.regressor[0].weight.detach().double()
-        weights = 1 + (head @ directions).abs().sum(dim=0)
+        network, subspace = adaptation.network, self._subspace(adaptation)
         norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
-        optimizer = torch.optim.Adam(
-            [p for m in norms for p in m.parameters()], lr=self.settings.learning_rate
-        )
+        parameters = [p for norm in norms for p in norm.parameters()]
+        optimizer = torch.optim.Adam(parameters, lr=self.settings.learning_rate)
         network.train()
         for epoch in range(self.settings.epochs):
             for batch in adaptation.target_batches(epoch):
                 optimizer.zero_grad()
-                loss = subspace_loss(network.features(batch), mean, directions, variances, weights)
+                loss = subspace_loss(network.features(batch), *subspace)
                 if not torch.isfinite(loss):
                     raise RuntimeError("SSA: the subspace loss is not finite; lower its learning_rate")
                 loss.backward()
                 optimizer.step()
         adaptation.estimate_target_statistics()
+
+    @torch.no_grad()
+    def _subspace(self, adaptation: Adaptation) -> _Subspace:
+        network = adaptation.network
+        features = torch.cat([network.features(batch) for batch in adaptation.source_batches(0)]).double()
+        mean = features.mean(dim=0)
+        values, vectors = torch.linalg.eigh((features - mean).T @ (features - mean) / (len(features) - 1))
+        count = int(min(self.settings.directions, (values > 1e-8 * values[-1]).sum()))
+        variances, directions = values.flip(0)[:count], vectors.flip(1)[:, :count]
+        head = network.regressor[0].weight.double()
+        return _Subspace(mean, directions, variances, 1 + (head @ directions).abs().sum(dim=0))

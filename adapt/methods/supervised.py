@@ -1,10 +1,10 @@
-"""Supervised on the target: train on the target's labels too. The ceiling; no method for domain
-adaptation."""
+"""Supervised on the target: train on its labels too. The ceiling, not a method for domain adaptation."""
 
 from torch import Tensor
 from torch.nn import functional
 
 from gelgap.adapt.methods.base import Method
+from gelgap.adapt.network import Activations
 
 
 class Supervised(Method):
@@ -16,5 +16,5 @@ class Supervised(Method):
     uses_target_labels = True
     scheduled = False
 
-    def transfer_loss(self, source, target) -> Tensor:
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return functional.mse_loss(target.prediction, target.force)

@@ -44,12 +44,13 @@ def group_oracles(data: Path, groups: Iterable[tuple[str, str]]) -> dict[tuple[s
     from gelgap.adapt import Presses, geometry_oracle, pose_oracle
     from gelgap.domains import open_domain
 
-    presses = {name: Presses.of(open_domain(data / name)) for name in {n for group in groups for n in group}}
-    pairs = {(source, target): (presses[source], presses[target]) for source, target in groups}
-    return {
-        group: GroupOracles(pose_oracle(*pair).mae_n, geometry_oracle(*pair).mae_n)
-        for group, pair in pairs.items()
-    }
+    domains = {name: open_domain(data / name) for name in {n for group in groups for n in group}}
+    found = {}
+    for group in groups:
+        pair = [domains[name] for name in group]
+        presses = map(Presses.of, pair)
+        found[group] = GroupOracles(pose_oracle(*pair).mae_n, geometry_oracle(*presses).mae_n)
+    return found
 
 
 def jobs_of(

@@ -126,9 +126,8 @@ class Bench:
 
 def adapt_job(bench: Bench, job: TrainingJob) -> RunRecord:
     """Do one run; a collapse, or a loss that is not finite, is a result, not a failure."""
-    from gelgap.adapt import adapt_folders
-    from gelgap.adapt.runs import versions
-    from gelgap.adapt.stage import FeatureCollapse, TrainingDiverged
+    from gelgap.adapt import FeatureCollapse, TrainingDiverged, adapt_folders
+    from gelgap.adapt.run_record import versions
 
     source, target = bench.data / job.source, bench.data / job.target
     try:
@@ -193,35 +192,28 @@ def _one_by_one(bench: Bench, jobs: Sequence[TrainingJob], work: Work) -> Iterat
 
 
 def _on_workers(bench: Bench, jobs: Sequence[TrainingJob], work: Work) -> Iterator[Any]:
-    """Yield records as Dask workers finish them; runs that share a stage 1 wait for it."""
+    """Yield records as Dask workers finish them; runs that share a first stage wait for the one that trains it."""
     if not jobs:
         return
     from dask.distributed import as_completed
 
-    from gelgap.adapt.runs import stage1_profile
+    from gelgap.adapt.run_key import stage1_profile
     from gelgap.domains import dask_client
 
     with dask_client(None, bench.workers) as client:
-        stage1: dict[Any, Any] = {}
+        first: dict[Any, Any] = {}
         runs = []
         for job in jobs:
-            shared = (job.source, job.seed, stage1_profile(job.profile(bench.profile)).model_dump_json())
-            if shared not in stage1:
-                stage1[shared] = client.submit(_stage1, bench, job, pure=False)
-            runs.append(client.submit(_after, stage1[shared], work, bench, job, pure=False))
+            stage1 = (job.source, job.seed, stage1_profile(job.profile(bench.profile)).model_dump_json())
+            runs.append(client.submit(_run_after, first.get(stage1), work, bench, job, pure=False))
+            first.setdefault(stage1, runs[-1])
         for future in as_completed(runs, loop=client.loop):
             record = future.result()
             if record is not None:
                 yield record
 
 
-def _stage1(bench: Bench, job: TrainingJob) -> float:
-    from gelgap.adapt.runs import prepare_stage1
-
-    return prepare_stage1(bench.data / job.source, job.profile(bench.profile), job.seed, bench.out)
-
-
-def _after(stage1_s: float, work: Work, bench: Bench, job: TrainingJob) -> Any:
+def _run_after(_: Any, work: Work, bench: Bench, job: TrainingJob) -> Any:
     return None if bench.is_over() else work(bench, job)
 
 

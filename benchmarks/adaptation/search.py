@@ -71,47 +71,45 @@ def measure(bench: Bench) -> None:
 
 def search_job(bench: Bench, job: TrainingJob) -> SearchRecord:
     """Adapt once and score the model after every second epoch; selectors see no target label."""
-    from gelgap.adapt import adapt, evaluate, load_frames, split_source, split_target
-    from gelgap.adapt.runs import shared_stage1
+    from gelgap.adapt import FeatureCollapse, Stage1, TrainingDiverged, adapt, evaluate, split_for_training
     from gelgap.adapt.selection import alarm, scores
-    from gelgap.adapt.stage import FeatureCollapse, TrainingDiverged
+    from gelgap.domains import open_domain
 
     profile = job.profile(bench.profile)
-    source, target = (load_frames(bench.data / name, profile) for name in job.group)
-    source_train, held_out = split_source(source, profile, job.seed)
-    target_train, unlabelled, test = split_target(target, profile, job.seed)
-    stage1, _ = shared_stage1(source, source_train, profile, job.seed, None, bench.out)
+    source, target = (open_domain(bench.data / name) for name in job.group)
+    frames = split_for_training(source, target, profile, job.seed)
+    stage1, _ = Stage1(frames.source_train, profile, job.seed, out=bench.out).model()
     epochs, errors, found, alarms, problem = [], [], [], [], None
 
     def watch(epoch: int, model) -> None:
         if epoch % EPOCHS_BETWEEN == 0 or epoch == profile.adapt_epochs:
-            candidate = candidate_of(model, source_train, held_out, unlabelled)
+            candidate = candidate_of(model, frames)
             epochs.append(epoch)
-            errors.append(evaluate(model, test).mean_mae_n)
+            errors.append(evaluate(model, frames.target_test).mean_mae_n)
             found.append(scores(candidate))
             alarms.append(alarm(candidate))
 
+    pair = frames.source_train, frames.target_train
     try:
-        adapt(stage1, source_train, target_train, job.method, profile, job.seed, watch=watch)
+        adapt(stage1, *pair, job.method, profile, job.seed, watch=watch)
     except (FeatureCollapse, TrainingDiverged) as trouble:
         problem = str(trouble)
     by_selector = {name: tuple(values[name] for values in found) for name in (found[0] if found else ())}
     return SearchRecord(job, bench.profile, tuple(epochs), tuple(errors), by_selector, tuple(alarms), problem)
 
 
-def candidate_of(model, source_train, held_out, unlabelled):
+def candidate_of(model, frames):
     """Return what selectors may see of a model: source frames under the source's normalisation, if it has its own."""
-    from gelgap.adapt import Candidate
-    from gelgap.adapt.training import with_statistics_of
+    from gelgap.adapt import Candidate, with_statistics_of
 
     per_domain = model.profile.batch_statistics == "per_domain"
-    on_source = with_statistics_of(model, source_train) if per_domain else model
+    on_source = with_statistics_of(model, frames.source_train) if per_domain else model
     return Candidate(
-        source_features=on_source.features(held_out),
-        source_force_n=held_out.force_n,
-        source_prediction_n=on_source.predict_n(held_out),
-        target_features=model.features(unlabelled),
-        target_prediction_n=model.predict_n(unlabelled),
+        source_features=on_source.features(frames.source_held_out),
+        source_force_n=frames.source_held_out.force_n,
+        source_prediction_n=on_source.predict_n(frames.source_held_out),
+        target_features=model.features(frames.target_validation),
+        target_prediction_n=model.predict_n(frames.target_validation),
     )
 
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,8 @@ from gelgap.benchmarks.common.records import read_json
 from gelgap.benchmarks.common.tables import write_json
 
 if TYPE_CHECKING:
-    from gelgap.adapt import Frames, Profile
+    from gelgap.adapt import Profile
+    from gelgap.domains import ArrayFrames
 
 BASE = "supervised"
 """Two regressions: a step through both domains whose loss costs nothing."""
@@ -54,9 +55,8 @@ def measure_profile(profile: "Profile", epochs: int = EPOCHS) -> list[Speed]:
     model = train_source(frames, short)
     if profile.colour_mixing:
         speeds.append(_speed("stage 1, mixed colours", profile, model.history))
-    target = replace(frames, name="noise 2")
     for method in METHODS:
-        adapted = adapt(model, frames, target, method, short.replace(transfer_weight=1e-6))
+        adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
         speeds.append(_speed(f"stage 2, {method}", profile, adapted.history[epochs:]))
     return speeds
 
@@ -67,13 +67,13 @@ def _speed(name: str, profile: "Profile", history: Sequence[dict], over: float |
     return Speed(name, 1e3 * float(np.median(step_s)), float(np.median(waits)), over)
 
 
-def random_frames(profile: "Profile") -> "Frames":
+def random_frames(profile: "Profile") -> "ArrayFrames":
     """Return frames of noise at the profile's size: speed does not depend on what they show."""
-    from gelgap.adapt import Frames
+    from gelgap.domains import ArrayFrames
 
     rng = np.random.default_rng(0)
     width, height = profile.image_size_px
-    return Frames(
+    return ArrayFrames(
         name="noise",
         images=rng.integers(0, 256, (FRAMES, height, width, 3), dtype=np.uint8),
         reference=np.full((height, width, 3), 128, np.uint8),
@@ -83,18 +83,18 @@ def random_frames(profile: "Profile") -> "Frames":
     )
 
 
-def plain_loop_ms(frames: "Frames", profile: "Profile", epochs: int) -> float:
+def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> float:
     """Return the step time in ms of the shortest PyTorch loop that trains the same network on the same batches."""
     import torch
     from torch.nn import functional
 
     from gelgap.adapt import make_network
-    from gelgap.adapt.pictures import Pictures
-    from gelgap.adapt.stage import torch_threads
-    from gelgap.adapt.training import normalised_force
+    from gelgap.adapt.batches import network_inputs, normalised_force
+    from gelgap.adapt.machine import torch_threads
 
     network = make_network(profile, 361, 0)
-    pictures, force = Pictures(frames, profile), torch.from_numpy(normalised_force(frames))
+    pictures = network_inputs(frames, profile, "cpu")
+    force = torch.from_numpy(normalised_force(frames))
     optimizer = torch.optim.SGD(network.parameters(), lr=0.01, momentum=0.9, weight_decay=5e-4)
     network.train()
     times = []
@@ -105,13 +105,13 @@ def plain_loop_ms(frames: "Frames", profile: "Profile", epochs: int) -> float:
             for i in range(steps):
                 rows = order[i * profile.batch_size : (i + 1) * profile.batch_size]
                 optimizer.zero_grad(set_to_none=True)
-                functional.mse_loss(network(pictures.batch(rows)), force[rows]).backward()
+                functional.mse_loss(network(pictures.inputs(rows)), force[rows]).backward()
                 optimizer.step()
             times.append((time.perf_counter() - start) / steps)
     return 1e3 * float(np.median(times))
 
 
-def overhead(frames: "Frames", profile: "Profile", repeats: int = 3) -> float:
+def overhead(frames: "ArrayFrames", profile: "Profile", repeats: int = 3) -> float:
     """Return the median of stage 1's processor time over the plain loop's, minus 1; taken in turns after a warm-up."""
     from gelgap.adapt import train_source
 

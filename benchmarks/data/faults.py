@@ -104,7 +104,8 @@ def run(quick: bool, out_dir: Path) -> None:
 
     Writes `faults.json`. What a stopped benchmark has measured is kept until the next one has ended.
     """
-    from gelgap.domains.generate import package_versions
+
+    from gelgap.domains import package_versions
 
     folder = out_dir / "faults"
     ledger = Ledger(folder / "unfinished.jsonl", [quick, package_versions()])

@@ -24,11 +24,11 @@ from gelgap.domains import (
     generate_recipes,
     make_recipes,
     open_domain,
+    package_versions,
     plan_generation,
     preset_recipes,
     shown_progress,
 )
-from gelgap.domains.generate import package_versions
 
 READING_SIZE_PX = 64
 BATCH = 32

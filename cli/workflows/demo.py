@@ -11,7 +11,7 @@ from gelgap.cli.workflows.stages import Stage, StageClock
 
 if TYPE_CHECKING:
     from gelgap.adapt import Evaluation
-    from gelgap.domains import Progress
+    from gelgap.domains import GenerationProgress
     from gelgap.sim import ContactPath
 
 SOURCE = "mb0i0"
@@ -84,7 +84,7 @@ def run_demo(
     quality: str = "standard",
     size_px: tuple[int, int] = (320, 240),
     scheduler: str | None = None,
-    progress: "Progress | None" = None,
+    progress: "GenerationProgress | None" = None,
     say: Callable[[str], None] = print,
 ) -> DemoResult:
     """Generate source and target, train, adapt, evaluate on held-out frames, and write `report.html`.

@@ -6,7 +6,9 @@ import torch
 
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.resnet import load_imagenet_weights, make_resnet
-from gelgap.adapt.runs import adapt_frames, run_key
+from gelgap.adapt.run_key import run_key
+from gelgap.adapt.runs import adapt_frames
+from gelgap.adapt.splits import split_for_training
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])
@@ -65,7 +67,7 @@ def test_paper_profile_runs_on_imagenet_weights(source, target, tmp_path):
     """Both stages of the paper's profile, three steps each: ResNet-50, bfloat16, weights from a file."""
     paper = Profile.preset("paper")
     assert (paper.backbone, paper.precision, paper.image_size_px) == ("resnet50", "bfloat16", (256, 256))
-    short = paper.replace(batch_size=4, source_epochs=1, adapt_epochs=1, threads=1)
+    short = paper.replace(image_size_px=(40, 32), batch_size=4, source_epochs=1, adapt_epochs=1, threads=1)
     weights = tmp_path / "resnet50.pth"
     torch.save({**make_resnet("resnet50").state_dict(), "fc.weight": torch.zeros(1000, 2048)}, weights)
     few = [frames.take(np.arange(14)) for frames in (source, target)]
@@ -73,4 +75,5 @@ def test_paper_profile_runs_on_imagenet_weights(source, target, tmp_path):
     assert [record["skipped_steps"] for record in run.history] == [0, 0]
     assert run.history[1]["losses"].keys() == {"regression", "classification", "transfer"}
     assert np.isfinite(run.target_test.mae_n).all()
-    assert run_key(*few, "dsan", short, 0, weights) == run.key != run_key(*few, "dsan", short, 0, None)
+    split = split_for_training(*few, short, 0)
+    assert run_key(split, "dsan", short, 0, weights) == run.key != run_key(split, "dsan", short, 0)

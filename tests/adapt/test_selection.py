@@ -19,7 +19,6 @@ from gelgap.adapt.selection import (
     importance_weighted_risk,
     proxy_a_distance,
     rank_alarm,
-    regrets,
     reverse_validation,
     select,
     source_risk,
@@ -89,14 +88,11 @@ def test_rank_alarm():
     assert rank_alarm(line)
 
 
-def test_selection_avoids_constant_predictors_and_reports_regret():
+def test_selection_avoids_constant_predictors_and_names_unknown_selectors():
     candidates = [candidate(0, spread=0.01), candidate(1, error=2.0), candidate(2, error=1.0)]
     assert select(candidates, "source risk") == 2
     assert select(candidates, "feature MMD") == 1
-    found = regrets(candidates, [0.4, 0.1, 0.15])
-    assert found["feature MMD"] == 0
-    assert found["source risk"] == pytest.approx(0.05)
-    assert set(found) == set(SELECTORS)
+    assert all(select(candidates, selector) in (1, 2) for selector in SELECTORS)
     with pytest.raises(ValueError, match="known selectors: source risk"):
         select(candidates, "luck")
 

@@ -1,38 +1,48 @@
 """Two-stage training: it learns, is deterministic, resumes, keeps target pictures apart, names its errors."""
 
-import copy
 import platform
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from gelgap.adapt.adaptation import adapt
+from gelgap.adapt.colour_mixing import mix_colours
 from gelgap.adapt.evaluation import evaluate, evaluate_constant_mean
-from gelgap.adapt.frames import split_indices, split_source
+from gelgap.adapt.loop import FeatureCollapse
+from gelgap.adapt.machine import keep_freed_memory
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
 from gelgap.adapt.model import ForceModel
-from gelgap.adapt.pictures import mix_colours
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs, run_key, stage1_profile
-from gelgap.adapt.stage import FeatureCollapse, keep_freed_memory
-from gelgap.adapt.training import adapt, train_source
+from gelgap.adapt.run_key import run_key, stage1_key, stage1_profile
+from gelgap.adapt.run_record import load_predictions, load_runs
+from gelgap.adapt.runs import adapt_frames
+from gelgap.adapt.source_training import train_source
+from gelgap.adapt.splits import split_for_training
+from gelgap.domains import ArrayFrames
 
 
 @pytest.fixture(scope="module")
-def stage1(source, profile):
-    return train_source(split_source(source, profile, 0)[0], profile, seed=0)
+def stage1(source, target, profile):
+    return train_source(split_for_training(source, target, profile, 0).source_train, profile, seed=0)
+
+
+def altered(frames: ArrayFrames, **changes: np.ndarray) -> ArrayFrames:
+    """Return the frames with some arrays changed."""
+    names = ("force_n", "contact_class", "point_id", "reference")
+    arrays = {"images": frames.images()} | {name: getattr(frames, name) for name in names}
+    return ArrayFrames(frames.name, **(arrays | changes))
 
 
 def weights(model: ForceModel) -> np.ndarray:
     return torch.cat([value.flatten().float() for value in model.network.state_dict().values()]).numpy()
 
 
-def test_stage_1_learns(stage1, source, profile):
-    train, held_out = split_source(source, profile, 0)
-    error = evaluate(stage1, held_out).mean_mae_n
-    assert error < 0.6 * evaluate_constant_mean(train, held_out).mean_mae_n
+def test_stage_1_learns(stage1, source, target, profile):
+    frames = split_for_training(source, target, profile, 0)
+    error = evaluate(stage1, frames.source_held_out).mean_mae_n
+    assert error < 0.6 * evaluate_constant_mean(frames.source_train, frames.source_held_out).mean_mae_n
 
 
 def test_same_seed_same_weights_another_seed_others(source, profile):
@@ -53,7 +63,7 @@ def test_adaptation_is_deterministic(stage1, source, target, method):
 
 def test_no_transfer_takes_only_normalisation_from_the_target(stage1, source, target):
     profile = stage1.profile.replace(batch_statistics="per_domain")
-    other = replace(target, images=target.images[::-1].copy() // 2)
+    other = altered(target, images=target.images()[::-1].copy() // 2)
     first, second = (adapt(stage1, source, t, "no-transfer", profile) for t in (target, other))
     for (name, one), two in zip(first.network.named_parameters(), second.network.parameters(), strict=True):
         torch.testing.assert_close(one, two, rtol=0, atol=0, msg=name)
@@ -74,29 +84,24 @@ def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, ta
     np.testing.assert_array_equal(weights(model), weights(unwatched))
 
 
-class Forbidden(np.ndarray):
-    """An array that may not be looked at."""
+class Hidden(ArrayFrames):
+    """Frames whose pictures may not be looked at."""
 
-    def __array_function__(self, *args, **kwargs):
-        raise AssertionError("these target values were used")
-
-    def __array_ufunc__(self, *args, **kwargs):
-        raise AssertionError("these target values were used")
-
-    def __getitem__(self, item):
-        raise AssertionError("these target values were used")
+    def images(self, size_px=None):
+        raise AssertionError("these pictures were used")
 
 
 def test_source_only_never_sees_target_pictures(stage1, source, target):
-    hidden = copy.copy(target)
-    object.__setattr__(hidden, "images", target.images.view(Forbidden))
+    hidden = Hidden(target.name, target.images(), target.reference, target.force_n)
     adapt(stage1, source, hidden, "source-only")
+    with pytest.raises(AssertionError, match="these pictures were used"):
+        adapt(stage1, source, hidden, "adabn")
 
 
 @pytest.mark.parametrize("method", [m for m in method_names() if not find_method(m).uses_target_labels])
 def test_methods_do_not_read_target_labels(stage1, source, target, method):
     short = stage1.profile.replace(adapt_epochs=1)
-    lied = replace(
+    lied = altered(
         target,
         force_n=np.full_like(target.force_n, np.nan),
         contact_class=np.full_like(target.contact_class, -1),
@@ -107,7 +112,8 @@ def test_methods_do_not_read_target_labels(stage1, source, target, method):
 
 
 def test_resumed_training_gives_the_same_bytes(source, profile, tmp_path):
-    whole = train_source(source, profile.replace(source_epochs=3), seed=0)
+    three = profile.replace(source_epochs=3)
+    whole = train_source(source, three, seed=0)
 
     class Killed(Exception):
         pass
@@ -117,8 +123,8 @@ def test_resumed_training_gives_the_same_bytes(source, profile, tmp_path):
             raise Killed
 
     with pytest.raises(Killed):
-        train_source(source, profile.replace(source_epochs=3), 0, None, tmp_path / "resume.pt", kill)
-    resumed = train_source(source, profile.replace(source_epochs=3), 0, None, tmp_path / "resume.pt")
+        train_source(source, three, 0, resume_file=tmp_path / "resume.pt", progress=kill)
+    resumed = train_source(source, three, 0, resume_file=tmp_path / "resume.pt")
     np.testing.assert_array_equal(weights(whole), weights(resumed))
     assert len(resumed.history) == 3
 
@@ -133,7 +139,7 @@ def test_checkpoint_round_trip(stage1, source, tmp_path):
     with pytest.raises(ValueError, match="trained with another network"):
         train_source(source, stage1.profile.replace(width=0.25), weights=tmp_path / "model.pt")
     torch.save({"a": 1}, tmp_path / "other.pt")
-    with pytest.raises(ValueError, match="no gelgap checkpoint"):
+    with pytest.raises(ValueError, match="is not a gelgap checkpoint"):
         ForceModel.load(tmp_path / "other.pt")
     with pytest.raises(FileNotFoundError, match=r"missing\.pt"):
         ForceModel.load(tmp_path / "missing.pt")
@@ -143,15 +149,18 @@ def test_label_outside_the_declared_range_is_an_error(source, profile):
     force = source.force_n.copy()
     force[5, 0] = 0.9
     with pytest.raises(ValueError, match=r"frame 5, Fx = 0\.9 N, allowed \[-0\.75, 0\.75\] N"):
-        train_source(replace(source, force_n=force), profile)
+        train_source(altered(source, force_n=force), profile)
 
 
 def test_mismatched_picture_sizes_are_an_error(stage1, source, target):
-    small = replace(target, images=target.images[:, :, :32], reference=target.reference[:, :32])
+    small = altered(target, images=target.images()[:, :, :32], reference=target.reference[:, :32])
+    tall = altered(
+        source, images=source.images().repeat(2, axis=1), reference=source.reference.repeat(2, axis=0)
+    )
     with pytest.raises(ValueError, match="source mb0i0 has 40×32 px pictures, target wmb1i1 has 32×32 px"):
         adapt(stage1, source, small, "adabn")
-    with pytest.raises(ValueError, match="320×240"):
-        adapt(stage1, replace(source, native_size_px=(320, 240)), target, "adabn")
+    with pytest.raises(ValueError, match="40×64"):
+        adapt(stage1, tall, target, "adabn")
 
 
 def test_unknown_method_lists_the_known_ones(stage1, source, target):
@@ -160,7 +169,7 @@ def test_unknown_method_lists_the_known_ones(stage1, source, target):
 
 
 def test_class_aware_method_without_classes(stage1, source, target):
-    unknown = replace(source, contact_class=np.full(len(source), -1))
+    unknown = altered(source, contact_class=np.full(len(source), -1))
     with pytest.raises(ValueError, match="needs contact classes"):
         adapt(stage1, unknown, target, "dsan")
 
@@ -224,8 +233,9 @@ def test_runs_are_folders_and_nothing_is_computed_twice(source, target, profile,
 
 def test_the_key_knows_the_methods_own_settings_alone(source, target, profile):
     heavier = profile.replace(settings={"dsan": {"transfer_weight": 0.5}})
+    frames = split_for_training(source, target, profile, 0)
     keys = {
-        (method, p is heavier): run_key(source, target, method, p, 0, None)
+        (method, p is heavier): run_key(frames, method, p, 0)
         for method in ("dsan", "adabn")
         for p in (profile, heavier)
     }
@@ -235,27 +245,67 @@ def test_the_key_knows_the_methods_own_settings_alone(source, target, profile):
     assert stage1_profile(profile.replace(source_epochs=7)) != stage1_profile(profile)
 
 
-@pytest.mark.parametrize("by", ["random", "point"])
-def test_splits_are_disjoint_complete_and_seeded(source, by):
-    parts = split_indices(source, (0.6, 0.2, 0.2), by, seed=0)
-    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(len(source)))
-    again, other = (
-        split_indices(source, (0.6, 0.2, 0.2), by, 0),
-        split_indices(source, (0.6, 0.2, 0.2), by, 1),
-    )
-    assert all(np.array_equal(a, b) for a, b in zip(parts, again, strict=True))
-    assert not all(np.array_equal(a, b) for a, b in zip(parts, other, strict=True))
-    if by == "point":
-        points = [set(source.point_id[part].tolist()) for part in parts]
-        assert not points[0] & points[1]
-        assert not points[0] & points[2]
-    else:
-        assert abs(len(parts[0]) - 0.6 * len(source)) <= 1
+def test_the_key_knows_the_split(source, target, profile):
+    splits = [split_for_training(source, target, profile, seed) for seed in (0, 1)]
+    assert run_key(splits[0], "dsan", profile, 0) != run_key(splits[1], "dsan", profile, 0)
+    keys = {stage1_key(frames.source_train, profile, 0) for frames in splits}
+    assert len(keys) == 2
 
 
-def test_split_that_leaves_a_part_empty(source):
-    with pytest.raises(ValueError, match="2 frames are too few"):
-        split_indices(source.take(np.arange(2)), (0.6, 0.2, 0.2), "random", 0)
+def test_a_split_by_point_is_shared_by_both_domains(source, target, profile):
+    frames = split_for_training(source, target, profile.replace(split_by="point"), 0)
+    seen, test = (set(part.point_id.tolist()) for part in (frames.source_train, frames.target_test))
+    assert test
+    assert not seen & test
+    assert len(frames.source_train) + len(frames.source_held_out) == len(source)
+
+
+def test_two_runs_into_one_folder_are_not_mixed(source, target, profile, tmp_path):
+    short = profile.replace(source_epochs=2, adapt_epochs=2)
+    refused = []
+
+    def intrude(title, done, total, message):
+        for method in ("dsan", "adabn"):
+            with pytest.raises(RuntimeError, match=r"another process \(pid \d+\) is writing to"):
+                adapt_frames(source, target, [method], short, out_dir=tmp_path)
+            refused.append(title)
+            if not title.startswith("source"):
+                break
+
+    runs = adapt_frames(source, target, ["dsan"], short, out_dir=tmp_path, progress=intrude)
+    assert refused == 4 * ["source mb0i0"] + 2 * ["dsan mb0i0 → wmb1i1"]
+    assert adapt_frames(source, target, ["dsan"], short, out_dir=tmp_path) == runs
+
+
+def test_another_method_joins_while_stage_2_runs(source, target, profile, tmp_path):
+    short = profile.replace(source_epochs=2, adapt_epochs=1)
+    joined = []
+
+    def join(title, done, total, message):
+        if title.startswith("dsan"):
+            joined.extend(adapt_frames(source, target, ["adabn"], short, out_dir=tmp_path))
+
+    adapt_frames(source, target, ["dsan"], short, out_dir=tmp_path, progress=join)
+    assert [run.method for run in joined] == ["adabn"]
+    assert joined[0].wall_s["stage1"] == 0
+    assert len(load_runs(tmp_path)) == 2
+
+
+def test_without_a_folder_stage_1_is_trained_once(source, target, profile):
+    short = profile.replace(source_epochs=2, adapt_epochs=1)
+    titles = []
+    methods = ["source-only", "adabn", "adabn"]
+    runs = adapt_frames(source, target, methods, short, progress=lambda title, *_: titles.append(title))
+    assert titles == 2 * ["source mb0i0"]
+    assert [run.method for run in runs] == methods
+
+
+def test_a_wrong_setting_of_a_method_is_an_error_before_any_work(source, target, profile):
+    wrong = profile.replace(settings={"dsan": {"force_width": -1.0}})
+    with pytest.raises(
+        ValueError, match=r"settings of method dsan: force_width = -1\.0: input should be greater"
+    ):
+        adapt_frames(source, target, ["source-only", "dsan"], wrong, progress=pytest.fail)
 
 
 @pytest.mark.parametrize("name", ["smoke", "cpu", "paper"])

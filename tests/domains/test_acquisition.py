@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from gelgap.domains.acquisition import AcquisitionError, draw_errors
-from gelgap.domains.dataset import open_domain
+from gelgap.domains.contacts import paired_contacts
+from gelgap.domains.opening import open_domain
 from gelgap.domains.recipe import make_recipes
 from gelgap.domains.shard import _trajectories
-from gelgap.domains.splits import paired_contacts
 from gelgap.sim import ContactPath
 
 

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains.dataset import open_domain
-from gelgap.domains.schema import decode_picture, encode_png
+from gelgap.domains.dataset import ArrayFrames
+from gelgap.domains.opening import open_domain
+from gelgap.domains.picture_codec import decode_picture, encode_png
 from gelgap.sim import Diagnostics
 
 
@@ -86,10 +87,71 @@ def test_a_folder_that_cannot_be_written_to_is_cached_for_the_user(
 ):
     shutil.copytree(data / "mb0i1", tmp_path / "read-only", ignore=shutil.ignore_patterns(".cache"))
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "user"))
     open_domain(tmp_path / "read-only").images(16)
     assert not (tmp_path / "read-only" / ".cache").exists()
     assert len(list((tmp_path / "user").rglob("images-16x12-*.npy"))) == 1
+
+
+def arrays(n: int = 6, **changes) -> ArrayFrames:
+    rng = np.random.default_rng(0)
+    force = np.stack([np.zeros(n), np.zeros(n), -np.arange(n) / n], axis=1)
+    values = {
+        "images": rng.integers(0, 256, (n, 6, 8, 3), dtype=np.uint8),
+        "reference": np.zeros((6, 8, 3), np.uint8),
+        "force_n": force,
+        "contact_class": np.arange(n),
+    }
+    return ArrayFrames("own", **(values | changes))
+
+
+def test_arrays_are_a_data_set_like_any_other():
+    frames = arrays(x_mm=np.arange(6.0))
+    assert (len(frames), frames.size_px, frames.has_classes) == (6, (8, 6), True)
+    assert np.array_equal(frames[2].image, frames.images()[2])
+    assert frames.point_id.tolist() == [-1] * 6
+    assert frames.images((4, 3)).shape == (6, 3, 4, 3)
+    assert frames.digest == arrays().digest != arrays(reference=np.ones((6, 8, 3), np.uint8)).digest
+    frames.check_labels()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"images": np.zeros((6, 6, 8, 3))}, r"images must be uint8 \(n, h, w, 3\), not float64"),
+        ({"reference": np.zeros((3, 4, 3), np.uint8)}, "they must have one size"),
+        ({"force_n": np.zeros((5, 3))}, r"force_n has shape \(5, 3\); 6 images need \(6, 3\)"),
+        ({"point_id": np.zeros(7, int)}, r"point_id has shape \(7,\)"),
+        ({"force_range_n": np.ones((3, 2))}, r"must be \(3, 2\) with lower < upper"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(changes: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        arrays(**changes)
+
+
+def test_labels_outside_what_is_declared_are_named():
+    with pytest.raises(
+        ValueError, match=r"1 of 6 frames .* first: frame 5, Fz = -0.8333 N, allowed \[-0.7, 0\]"
+    ):
+        arrays(force_range_n=np.array([[-1, 1], [-1, 1], [-0.7, 0]])).check_labels()
+    with pytest.raises(ValueError, match=r"contact_class spans 0…5, allowed 0…4"):
+        arrays(n_classes=5).check_labels()
+
+
+def test_taken_frames_are_a_data_set_of_their_own(data: Path):
+    frames = open_domain(data / "mb0i0")
+    some = frames.take(np.array([20, 3, 7]))
+    assert np.array_equal(some.force_n, frames.force_n[[20, 3, 7]])
+    assert np.array_equal(some.images((40, 30)), frames.images((40, 30))[[20, 3, 7]])
+    assert np.array_equal(some[1].image, frames.picture(3))
+    assert some.columns["frame_id"].tolist() == [20, 3, 7]
+    nested = some.take(np.array([2, 0]))
+    assert np.array_equal(nested.picture(0), frames.picture(7))
+    assert (some.name, some.size_px) == (frames.name, frames.size_px)
+    assert len({frames.digest, some.digest, nested.digest, frames.take(np.arange(3)).digest}) == 4
+    assert some.digest == frames.take(np.array([20, 3, 7])).digest
+    assert len(frames.take(np.array([], int))) == 0
 
 
 def test_random_access_iteration_and_pickling_agree(data: Path):
@@ -144,16 +206,16 @@ def test_a_missing_data_set_says_what_was_looked_for(data: Path, tmp_path: Path)
 def test_torch_batches_are_pairs_of_normalised_pictures(data: Path, pairing: str):
     torch = pytest.importorskip("torch")
     frames = open_domain(data / "mb0i1")
-    pairs = frames.torch((40, 30), pairing, indices=np.arange(4, 20))
+    pairs = frames.take(np.arange(4, 20)).torch((40, 30), pairing)
     assert len(pairs) == 16
     inputs, forces, classes = next(iter(pairs.loader(batch_size=8, shuffle=False)))
     mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-    contact = ((frames.images((40, 30))[4] / 255 - mean) / std).transpose(2, 0, 1)
-    reference = ((frames.reference_at((40, 30)) / 255 - mean) / std).transpose(2, 0, 1)
+    pictures = frames.images((40, 30))[4] / 255, frames.reference_at((40, 30)) / 255
+    contact, reference = (((picture - mean) / std).transpose(2, 0, 1) for picture in pictures)
     expected = {
         "channels": np.concatenate([contact, reference], axis=0),
         "stack": np.concatenate([contact, reference], axis=1),
-        "difference": contact - reference,
+        "difference": 4 * (pictures[0] - pictures[1]).transpose(2, 0, 1),
     }[pairing]
     assert inputs.shape == (8, *expected.shape)
     assert np.allclose(inputs[0].numpy(), expected, atol=1e-5)

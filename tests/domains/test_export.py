@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.domains.dataset import open_domain
 from gelgap.domains.export import export
+from gelgap.domains.opening import open_domain
 
 
 def test_the_papers_layout_is_read_back_with_the_same_labels(data: Path, tmp_path: Path):

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.domains.dataset import open_domain
-from gelgap.domains.folder import DomainFolder, sole_writer
+from gelgap.assets.sole_use import sole_use
+from gelgap.domains.folder import DomainFolder
+from gelgap.domains.opening import open_domain
 from gelgap.sim import SolvePlan
 
 pytestmark = pytest.mark.usefixtures("small_shards")
@@ -112,7 +113,7 @@ def test_a_cluster_without_workers_is_refused(make, tmp_path: Path, workers: int
 
 
 def test_two_writers_on_one_folder_are_refused(make, tmp_path: Path):
-    with sole_writer(tmp_path), pytest.raises(RuntimeError, match=r"another process .pid.* is writing"):
+    with sole_use(tmp_path), pytest.raises(RuntimeError, match=r"another process .pid.* is writing"):
         make(tmp_path)
 
 

@@ -55,7 +55,7 @@ def test_the_page_is_self_contained_and_holds_every_section(data: Path, tmp_path
         "Gap",
         "Provenance",
     ]
-    assert not re.search(r"(src|href)='(?!data:)", page)
+    assert not re.search(r"(src|href)=['\"](?!data:)", page)
     assert "26 paired contacts" in page
     assert page.count("<img") >= 15
 

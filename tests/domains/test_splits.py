@@ -1,23 +1,21 @@
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelgap.domains.dataset import open_domain
-from gelgap.domains.splits import paired_contacts, split_frames
+from gelgap.domains.contacts import contact_points, paired_contacts
+from gelgap.domains.dataset import ArrayFrames
+from gelgap.domains.opening import open_domain
+from gelgap.domains.splits import split_domains, split_frames
 
 
-class Points:
-    name = "points"
-    columns: dict = {}  # noqa: RUF012
-
-    def __init__(self, point_id):
-        self.point_id = np.asarray(point_id)
-
-    def __len__(self):
-        return len(self.point_id)
+def pressed_at(points, name: str = "points", **columns) -> ArrayFrames:
+    """Return black pictures of contacts at these points."""
+    n = len(points)
+    images = np.zeros((n, 1, 1, 3), np.uint8)
+    labels = {"contact_class": np.arange(n), "point_id": points, **columns}
+    labels = {label: np.asarray(values) for label, values in labels.items()}
+    return ArrayFrames(name, images, images[0], np.zeros((n, 3)), **labels)
 
 
 @given(
@@ -26,7 +24,7 @@ class Points:
     st.sampled_from(["random", "point"]),
 )
 def test_parts_are_disjoint_and_complete_and_points_stay_whole(points: list[int], seed: int, by: str):
-    frames = Points([*points, *range(10)])
+    frames = pressed_at([*points, *range(10)])
     parts = split_frames(frames, by, seed)
     assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(len(frames)))
     again = split_frames(frames, by, seed)
@@ -43,6 +41,78 @@ def test_the_given_split_is_the_columns(data):
     parts = split_frames(frames, "given")
     assert [len(part) for part in parts] == [16, 5, 5]
     assert all(frames.columns["split"][index] == "test" for index in parts[2])
+
+
+def test_the_seed_of_a_domain_draws_the_split_that_it_states(data):
+    frames = open_domain(data / "mb0i0")
+    stated, drawn = split_frames(frames), split_frames(frames, "random", seed=0)
+    assert all(np.array_equal(one, other) for one, other in zip(stated, drawn, strict=True))
+    assert not np.array_equal(split_frames(frames, "random", seed=1)[0], stated[0])
+
+
+def test_a_stated_split_that_has_no_test_frames_is_refused():
+    with pytest.raises(ValueError, match="states a split without test frames"):
+        split_frames(pressed_at(range(4), split=np.array(["train"] * 4, dtype=object)))
+
+
+def grid(columns: int, first: int = 0, frames: int = 5) -> ArrayFrames:
+    x = np.repeat(np.arange(first, first + columns), frames).astype(float)
+    return pressed_at(np.repeat(np.arange(columns), frames), x_mm=x + 1e-7, y_mm=np.zeros(len(x)))
+
+
+def test_a_contact_point_has_one_number_in_both_domains():
+    one, other = contact_points(grid(4), grid(3, first=2))
+    assert one[::5].tolist() == [0, 1, 2, 3]
+    assert other[::5].tolist() == [2, 3, 4]
+    without_positions = pressed_at([7, 2])
+    assert [points.tolist() for points in contact_points(without_positions, pressed_at([2, 3]))] == [
+        [2, 0],
+        [0, 1],
+    ]
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("target", [grid(30), grid(9, first=4), grid(20, first=20)])
+def test_no_point_of_a_target_test_frame_is_trained_on(seed: int, target: ArrayFrames):
+    source = grid(30)
+    split = split_domains(source, target, "point", seed, held_out=0.0)
+    x_source, x_target = (frames.columns["x_mm"].round(3) for frames in (source, target))
+    parts = [set(x_target[part]) for part in split[2:]]
+    assert not set(x_source[split.source_train]) & parts[2]
+    assert len(parts[0] | parts[1] | parts[2]) == sum(map(len, parts))
+    assert not set(x_source[split.source_train]) & set(x_source[split.source_held_out])
+    assert len(split.source_train) + len(split.source_held_out) == 150
+    assert [len(part) for part in parts] == pytest.approx(
+        np.array([0.6, 0.2, 0.2]) * len(target) / 5, abs=1.01
+    )
+
+
+def test_domains_of_the_same_points_are_split_as_each_is_alone():
+    source, target = grid(10), grid(10, frames=3)
+    split = split_domains(source, target, "point", seed=2, held_out=0.2)
+    train, validation, test = split_frames(source, "point", seed=2)
+    assert np.array_equal(split.source_train, np.sort([*train, *validation]))
+    assert np.array_equal(split.source_held_out, test)
+    alone = split_frames(target, "point", seed=2)
+    assert all(np.array_equal(one, other) for one, other in zip(split[2:], alone, strict=True))
+
+
+def test_a_stated_split_holds_out_the_sources_test_part_and_the_others_are_drawn(data):
+    frames = open_domain(data / "mb0i0")
+    split = split_domains(frames, frames)
+    assert set(frames.columns["split"][split.source_held_out]) == {"test"}
+    assert np.array_equal(split.source_held_out, split.target_test)
+    assert len(split_domains(frames, frames, held_out=0.0).source_train) == 26
+    drawn = split_domains(frames, frames, "random", seed=3, held_out=0.1)
+    assert len(drawn.source_held_out) == 3
+    assert set(drawn.source_held_out) <= set(split_frames(frames, "random", seed=3)[2])
+
+
+def test_a_part_that_would_be_empty_is_said_whichever_domain_has_it():
+    with pytest.raises(ValueError, match="few: 2 contact points are too few"):
+        split_domains(grid(30), pressed_at([0, 1], "few", x_mm=[0.0, 1], y_mm=[0.0, 0]), "point")
+    with pytest.raises(ValueError, match="few: 2 frames are too few"):
+        split_domains(grid(30), pressed_at([0, 1], "few"))
 
 
 def test_paired_domains_share_their_split(data):
@@ -64,9 +134,17 @@ def test_what_cannot_be_split_is_said(data, arguments, message):
 
 
 def test_contacts_are_paired_by_their_commanded_pose():
-    columns = {name: np.zeros(4) for name in ("y_mm", "depth_mm", "shear_x_mm", "shear_y_mm")}
-    one = SimpleNamespace(name="one", columns={**columns, "x_mm": np.array([0.0, 1, 2, 3])})
-    other = SimpleNamespace(name="other", columns={**columns, "x_mm": np.array([3.0, 7, 0, 1 + 1e-7])})
+    same = {name: np.zeros(4) for name in ("y_mm", "depth_mm", "shear_x_mm", "shear_y_mm")}
+    one = pressed_at(range(4), x_mm=[0.0, 1, 2, 3], **same)
+    other = pressed_at(range(4), x_mm=[3.0, 7, 0, 1 + 1e-7], **same)
     first, second = paired_contacts(one, other)
     assert first.tolist() == [0, 1, 3]
     assert second.tolist() == [2, 3, 0]
+
+
+def test_without_poses_contacts_are_paired_by_point_and_class():
+    first, second = paired_contacts(pressed_at([0, 0, 3]), pressed_at([0, 1, 3, 0]))
+    assert first.tolist() == [0, 2]
+    assert second.tolist() == [0, 2]
+    with pytest.raises(ValueError, match=r"points lacks x_mm, y_mm.*cannot be paired"):
+        paired_contacts(pressed_at([-1, -1]), pressed_at([0, 1]))

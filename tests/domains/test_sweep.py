@@ -89,7 +89,7 @@ def test_one_at_a_time_changes_one_at_a_time(tmp_path: Path):
         ("[0.5, 2.0]", '["stiff"]', "both must be numbers"),
         ('base = "mb0i0"', 'base = "mb9i9"', "domain 'mb9i9' is unknown"),
         ('base = "mb0i0"', 'base = "mb0i0"\nmethod = "latin-hypercube"', "needs a range"),
-        ('base = "mb0i0"', "base = mb0i0", "no valid TOML"),
+        ('base = "mb0i0"', "base = mb0i0", "is not valid TOML"),
         ('base = "mb0i0"', 'base = "mb0i0"\nlevels = 3', "levels"),
     ],
 )
@@ -99,7 +99,7 @@ def test_a_wrong_sweep_says_what_is_wrong(tmp_path: Path, old: str, new: str, me
 
 
 def test_without_markers_or_light_changed_the_gap_is_only_the_modulus():
-    from gelgap.domains.gap import domain_gap
+    from gelgap.domains.domain_gaps import domain_gap
 
     one, other = make_recipes(["mb0i0", "mb1i0"], "smoke", size_px=(80, 60))
     gap = domain_gap(one, other)

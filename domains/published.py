@@ -1,26 +1,24 @@
 """Real data in the published layout: `<domain>/{train,test,ori}/images/0.jpg …` with `forcePosition/force.csv`."""
 
-import csv
-import hashlib
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.dataset import LabelledFrames
-from gelgap.domains.schema import decode_picture
+from gelgap.domains.dataset import FORCE_COLUMNS
+from gelgap.domains.picture_codec import decode_picture
+from gelgap.domains.stored import PictureFiles, read_table
 
 REFERENCE = "ref.jpg"
-# The published names of the parts, and what they are here; `ori` holds all frames once more, unsplit.
-PARTS = {"train": "train", "test": "test"}
+PARTS = ("train", "test")
+# All frames once more, in one folder.
 UNSPLIT = "ori"
-FORCE_COLUMNS = ("Fx(N)", "Fy(N)", "Fz(N)")
+PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
 LABEL_COLUMN = "label"
-CLASSES = 361
 ALIASES = {"inpainting": "wmb0i0"}
 
 
-class PublishedDomain(LabelledFrames):
+class PublishedDomain(PictureFiles):
     """One domain of the published data set, its quirks handled and told in `notes`.
 
     Row i of `force.csv` belongs to `i.jpg`; columns are found by name. Where the parts `train` and `test` exist they
@@ -37,20 +35,20 @@ class PublishedDomain(LabelledFrames):
         if parts != [UNSPLIT] and (self.folder / UNSPLIT).is_dir():
             notes.append(f"{UNSPLIT}/ repeats the frames of {' and '.join(parts)}: not read")
         rows = [(part, *row) for part in parts for row in self._read_part(part)]
-        self._pictures = [path for _, path, _, _ in rows]
+        self.picture_paths = [path for _, path, _, _ in rows]
         forces = np.array([force for _, _, force, _ in rows], dtype=np.float64).reshape(-1, 3)
-        self.columns = {name: forces[:, axis] for axis, name in enumerate(("fx_n", "fy_n", "fz_n"))}
+        self.columns = {name: forces[:, axis] for axis, name in enumerate(FORCE_COLUMNS)}
         labels = [label for *_, label in rows]
         if None in labels:
             notes.append("the table has no contact labels: contact classes are off")
         else:
             classes = np.array(labels, dtype=np.int64)
-            beyond = int((classes >= CLASSES).sum())
+            beyond = int((classes >= self.n_classes).sum())
             if beyond:
-                notes.append(f"{beyond} labels are running numbers: taken modulo {CLASSES}")
-            self.columns["contact_class"] = classes % CLASSES
+                notes.append(f"{beyond} labels are running numbers: taken modulo {self.n_classes}")
+            self.columns["contact_class"] = classes % self.n_classes
         if parts != [UNSPLIT]:
-            self.columns["split"] = np.array([PARTS[part] for part, *_ in rows], dtype=object)
+            self.columns["split"] = np.array([part for part, *_ in rows], dtype=object)
         self.columns["frame_id"] = np.arange(len(rows))
         low, high = self.force_range_n.T
         outside = int(((forces < low) | (forces > high)).any(axis=1).sum())
@@ -74,23 +72,14 @@ class PublishedDomain(LabelledFrames):
     def reference(self) -> np.ndarray:
         return decode_picture((self.folder / REFERENCE).read_bytes())
 
-    @cached_property
-    def digest(self) -> str:
-        stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in self._pictures]
-        return hashlib.sha256(repr(stats).encode()).hexdigest()
-
-    def encoded_picture(self, index: int) -> bytes:
-        return self._pictures[index].read_bytes()
-
     def _read_part(self, part: str) -> list[tuple[Path, list[float], int | None]]:
         table = self.folder / part / "forcePosition" / "force.csv"
         try:
-            with table.open(newline="", encoding="utf-8-sig") as file:
-                rows = list(csv.DictReader(file, skipinitialspace=True))
+            rows = read_table(table)
         except FileNotFoundError:
             raise FileNotFoundError(f"{table} is missing; every part has its forces there") from None
-        names = [name.strip() for name in rows[0]] if rows else list(FORCE_COLUMNS)
-        missing = [name for name in FORCE_COLUMNS if name not in names]
+        names = list(rows[0]) if rows else PUBLISHED_FORCES
+        missing = [name for name in PUBLISHED_FORCES if name not in names]
         if missing:
             raise ValueError(f"{table} lacks the columns {', '.join(missing)}; it has {', '.join(names)}")
         images = self.folder / part / "images"
@@ -100,17 +89,16 @@ class PublishedDomain(LabelledFrames):
                 f"{self.folder / part} has {found} pictures and {len(rows)} rows of forces; they must match"
             )
         read = []
-        for number, raw in enumerate(rows):
-            row = {name.strip(): (value or "").strip() for name, value in raw.items() if name is not None}
+        for number, row in enumerate(rows):
             picture = images / f"{number}.jpg"
             if not picture.is_file():
                 raise ValueError(f"{picture} is missing; row {number} of {table} belongs to it")
             try:
-                force = [float(row[name]) for name in FORCE_COLUMNS]
+                force = [float(row[name]) for name in PUBLISHED_FORCES]
                 label = int(float(row[LABEL_COLUMN])) if row.get(LABEL_COLUMN) else None
             except ValueError:
                 raise ValueError(
-                    f"{table}, row {number}: {row} holds no number where one is expected"
+                    f"{table}, row {number}: {row} has something else where a number is expected"
                 ) from None
             read.append((picture, force, label))
         return read

@@ -4,41 +4,26 @@ import contextlib
 import sys
 import time
 from collections.abc import Iterator
-from typing import Protocol, TextIO
+from typing import Any, TextIO
 
 _SECONDS_BETWEEN_LINES = 10.0
 
 
-class Progress(Protocol):
-    """What a generation tells about itself."""
-
-    def begin(self, solves: int, frames: int) -> None: ...
-
-    def solved(self, count: int = 1) -> None: ...
-
-    def written(self, frames: int) -> None: ...
-
-    def say(self, sentence: str) -> None: ...
-
-
-class Silent:
-    """Tells nothing."""
+class GenerationProgress:
+    """What a generation tells about itself; this one is silent."""
 
     def begin(self, solves: int, frames: int) -> None:
-        pass
+        """Say how much is to be done."""
 
-    def solved(self, count: int = 1) -> None:
-        pass
+    def solved(self) -> None:
+        """Say that one more solve is done."""
 
     def written(self, frames: int) -> None:
-        pass
-
-    def say(self, sentence: str) -> None:
-        pass
+        """Say that this many more frames are on disk."""
 
 
-class PlainLines:
-    """Writes a line at most every ten seconds, and one at the end."""
+class PlainLines(GenerationProgress):
+    """Prints a line at most every ten seconds, and one at the end."""
 
     def __init__(self, stream: TextIO):
         self._stream = stream
@@ -49,16 +34,16 @@ class PlainLines:
     def begin(self, solves: int, frames: int) -> None:
         self._done, self._all = [0, 0], [solves, frames]
         self._start = self._last = time.monotonic()
-        self.say(f"to do: {solves} solves, {frames} frames")
+        self._print(f"to do: {solves} solves, {frames} frames")
 
-    def solved(self, count: int = 1) -> None:
-        self._advance(0, count)
+    def solved(self) -> None:
+        self._advance(0, 1)
 
     def written(self, frames: int) -> None:
         self._advance(1, frames)
 
-    def say(self, sentence: str) -> None:
-        print(sentence, file=self._stream, flush=True)
+    def _print(self, line: str) -> None:
+        print(line, file=self._stream, flush=True)
 
     def _advance(self, which: int, count: int) -> None:
         self._done[which] += count
@@ -66,15 +51,15 @@ class PlainLines:
         if now - self._last >= _SECONDS_BETWEEN_LINES or self._done == self._all:
             self._last = now
             (solves, frames), (all_solves, all_frames) = self._done, self._all
-            self.say(
+            self._print(
                 f"{now - self._start:6.0f} s: {solves}/{all_solves} solves, {frames}/{all_frames} frames"
             )
 
 
-class _Bars:
+class _Bars(GenerationProgress):
     """Two bars: solves and frames."""
 
-    def __init__(self, bars):
+    def __init__(self, bars: Any):
         self._bars = bars
         self._solves = bars.add_task("solves", total=None)
         self._frames = bars.add_task("frames", total=None)
@@ -83,18 +68,15 @@ class _Bars:
         self._bars.reset(self._solves, total=solves)
         self._bars.reset(self._frames, total=frames)
 
-    def solved(self, count: int = 1) -> None:
-        self._bars.advance(self._solves, count)
+    def solved(self) -> None:
+        self._bars.advance(self._solves)
 
     def written(self, frames: int) -> None:
         self._bars.advance(self._frames, frames)
 
-    def say(self, sentence: str) -> None:
-        self._bars.console.print(sentence, highlight=False)
-
 
 @contextlib.contextmanager
-def shown_progress(stream: TextIO | None = None) -> Iterator[Progress]:
+def shown_progress(stream: TextIO | None = None) -> Iterator[GenerationProgress]:
     """Yield the progress that suits the stream (standard error by default): bars on a terminal, else plain lines."""
     stream = stream or sys.stderr
     if not stream.isatty():
@@ -105,17 +87,10 @@ def shown_progress(stream: TextIO | None = None) -> Iterator[Progress]:
         BarColumn,
         MofNCompleteColumn,
         Progress,
-        TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(file=stream)) as bars:
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress("{task.description}", *columns, console=Console(file=stream)) as bars:
         yield _Bars(bars)

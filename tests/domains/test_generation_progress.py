@@ -1,6 +1,6 @@
 import io
 
-from gelgap.domains.progress import PlainLines, shown_progress
+from gelgap.domains.generation_progress import PlainLines, shown_progress
 
 
 def test_without_a_terminal_progress_is_plain_lines_and_starts_again_with_each_job():

@@ -1,6 +1,6 @@
 """How far two domains are apart, in what a simulator knows exactly: modulus, light, markers."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from gelgap.domains.recipe import DomainRecipe
@@ -24,22 +24,12 @@ class DomainGap:
     markers: str
     fields: tuple[str, ...]
 
-    def as_json(self) -> dict[str, Any]:
-        return asdict(self)
-
-    def __str__(self) -> str:
-        return (
-            f"modulus × {self.modulus_ratio:.3g}, colour difference {self.colour_difference:.2f} "
-            f"(mean CIEDE2000; 95th percentile {self.colour_difference_p95:.2f}), "
-            f"markers {self.markers}"
-        )
-
 
 def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
     from gelgap.render import reference_gap
 
-    colours = reference_gap(reference_renderer(base), reference_renderer(other))
+    colours = reference_gap(_renderer(base), _renderer(other))
     changed = (other.markers, base.markers)
     return DomainGap(
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
@@ -50,8 +40,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     )
 
 
-def reference_renderer(recipe: DomainRecipe) -> "MembraneRenderer":
-    """Return the renderer of a recipe's light."""
+def _renderer(recipe: DomainRecipe) -> "MembraneRenderer":
     from gelgap.render import MembraneRenderer
 
     return MembraneRenderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)

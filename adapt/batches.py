@@ -1,0 +1,87 @@
+"""Batches of one domain on the training device, and the order in which an epoch takes its frames."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from gelgap.adapt.profile import Profile
+from gelgap.domains import LabelledFrames, PairedFrames
+
+
+class Draw(IntEnum):
+    """What random numbers are drawn for: part of every draw's key, so that no draw depends on another."""
+
+    STAGE_1 = 1
+    STAGE_2 = 2
+    STAGE_2_TARGET = 3
+    STATISTICS = 4
+    SOURCE_PASS = 5
+    TARGET_PASS = 6
+    COLOURS = 7
+
+
+def generator(*key: int) -> np.random.Generator:
+    """Return a random generator that depends on the key alone."""
+    return np.random.default_rng(np.random.SeedSequence(key))
+
+
+def steps_per_epoch(n: int, batch_size: int) -> int:
+    """Return the number of full batches in n frames; fewer frames than a batch make one."""
+    return n // min(batch_size, n)
+
+
+def epoch_order(n: int, batch_size: int, *key: int) -> np.ndarray:
+    """Return a permutation of n frames, drawn by the key, as full batches (batches, batch_size).
+
+    The incomplete last batch is left out: its batch statistics would be noisier than the others'.
+    """
+    size, steps = min(batch_size, n), steps_per_epoch(n, batch_size)
+    return generator(*key).permutation(n)[: steps * size].reshape(steps, size)
+
+
+def network_inputs(frames: LabelledFrames, profile: Profile, device: torch.device) -> PairedFrames:
+    """Return the frames' pictures on the device, in the size and pairing of the profile."""
+    return frames.torch(profile.image_size_px, profile.pairing, device)
+
+
+def one_pass(frames: LabelledFrames, profile: Profile, device: torch.device, *key: int) -> Iterator[Tensor]:
+    """Yield the network's inputs in shuffled batches, one pass over the frames."""
+    pictures = network_inputs(frames, profile, device)
+    for indices in epoch_order(len(frames), profile.batch_size, *key):
+        yield pictures.inputs(indices)
+
+
+def normalised_force(frames: LabelledFrames) -> np.ndarray:
+    """Return forces (n, 3) float32, min-max normalised with the declared range to [0, 1]."""
+    low, high = np.asarray(frames.force_range_n, float).T
+    return ((frames.force_n.astype(np.float32) - low) / (high - low)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class TrainingDomain:
+    """One domain on the device: pictures always, labels only where training may use them.
+
+    force is (n, 3), normalised to [0, 1]; contact_class (n,).
+    """
+
+    pictures: PairedFrames
+    force: Tensor | None = None
+    contact_class: Tensor | None = None
+
+    @classmethod
+    def labelled(cls, frames: LabelledFrames, profile: Profile, device: torch.device) -> "TrainingDomain":
+        """Return the frames with their labels."""
+        pictures = network_inputs(frames, profile, device)
+        return cls(pictures, torch.from_numpy(normalised_force(frames)).to(device), pictures.contact_class)
+
+    @classmethod
+    def unlabelled(cls, frames: LabelledFrames, profile: Profile, device: torch.device) -> "TrainingDomain":
+        """Return the frames' pictures alone."""
+        return cls(network_inputs(frames, profile, device))
+
+    def __len__(self) -> int:
+        return len(self.pictures)

@@ -1,0 +1,129 @@
+"""Stage 1: a network learns the forces of the source domain."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order
+from gelgap.adapt.colour_mixing import mix_batch
+from gelgap.adapt.diagnosis import StepResult
+from gelgap.adapt.loop import Stage, train
+from gelgap.adapt.machine import autocast, best_device, torch_threads
+from gelgap.adapt.model import ForceModel
+from gelgap.adapt.network import Activations, ForceNetwork, make_network
+from gelgap.adapt.normalisation import estimate_statistics
+from gelgap.adapt.profile import Profile
+from gelgap.adapt.progress import Progress, silent
+from gelgap.adapt.resnet import load_imagenet_weights
+from gelgap.domains import LabelledFrames
+
+
+def train_source(
+    source: LabelledFrames,
+    profile: Profile,
+    seed: int = 0,
+    *,
+    weights: str | Path | None = None,
+    resume_file: Path | None = None,
+    progress: Progress = silent,
+) -> ForceModel:
+    """Train a network on the source's forces alone.
+
+    Parameters
+    ----------
+    source
+        Its training frames.
+    weights
+        A gelgap checkpoint to start from, or a torchvision ResNet state dictionary for the backbone.
+    resume_file
+        State after each epoch; a run that finds it goes on from there.
+
+    Raises
+    ------
+    ValueError
+        If a label lies outside the source's declared force range or there are fewer than two frames.
+    """
+    source.check_labels()
+    if len(source) < 2:
+        raise ValueError(f"source {source.name} has {len(source)} frames; training needs at least 2")
+    device = best_device()
+    network = make_network(profile, source.n_classes, seed).to(device)
+    if weights is not None:
+        _load_start(network, Path(weights))
+    with torch_threads(profile.threads):
+        domain = TrainingDomain.labelled(source, profile, device)
+        stage = SourceStage(
+            title=f"source {source.name}",
+            network=network,
+            profile=profile,
+            seed=seed,
+            epochs=profile.source_epochs,
+            learning_rate=profile.source_learning_rate,
+            source=domain,
+        )
+        records = train(stage, progress, resume_file)
+        if profile.colour_mixing:
+            estimate_statistics(network, domain.pictures, seed)
+    return ForceModel(
+        network=network.eval(),
+        profile=profile,
+        force_range_n=np.asarray(source.force_range_n, float),
+        n_classes=source.n_classes,
+        seed=seed,
+        source=source.name,
+        history=tuple(asdict(record) for record in records),
+    )
+
+
+@dataclass(frozen=True)
+class SourceStage(Stage):
+    """Regression on batches of the source."""
+
+    source: TrainingDomain
+
+    def batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
+        order = epoch_order(len(self.source), self.profile.batch_size, self.seed, Draw.STAGE_1, epoch)
+        for indices in order:
+            rows = torch.from_numpy(indices).to(self.source.force.device)
+            yield self.source.pictures.inputs(rows), self.source.force[rows]
+
+    def step(self, number: int, batch: tuple[Tensor, Tensor]) -> StepResult:
+        inputs, force = batch
+        inputs = mix_batch(inputs, self.profile, self.seed, Draw.STAGE_1, number)
+        with autocast(self.profile, inputs.device):
+            features = self.network.features(inputs)
+        features = features.float()
+        source = Activations(features, self.network.regressor(features), force=force)
+        loss = regression_loss(source)
+        return StepResult(loss, {"regression": loss}, source)
+
+
+def regression_loss(activations: Activations) -> Tensor:
+    """Return the mean over frames and axes of the squared error of normalised forces.
+
+    This is the authors' reduction; the paper's ‖F̂ − F‖² is three times that.
+    """
+    return functional.mse_loss(activations.prediction, activations.force)
+
+
+def _load_start(network: ForceNetwork, path: Path) -> None:
+    """Start from a gelgap checkpoint, or load ImageNet weights into the backbone."""
+    if not path.is_file():
+        raise FileNotFoundError(f"weights file {path} does not exist")
+    content = torch.load(path, map_location="cpu", weights_only=True)
+    if "state" not in content:
+        load_imagenet_weights(network.backbone, path)
+        return
+    checkpoint = ForceModel.load(path)
+    try:
+        network.load_state_dict(checkpoint.network.state_dict())
+    except RuntimeError as error:
+        raise ValueError(
+            f"checkpoint {path} was trained with another network ({checkpoint.profile.backbone}, width "
+            f"{checkpoint.profile.width:g}, {checkpoint.profile.pairing}); use the same profile"
+        ) from error

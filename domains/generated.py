@@ -1,0 +1,145 @@
+"""Reading gelgap's own format: a manifest, a reference picture and Parquet shards."""
+
+import hashlib
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gelgap.domains.folder import REFERENCE, DomainFolder
+from gelgap.domains.picture_codec import decode_picture
+from gelgap.domains.stored import StoredFrames
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
+
+    from gelgap.domains.recipe import DomainRecipe
+
+
+class GeneratedDomain(StoredFrames):
+    """A domain in gelgap's own format: a manifest, a reference picture and Parquet shards."""
+
+    def __init__(self, folder: Path | str):
+        files = DomainFolder(folder)
+        self.folder = files.path
+        self.manifest: dict[str, Any] = files.read_manifest()
+        self.name = self.manifest["domain"]
+        self.force_range_n = np.array(self.manifest["force_range_n"])
+        if not self.manifest["complete"]:
+            raise RuntimeError(
+                f"{self.folder} is not finished; run the same `gelgap generate` again to complete what is missing"
+            )
+        self._shards = sorted(name for name in self.manifest["files"] if name.endswith(".parquet"))
+        tables, places = zip(*(self._read_labels(number) for number in range(len(self._shards))), strict=True)
+        joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+        kept = np.flatnonzero(joined["converged"])
+        self.columns = {name: values[kept] for name, values in joined.items()}
+        self.unconverged = len(joined["converged"]) - len(kept)
+        if self.unconverged:
+            self.notes = (
+                f"{self.unconverged} of {len(joined['converged'])} frames did not converge: left out",
+            )
+        self._places = np.concatenate(places)[kept]
+        self._open_files: dict[int, ParquetFile] = {}
+        self._group: tuple[tuple[int, int, str] | None, list[bytes | None]] = (None, [])
+
+    def _read_labels(self, number: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Return the plain columns of one shard, and where its rows are: shard, row group, row (n, 3)."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        path = self.folder / self._shards[number]
+        try:
+            file = pq.ParquetFile(path)
+            names = [field.name for field in file.schema_arrow if not pa.types.is_nested(field.type)]
+            table = file.read(columns=names)
+        except FileNotFoundError:
+            raise FileNotFoundError(f"{path} is missing; generate the domain again") from None
+        except (OSError, ValueError) as error:
+            raise RuntimeError(
+                f"{path} is damaged ({error}); run the same `gelgap generate` again to repair it"
+            ) from error
+        places = [
+            (number, group, row)
+            for group in range(file.num_row_groups)
+            for row in range(file.metadata.row_group(group).num_rows)
+        ]
+        columns = {name: table[name].to_numpy() for name in names}
+        return columns, np.array(places, dtype=np.int64).reshape(-1, 3)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open_files": {}, "_group": (None, [])}
+
+    @cached_property
+    def reference(self) -> np.ndarray:
+        return decode_picture((self.folder / REFERENCE).read_bytes())
+
+    @cached_property
+    def digest(self) -> str:
+        hashes = sorted((name, entry["sha256"]) for name, entry in self.manifest["files"].items())
+        return hashlib.sha256(repr(hashes).encode()).hexdigest()
+
+    def encoded_picture(self, index: int) -> bytes:
+        return self._cell(index, "image")
+
+    def optional(self, column: str, index: int) -> np.ndarray:
+        """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
+
+        Raises
+        ------
+        ValueError
+            If the domain was generated without that column.
+        """
+        if column not in self.optional_columns:
+            raise ValueError(
+                f"data set {self.name} was generated without the column {column!r}; it has "
+                f"{', '.join(self.optional_columns) or 'no optional columns'}: generate it with --columns {column}"
+            )
+        cell = self._cell(index, column)
+        return decode_picture(cell) if isinstance(cell, bytes) else np.array(cell)
+
+    def height_map_mm(self, index: int) -> np.ndarray:
+        """Return the height map (h, w) in mm."""
+        scale = self.manifest["height_map"]
+        return scale["offset_mm"] + scale["step_mm"] * self.optional("height_map", index).astype(np.float64)
+
+    def contact_mask(self, index: int) -> np.ndarray:
+        """Return where the indenter touches, (h, w) bool."""
+        return self.optional("contact_mask", index) > 0
+
+    def marker_px(self, index: int) -> np.ndarray:
+        """Return where the markers are in the picture, (m, 2) pixels."""
+        return self.optional("marker_px", index)
+
+    def marker_rest_mm(self, index: int) -> np.ndarray:
+        """Return where the markers are on the undeformed membrane, (m, 2) mm."""
+        return self.optional("marker_rest_mm", index)
+
+    @cached_property
+    def recipe(self) -> "DomainRecipe":
+        """The configuration that the domain was generated from."""
+        from gelgap.domains.recipe import DomainRecipe
+
+        return DomainRecipe(**self.manifest["configuration"])
+
+    @property
+    def optional_columns(self) -> tuple[str, ...]:
+        return tuple(self.manifest["configuration"]["columns"])
+
+    def _cell(self, index: int, column: str) -> Any:
+        shard, group, row = (int(number) for number in self._places[index])
+        if self._group[0] != (shard, group, column):
+            self._group = ((shard, group, column), self._read_group(shard, group, column))
+        return self._group[1][row]
+
+    def _read_group(self, shard: int, group: int, column: str) -> list[Any]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        if shard not in self._open_files:
+            self._open_files[shard] = pq.ParquetFile(self.folder / self._shards[shard], memory_map=True)
+        cells = self._open_files[shard].read_row_group(group, columns=[column]).column(column)
+        if pa.types.is_struct(cells.type):
+            return [cell for chunk in cells.chunks for cell in chunk.field("bytes").to_pylist()]
+        return cells.to_pylist()

@@ -1,0 +1,34 @@
+"""Opening a data set, whichever of the known layouts it has on disk."""
+
+from pathlib import Path
+
+from gelgap.domains.folder import MANIFEST
+from gelgap.domains.generated import GeneratedDomain
+from gelgap.domains.picture_folder import PictureFolder
+from gelgap.domains.published import PublishedDomain
+from gelgap.domains.stored import StoredFrames
+
+
+def open_domain(folder: Path | str) -> StoredFrames:
+    """Open a data set: gelgap's own format, the paper's published layout, or a folder of pictures with a CSV table.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no data set of a known layout; the message says what was looked for.
+    RuntimeError
+        If the data set is damaged or not finished.
+    """
+    folder = Path(folder)
+    if (folder / MANIFEST).exists():
+        return GeneratedDomain(folder)
+    for layout in (PublishedDomain, PictureFolder):
+        if layout.recognises(folder):
+            return layout(folder)
+    what = "does not exist" if not folder.exists() else "is not a data set"
+    inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST}"))
+    hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
+    raise FileNotFoundError(
+        f"{folder} {what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
+        f"(the published layout), or with pictures and one CSV table{hint}"
+    )

@@ -1,0 +1,76 @@
+"""Pictures as arrays and as bytes: lossless coding, decoding, and reduction to a smaller size."""
+
+import numpy as np
+
+
+def encode_png(picture: np.ndarray) -> bytes:
+    """Encode an 8-bit RGB or 8/16-bit grey picture losslessly.
+
+    Sensor noise leaves nothing for zlib's string matching to find: Huffman coding of the filtered rows alone is both
+    faster and smaller than any compression level (`gelgap benchmark throughput` prints the table).
+    """
+    import cv2
+
+    pixels = picture[..., ::-1] if picture.ndim == 3 else picture
+    strategy = [
+        cv2.IMWRITE_PNG_COMPRESSION,
+        1,
+        cv2.IMWRITE_PNG_STRATEGY,
+        cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
+    ]
+    return _encoded(".png", pixels, strategy)
+
+
+def encode_jpeg(picture: np.ndarray, quality: int = 95) -> bytes:
+    """Encode an 8-bit RGB picture as JPEG; `quality` is 1 to 100."""
+    import cv2
+
+    return _encoded(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+
+
+def _encoded(suffix: str, pixels: np.ndarray, parameters: list[int]) -> bytes:
+    import cv2
+
+    done, data = cv2.imencode(suffix, np.ascontiguousarray(pixels), parameters)
+    if not done:
+        raise RuntimeError(
+            f"OpenCV could not encode a picture of shape {pixels.shape} and type {pixels.dtype}"
+        )
+    return data.tobytes()
+
+
+def decode_picture(data: bytes) -> np.ndarray:
+    """Decode a PNG or JPEG to (h, w, 3) RGB uint8, or a grey picture to (h, w) in its own depth.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are not a readable picture.
+    """
+    import cv2
+
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if picture is None:
+        raise ValueError("image bytes are neither PNG nor JPEG, or are damaged; expected a readable picture")
+    return np.ascontiguousarray(picture[..., 2::-1]) if picture.ndim == 3 else picture
+
+
+def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+    """Return the picture at (width, height) px: each pixel the mean of the area that it covers.
+
+    Raises
+    ------
+    ValueError
+        If the size is larger than the picture: enlarging invents pixels.
+    """
+    import cv2
+
+    height, width = picture.shape[:2]
+    if size_px == (width, height):
+        return picture
+    if not (1 <= size_px[0] <= width and 1 <= size_px[1] <= height):
+        raise ValueError(
+            f"image size {size_px[0]}×{size_px[1]} px is not possible: pictures are {width}×{height} px and are only "
+            f"down-sampled; allowed are 1…{width} × 1…{height}"
+        )
+    return cv2.resize(picture, size_px, interpolation=cv2.INTER_AREA)

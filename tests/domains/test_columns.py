@@ -1,0 +1,24 @@
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from gelgap.cli.generate import OptionalColumn
+from gelgap.domains.columns import IMAGE, LABELS, OPTIONAL, Column
+
+GUIDE = Path(__file__).parents[2] / "docs" / "data.md"
+
+
+def test_the_command_offers_every_optional_column():
+    assert get_args(OptionalColumn) == tuple(OPTIONAL)
+
+
+@pytest.mark.parametrize(
+    "column", [*LABELS, IMAGE, *(OPTIONAL[name][0] for name in OPTIONAL)], ids=lambda column: column.name
+)
+def test_the_guide_lists_every_column_with_its_unit(column: Column):
+    rows = [
+        line.split("|") for line in GUIDE.read_text(encoding="utf-8").splitlines() if line.startswith("| `")
+    ]
+    (units,) = [row[2] for row in rows if f"`{column.name}`" in row[1]]
+    assert column.unit in units.strip().split(", ") if column.unit else not units.strip()
