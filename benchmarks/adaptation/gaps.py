@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,17 +31,28 @@ CROSSED_MODULUS, CROSSED_LIGHT = 0.7, "mb0i1"
 CROSSED = ("modulus", "light", "markers")
 
 
+MODULUS, FRICTION = "elastomer.young_modulus_mpa", "elastomer.friction"
+NOISE = "sensor.camera.read_noise_electrons"
+SWEEPS = {
+    "modulus": (MODULUS, "scale", (0.5, 0.7, 1.4)),
+    "light": ("illumination.leds.*.drive", "scale", (0.5,)),
+    "one-lamp": ("illumination.leds.0.drive", "scale", (0.4,)),
+    "markers": ("sensor.markers.albedo.*", "set", (0.2, 0.35)),
+    "no-markers": ("markers", "set", (False,)),
+    "friction": (FRICTION, "set", (0.12, 0.5)),
+    "noise": (NOISE, "scale", (10.0, 30.0)),
+}
+"""By name: the field of the one factor, its change and its values, as in a sweep file."""
+
+
 @dataclass(frozen=True)
 class Panel:
-    """One curve: how its gap is measured on base and target, and the domains on it, of sweeps and with other names.
-
-    `sweeps` maps a sweep's name to what its factor changes: a field, how, and the values.
-    """
+    """One curve: how the size of its gap is measured on base and target, and the sweeps and domains that lie on it."""
 
     name: str
     label: str
     size: "Callable[[DomainRecipe, DomainRecipe], float]"
-    sweeps: dict[str, tuple[str, str, tuple[Any, ...]]]
+    sweeps: tuple[str, ...]
     domains: tuple[str, ...] = ()
     logarithmic: bool = False
 
@@ -50,8 +61,9 @@ class Panel:
         from gelgap.domains import Factor, Sweep, make_recipes, sweep_variants
 
         found = list(make_recipes(self.domains, PATH, quality=quality)) if self.domains else []
-        for name, (changed, change, values) in self.sweeps.items():
-            factor = Factor(field=changed, change=change, values=values)
+        for name in self.sweeps:
+            field, change, values = SWEEPS[name]
+            factor = Factor(field=field, change=change, values=values)
             sweep = Sweep(name=name, base=BASE, path=PATH, method="one-at-a-time", factors=(factor,))
             found += [variant.recipe for variant in sweep_variants(sweep, quality=quality)[1:]]
         return found
@@ -74,49 +86,18 @@ def _lost_contrast(base: "DomainRecipe", target: "DomainRecipe") -> float:
     return round(100 * (1 - (left if target.markers else 0.0) / own), 3)
 
 
-MODULUS, FRICTION = "elastomer.young_modulus_mpa", "elastomer.friction"
-NOISE = "sensor.camera.read_noise_electrons"
 PANELS = (
-    Panel(
-        "modulus",
-        "target's modulus over source's",
-        _ratio(MODULUS),
-        {"modulus": (MODULUS, "scale", (0.5, 0.7, 1.4))},
-        logarithmic=True,
-    ),
+    Panel("modulus", "target's modulus over source's", _ratio(MODULUS), ("modulus",), logarithmic=True),
     Panel(
         "light",
         "colour difference of the references, CIEDE2000",
         _colour_difference,
-        {
-            "light": ("illumination.leds.*.drive", "scale", (0.5,)),
-            "one-lamp": ("illumination.leds.0.drive", "scale", (0.4,)),
-        },
-        domains=("mb0i2", CROSSED_LIGHT),
+        ("light", "one-lamp"),
+        ("mb0i2", CROSSED_LIGHT),
     ),
-    Panel(
-        "markers",
-        "contrast that the markers have lost, %",
-        _lost_contrast,
-        {
-            "markers": ("sensor.markers.albedo.*", "set", (0.2, 0.35)),
-            "no-markers": ("markers", "set", (False,)),
-        },
-    ),
-    Panel(
-        "friction",
-        "target's friction over source's",
-        _ratio(FRICTION),
-        {"friction": (FRICTION, "set", (0.12, 0.5))},
-        logarithmic=True,
-    ),
-    Panel(
-        "noise",
-        "target's read noise over source's",
-        _ratio(NOISE),
-        {"noise": (NOISE, "scale", (10.0, 30.0))},
-        logarithmic=True,
-    ),
+    Panel("markers", "contrast that the markers have lost, %", _lost_contrast, ("markers", "no-markers")),
+    Panel("friction", "target's friction over source's", _ratio(FRICTION), ("friction",), logarithmic=True),
+    Panel("noise", "target's read noise over source's", _ratio(NOISE), ("noise",), logarithmic=True),
 )
 
 
@@ -150,7 +131,7 @@ class Design:
 
     gaps: tuple[Gap, ...]
     cells: tuple[CrossedCell, ...]
-    recipes: "tuple[DomainRecipe, ...]" = field(default=(), repr=False)
+    recipes: "tuple[DomainRecipe, ...]" = ()
 
 
 def design(quality: str = "draft") -> Design:
@@ -197,7 +178,7 @@ class GapResults:
         """Return a method's errors on some domains, NaN where it was not run."""
         if method == "pose oracle":
             return [self.pose_n[domain] for domain in domains]
-        return [self.errors_n[domain].get(method, math.nan) for domain in domains]
+        return [self.errors_n.get(domain, {}).get(method, math.nan) for domain in domains]
 
     def columns(self, domains: Sequence[str]) -> dict[str, list[str]]:
         """Return the columns of a table of some domains."""
@@ -244,17 +225,18 @@ def collect(found: Design, records: Sequence[RunRecord], data: Path) -> GapResul
 
 def tables(folder: Path) -> list[ResultTable]:
     """Return the tables of the curves and of the crossed design, if they were measured."""
-    path = folder / RESULTS
-    results = read_json(path, GapResults) if path.is_file() else None
-    return [gap_table(results), *crossed_tables(results)] if results else []
+    return [table for results in _load(folder) for table in (gap_table(results), *crossed_tables(results))]
 
 
 def figures(folder: Path) -> list[NamedFigure]:
     """Return the figure of the curves, if they were measured."""
-    path = folder / RESULTS
-    results = read_json(path, GapResults) if path.is_file() else None
     caption = "Target MAE against the size of each gap"
-    return [NamedFigure("gap-curves", caption, plot_gaps(results))] if results else []
+    return [NamedFigure("gap-curves", caption, plot_gaps(results)) for results in _load(folder)]
+
+
+def _load(folder: Path) -> list[GapResults]:
+    path = folder / RESULTS
+    return [read_json(path, GapResults)] if path.is_file() else []
 
 
 def gap_table(results: GapResults) -> ResultTable:
@@ -291,9 +273,7 @@ def effects(results: GapResults, method: str) -> dict[str, float]:
 
 def crossed_tables(results: GapResults) -> list[ResultTable]:
     """The crossed design's cells and effects, of the methods that have all cells; none if no method has."""
-    domains = [cell.domain for cell in results.cells if cell.domain in results.errors_n]
-    if len(domains) < len(results.cells):
-        return []
+    domains = [cell.domain for cell in results.cells]
     methods = tuple(m for m in results.methods if not np.isnan(results.of(m, domains)).any())
     if not methods:
         return []

@@ -157,7 +157,7 @@ def plot_critical_difference(methods: Sequence[str], errors: np.ndarray, title: 
     from scikit_posthocs import critical_difference_diagram, posthoc_nemenyi_friedman
 
     found = ranks(errors)
-    figure = Figure(figsize=(8, 1.2 + 0.25 * len(methods)), layout="constrained")
+    figure = Figure(figsize=(8, 1.4 + 0.4 * len(methods)), layout="constrained")
     axes = figure.subplots()
     critical_difference_diagram(
         dict(zip(methods, found.mean(axis=1), strict=True)),
@@ -166,6 +166,7 @@ def plot_critical_difference(methods: Sequence[str], errors: np.ndarray, title: 
         ax=axes,
         label_fmt_left="{label}  {rank:.2f}",
         label_fmt_right="{rank:.2f}  {label}",
+        text_h_margin=0.1,
     )
-    axes.set_title(title, pad=30)
+    axes.set_title(f"{title} (1: least error)", pad=20)
     return figure

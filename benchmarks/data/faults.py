@@ -104,7 +104,6 @@ def run(quick: bool, out_dir: Path) -> None:
 
     Writes `faults.json`. What a stopped benchmark has measured is kept until the next one has ended.
     """
-
     from gelgap.domains import package_versions
 
     folder = out_dir / "faults"

@@ -57,18 +57,8 @@ class GenerationRun:
 
 
 GENERATION_COLUMNS = (
-    "run",
-    "workers",
-    "solves",
-    "frames",
-    "s",
-    "frames/s",
-    "CPU share",
-    "client s",
-    "MiB a worker",
-    "MB on disk",
-    "unconverged",
-    "pieces",
+    *("run", "workers", "solves", "frames", "s", "frames/s", "CPU share", "client s"),
+    *("MiB a worker", "MB on disk", "unconverged", "pieces"),
 )
 
 
