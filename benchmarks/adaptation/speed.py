@@ -1,4 +1,4 @@
-"""Training speed: steps a second against a plain PyTorch loop, waiting for data, cost of each loss."""
+"""Training speed: steps per second beside a plain PyTorch loop, waiting for data, cost of each loss."""
 
 import time
 from collections.abc import Sequence
@@ -23,7 +23,8 @@ BASE = "supervised"
 """Two regressions: a step through both domains whose loss costs nothing."""
 METHODS = (BASE, "no-transfer", "dsan", "dann", "daregram", "coral", "dan", "rsd")
 RESULTS = "speed.json"
-FRAMES, EPOCHS = 256, 3
+FRAMES, EPOCHS, REPEATS = 256, 3, 3
+"""Frames of noise, epochs whose median is taken, and turns of the comparison with the plain loop."""
 
 
 @dataclass(frozen=True)
@@ -43,21 +44,21 @@ def measure(bench: Bench) -> None:
     write_json(bench.out / RESULTS, measure_profile(Profile.preset(bench.profile)))
 
 
-def measure_profile(profile: "Profile", epochs: int = EPOCHS) -> list[Speed]:
-    """Return speeds of a plain loop, of stage 1 and of stage 2 with each method; epochs repeat the measurement."""
+def measure_profile(profile: "Profile") -> list[Speed]:
+    """Return the speeds of a plain loop, of stage 1 and of stage 2 with each method."""
     from gelgap.adapt import adapt, train_source
 
     frames = random_frames(profile)
-    short = profile.replace(source_epochs=epochs, adapt_epochs=epochs, transfer_warmup=0.0, transfer_ramp=0.0)
+    short = profile.replace(source_epochs=EPOCHS, adapt_epochs=EPOCHS, transfer_warmup=0.0, transfer_ramp=0.0)
     plain = short.replace(colour_mixing=0.0)
-    speeds = [Speed("plain PyTorch, source regression", plain_loop_ms(frames, profile, epochs))]
+    speeds = [Speed("plain PyTorch, source regression", plain_loop_ms(frames, profile, EPOCHS))]
     speeds.append(_speed("stage 1", profile, train_source(frames, plain).history, overhead(frames, plain)))
     model = train_source(frames, short)
     if profile.colour_mixing:
         speeds.append(_speed("stage 1, mixed colours", profile, model.history))
     for method in METHODS:
         adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
-        speeds.append(_speed(f"stage 2, {method}", profile, adapted.history[epochs:]))
+        speeds.append(_speed(f"stage 2, {method}", profile, adapted.history[EPOCHS:]))
     return speeds
 
 
@@ -111,14 +112,14 @@ def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> flo
     return 1e3 * float(np.median(times))
 
 
-def overhead(frames: "ArrayFrames", profile: "Profile", repeats: int = 3) -> float:
+def overhead(frames: "ArrayFrames", profile: "Profile") -> float:
     """Return the median of stage 1's processor time over the plain loop's, minus 1; taken in turns after a warm-up."""
     from gelgap.adapt import train_source
 
     short = profile.replace(source_epochs=2)
     plain_loop_ms(frames, profile, 1)
     ratios = []
-    for _ in range(repeats):
+    for _ in range(REPEATS):
         start = time.process_time()
         plain_loop_ms(frames, profile, 2)
         between = time.process_time()
@@ -134,7 +135,7 @@ def tables(folder: Path) -> list[ResultTable]:
 
 
 def speed_table(speeds: Sequence[Speed]) -> ResultTable:
-    """Steps a second of every loop; stage 2 against a regression on both domains."""
+    """Steps per second of every loop; stage 2 beside a regression on both domains."""
     base = next(speed.step_ms for speed in speeds if speed.name == f"stage 2, {BASE}")
 
     def percent(share: float | None, form: str) -> str:
