@@ -11,16 +11,21 @@ from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, su
 _PARTS = tuple(dict.fromkeys(benchmark.part for benchmark in BENCHMARKS if benchmark.part))
 
 
+def _help_on_subjects() -> str:
+    alone = [f"{b.subject} ({b.description})" for b in BENCHMARKS if b.part is None]
+    return f"What to measure: {', '.join(alone)}, or a subject with parts."
+
+
 def _help_on_parts() -> str:
     sentences = []
     for subject in subjects():
-        parts = parts_of(subject)
-        default = (
-            "all" if all(p.by_default for p in parts) else ", ".join(p.part for p in parts if p.by_default)
-        )
-        if parts:
-            sentences.append(f"of {subject} {', '.join(p.part for p in parts)} (default: {default})")
-    return "One part: " + "; ".join(sentences) + "."
+        if parts := parts_of(subject):
+            default = (
+                "all" if all(p.by_default for p in parts) else next(p.part for p in parts if p.by_default)
+            )
+            names = ", ".join(f"{p.part} ({p.description})" for p in parts)
+            sentences.append(f"Of {subject} (default: {default}): {names}.")
+    return f"One part. {' '.join(sentences)}"
 
 
 @dataclass(frozen=True)
@@ -30,8 +35,7 @@ class Benchmark:
     Example: gelgap benchmark physics --quick
     """
 
-    subject: tyro.conf.Positional[Literal[*subjects()]]
-    """What to measure."""
+    subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
     what: Annotated[Literal[*_PARTS] | None, tyro.conf.arg(help=_help_on_parts())] = None
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """A form that takes under two minutes."""

@@ -91,7 +91,7 @@ def cost_table(costs: Sequence[Cost]) -> ResultTable:
             **errors,
             "order": list(map(_order, costs)),
             "made in, s": [number(cost.generate_s, ".0f") for cost in costs],
-            "training per seed, s": [number(cost.train_s, ".0f") for cost in costs],
+            "training a seed, s": [number(cost.train_s, ".0f") for cost in costs],
         },
         f"{costs[0].frames // 2} frames per domain; ± standard deviation over seeds. Physics found in the cache "
         "makes the time of the data short. Fine physics is left out for its time.",

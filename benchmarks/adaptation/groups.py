@@ -9,7 +9,6 @@ from gelgap.benchmarks.adaptation.jobs import Bench, TrainingJob, run_missing
 from gelgap.benchmarks.adaptation.paper import GROUPS, TABLE_METHODS
 from gelgap.benchmarks.adaptation.parts import Part
 from gelgap.benchmarks.adaptation.results import GroupOracles, is_benchmark, load_results, write_oracles
-from gelgap.benchmarks.adaptation.statistics import check_installed
 from gelgap.benchmarks.adaptation.tables import group_tables
 
 SEEDS = (0, 1, 2)
@@ -17,7 +16,6 @@ SEEDS = (0, 1, 2)
 
 def measure(bench: Bench) -> None:
     """Do the missing runs; with the smoke profile, of one group and one seed."""
-    check_installed()
     bench.generate_preset()
     quick = bench.profile == "smoke"
     groups, seeds = (GROUPS[6:7], SEEDS[:1]) if quick else (GROUPS, SEEDS)

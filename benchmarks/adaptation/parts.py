@@ -7,6 +7,7 @@ from pathlib import Path
 from gelgap.adapt import NamedFigure, ResultTable, write_pages
 from gelgap.benchmarks.adaptation.jobs import RUNS, Bench
 from gelgap.benchmarks.adaptation.results import ORACLES, is_benchmark
+from gelgap.benchmarks.adaptation.statistics import check_installed
 from gelgap.benchmarks.registry import parts_of
 
 
@@ -24,6 +25,7 @@ class Part:
 
     def carry_out(self, bench: Bench) -> None:
         """Measure, print the tables and write the report of all parts."""
+        check_installed()
         self.measure(bench)
         for table in self.tables(bench.out):
             table.show()
@@ -38,12 +40,15 @@ def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
     ------
     FileNotFoundError
         If the folder holds no records of the benchmark.
+    ModuleNotFoundError
+        If scikit-posthocs is not installed.
     """
     if not is_benchmark(folder):
         raise FileNotFoundError(
             f"{folder} holds no records of the adaptation benchmark ({RUNS} and {ORACLES}); "
             "`gelgap benchmark adaptation` writes them"
         )
+    check_installed()
     parts = [entry.load().PART for entry in parts_of("adaptation")]
     tables = [table for part in parts for table in part.tables(folder)]
     figures = [figure for part in parts for figure in part.figures(folder)]

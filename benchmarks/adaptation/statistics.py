@@ -21,7 +21,7 @@ CAVEAT = (
 
 
 def check_installed() -> None:
-    """Stop before anything is measured if the packages that the statistics need are missing.
+    """Stop, before anything is measured, if the package that compares methods is missing.
 
     Raises
     ------

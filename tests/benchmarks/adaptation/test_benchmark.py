@@ -1,6 +1,7 @@
 """The adaptation benchmark: what is missing, what is read back, how methods are compared and chosen."""
 
 import math
+import sys
 import time
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from gelgap.benchmarks.adaptation.jobs import (
 )
 from gelgap.benchmarks.adaptation.methods import FURTHER_GROUPS
 from gelgap.benchmarks.adaptation.paper import GROUPS, PAPER_MAE_N
+from gelgap.benchmarks.adaptation.parts import Part
 from gelgap.benchmarks.adaptation.results import (
     GroupOracles,
     Results,
@@ -229,6 +231,13 @@ def test_paired_comparisons_are_corrected_and_leave_domains_out():
     assert len(compare(errors, ["dsan", "worse", "same"], GROUPS, "dsan")) == 2
     errors[1, 1, 0] = math.nan
     assert [c.first for c in compare(errors, ["dsan", "worse", "same"], GROUPS, "dsan")] == ["same"]
+
+
+def test_a_missing_package_is_named_before_anything_is_measured(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "scikit_posthocs", None)
+    part = Part(measure=lambda bench: pytest.fail("measured"), tables=lambda folder: [])
+    with pytest.raises(ModuleNotFoundError, match=r"pip install gelgap\[benchmark\]"):
+        part.run(quick=True, out_dir=tmp_path)
 
 
 def test_ranks_and_critical_difference():
