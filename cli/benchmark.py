@@ -1,28 +1,31 @@
 """`gelgap benchmark`: run time against error, and numerical stress."""
 
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-PARTS = {
-    "stability": ("physics", "render", "losses"),
-    "adaptation": ("speed", "groups", "methods", "search", "ablation", "gaps", "cost"),
-}
-"""The parts of the subjects that have any."""
+from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, subjects
 
-MODULES = {
-    ("physics", None): "physics.accuracy",
-    ("render", None): "render.accuracy",
-    ("throughput", None): "data.throughput",
-    ("faults", None): "data.faults",
-    ("stability", "physics"): "physics.stability",
-    ("stability", "render"): "render.stability",
-    ("stability", "losses"): "adaptation.losses",
-}
-"""Where each subject, or part of it, is measured."""
+_PARTS = tuple(dict.fromkeys(benchmark.part for benchmark in BENCHMARKS if benchmark.part))
+
+
+def _help_on_subjects() -> str:
+    alone = [f"{b.subject} ({b.description})" for b in BENCHMARKS if b.part is None]
+    return f"What to measure: {', '.join(alone)}, or a subject with parts."
+
+
+def _help_on_parts() -> str:
+    sentences = []
+    for subject in subjects():
+        if parts := parts_of(subject):
+            default = (
+                "all" if all(p.by_default for p in parts) else next(p.part for p in parts if p.by_default)
+            )
+            names = ", ".join(f"{p.part} ({p.description})" for p in parts)
+            sentences.append(f"Of {subject} (default: {default}): {names}.")
+    return f"One part. {' '.join(sentences)}"
 
 
 @dataclass(frozen=True)
@@ -32,28 +35,14 @@ class Benchmark:
     Example: gelgap benchmark physics --quick
     """
 
-    subject: tyro.conf.Positional[
-        Literal["physics", "render", "stability", "throughput", "faults", "adaptation"]
-    ]
-    """What to measure."""
-    what: Literal[*PARTS["stability"], *PARTS["adaptation"]] | None = None
-    """One part: the room that `stability` stresses (default: physics), or of `adaptation` speed, groups, methods,
-    search, ablation, gaps or cost (default: all)."""
+    subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
+    what: Annotated[Literal[*_PARTS] | None, tyro.conf.arg(help=_help_on_parts())] = None
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """A form that takes under two minutes."""
     out: Path = Path("benchmark-results")
     """Folder for JSON results and plots."""
 
     def run(self, started: float) -> None:
-        """Run the benchmark's module."""
-        known = PARTS.get(self.subject, ())
-        if self.what not in (None, *known):
-            has = f"its parts are {', '.join(known)}" if known else "it has no parts"
-            raise ValueError(f"--what {self.what} is no part of benchmark {self.subject}; {has}")
-        if self.subject == "adaptation":
-            from gelgap.benchmarks.adaptation.groups import run
-
-            run(self.quick, self.out, (self.what,) if self.what else known)
-            return
-        module = MODULES[self.subject, self.what or known[0] if known else None]
-        import_module(f"gelgap.benchmarks.{module}").run(quick=self.quick, out_dir=self.out)
+        """Run the chosen benchmarks, one after the other."""
+        for benchmark in find_benchmarks(self.subject, self.what, self.quick):
+            benchmark.run(self.quick, self.out)

@@ -28,7 +28,8 @@ class Report:
     def run(self, started: float) -> None:
         """Write the report and say where it is."""
         from gelgap.adapt import write_report
-        from gelgap.benchmarks.adaptation.results import is_benchmark, write_benchmark_report
+        from gelgap.benchmarks.adaptation.parts import write_benchmark_report
+        from gelgap.benchmarks.adaptation.results import is_benchmark
 
         write = write_benchmark_report if is_benchmark(self.runs) else write_report
         print(f"wrote {write(self.runs, self.out)}")

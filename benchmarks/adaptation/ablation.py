@@ -1,6 +1,5 @@
 """What decides in DSAN: classes, weight, warm-up, statistics or feedback; and what mixed colours change."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,8 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.jobs import Changes, Job, Line, run_missing, study_parser
-from gelgap.benchmarks.adaptation.tables import spread
+from gelgap.benchmarks.adaptation.jobs import Bench, Changes, RunRecord, TrainingJob, run_missing
+from gelgap.benchmarks.adaptation.parts import Part
+from gelgap.benchmarks.adaptation.tables import group_name, numbers, spread
+from gelgap.benchmarks.common.records import read_records
 
 RECORD = "ablation.jsonl"
 GROUPS = (("mb0i0", "wmb0i0"), ("wmb0i0", "wmb1i1"))
@@ -59,59 +60,50 @@ def variations() -> tuple[Variation, ...]:
     )
 
 
-def ablation_jobs(groups: Sequence[tuple[str, str]], seeds: Sequence[int]) -> list[Job]:
+def ablation_jobs(groups: Sequence[tuple[str, str]], seeds: Sequence[int]) -> list[TrainingJob]:
     """Return all runs."""
-    return [Job(s, t, v.method, seed, v.changes) for seed in seeds for v in variations() for s, t in groups]
+    return [
+        TrainingJob(s, t, v.method, seed, v.changes)
+        for seed in seeds
+        for v in variations()
+        for s, t in groups
+    ]
 
 
-def ablation_table(lines: Sequence[Line], groups: Sequence[tuple[str, str]]) -> ResultTable:
+def measure(bench: Bench) -> None:
+    """Do the missing runs, by default of one seed."""
+    bench.generate_preset()
+    run_missing(bench, ablation_jobs(GROUPS, bench.seeds or (0,)), RECORD)
+
+
+def tables(folder: Path) -> list[ResultTable]:
+    """Return the table of the ablation, if it was run."""
+    records = read_records(folder / RECORD, RunRecord)
+    return [ablation_table(records)] if records else []
+
+
+def ablation_table(records: Sequence[RunRecord]) -> ResultTable:
     """Error and R² of every variation on every group, mean over seeds."""
-    header = ["variation"]
-    for group in groups:
-        header += [" → ".join(group) + ", N", "R² x, y, z"]
-    rows = []
-    for variation in variations():
-        row = [variation.name]
-        for source, target in groups:
-            own = [
-                line
-                for line in lines
-                if (line.job.source, line.job.target) == (source, target)
-                and (line.job.method, line.job.changes) == (variation.method, variation.changes)
-            ]
-            row += _cells(own)
-        rows.append(row)
-    return ResultTable(
-        "What decides", header, rows, "± standard deviation over seeds, where there are several."
-    )
+    of_job: dict[tuple, list[RunRecord]] = {}
+    for record in records:
+        of_job.setdefault((record.job.group, record.job.method, record.job.changes), []).append(record)
+    rows = [
+        [v.name, *(cell for group in GROUPS for cell in _cells(of_job.get((group, v.method, v.changes), [])))]
+        for v in variations()
+    ]
+    columns = [column for group in GROUPS for column in (f"{group_name(group)}, N", "R² x, y, z")]
+    note = "± standard deviation over seeds, where there are several."
+    return ResultTable("What decides", ["variation", *columns], rows, note)
 
 
-def _cells(own: Sequence[Line]) -> list[str]:
-    good = [line for line in own if line.problem is None]
-    if not own:
-        return ["–", "–"]
+def _cells(records: Sequence[RunRecord]) -> tuple[str, str]:
+    good = [record for record in records if record.problem is None]
     if not good:
-        return ["collapsed", "–"]
-    r2 = np.mean([line.r2 for line in good], axis=0)
-    lost = f" ({len(own) - len(good)} of {len(own)} collapsed)" if len(good) < len(own) else ""
-    error = spread(np.array([line.mean_mae_n for line in good]))
-    return [error + lost, ", ".join(f"{x:.2f}" for x in r2)]
+        return ("collapsed" if records else "–"), "–"
+    lost = f" ({len(records) - len(good)} of {len(records)} collapsed)" if len(good) < len(records) else ""
+    error = spread(np.array([record.mean_mae_n for record in good]))
+    return error + lost, ", ".join(numbers(np.mean([record.r2 for record in good], axis=0), ".2f"))
 
 
-def run(
-    data: Path, out: Path, seeds: Sequence[int] = (0,), workers: int | None = None, minutes: float = math.inf
-) -> list[Line]:
-    """Do the missing runs and print the table."""
-    lines = run_missing(
-        data, out, out.name, ablation_jobs(GROUPS, seeds), record=RECORD, workers=workers, minutes=minutes
-    )
-    ablation_table(lines, GROUPS).show()
-    return lines
-
-
-if __name__ == "__main__":
-    parser = study_parser(__doc__, seeds=(0,))
-    parser.add_argument("--data", type=Path, required=True, help="folder of the cpu data set")
-    parser.add_argument("--out", type=Path, default=Path("benchmark-results/adaptation/cpu"))
-    chosen = parser.parse_args()
-    run(chosen.data, chosen.out, chosen.seeds, chosen.workers, chosen.minutes)
+PART = Part(measure, tables)
+run = PART.run

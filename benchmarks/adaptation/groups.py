@@ -1,158 +1,58 @@
-"""The adaptation benchmark: the paper's nine groups, every method, several seeds; resumable, one run a core."""
+"""The paper's nine groups with its methods and their controls, several seeds, beside what needs no learning."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from gelgap.benchmarks.adaptation.jobs import Job, run_missing, study_parser
-from gelgap.benchmarks.adaptation.results import (
-    RUNS,
-    is_benchmark,
-    load_further,
-    load_results,
-    write_benchmark_report,
-    write_oracles,
-)
-from gelgap.benchmarks.adaptation.tables import (
-    GROUPS,
-    TABLE_METHODS,
-    GroupOracles,
-    further_table,
-    result_tables,
-)
+from gelgap.adapt import NamedFigure, ResultTable
+from gelgap.benchmarks.adaptation.figures import group_figures, prediction_figures
+from gelgap.benchmarks.adaptation.jobs import Bench, TrainingJob, run_missing
+from gelgap.benchmarks.adaptation.paper import GROUPS, TABLE_METHODS
+from gelgap.benchmarks.adaptation.parts import Part
+from gelgap.benchmarks.adaptation.results import GroupOracles, is_benchmark, load_results, write_oracles
+from gelgap.benchmarks.adaptation.tables import group_tables
 
 SEEDS = (0, 1, 2)
-FURTHER_METHODS = (
-    "coral",
-    "dan",
-    "jan",
-    "rsd",
-    "daregram-tikhonov",
-    "dsan-coarse",
-    "dsan-soft",
-    "cod",
-    "ssa",
-)
-FURTHER_GROUPS = (("mb0i0", "wmb0i0"), ("wmb0i0", "wmb1i1"), ("wmb1i1", "mb0i0"))
-"""Markers alone differ; gel and light do; all three do."""
-
-QUICK_PARTS = ("speed", "groups")
 
 
-def run(quick: bool, out_dir: Path, parts: Sequence[str]) -> None:
-    """Do what is missing of some parts, print their tables and write the report.
-
-    `quick` is one group of the smoke data with one seed, of the parts that have such a form. Data that are missing are
-    generated.
-
-    Raises
-    ------
-    ValueError
-        If no part has a quick form.
-    """
-    chosen = [part for part in parts if part in QUICK_PARTS or not quick]
-    if not chosen:
-        raise ValueError(f"--quick: {', '.join(parts)} has no quick form; {', '.join(QUICK_PARTS)} have")
-    out = out_dir / "adaptation" / ("smoke" if quick else "cpu")
-    for part in chosen:
-        _run_part(part, out)
-    if is_benchmark(out):
-        print(f"wrote {write_benchmark_report(out)}")
+def measure(bench: Bench) -> None:
+    """Do the missing runs; with the smoke profile, of one group and one seed."""
+    bench.generate_preset()
+    quick = bench.profile == "smoke"
+    groups, seeds = (GROUPS[6:7], SEEDS[:1]) if quick else (GROUPS, SEEDS)
+    write_oracles(bench.out, group_oracles(bench.data, groups))
+    run_missing(bench, jobs_of(groups, TABLE_METHODS, bench.seeds or seeds))
 
 
-def _run_part(name: str, out: Path) -> None:
-    """Run one part with the profile that `out` is named after."""
-    from gelgap.benchmarks.adaptation import (
-        ablation,
-        cost,
-        gaps,
-        search,
-        speed,
-    )
-
-    match name:
-        case "speed":
-            speed.run(out)
-        case "groups" if out.name == "smoke":
-            run_groups(_data(out), out, GROUPS[6:7], SEEDS[:1])
-        case "groups":
-            run_groups(_data(out), out)
-        case "methods":
-            run_further(_data(out), out)
-        case "search":
-            search.run(_data(out), out)
-        case "ablation":
-            ablation.run(_data(out), out)
-        case "gaps":
-            gaps.run(out / "gaps")
-        case "cost":
-            cost.run(out / "cost")
+def tables(folder: Path) -> list[ResultTable]:
+    """Return the tables of the paper's methods."""
+    return group_tables(load_results(folder)) if is_benchmark(folder) else []
 
 
-def _data(out: Path) -> Path:
-    """Return the folder of the profile's data, generated if they are missing."""
-    from gelgap.domains import generate_recipes, preset_recipes
-
-    data = out.parent / f"data-{out.name}"
-    print(generate_recipes(preset_recipes(out.name, quality="standard", seed=0), data))
-    return data
+def figures(folder: Path) -> list[NamedFigure]:
+    """Return the figures of the paper's methods."""
+    return [*group_figures(load_results(folder)), *prediction_figures(folder)]
 
 
-def group_oracles(data: Path, groups: Sequence[tuple[str, str]]) -> dict[tuple[str, str], GroupOracles]:
+PART = Part(measure, tables, figures)
+run = PART.run
+
+
+def group_oracles(data: Path, groups: Iterable[tuple[str, str]]) -> dict[tuple[str, str], GroupOracles]:
     """Return both oracles of every group."""
     from gelgap.adapt import Presses, geometry_oracle, pose_oracle
     from gelgap.domains import open_domain
 
-    domains = {name: open_domain(data / name) for name in dict.fromkeys(n for group in groups for n in group)}
-    presses = {name: Presses.of(domain) for name, domain in domains.items()}
-    return {
-        (s, t): GroupOracles(
-            pose_oracle(domains[s], domains[t]).mae_n, geometry_oracle(presses[s], presses[t]).mae_n
-        )
-        for s, t in groups
-    }
+    domains = {name: open_domain(data / name) for name in {n for group in groups for n in group}}
+    found = {}
+    for group in groups:
+        pair = [domains[name] for name in group]
+        presses = map(Presses.of, pair)
+        found[group] = GroupOracles(pose_oracle(*pair).mae_n, geometry_oracle(*presses).mae_n)
+    return found
 
 
-def jobs_of(groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds: Sequence[int]) -> list[Job]:
-    """Return the runs of the table, one seed after the other."""
-    return [Job(s, t, m, seed) for seed in seeds for s, t in groups for m in methods]
-
-
-def run_groups(
-    data: Path,
-    out: Path,
-    groups: Sequence[tuple[str, str]] = GROUPS,
-    seeds: Sequence[int] = SEEDS,
-    workers: int | None = None,
-    minutes: float = math.inf,
-) -> None:
-    """Do the missing runs of the paper's methods, with the profile that `out` is named after; print all tables."""
-    write_oracles(out, group_oracles(data, groups))
-    run_missing(data, out, out.name, jobs_of(groups, TABLE_METHODS, seeds), workers=workers, minutes=minutes)
-    if (out / RUNS).is_file():
-        for table in result_tables(load_results(out)):
-            table.show()
-
-
-def run_further(
-    data: Path,
-    out: Path,
-    seeds: Sequence[int] = SEEDS[:1],
-    workers: int | None = None,
-    minutes: float = math.inf,
-) -> None:
-    """Do the missing runs of all methods on three groups; print their table."""
-    jobs = jobs_of(FURTHER_GROUPS, (*TABLE_METHODS, *FURTHER_METHODS), seeds)
-    write_oracles(out, group_oracles(data, GROUPS))
-    run_missing(data, out, out.name, jobs, workers=workers, minutes=minutes)
-    further_table(load_further(out)).show()
-
-
-if __name__ == "__main__":
-    parser = study_parser("The nine groups in pieces: what is missing, for so many minutes.", SEEDS)
-    parser.add_argument("--data", type=Path, required=True, help="folder of the four domains")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="records; named after the profile, such as …/cpu"
-    )
-    chosen = parser.parse_args()
-    run_groups(chosen.data, chosen.out, seeds=chosen.seeds, workers=chosen.workers, minutes=chosen.minutes)
+def jobs_of(
+    groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds: Sequence[int]
+) -> list[TrainingJob]:
+    """Return the runs of a table, one seed after the other."""
+    return [TrainingJob(s, t, method, seed) for seed in seeds for s, t in groups for method in methods]

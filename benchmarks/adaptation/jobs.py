@@ -1,35 +1,28 @@
-"""Runs of the adaptation benchmarks as resumable records: one JSON line a run, nothing computed twice."""
+"""Training runs: what each is, the record it leaves, and doing those that have none yet, one per core."""
 
-import argparse
-import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from gelgap.benchmarks.common.records import append_record, read_records
+
 if TYPE_CHECKING:
     from gelgap.adapt import Profile
+    from gelgap.domains import DomainRecipe, GenerationReport
 
 Axes = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]
-_NOTHING = (math.nan, math.nan, math.nan)
-
-
-def study_parser(description: str | None, seeds: Sequence[int]) -> argparse.ArgumentParser:
-    """Return a parser of what every study takes: seeds, processes, and how long to go on beginning runs."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(seeds))
-    parser.add_argument("--workers", type=int, help="processes; default: one a core")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after so many minutes")
-    return parser
+RUNS = "runs.jsonl"
+_NAN = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainingJob:
     """One run to do: a method on a group with a seed; `changes` are profile fields that differ from the preset."""
 
     source: str
@@ -38,8 +31,13 @@ class Job:
     seed: int
     changes: Changes = ()
 
+    @property
+    def group(self) -> tuple[str, str]:
+        """Source and target."""
+        return self.source, self.target
+
     def profile(self, preset: str) -> "Profile":
-        """Return the preset with this job's changes; a transfer weight among them stands above the method's own."""
+        """Return the preset with this job's changes; a transfer weight among them replaces the method's own too."""
         from gelgap.adapt import Profile
 
         profile, changes = Profile.preset(preset), dict(self.changes)
@@ -50,20 +48,20 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Line:
+class RunRecord:
     """One finished run: errors on the target's test frames per axis (N, and R²), and what else the tables need.
 
     Errors are NaN where the run stopped with `problem`. `stage1_s` is 0 where another run had trained the checkpoint.
     """
 
-    job: Job
+    job: TrainingJob
     profile: str
     versions: dict[str, str]
     problem: str | None = None
     key: str = ""
-    mae_n: Axes = _NOTHING
-    r2: Axes = _NOTHING
-    constant_mean_n: Axes = _NOTHING
+    mae_n: Axes = _NAN
+    r2: Axes = _NAN
+    constant_mean_n: Axes = _NAN
     source_held_out_r2: Axes | None = None
     stage1_s: float = 0.0
     stage2_s: float = math.nan
@@ -77,26 +75,73 @@ class Line:
         return float(np.mean(self.mae_n))
 
 
-AnyLine = TypeVar("AnyLine")
-Work = Callable[[Path, Path, str, Job], AnyLine]
+Record = TypeVar("Record")
 
 
-def adapt_job(data: Path, out: Path, profile: str, job: Job) -> Line:
+@dataclass(frozen=True)
+class Bench:
+    """Where runs find their data and leave their records, with which profile, and what may be spent on them now.
+
+    Without `seeds` a part of the benchmark takes its own. `workers` are processes, by default one per core; one means
+    this process, without a cluster. No run is begun after `stop`, a time of `time.time`.
+    """
+
+    data: Path
+    out: Path
+    profile: str
+    seeds: tuple[int, ...] | None = None
+    workers: int | None = None
+    stop: float = math.inf
+
+    @classmethod
+    def at(cls, folder: Path, **limits: Any) -> "Bench":
+        """Return the bench of a folder that is named after the profile, its data beside it."""
+        return cls(folder.parent / f"data-{folder.name}", folder, folder.name, **limits)
+
+    def within(self, name: str, profile: str) -> "Bench":
+        """Return a bench for another profile with data of its own, below this one's records."""
+        folder = self.out / name
+        return replace(self, data=folder / "data", out=folder / "runs", profile=profile)
+
+    def generate(self, recipes: "Sequence[DomainRecipe]") -> "GenerationReport":
+        """Generate what is missing of some domains."""
+        from gelgap.domains import generate_recipes
+
+        scheduler = "synchronous" if self.workers == 1 else None
+        report = generate_recipes(recipes, self.data, scheduler=scheduler, workers=self.workers)
+        print(report, flush=True)
+        return report
+
+    def generate_preset(self) -> None:
+        """Generate what is missing of the data that the profile is meant for, those of smoke at draft quality."""
+        from gelgap.domains import preset_recipes
+
+        quality = "draft" if self.profile == "smoke" else "standard"
+        self.generate(preset_recipes(self.profile, quality=quality, seed=0))
+
+    def is_over(self) -> bool:
+        """Return whether no further run is to be begun."""
+        return time.time() >= self.stop
+
+
+def adapt_job(bench: Bench, job: TrainingJob) -> RunRecord:
     """Do one run; a collapse, or a loss that is not finite, is a result, not a failure."""
     from gelgap.adapt import FeatureCollapse, TrainingDiverged, adapt_folders
     from gelgap.adapt.run_record import versions
 
-    settings = job.profile(profile)
+    source, target = bench.data / job.source, bench.data / job.target
     try:
         (run,) = adapt_folders(
-            data / job.source, data / job.target, [job.method], settings, job.seed, out_dir=out
+            source, target, [job.method], job.profile(bench.profile), job.seed, out_dir=bench.out
         )
     except (FeatureCollapse, TrainingDiverged) as problem:
-        return Line(job, profile, versions(), problem=str(problem))
+        return RunRecord(job, bench.profile, versions(), problem=str(problem))
     last = run.history[-1] if run.history else {}
-    return Line(
+    return RunRecord(
         job=job,
-        profile=profile,
+        profile=bench.profile,
+        versions=run.versions,
+        key=run.key,
         mae_n=run.target_test.mae_n,
         r2=run.target_test.r2,
         constant_mean_n=run.target_constant_mean.mae_n,
@@ -106,95 +151,48 @@ def adapt_job(data: Path, out: Path, profile: str, job: Job) -> Line:
         feature_rank=last.get("feature_rank", math.nan),
         prediction_spread=last.get("prediction_spread", math.nan),
         skipped_steps=run.skipped_steps,
-        problem=None,
-        key=run.key,
-        versions=run.versions,
     )
 
 
-def read_lines(path: Path, kind: type[AnyLine] = Line) -> list[AnyLine]:
-    """Read finished runs; a last line that was cut off by a kill is left out."""
-    if not path.is_file():
-        return []
-    lines = []
-    for text in path.read_text(encoding="utf-8").splitlines():
-        try:
-            content = json.loads(text)
-        except json.JSONDecodeError:
-            continue
-        content = {field.name: _tuples(content[field.name]) for field in fields(kind)}
-        lines.append(kind(**content | {"job": Job(**content["job"])}))
-    return lines
+Work = Callable[[Bench, TrainingJob], Record]
 
 
-def append_line(path: Path, line: Any) -> None:
-    """Add one finished run; a line that a kill left unfinished is ended first."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+b") as file:
-        if file.tell():
-            file.seek(-1, 2)
-            if file.read(1) != b"\n":
-                file.write(b"\n")
-        file.write((json.dumps(asdict(line), ensure_ascii=False) + "\n").encode())
-
-
-def missing_jobs(jobs: Iterable[Job], profile: str, done: Iterable[Any]) -> list[Job]:
-    """Return the jobs, each once, that no finished line of this profile covers."""
-    finished = {line.job for line in done if line.profile == profile}
+def missing_jobs(jobs: Iterable[TrainingJob], profile: str, done: Iterable[Any]) -> list[TrainingJob]:
+    """Return the jobs, each once, that no record of this profile covers."""
+    finished = {record.job for record in done if record.profile == profile}
     return [job for job in dict.fromkeys(jobs) if job not in finished]
 
 
 def run_missing(
-    data: Path,
-    out: Path,
-    profile: str,
-    jobs: Sequence[Job],
+    bench: Bench,
+    jobs: Sequence[TrainingJob],
+    file: str = RUNS,
     work: Work = adapt_job,
-    kind: type[AnyLine] = Line,
-    record: str = "runs.jsonl",
-    workers: int | None = None,
-    scheduler: str | None = None,
-    minutes: float = math.inf,
-) -> list[AnyLine]:
-    """Do the jobs that `out/record` lacks, one a core, and return the lines of all that are finished.
+    kind: type[Record] = RunRecord,
+) -> list[Record]:
+    """Do the jobs that the bench's record `file` lacks and return the records of all that are finished.
 
-    A killed run goes on from its last epoch. One worker means this process, without a cluster. `minutes` ends a piece
-    of the work: no run is begun after that time.
+    A killed run goes on from its last epoch.
     """
-    path, limit_s = out / record, 60 * minutes
-    todo = missing_jobs(jobs, profile, read_lines(path, kind))
+    path = bench.out / file
+    todo = missing_jobs(jobs, bench.profile, read_records(path, kind))
     start = time.perf_counter()
-    if workers == 1:
-        lines = _one_by_one(data, out, profile, todo, work, limit_s)
-    else:
-        lines = _on_workers(data, out, profile, todo, work, limit_s, workers, scheduler)
-    for count, line in enumerate(lines, 1):
-        append_line(path, line)
-        print(f"{count}/{len(todo)}  {_said(line)}  ({time.perf_counter() - start:.0f} s)", flush=True)
+    done = _one_by_one(bench, todo, work) if bench.workers == 1 else _on_workers(bench, todo, work)
+    for count, record in enumerate(done, 1):
+        append_record(path, record)
+        print(f"{count}/{len(todo)}  {_summary(record)}  ({time.perf_counter() - start:.0f} s)", flush=True)
     wanted = set(jobs)
-    return [line for line in read_lines(path, kind) if line.profile == profile and line.job in wanted]
+    return [r for r in read_records(path, kind) if r.profile == bench.profile and r.job in wanted]
 
 
-def _one_by_one(
-    data: Path, out: Path, profile: str, jobs: Sequence[Job], work: Work, limit_s: float
-) -> Iterator[Any]:
-    start = time.perf_counter()
+def _one_by_one(bench: Bench, jobs: Sequence[TrainingJob], work: Work) -> Iterator[Any]:
     for job in jobs:
-        if time.perf_counter() - start < limit_s:
-            yield work(data, out, profile, job)
+        if not bench.is_over():
+            yield work(bench, job)
 
 
-def _on_workers(
-    data: Path,
-    out: Path,
-    profile: str,
-    jobs: Sequence[Job],
-    work: Work,
-    limit_s: float,
-    workers: int | None,
-    scheduler: str | None,
-) -> Iterator[Any]:
-    """Yield lines as Dask workers finish them; runs that share a stage 1 wait for it."""
+def _on_workers(bench: Bench, jobs: Sequence[TrainingJob], work: Work) -> Iterator[Any]:
+    """Yield records as Dask workers finish them; runs that share a first stage wait for the one that trains it."""
     if not jobs:
         return
     from dask.distributed import as_completed
@@ -202,48 +200,25 @@ def _on_workers(
     from gelgap.adapt.run_key import stage1_profile
     from gelgap.domains import dask_client
 
-    stop = time.time() + limit_s
-    with dask_client(scheduler, workers) as client:
-        stage1: dict[Any, Any] = {}
+    with dask_client(None, bench.workers) as client:
+        first: dict[Any, Any] = {}
         runs = []
         for job in jobs:
-            shared = (job.source, job.seed, stage1_profile(job.profile(profile)).model_dump_json())
-            if shared not in stage1:
-                stage1[shared] = client.submit(_stage1, data, out, profile, job, pure=False)
-            runs.append(
-                client.submit(_after, stage1[shared], stop, work, data, out, profile, job, pure=False)
-            )
+            stage1 = (job.source, job.seed, stage1_profile(job.profile(bench.profile)).model_dump_json())
+            runs.append(client.submit(_run_after, first.get(stage1), work, bench, job, pure=False))
+            first.setdefault(stage1, runs[-1])
         for future in as_completed(runs, loop=client.loop):
-            line = future.result()
-            if line is not None:
-                yield line
+            record = future.result()
+            if record is not None:
+                yield record
 
 
-def _stage1(data: Path, out: Path, profile: str, job: Job) -> float:
-    from gelgap.adapt import Stage1, split_for_training
-    from gelgap.domains import open_domain
-
-    settings = job.profile(profile)
-    source, target = open_domain(data / job.source), open_domain(data / job.target)
-    frames = split_for_training(source, target, settings, job.seed)
-    return Stage1(frames.source_train, settings, job.seed, out=out).model()[1]
+def _run_after(_: Any, work: Work, bench: Bench, job: TrainingJob) -> Any:
+    return None if bench.is_over() else work(bench, job)
 
 
-def _after(stage1_s: float, stop: float, work: Work, data: Path, out: Path, profile: str, job: Job) -> Any:
-    return work(data, out, profile, job) if time.time() < stop else None
-
-
-def _said(line: Any) -> str:
-    job = line.job
+def _summary(record: Any) -> str:
+    job = record.job
     changes = "".join(f"  {name} = {value}" for name, value in job.changes)
-    result = line.problem or f"{line.mean_mae_n:.3f} N"
+    result = record.problem or f"{record.mean_mae_n:.3f} N"
     return f"{job.source} → {job.target}  {job.method}  seed {job.seed}{changes}: {result}"
-
-
-def _tuples(value: Any) -> Any:
-    """Turn JSON's lists back into the tuples of the dataclasses."""
-    if isinstance(value, list):
-        return tuple(_tuples(item) for item in value)
-    if isinstance(value, dict):
-        return {name: _tuples(item) for name, item in value.items()}
-    return value

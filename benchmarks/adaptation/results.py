@@ -1,34 +1,39 @@
-"""The adaptation benchmark's report: every table and figure that is there, as Markdown, LaTeX and one HTML page."""
+"""The finished runs of the benchmark as arrays over methods, groups and seeds, and the groups' oracles."""
 
-import json
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.adapt import NamedFigure, ResultTable, write_pages
-from gelgap.benchmarks.adaptation.jobs import Line, read_lines
-from gelgap.benchmarks.adaptation.statistics import critical_difference, plot_critical_difference, ranks
-from gelgap.benchmarks.adaptation.tables import (
-    GROUPS,
-    TABLE_METHODS,
-    GroupOracles,
-    Results,
-    further_table,
-    mean_of,
-    over_groups,
-    result_tables,
-)
+from gelgap.benchmarks.adaptation.jobs import RUNS, Axes, RunRecord, TrainingJob
+from gelgap.benchmarks.adaptation.paper import GROUPS, PAPER_MAE_N, TABLE_METHODS
+from gelgap.benchmarks.common.records import read_json, read_records
+from gelgap.benchmarks.common.tables import write_json
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-RUNS = "runs.jsonl"
 ORACLES = "oracles.json"
-SHOWN_GROUPS = (("wmb1i1", "mb0i0"),)
-"""The groups whose scatter plots and t-SNE are drawn, as in the paper's figures 4 and 5."""
-SHOWN_METHODS = ("source-only", "dann", "daregram", "dsan")
+_NO_RUN = RunRecord(TrainingJob("", "", "", 0), "", {})
+
+
+@dataclass(frozen=True)
+class GroupOracles:
+    """What paired contacts say of a group: mean absolute errors per axis, N, without any learning."""
+
+    pose_n: Axes
+    geometry_n: Axes
+
+    def comparable(self, group: tuple[str, str]) -> bool:
+        """Return whether perfect alignment of poses could reach what the paper reports for DSAN."""
+        if group not in GROUPS:
+            return True
+        return float(np.mean(self.pose_n)) <= PAPER_MAE_N["dsan"][GROUPS.index(group)]
+
+
+def write_oracles(folder: Path, oracles: dict[tuple[str, str], GroupOracles]) -> None:
+    """Keep the groups' oracles beside the runs, so that a report needs no data."""
+    write_json(folder / ORACLES, {" → ".join(group): found for group, found in oracles.items()})
 
 
 def is_benchmark(folder: Path) -> bool:
@@ -36,187 +41,132 @@ def is_benchmark(folder: Path) -> bool:
     return (folder / RUNS).is_file() and (folder / ORACLES).is_file()
 
 
-def write_oracles(folder: Path, oracles: dict[tuple[str, str], GroupOracles]) -> None:
-    """Keep the groups' oracles beside the runs, so that a report needs no data."""
-    from gelgap.benchmarks.common.tables import write_json
+@dataclass(frozen=True)
+class Results:
+    """The finished runs of some groups and methods, and the oracles of the groups."""
 
-    write_json(folder / ORACLES, {" → ".join(group): found for group, found in oracles.items()})
+    records: Sequence[RunRecord]
+    groups: Sequence[tuple[str, str]]
+    methods: Sequence[str]
+    seeds: Sequence[int]
+    oracles: dict[tuple[str, str], GroupOracles]
+
+    @cached_property
+    def _by_job(self) -> dict[TrainingJob, RunRecord]:
+        return {record.job: record for record in self.records}
+
+    def values(self, field: str) -> np.ndarray:
+        """Return a record's field (methods, groups, seeds), NaN where a run is missing or collapsed.
+
+        A field with a value per axis gives (3, methods, groups, seeds).
+        """
+
+        def value(*job: object) -> float | Axes:
+            record = self._by_job.get(TrainingJob(*job), _NO_RUN)
+            return getattr(record if record.problem is None else _NO_RUN, field)
+
+        found = np.array(
+            [[[value(*g, m, s) for s in self.seeds] for g in self.groups] for m in self.methods], float
+        )
+        return np.moveaxis(found, 3, 0) if found.ndim == 4 else found
+
+    @cached_property
+    def errors_n(self) -> np.ndarray:
+        """Mean MAE over the axes (methods, groups, seeds), N."""
+        return self.values("mean_mae_n")
+
+    @cached_property
+    def constant_mean_n(self) -> np.ndarray:
+        """Error (groups,) of predicting the source's mean force, N, mean over the seeds' test frames."""
+        return mean_of(self.values("constant_mean_n").mean(axis=0), axis=(0, 2))
+
+    @cached_property
+    def common(self) -> np.ndarray:
+        """Which pairs (groups, seeds) every method except supervised has finished, be it by a collapse."""
+        learned = [method for method in self.methods if method != "supervised"]
+        return np.array(
+            [
+                [all(TrainingJob(*g, m, s) in self._by_job for m in learned) for s in self.seeds]
+                for g in self.groups
+            ]
+        )
+
+    @cached_property
+    def balanced_n(self) -> np.ndarray:
+        """The errors on the common pairs, by which methods are compared; NaN elsewhere."""
+        return np.where(self.common, self.errors_n, np.nan)
+
+    def of(self, method: str) -> np.ndarray:
+        """Return the errors (groups, seeds) of one method on the common pairs, N."""
+        return self.balanced_n[list(self.methods).index(method)]
+
+    def axis_means(self, field: str) -> np.ndarray:
+        """Return the means (3, methods) of a field with a value per axis on the common pairs, over the groups."""
+        return over_groups(np.where(self.common, self.values(field), np.nan))
+
+    @cached_property
+    def learned(self) -> list[int]:
+        """The indices of the methods except supervised, which are ranked."""
+        return [i for i, method in enumerate(self.methods) if method != "supervised"]
+
+    @cached_property
+    def group_errors_n(self) -> np.ndarray:
+        """The errors (learned methods, groups) on the common pairs, means over seeds, N."""
+        return mean_of(self.balanced_n[self.learned], axis=2)
+
+    @cached_property
+    def stage1_s(self) -> float:
+        """Median time of the first stage, which all methods of a source and seed share; NaN if nothing was timed."""
+        return float(np.median([r.stage1_s for r in self.records if r.stage1_s > 0] or [math.nan]))
+
+
+def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
+    """Return the mean of what is not NaN; NaN where nothing is."""
+    there = ~np.isnan(values)
+    count = there.sum(axis=axis)
+    return np.where(count > 0, np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
+
+
+def over_groups(values: np.ndarray) -> np.ndarray:
+    """Return the mean over groups of the means over seeds of (…, groups, seeds); NaN where a group has no run."""
+    return mean_of(values, axis=-1).mean(axis=-1)
 
 
 def load_results(folder: Path) -> Results:
-    """Read the finished runs of the paper's methods; groups and methods without any run are left out.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there are no records.
-    """
-    return _results(folder, [line for line in _lines(folder) if line.job.method in TABLE_METHODS])
+    """Read the finished runs of the paper's methods; groups and methods without any run are left out."""
+    return _results(folder, [record for record in _records(folder) if record.job.method in TABLE_METHODS])
 
 
 def load_further(folder: Path) -> Results:
     """Read the finished runs of all methods, of the groups and seeds that methods beside the paper's were run on."""
-    lines = _lines(folder)
-    further = [line.job for line in lines if line.job.method not in TABLE_METHODS]
-    places = {(job.source, job.target, job.seed) for job in further}
-    return _results(
-        folder, [line for line in lines if (line.job.source, line.job.target, line.job.seed) in places]
-    )
+    records = _records(folder)
+    further = {(r.job.group, r.job.seed) for r in records if r.job.method not in TABLE_METHODS}
+    return _results(folder, [record for record in records if (record.job.group, record.job.seed) in further])
 
 
-def _lines(folder: Path) -> list[Line]:
-    if not is_benchmark(folder):
-        raise FileNotFoundError(
-            f"{folder} holds no records of the adaptation benchmark ({RUNS} and {ORACLES}); "
-            "`gelgap benchmark adaptation` writes them"
-        )
-    return [line for line in read_lines(folder / RUNS) if not line.job.changes]
-
-
-def _results(folder: Path, lines: Sequence[Line]) -> Results:
-    content = json.loads((folder / ORACLES).read_text(encoding="utf-8"))
-    oracles = {tuple(name.split(" → ")): _oracles(found) for name, found in content.items()}
-    groups = [g for g in oracles if any((line.job.source, line.job.target) == g for line in lines)]
-    groups.sort(key=lambda group: GROUPS.index(group) if group in GROUPS else len(GROUPS))
-    known = [m for m in TABLE_METHODS if any(line.job.method == m for line in lines)]
-    methods = [*known, *dict.fromkeys(ln.job.method for ln in lines if ln.job.method not in known)]
-    seeds = sorted({line.job.seed for line in lines})
-    return Results(lines, groups, methods, seeds, {group: oracles[group] for group in groups})
-
-
-def _oracles(content: dict) -> GroupOracles:
-    return GroupOracles(tuple(content["pose_n"]), tuple(content["geometry_n"]))
-
-
-def benchmark_tables(folder: Path) -> list[ResultTable]:
-    """Return the tables of all parts of the benchmark that were run."""
-    from gelgap.benchmarks.adaptation import (
-        ablation,
-        cost,
-        gaps,
-        search,
-        speed,
-    )
-
-    tables = result_tables(load_results(folder))
-    if (further := load_further(folder)).lines:
-        tables.append(further_table(further))
-    if search_lines := read_lines(folder / search.RECORD, search.SearchLine):
-        tables += search.search_tables(search_lines)
-    if ablation_lines := read_lines(folder / ablation.RECORD):
-        tables.append(ablation.ablation_table(ablation_lines, ablation.GROUPS))
-    gaps_file = folder / "gaps" / gaps.RESULTS
-    if gaps_file.is_file():
-        found = gaps.GapResults.load(gaps_file)
-        tables += [gaps.gap_table(found), *gaps.crossed_tables(found)]
-    cost_file = folder / "cost" / cost.RESULTS
-    if cost_file.is_file():
-        tables.append(cost.cost_table(cost.load_costs(cost_file)))
-    speed_file = folder / speed.RESULTS
-    if speed_file.is_file():
-        tables.append(speed.speed_table(speed.load_speeds(speed_file)))
-    return tables
-
-
-def benchmark_figures(folder: Path) -> list[NamedFigure]:
-    """Return the figures of all parts of the benchmark that were run."""
-    from gelgap.benchmarks.adaptation import gaps
-
-    results = load_results(folder)
-    own = [i for i, method in enumerate(results.methods) if method != "supervised"]
-    by_group = mean_of(results.balanced_n[own], axis=2)
-    mean_ranks = dict(zip([results.methods[i] for i in own], ranks(by_group).mean(axis=1), strict=True))
-    figures = [NamedFigure("groups", "Target MAE by group and method", plot_groups(results))]
-    if len(own) > 1:
-        difference = critical_difference(len(own), len(results.groups))
-        figure = plot_critical_difference(mean_ranks, difference, "Mean ranks over the groups")
-        figures.append(NamedFigure("critical-difference", "Mean ranks and critical difference", figure))
-    figures.append(NamedFigure("time", "Target MAE against training time", plot_time(results)))
-    gaps_file = folder / "gaps" / gaps.RESULTS
-    if gaps_file.is_file():
-        figure = gaps.plot_gaps(gaps.GapResults.load(gaps_file))
-        figures.append(NamedFigure("gap-curves", "Target MAE against the size of each gap", figure))
-    return figures + prediction_figures(folder)
-
-
-def prediction_figures(folder: Path) -> list[NamedFigure]:
-    """Return scatter plots and t-SNE of the paper's example groups, first seed; none if their runs are gone."""
-    from gelgap.adapt import feature_tsne, force_scatter, load_predictions, load_run
-
-    figures = []
-    for source, target in SHOWN_GROUPS:
-        found = {method: _first_run(folder, source, target, method) for method in SHOWN_METHODS}
-        arrays = {method: load_predictions(load_run(path)) for method, path in found.items() if path}
-        if not arrays:
-            continue
-        truth = next(iter(arrays.values()))["target_true_n"]
-        shown = {method: a["target_predicted_n"] for method, a in arrays.items()}
-        features = {m: (a["source_features"], a["target_features"]) for m, a in arrays.items()}
-        pair, group = f"{source} → {target}", f"{source}-{target}"
-        scatter, plane = force_scatter(truth, shown), feature_tsne(features)
-        figures.append(NamedFigure(f"scatter-{group}", f"{pair}: predicted against true force", scatter))
-        figures.append(NamedFigure(f"tsne-{group}", f"{pair}: features of both domains", plane))
-    return figures
-
-
-def _first_run(folder: Path, source: str, target: str, method: str) -> Path | None:
-    """Return the folder of the table's run with the least seed; None if none is kept."""
+def first_run(folder: Path, group: tuple[str, str], method: str) -> Path | None:
+    """Return the folder of a group's run with the least seed among those that are kept; None if there is none."""
     from gelgap.adapt.runs import run_folder
 
-    lines = [
-        line
-        for line in sorted(_lines(folder), key=lambda line: line.job.seed)
-        if (line.job.source, line.job.target, line.job.method) == (source, target, method)
-    ]
-    paths = (run_folder(folder, source, target, method, line.job.seed, line.key) for line in lines)
-    return next((path for path in paths if path.is_dir()), None)
+    for record in sorted(_records(folder), key=lambda record: record.job.seed):
+        if (record.job.group, record.job.method) == (group, method):
+            path = run_folder(folder, *group, method, record.job.seed, record.key)
+            if path.is_dir():
+                return path
+    return None
 
 
-def plot_groups(results: Results) -> "Figure":
-    """Draw each group's errors as bars beside the constant mean and the pose oracle."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 3.8), layout="constrained")
-    axes = figure.subplots()
-    place, width = np.arange(len(results.groups)), 0.8 / len(results.methods)
-    for i, method in enumerate(results.methods):
-        errors = results.errors_n[i]
-        spread = [np.std(e[~np.isnan(e)], ddof=1) if (~np.isnan(e)).sum() > 1 else 0.0 for e in errors]
-        axes.bar(place - 0.4 + (i + 0.5) * width, mean_of(errors, axis=1), width, yerr=spread, label=method)
-    axes.hlines(results.constant_mean_n, place - 0.4, place + 0.4, "k", "dotted", label="constant mean")
-    pose = [np.mean(results.oracles[group].pose_n) for group in results.groups]
-    axes.hlines(pose, place - 0.4, place + 0.4, "k", label="pose oracle")
-    axes.set_xticks(place, ["\n→ ".join(group) for group in results.groups], fontsize=8)
-    axes.set_ylabel("target MAE, N")
-    figure.legend(loc="outside upper center", fontsize=8, ncols=len(results.methods) + 2)
-    return figure
+def _records(folder: Path) -> list[RunRecord]:
+    return [record for record in read_records(folder / RUNS, RunRecord) if not record.job.changes]
 
 
-def plot_time(results: Results) -> "Figure":
-    """Draw each method's error against the training time of its second stage."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.5, 3.5), layout="constrained")
-    axes = figure.subplots()
-    stage1 = float(np.median([line.stage1_s for line in results.lines if line.stage1_s > 0] or [0.0]))
-    stage2 = mean_of(results.values(lambda line: line.stage2_s), axis=(1, 2))
-    for i, method in enumerate(results.methods):
-        error = float(over_groups(results.balanced_n[i]))
-        axes.plot(stage1 + float(stage2[i]), error, "o", alpha=0.7, label=method)
-    axes.set(xlabel="both stages, s of one core", ylabel="target MAE, N")
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)
-    return figure
-
-
-def write_benchmark_report(folder: Path, out_dir: Path | None = None, name: str = "adaptation") -> Path:
-    """Write `<name>.md`, `.tex`, `.html` and the figures as PNG; return the HTML's path.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder holds no records of the benchmark.
-    """
-    tables, figures = benchmark_tables(folder), benchmark_figures(folder)
-    title = f"Adaptation benchmark, profile {folder.name}"
-    return write_pages(folder if out_dir is None else out_dir, name, title, tables, figures)
+def _results(folder: Path, records: Sequence[RunRecord]) -> Results:
+    found = read_json(folder / ORACLES, dict[str, GroupOracles])
+    oracles = {tuple(name.split(" → ")): values for name, values in found.items()}
+    groups = [group for group in oracles if any(record.job.group == group for record in records)]
+    groups.sort(key=lambda group: GROUPS.index(group) if group in GROUPS else len(GROUPS))
+    methods = dict.fromkeys(record.job.method for record in records)
+    known = [method for method in TABLE_METHODS if method in methods]
+    seeds = sorted({record.job.seed for record in records})
+    every = [*known, *(method for method in methods if method not in known)]
+    return Results(records, groups, every, seeds, {group: oracles[group] for group in groups})

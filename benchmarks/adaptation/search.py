@@ -3,19 +3,22 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.jobs import Job, run_missing, study_parser
+from gelgap.benchmarks.adaptation.jobs import Bench, TrainingJob, run_missing
+from gelgap.benchmarks.adaptation.parts import Part
+from gelgap.benchmarks.adaptation.tables import group_name
+from gelgap.benchmarks.common.records import read_records
 
 WEIGHTS = (0.0003, 0.003, 0.03, 0.3, 3.0)
 """The grid of transfer weights, the same for every method."""
 
 RECORD = "search.jsonl"
-EVERY = 2
+EPOCHS_BETWEEN = 2
 """Candidates are taken after every second epoch."""
 
 SEARCH_METHODS = ("dann", "daregram", "dsan")
@@ -24,10 +27,10 @@ SEARCH_GROUPS = (("mb0i0", "wmb1i1"),)
 
 
 @dataclass(frozen=True)
-class SearchLine:
+class SearchRecord:
     """One run of the grid: per candidate epoch its test error on the target (N), each selector's score, its alarm."""
 
-    job: Job
+    job: TrainingJob
     profile: str
     epochs: tuple[int, ...] = ()
     error_n: tuple[float, ...] = ()
@@ -40,11 +43,18 @@ class SearchLine:
         """Error after the last epoch, N."""
         return self.error_n[-1] if self.error_n else math.nan
 
+    @property
+    def weight(self) -> float:
+        """The transfer weight of the run."""
+        return dict(self.job.changes)["transfer_weight"]
 
-def search_jobs(groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds: Sequence[int]) -> list[Job]:
+
+def search_jobs(
+    groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds: Sequence[int]
+) -> list[TrainingJob]:
     """Return the grid's runs."""
     return [
-        Job(source, target, method, seed, (("transfer_weight", weight),))
+        TrainingJob(source, target, method, seed, (("transfer_weight", weight),))
         for seed in seeds
         for source, target in groups
         for method in methods
@@ -52,33 +62,40 @@ def search_jobs(groups: Sequence[tuple[str, str]], methods: Sequence[str], seeds
     ]
 
 
-def search_job(data: Path, out: Path, profile: str, job: Job) -> SearchLine:
+def measure(bench: Bench) -> None:
+    """Do the grid's missing runs, by default of one seed."""
+    bench.generate_preset()
+    jobs = search_jobs(SEARCH_GROUPS, SEARCH_METHODS, bench.seeds or (0,))
+    run_missing(bench, jobs, RECORD, search_job, SearchRecord)
+
+
+def search_job(bench: Bench, job: TrainingJob) -> SearchRecord:
     """Adapt once and score the model after every second epoch; selectors see no target label."""
     from gelgap.adapt import FeatureCollapse, Stage1, TrainingDiverged, adapt, evaluate, split_for_training
     from gelgap.adapt.selection import alarm, scores
     from gelgap.domains import open_domain
 
-    settings = job.profile(profile)
-    source, target = (open_domain(data / name) for name in (job.source, job.target))
-    frames = split_for_training(source, target, settings, job.seed)
-    stage1, _ = Stage1(frames.source_train, settings, job.seed, out=out).model()
+    profile = job.profile(bench.profile)
+    source, target = (open_domain(bench.data / name) for name in job.group)
+    frames = split_for_training(source, target, profile, job.seed)
+    stage1, _ = Stage1(frames.source_train, profile, job.seed, out=bench.out).model()
     epochs, errors, found, alarms, problem = [], [], [], [], None
 
     def watch(epoch: int, model) -> None:
-        if epoch % EVERY == 0 or epoch == settings.adapt_epochs:
+        if epoch % EPOCHS_BETWEEN == 0 or epoch == profile.adapt_epochs:
             candidate = candidate_of(model, frames)
             epochs.append(epoch)
             errors.append(evaluate(model, frames.target_test).mean_mae_n)
             found.append(scores(candidate))
             alarms.append(alarm(candidate))
 
+    pair = frames.source_train, frames.target_train
     try:
-        pair = frames.source_train, frames.target_train
-        adapt(stage1, *pair, job.method, settings, job.seed, watch=watch)
+        adapt(stage1, *pair, job.method, profile, job.seed, watch=watch)
     except (FeatureCollapse, TrainingDiverged) as trouble:
         problem = str(trouble)
     by_selector = {name: tuple(values[name] for values in found) for name in (found[0] if found else ())}
-    return SearchLine(job, profile, tuple(epochs), tuple(errors), by_selector, tuple(alarms), problem)
+    return SearchRecord(job, bench.profile, tuple(epochs), tuple(errors), by_selector, tuple(alarms), problem)
 
 
 def candidate_of(model, frames):
@@ -96,8 +113,7 @@ def candidate_of(model, frames):
     )
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """What one way of choosing took from a grid: weight, epoch, its test error and its regret, N."""
 
     rule: str
@@ -107,7 +123,7 @@ class Choice:
     regret_n: float
 
 
-def choices(lines: Sequence[SearchLine]) -> list[Choice]:
+def choices(records: Sequence[SearchRecord]) -> list[Choice]:
     """Return what each rule chooses among all weights and epochs of one group, method and seed.
 
     Rules: the target's labels (the oracle), the last epoch of the profile's weight, the last epoch of the weight that
@@ -117,130 +133,84 @@ def choices(lines: Sequence[SearchLine]) -> list[Choice]:
     from gelgap.adapt import SELECTORS, Profile, transfer_weight
     from gelgap.adapt.selection import best_of
 
-    pool = [
-        (_weight(line), epoch, line.error_n[i], {n: s[i] for n, s in line.scores.items()}, line.alarms[i])
-        for line in lines
-        if line.epochs
-        for i, epoch in enumerate(line.epochs)
+    pool = [(record, i) for record in records for i in range(len(record.epochs))]
+    error = np.array([record.error_n[i] for record, i in pool])
+    last = max(record.epochs[i] for record, i in pool)
+    ended = [k for k, (record, i) in enumerate(pool) if record.epochs[i] == last]
+
+    def best(selector: str, among: Sequence[int]) -> int:
+        candidates = [pool[k] for k in among]
+        scores = [record.scores[selector][i] for record, i in candidates]
+        return among[best_of(scores, [record.alarms[i] for record, i in candidates])]
+
+    own_weight = transfer_weight(records[0].job.method, Profile.preset(records[0].profile))
+    chosen = {"target labels (oracle)": int(error.argmin())}
+    own = [k for k in ended if pool[k][0].weight == own_weight]
+    chosen |= {"last epoch, profile's weight": own[0]} if own else {}
+    chosen["last epoch, weight by reverse validation"] = best("reverse validation", ended)
+    chosen |= {name: best(name, range(len(pool))) for name in SELECTORS}
+    return [
+        Choice(rule, pool[k][0].weight, pool[k][0].epochs[pool[k][1]], error[k], error[k] - error.min())
+        for rule, k in chosen.items()
     ]
-    error = np.array([candidate[2] for candidate in pool])
-
-    def choice(rule: str, index: int) -> Choice:
-        weight, epoch, own, _, _ = pool[index]
-        return Choice(rule, weight, epoch, own, own - float(error.min()))
-
-    last = max(candidate[1] for candidate in pool)
-    found = [choice("target labels (oracle)", int(error.argmin()))]
-    own_weight = transfer_weight(lines[0].job.method, Profile.preset(lines[0].profile))
-    default = [i for i, c in enumerate(pool) if c[0] == own_weight and c[1] == last]
-    found += [choice("last epoch, profile's weight", default[0])] if default else []
-    ended = [i for i, c in enumerate(pool) if c[1] == last]
-    rule = "reverse validation"
-    found.append(
-        choice(
-            f"last epoch, weight by {rule}",
-            ended[best_of([pool[i][3][rule] for i in ended], [pool[i][4] for i in ended])],
-        )
-    )
-    for name in SELECTORS:
-        chosen = best_of([c[3][name] for c in pool], [c[4] for c in pool])
-        found.append(choice(name, chosen))
-    return found
 
 
-def _weight(line: SearchLine) -> float:
-    return dict(line.job.changes)["transfer_weight"]
+def tables(folder: Path) -> list[ResultTable]:
+    """Return errors by weight and the regret of every rule, if the search was run."""
+    records = read_records(folder / RECORD, SearchRecord)
+    return [weight_table(records), regret_table(records)] if records else []
 
 
-def grids(lines: Sequence[SearchLine]) -> dict[tuple[str, str, str, int], list[SearchLine]]:
-    """Return the lines of each grid by source, target, method and seed."""
-    found: dict[tuple[str, str, str, int], list[SearchLine]] = {}
-    for line in lines:
-        job = line.job
-        found.setdefault((job.source, job.target, job.method, job.seed), []).append(line)
-    return found
-
-
-def weight_rows(lines: Sequence[SearchLine]) -> tuple[list[str], list[list[object]]]:
-    """Return header and rows of the last epoch's error by method and weight, mean over groups and seeds."""
-    methods = list(dict.fromkeys(line.job.method for line in lines))
+def weight_table(records: Sequence[SearchRecord]) -> ResultTable:
+    """Return the last epoch's error by method and weight, mean over groups and seeds."""
 
     def cell(method: str, weight: float) -> str:
-        own = [line for line in lines if line.job.method == method and _weight(line) == weight]
-        if not own:
-            return "–"
-        lost = sum(line.problem is not None for line in own)
-        good = [line.mean_mae_n for line in own if line.problem is None]
-        mean = f"{np.mean(good):.3f}" if good else ""
-        return " ".join(filter(None, [mean, f"({lost} of {len(own)} collapsed)" if lost else ""]))
+        own = [r for r in records if (r.job.method, r.weight) == (method, weight)]
+        good = [record.mean_mae_n for record in own if record.problem is None]
+        mean = [f"{np.mean(good):.3f}"] if good else []
+        lost = [f"({len(own) - len(good)} of {len(own)} collapsed)"] if len(good) < len(own) else []
+        return " ".join(mean + lost) or "–"
 
-    rows = [[method, *(cell(method, weight) for weight in WEIGHTS)] for method in methods]
-    return ["method", *(f"λ_t = {weight:g}" for weight in WEIGHTS)], rows
-
-
-def regret_rows(lines: Sequence[SearchLine]) -> tuple[list[str], list[list[object]]]:
-    """Return header and rows: each rule's mean regret by method over groups and seeds, its mean and its worst."""
-    by_rule: dict[str, dict[str, list[float]]] = {}
-    methods = list(dict.fromkeys(line.job.method for line in lines))
-    for (_, _, method, _), own in grids(lines).items():
-        if any(line.epochs for line in own):
-            for found in choices(own):
-                by_rule.setdefault(found.rule, {}).setdefault(method, []).append(found.regret_n)
-
-    def row(rule: str) -> list[object]:
-        values = by_rule[rule]
-        everything = np.concatenate([values.get(method, []) for method in methods])
-        cells = [f"{np.mean(values[m]):.3f}" if m in values else "–" for m in methods]
-        return [rule, *cells, f"{everything.mean():.3f}", f"{everything.max():.3f}"]
-
-    return ["chosen by", *methods, "mean", "worst"], [row(rule) for rule in by_rule]
-
-
-def search_tables(lines: Sequence[SearchLine]) -> list[ResultTable]:
-    """Return errors by weight and the regret of every rule."""
-    groups = dict.fromkeys(f"{line.job.source} → {line.job.target}" for line in lines)
-    where = f"{', '.join(groups)}; {len({line.job.seed for line in lines})} seed(s)."
-    return [
-        ResultTable(
-            "Target MAE after the last epoch by transfer weight, N", *weight_rows(lines), f"Mean over {where}"
-        ),
-        ResultTable(
-            "Regret of choosing weight and epoch without target labels, N",
-            *regret_rows(lines),
-            f"Error of the choice less that of the best among {len(WEIGHTS)} weights and all epochs; mean over {where}",
-        ),
-    ]
-
-
-def run(
-    data: Path,
-    out: Path,
-    methods: Sequence[str] = SEARCH_METHODS,
-    seeds: Sequence[int] = (0,),
-    groups: Sequence[tuple[str, str]] = SEARCH_GROUPS,
-    workers: int | None = None,
-    minutes: float = math.inf,
-) -> list[SearchLine]:
-    """Do the grid's missing runs and print the tables."""
-    jobs = search_jobs(groups, methods, seeds)
-    lines = run_missing(
-        data, out, out.name, jobs, search_job, SearchLine, RECORD, workers=workers, minutes=minutes
+    return ResultTable(
+        "Target MAE after the last epoch by transfer weight, N",
+        ["method", *(f"λ_t = {weight:g}" for weight in WEIGHTS)],
+        [[method, *(cell(method, weight) for weight in WEIGHTS)] for method in _methods(records)],
+        f"Mean over {_where(records)}",
     )
-    if lines:
-        for table in search_tables(lines):
-            table.show()
-    return lines
 
 
-if __name__ == "__main__":
-    parser = study_parser(__doc__, seeds=(0,))
-    parser.add_argument("--data", type=Path, required=True, help="folder of the four domains")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="records; named after the profile, such as …/cpu"
+def regret_table(records: Sequence[SearchRecord]) -> ResultTable:
+    """Return each rule's mean regret by method over groups and seeds, its mean and its worst."""
+    grids: dict[tuple, list[SearchRecord]] = {}
+    for record in records:
+        grids.setdefault((record.job.group, record.job.method, record.job.seed), []).append(record)
+    regrets: dict[str, dict[str, list[float]]] = {}
+    for (_, method, _), grid in grids.items():
+        for choice in choices(grid) if any(record.epochs for record in grid) else ():
+            regrets.setdefault(choice.rule, {}).setdefault(method, []).append(choice.regret_n)
+    methods = _methods(records)
+    rows = []
+    for rule, by_method in regrets.items():
+        means = [f"{np.mean(by_method[m]):.3f}" if m in by_method else "–" for m in methods]
+        everything = np.concatenate(list(by_method.values()))
+        rows.append([rule, *means, f"{everything.mean():.3f}", f"{everything.max():.3f}"])
+    return ResultTable(
+        "Regret of choosing weight and epoch without target labels, N",
+        ["chosen by", *methods, "mean", "worst"],
+        rows,
+        f"Error of the choice less that of the best among {len(WEIGHTS)} weights and all epochs; "
+        f"mean over {_where(records)}",
     )
-    parser.add_argument("--methods", nargs="+", default=list(SEARCH_METHODS))
-    chosen = parser.parse_args()
-    # Workers must find the job and its line by the module's own name.
-    import_module("gelgap.benchmarks.adaptation.search").run(
-        chosen.data, chosen.out, chosen.methods, chosen.seeds, workers=chosen.workers, minutes=chosen.minutes
-    )
+
+
+def _methods(records: Sequence[SearchRecord]) -> list[str]:
+    return list(dict.fromkeys(record.job.method for record in records))
+
+
+def _where(records: Sequence[SearchRecord]) -> str:
+    groups = ", ".join(dict.fromkeys(group_name(record.job.group) for record in records))
+    return f"{groups}; {len({record.job.seed for record in records})} seed(s)."
+
+
+PART = Part(measure, tables)
+run = PART.run

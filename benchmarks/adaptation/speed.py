@@ -1,20 +1,30 @@
-"""Training speed: steps a second against a plain PyTorch loop, waiting for data, cost of each loss."""
+"""Training speed: steps per second beside a plain PyTorch loop, waiting for data, cost of each loss."""
 
-import json
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelgap.adapt import ResultTable
+from gelgap.benchmarks.adaptation.jobs import Bench
+from gelgap.benchmarks.adaptation.parts import Part
+from gelgap.benchmarks.adaptation.tables import by_column
+from gelgap.benchmarks.common.records import read_json
 from gelgap.benchmarks.common.tables import write_json
+
+if TYPE_CHECKING:
+    from gelgap.adapt import Profile
+    from gelgap.domains import ArrayFrames
 
 BASE = "supervised"
 """Two regressions: a step through both domains whose loss costs nothing."""
 METHODS = (BASE, "no-transfer", "dsan", "dann", "daregram", "coral", "dan", "rsd")
 RESULTS = "speed.json"
+FRAMES, EPOCHS, REPEATS = 256, 3, 3
+"""Frames of noise, epochs whose median is taken, and turns of the comparison with the plain loop."""
 
 
 @dataclass(frozen=True)
@@ -27,23 +37,54 @@ class Speed:
     overhead: float | None = None
 
 
-def random_frames(n: int, profile):
-    """Return n frames of noise at the profile's size: speed does not depend on what they show."""
+def measure(bench: Bench) -> None:
+    """Measure the bench's profile and write `speed.json`."""
+    from gelgap.adapt import Profile
+
+    write_json(bench.out / RESULTS, measure_profile(Profile.preset(bench.profile)))
+
+
+def measure_profile(profile: "Profile") -> list[Speed]:
+    """Return the speeds of a plain loop, of stage 1 and of stage 2 with each method."""
+    from gelgap.adapt import adapt, train_source
+
+    frames = random_frames(profile)
+    short = profile.replace(source_epochs=EPOCHS, adapt_epochs=EPOCHS, transfer_warmup=0.0, transfer_ramp=0.0)
+    plain = short.replace(colour_mixing=0.0)
+    speeds = [Speed("plain PyTorch, source regression", plain_loop_ms(frames, profile, EPOCHS))]
+    speeds.append(_speed("stage 1", profile, train_source(frames, plain).history, overhead(frames, plain)))
+    model = train_source(frames, short)
+    if profile.colour_mixing:
+        speeds.append(_speed("stage 1, mixed colours", profile, model.history))
+    for method in METHODS:
+        adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
+        speeds.append(_speed(f"stage 2, {method}", profile, adapted.history[EPOCHS:]))
+    return speeds
+
+
+def _speed(name: str, profile: "Profile", history: Sequence[dict], over: float | None = None) -> Speed:
+    step_s = [epoch["wall_s"] / (FRAMES // profile.batch_size) for epoch in history]
+    waits = [epoch["wait_s"] / epoch["wall_s"] for epoch in history]
+    return Speed(name, 1e3 * float(np.median(step_s)), float(np.median(waits)), over)
+
+
+def random_frames(profile: "Profile") -> "ArrayFrames":
+    """Return frames of noise at the profile's size: speed does not depend on what they show."""
     from gelgap.domains import ArrayFrames
 
     rng = np.random.default_rng(0)
     width, height = profile.image_size_px
     return ArrayFrames(
         name="noise",
-        images=rng.integers(0, 256, (n, height, width, 3), dtype=np.uint8),
+        images=rng.integers(0, 256, (FRAMES, height, width, 3), dtype=np.uint8),
         reference=np.full((height, width, 3), 128, np.uint8),
-        force_n=rng.uniform([-0.7, -0.7, -3], [0.7, 0.7, 0], (n, 3)).astype(np.float32),
-        contact_class=rng.integers(0, 361, n),
-        point_id=rng.integers(0, 30, n),
+        force_n=rng.uniform([-0.7, -0.7, -3], [0.7, 0.7, 0], (FRAMES, 3)).astype(np.float32),
+        contact_class=rng.integers(0, 361, FRAMES),
+        point_id=rng.integers(0, 30, FRAMES),
     )
 
 
-def plain_loop_ms(frames, profile, epochs: int) -> float:
+def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> float:
     """Return the step time in ms of the shortest PyTorch loop that trains the same network on the same batches."""
     import torch
     from torch.nn import functional
@@ -71,81 +112,51 @@ def plain_loop_ms(frames, profile, epochs: int) -> float:
     return 1e3 * float(np.median(times))
 
 
-def measure(profile, n: int = 256, epochs: int = 3) -> list[Speed]:
-    """Return speeds of a plain loop, of stage 1 and of stage 2 with each method; epochs repeat the measurement."""
-    from gelgap.adapt import adapt, train_source
-
-    frames = random_frames(n, profile)
-    short = profile.replace(source_epochs=epochs, adapt_epochs=epochs, transfer_warmup=0.0, transfer_ramp=0.0)
-    plain = short.replace(colour_mixing=0.0)
-
-    def speed(name: str, history, over: float | None = None) -> Speed:
-        steps = n // profile.batch_size
-        times = [record["wall_s"] / steps for record in history]
-        waits = [record["wait_s"] / record["wall_s"] for record in history]
-        return Speed(name, 1e3 * float(np.median(times)), float(np.median(waits)), over)
-
-    speeds = [Speed("plain PyTorch, source regression", plain_loop_ms(frames, profile, epochs))]
-    speeds.append(speed("stage 1", train_source(frames, plain).history, overhead(plain)))
-    model = train_source(frames, short)
-    if profile.colour_mixing:
-        speeds.append(speed("stage 1, mixed colours", model.history))
-    for method in METHODS:
-        adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
-        speeds.append(speed(f"stage 2, {method}", adapted.history[epochs:]))
-    return speeds
-
-
-def overhead(profile, repeats: int = 3) -> float:
+def overhead(frames: "ArrayFrames", profile: "Profile") -> float:
     """Return the median of stage 1's processor time over the plain loop's, minus 1; taken in turns after a warm-up."""
     from gelgap.adapt import train_source
 
-    frames = random_frames(256, profile)
     short = profile.replace(source_epochs=2)
     plain_loop_ms(frames, profile, 1)
     ratios = []
-    for _ in range(repeats):
+    for _ in range(REPEATS):
         start = time.process_time()
         plain_loop_ms(frames, profile, 2)
-        plain = time.process_time() - start
-        start = time.process_time()
+        between = time.process_time()
         train_source(frames, short)
-        ratios.append((time.process_time() - start) / plain - 1)
+        ratios.append((time.process_time() - between) / (between - start) - 1)
     return float(np.median(ratios))
 
 
+def tables(folder: Path) -> list[ResultTable]:
+    """Return the table of speeds, if they were measured."""
+    path = folder / RESULTS
+    return [speed_table(read_json(path, list[Speed]))] if path.is_file() else []
+
+
 def speed_table(speeds: Sequence[Speed]) -> ResultTable:
-    """Steps a second of every loop; stage 2 against a regression on both domains."""
-    base = next(s.step_ms for s in speeds if s.name == f"stage 2, {BASE}")
-    rows = [
-        [
-            s.name,
-            f"{s.step_ms:.1f}",
-            f"{1e3 / s.step_ms:.1f}",
-            "–" if s.overhead is None else f"{100 * s.overhead:+.1f} %",
-            f"{100 * (s.step_ms / base - 1):+.1f} %" if s.name.startswith("stage 2") else "–",
-            "–" if s.wait_share is None else f"{100 * s.wait_share:.1f} %",
-        ]
-        for s in speeds
-    ]
-    return ResultTable(
+    """Steps per second of every loop; stage 2 beside a regression on both domains."""
+    base = next(speed.step_ms for speed in speeds if speed.name == f"stage 2, {BASE}")
+
+    def percent(share: float | None, form: str) -> str:
+        return "–" if share is None else f"{100 * share:{form}} %"
+
+    over_base = [s.step_ms / base - 1 if s.name.startswith("stage 2") else None for s in speeds]
+    return by_column(
         "Training speed, one thread",
-        ["loop", "ms a step", "steps/s", "over the plain loop", f"over {BASE}", "waiting for data"],
-        rows,
+        "loop",
+        [s.name for s in speeds],
+        {
+            "ms a step": [f"{s.step_ms:.1f}" for s in speeds],
+            "steps/s": [f"{1e3 / s.step_ms:.1f}" for s in speeds],
+            "over the plain loop": [percent(s.overhead, "+.1f") for s in speeds],
+            f"over {BASE}": [percent(over, "+.1f") for over in over_base],
+            "waiting for data": [percent(s.wait_share, ".1f") for s in speeds],
+        },
         "Medians over epochs of 256 frames of noise; stage 1 over the plain loop in processor time. "
         "No-transfer takes no gradient through the target's pictures.",
     )
 
 
-def load_speeds(path: Path) -> list[Speed]:
-    """Read what `run` wrote."""
-    return [Speed(**content) for content in json.loads(path.read_text(encoding="utf-8"))]
-
-
-def run(out: Path) -> None:
-    """Measure the profile that `out` is named after, write `speed.json`, print the table."""
-    from gelgap.adapt import Profile
-
-    speeds = measure(Profile.preset(out.name))
-    write_json(out / RESULTS, [asdict(speed) for speed in speeds])
-    speed_table(speeds).show()
+PART = Part(measure, tables)
+run = PART.run

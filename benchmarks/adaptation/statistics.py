@@ -1,12 +1,16 @@
-"""Comparing methods over groups and seeds: bootstrap intervals, paired tests, ranks, critical-difference plot."""
+"""Comparing methods over groups and seeds: bootstrap intervals, paired tests, ranks and their critical difference."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-BOOTSTRAPS = 4000
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RESAMPLES = 4000
 CAVEAT = (
     "The groups are not independent: nine groups are made of four domains, groups of one source share its first stage, "
     "and mb0i0 and wmb0i0 show the same contacts. A rank test takes them for independent, so that its p values are too "
@@ -16,22 +20,42 @@ CAVEAT = (
 )
 
 
+def check_installed() -> None:
+    """Stop, before anything is measured, if the package that compares methods is missing.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If scikit-posthocs is not installed.
+    """
+    try:
+        import scikit_posthocs  # noqa: F401
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError(
+            "comparing methods needs scikit-posthocs: pip install gelgap[benchmark]"
+        ) from None
+
+
 def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
     """Return the 95 % interval of the mean of values (groups, seeds): groups are drawn, then seeds within each.
 
-    NaN is a seed that a group has not; the interval is NaN if a group has none.
+    NaN is a seed that a group has not. The interval is NaN if a group has none, or if there is one group.
     """
+    from scipy.stats import bootstrap
+
+    count = (~np.isnan(values)).sum(axis=1)
+    if len(values) < 2 or not count.all():
+        return math.nan, math.nan
     rng = np.random.default_rng(seed)
-    there = ~np.isnan(values)
-    count = there.sum(axis=1)
-    if not count.all():
-        return float("nan"), float("nan")
-    groups, seeds = values.shape
-    sorted_values = np.take_along_axis(values, np.argsort(~there, axis=1, kind="stable"), axis=1)
-    rows = rng.integers(0, groups, (BOOTSTRAPS, groups, 1))
-    columns = (rng.random((BOOTSTRAPS, groups, seeds)) * count[rows]).astype(int)
-    low, high = np.quantile(sorted_values[rows, columns].mean(axis=(1, 2)), [0.025, 0.975])
-    return float(low), float(high)
+    present_first = np.sort(values, axis=1)
+
+    def mean_of_drawn_seeds(groups: np.ndarray, axis: int) -> np.ndarray:
+        drawn = rng.random((*groups.shape, values.shape[1])) * count[groups][..., None]
+        return present_first[groups[..., None], drawn.astype(int)].mean(axis=(axis - 1, -1))
+
+    groups = (np.arange(len(values)),)
+    found = bootstrap(groups, mean_of_drawn_seeds, n_resamples=RESAMPLES, method="percentile", rng=rng)
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def ranks(errors: np.ndarray) -> np.ndarray:
@@ -68,34 +92,35 @@ def compare(
     A pair of group and seed that is NaN for all methods was not run. A method with another NaN (a collapse) is left
     out, and so is one without a run in some group.
     """
-    from scipy.stats import wilcoxon
-
     there = ~np.isnan(errors).all(axis=0)
     base = errors[methods.index(against)]
     found = []
     for method, own in zip(methods, errors, strict=True):
-        if method == against or not there.any(axis=1).all() or np.isnan((own - base)[there]).any():
+        difference = own - base
+        if method == against or not there.any(axis=1).all() or np.isnan(difference[there]).any():
             continue
-        by_run = (own - base)[there]
-        by_group = np.array([(own - base)[i, there[i]].mean() for i in range(len(there))])
-        if not by_run.any():
-            p_groups = p_runs = 1.0
-        else:
-            p_groups, p_runs = (float(wilcoxon(d).pvalue) for d in (by_group, by_run))
+        by_group = np.array([row[kept].mean() for row, kept in zip(difference, there, strict=True)])
         without = [by_group[kept].mean() for kept in _leaving_out(groups) if kept.any()]
         found.append(
             Comparison(
                 first=method,
                 second=against,
                 difference_n=float(by_group.mean()),
-                p_groups=p_groups,
-                p_runs=p_runs,
+                p_groups=_wilcoxon_p(by_group),
+                p_runs=_wilcoxon_p(difference[there]),
                 wins=int((by_group < 0).sum()),
                 cases=len(by_group),
                 leaving_out=(float(min(without)), float(max(without))),
             )
         )
-    return _holm(found)
+    p_groups, p_runs = (_holm([getattr(c, name) for c in found]) for name in ("p_groups", "p_runs"))
+    return [replace(c, p_groups=g, p_runs=r) for c, g, r in zip(found, p_groups, p_runs, strict=True)]
+
+
+def _wilcoxon_p(differences: np.ndarray) -> float:
+    from scipy.stats import wilcoxon
+
+    return float(wilcoxon(differences).pvalue) if differences.any() else 1.0
 
 
 def _leaving_out(groups: Sequence[tuple[str, str]]) -> list[np.ndarray]:
@@ -103,16 +128,10 @@ def _leaving_out(groups: Sequence[tuple[str, str]]) -> list[np.ndarray]:
     return [np.array([domain not in group for group in groups]) for domain in domains]
 
 
-def _holm(found: list[Comparison]) -> list[Comparison]:
-    from dataclasses import replace
+def _holm(p_values: Sequence[float]) -> list[float]:
+    from statsmodels.stats.multitest import multipletests
 
-    for name in ("p_groups", "p_runs"):
-        order = sorted(range(len(found)), key=lambda i: getattr(found[i], name))
-        largest = 0.0
-        for place, i in enumerate(order):
-            largest = max(largest, min(1.0, (len(found) - place) * getattr(found[i], name)))
-            found[i] = replace(found[i], **{name: largest})
-    return found
+    return multipletests(p_values, method="holm")[1].tolist() if p_values else []
 
 
 def critical_difference(methods: int, cases: int, level: float = 0.05) -> float:
@@ -127,35 +146,27 @@ def friedman_p(errors: np.ndarray) -> float:
     """Return the p value of Friedman's test that methods (rows, at least 3) do not differ over cases (columns)."""
     from scipy.stats import friedmanchisquare
 
-    if len(errors) < 3:
-        return float("nan")
-    return float(friedmanchisquare(*ranks(errors)).pvalue)
+    return float(friedmanchisquare(*ranks(errors)).pvalue) if len(errors) > 2 else math.nan
 
 
-def plot_critical_difference(
-    mean_ranks: dict[str, float], difference: float, title: str, path: Path | None = None
-):
-    """Draw mean ranks on a line; bars join methods that differ by less than the critical difference."""
+def plot_critical_difference(methods: Sequence[str], errors: np.ndarray, title: str) -> "Figure":
+    """Draw the mean ranks of methods by their errors (methods, cases); bars join those that Nemenyi's test does not
+    tell apart at 5 %."""
     from matplotlib.figure import Figure
+    from pandas import DataFrame
+    from scikit_posthocs import critical_difference_diagram, posthoc_nemenyi_friedman
 
-    ordered = sorted(mean_ranks.items(), key=lambda item: item[1])
-    figure = Figure(figsize=(7, 0.9 + 0.34 * len(ordered)), layout="constrained")
+    found = ranks(errors)
+    figure = Figure(figsize=(8, 1.4 + 0.4 * len(methods)), layout="constrained")
     axes = figure.subplots()
-    for row, (method, rank) in enumerate(ordered):
-        axes.plot([rank, rank], [0, -1 - row], color="0.6", linewidth=0.8)
-        axes.plot(rank, 0, "ko", markersize=4)
-        axes.text(rank + 0.05, -1 - row, f"{method}  {rank:.2f}", va="center", fontsize=9)
-    last = 0.0
-    for i, (_, start) in enumerate(ordered):
-        end = max(rank for _, rank in ordered if rank - start < difference)
-        if end > max(last, start):
-            axes.plot([start, end], [0.25 + 0.2 * i] * 2, color="k", linewidth=3, solid_capstyle="round")
-            last = end
-    axes.plot([1, 1 + difference], [0.6 + 0.2 * len(ordered)] * 2, color="tab:red", linewidth=2)
-    axes.text(1, 0.75 + 0.2 * len(ordered), f"critical difference {difference:.2f}", fontsize=8)
-    axes.set(title=title, xlabel="mean rank (1: least error)", yticks=[], xlim=(0.8, len(ordered) + 1.2))
-    for side in ("left", "right", "top"):
-        axes.spines[side].set_visible(False)
-    if path is not None:
-        figure.savefig(path, dpi=110)
+    critical_difference_diagram(
+        dict(zip(methods, found.mean(axis=1), strict=True)),
+        posthoc_nemenyi_friedman(DataFrame(found.T, columns=list(methods))),
+        cd=critical_difference(*found.shape),
+        ax=axes,
+        label_fmt_left="{label}  {rank:.2f}",
+        label_fmt_right="{rank:.2f}  {label}",
+        text_h_margin=0.1,
+    )
+    axes.set_title(f"{title} (1: least error)", pad=20)
     return figure

@@ -1,1 +1,1 @@
-"""What all benchmarks share: tables, plots, stage clocks and processes with limits."""
+"""What all benchmarks share: tables, plots, records, the memory and the limits of processes."""

@@ -9,41 +9,22 @@ from typing import Any
 
 import numpy as np
 
+from gelgap.adapt import ResultTable
+from gelgap.assets.whole_file import write_whole
+
 
 def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], note: str = "") -> None:
-    """Print a table; numbers are aligned right and shown with four significant digits."""
-    from rich.box import SIMPLE
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(title=title, caption=note or None, box=SIMPLE, title_justify="left", caption_justify="left")
-    rows = [list(row) for row in rows]
-    for index, column in enumerate(columns):
-        numeric = all(isinstance(row[index], (int, float, np.number)) or row[index] is None for row in rows)
-        table.add_column(column, justify="right" if numeric else "left", no_wrap=index == 0)
-    for row in rows:
-        table.add_row(*(shown(value) for value in row))
-    Console(width=None if Console().is_terminal else 150, highlight=False).print(table)
-
-
-def shown(value: object) -> str:
-    """Return a cell's text: four significant digits for a float, yes or no for a bool, a dash for nothing."""
-    if value is None:
-        return "–"
-    if isinstance(value, (bool, np.bool_)):
-        return "yes" if value else "no"
-    if isinstance(value, (float, np.floating)):
-        return f"{value:.4g}"
-    return str(value)
+    """Print a table of values; see `ResultTable`."""
+    ResultTable(title, columns, [list(row) for row in rows], note).show()
 
 
 def write_json(path: Path, results: Any) -> None:
     """Write results (dataclasses, arrays and numbers included) as indented JSON, making the folder."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(results, indent=1, default=_plain) + "\n", encoding="utf-8")
+    write_whole(path, (json.dumps(results, indent=1, default=plain) + "\n").encode())
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return what JSON can hold in place of a dataclass, an array or a NumPy number: `json.dumps`' default."""
     if dataclasses.is_dataclass(value):
         return dataclasses.asdict(value)
     if isinstance(value, np.ndarray):
@@ -79,7 +60,7 @@ def plot_frontier(
 ) -> None:
     """Draw error against run time, log-log; `uncertainty` of the reference is shaded, targets are dashed.
 
-    The points of a series are joined in the order of their run time, but for the series `unjoined`.
+    The points of a series are joined in the order of their run time, except in the series `unjoined`.
     """
     import matplotlib
 

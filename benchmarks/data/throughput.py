@@ -1,19 +1,20 @@
 """How fast domains are made and read, what sharing saves, and what a picture costs by PNG setting."""
 
-import json
 import os
 import resource
 import shutil
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from gelgap.benchmarks.common.stages import MIB, MemorySampler
-from gelgap.benchmarks.common.tables import print_table, write_json
+from gelgap.adapt import ResultTable
+from gelgap.benchmarks.common.memory import MIB, MemorySampler
+from gelgap.benchmarks.common.records import Ledger
+from gelgap.benchmarks.common.tables import write_json
 from gelgap.benchmarks.physics.solve_jobs import own_cache
 from gelgap.domains import (
     DomainFolder,
@@ -21,6 +22,7 @@ from gelgap.domains import (
     LabelledFrames,
     estimate,
     generate_recipes,
+    make_recipes,
     open_domain,
     package_versions,
     plan_generation,
@@ -30,6 +32,7 @@ from gelgap.domains import (
 
 READING_SIZE_PX = 64
 BATCH = 32
+AIMS = "aims for the paper's four domains: 1200 s, 1500 MiB a worker, 3500 MB"
 
 
 @dataclass(frozen=True)
@@ -53,18 +56,35 @@ class GenerationRun:
     pieces: int
 
 
+GENERATION_COLUMNS = (
+    *("run", "workers", "solves", "frames", "s", "frames/s", "CPU share", "client s"),
+    *("MiB a worker", "MB on disk", "unconverged", "pieces"),
+)
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What a generation took until it ended or was interrupted."""
+
+    solves: int
+    wall_s: float
+    worker_s: float
+    client_s: float
+    peak_bytes: int
+
+
 @dataclass(frozen=True)
 class Rate:
-    """How many frames a second one way of reading gives on one core."""
+    """How many frames per second one way of reading gives on one core."""
 
     way: str
     frames_per_s: float
-    aim: float | None
+    aim: float | None = None
 
 
 @dataclass(frozen=True)
 class PngCost:
-    """One PNG setting: kB and ms a frame to encode."""
+    """One PNG setting: kB and ms per frame to encode."""
 
     setting: str
     kilobytes: float
@@ -74,88 +94,58 @@ class PngCost:
 def run(quick: bool, out_dir: Path) -> None:
     """Measure generation, reading and encoding; print tables and write `throughput.json`.
 
-    The full form makes the paper's four domains at standard quality, gel by gel; the quick one the smoke data set at
-    draft quality. Solves start from an empty cache of the benchmark's own. A run that was interrupted is taken up by
-    the next one; one that ended is measured anew.
+    The full form makes the paper's four domains at standard quality, gel by gel; the quick one two small domains at
+    draft quality, one solve per gel. Solves start from an empty cache of the benchmark's own. What a stopped benchmark
+    has measured is kept, and its generation goes on, until one has ended; the next one measures anew.
     """
-    folder = Path(out_dir) / "throughput"
-    preset, quality = ("smoke", "draft") if quick else ("paper", "standard")
-    recipes = preset_recipes(preset, quality=quality)
-    log = RunLedger(folder / "unfinished.json", [preset, quality, package_versions()])
-    if not log.found:
+    folder = out_dir / "throughput"
+    name, quality = ("quick", "draft") if quick else ("paper", "standard")
+    recipes = quick_recipes() if quick else preset_recipes(name, quality=quality)
+    ledger = Ledger(folder / "unfinished.jsonl", [name, quality, package_versions()])
+    if not ledger.found:
         shutil.rmtree(folder, ignore_errors=True)
     with own_cache(folder / "solves"):
-        if not log.found:
+        if not ledger.found:
             print(f"planned:\n{estimate(recipes)}\n", flush=True)
         runs = [
-            _generation(" + ".join(recipe.name for recipe in group), group, folder / "data", None, log)
-            for group in _by_gel(recipes)
+            generation(
+                " + ".join(r.name for r in group), group, folder / "data", 2 if quick else None, ledger
+            )
+            for group in by_gel(recipes)
         ]
-        light = [recipe.model_copy(update={"seed": 1}) for recipe in (recipes[:1] if quick else recipes[3:])]
+        again = [recipe.model_copy(update={"seed": 1}) for recipe in (recipes[:1] if quick else recipes[3:])]
         scaling = []
         for workers in (1, 2):
-            what = f"{light[0].name} again, solves known, {workers} worker{'s'[: workers - 1]}"
-            scaling.append(_generation(what, light, folder / f"workers-{workers}", workers, log))
-        alone = _cost_alone(recipes)
-    frames = open_domain(folder / "data" / recipes[0].name)
-    rates = _reading_rates(frames)
-    costs = _png_costs(frames)
-    whole = _together(runs)
-    columns = (
-        "run",
-        "workers",
-        "solves",
-        "frames",
-        "s",
-        "frames/s",
-        "CPU share",
-        "client s",
-        "MiB a worker",
-        "MB on disk",
-        "unconverged",
-        "pieces",
-    )
+            what = f"{again[0].name} again, solves known, {workers} worker{'s'[: workers - 1]}"
+            scaling.append(generation(what, again, folder / f"workers-{workers}", workers, ledger))
+        whole = together(runs)
+        rows = [astuple(row) for row in (*runs, whole, *scaling)]
+        ResultTable(f"Generation of {name} at {quality} quality", GENERATION_COLUMNS, rows, AIMS).show()
+        alone = ledger.once("alone", tuple[float, float], lambda: core_hours_alone(recipes))
     core_h = whole.wall_s * whole.workers * whole.cpu_share / 3600
-    print_table(
-        f"Generation of {preset} at {quality} quality",
-        columns,
-        [list(vars(row).values()) for row in (*runs, whole, *scaling)],
-        note="aims for the paper's four domains: 1200 s, 1500 MiB a worker, 3500 MB",
-    )
-    print_table(
-        "What sharing saved, hours of one core",
-        ("way", "solving", "rendering", "together", "over shared"),
-        [
-            ["each frame solved and rendered alone", *alone, sum(alone), sum(alone) / core_h],
-            ["shared", None, None, core_h, 1.0],
-        ],
-        note="alone: extrapolated from one solve's time a load step and a few frames of each domain",
-    )
-    print_table(
-        f"Reading at {READING_SIZE_PX} px on one core",
-        ("way", "frames/s", "aim"),
-        [list(vars(row).values()) for row in rates],
-    )
-    print_table(
-        f"PNG of a {frames.size_px[0]}×{frames.size_px[1]} frame with sensor noise",
-        ("setting", "kB", "ms"),
-        [list(vars(row).values()) for row in costs],
-    )
-    write_json(
-        Path(out_dir) / "throughput.json",
-        {
-            "generation": [*runs, whole],
-            "scaling": scaling,
-            "reading": rates,
-            "png": costs,
-            "alone_core_h": alone,
-            "shared_core_h": core_h,
-        },
-    )
-    log.close()
+    sharing_table(alone, core_h).show()
+    frames = open_domain(folder / "data" / recipes[0].name)
+    rates = ledger.once("reading", list[Rate], lambda: reading_rates(frames))
+    title = f"Reading at {READING_SIZE_PX} px on one core"
+    ResultTable(title, ("way", "frames/s", "aim"), [astuple(rate) for rate in rates]).show()
+    costs = ledger.once("png", list[PngCost], lambda: png_costs(frames))
+    title = f"PNG of a {frames.size_px[0]}×{frames.size_px[1]} frame with sensor noise"
+    ResultTable(title, ("setting", "kB", "ms"), [astuple(cost) for cost in costs]).show()
+    found = {"generation": [*runs, whole], "scaling": scaling, "reading": rates, "png": costs}
+    write_json(out_dir / "throughput.json", found | {"alone_core_h": alone, "shared_core_h": core_h})
+    ledger.close()
 
 
-def _by_gel(recipes: Sequence[DomainRecipe]) -> list[list[DomainRecipe]]:
+def quick_recipes() -> tuple[DomainRecipe, ...]:
+    """Return two domains of two gels with one shallow solve each, 148 frames."""
+    from gelgap.sim import ContactPath
+
+    directions = tuple(10.0 * k for k in range(36))
+    path = ContactPath("quick", (-2.25, 2.25), (-1.3, 1.3), (0.2,), (0.1,), directions)
+    return make_recipes(["mb0i0", "wmb1i1"], path, quality="draft")
+
+
+def by_gel(recipes: Sequence[DomainRecipe]) -> list[list[DomainRecipe]]:
     """Return the domains of each gel: they share solves, and where their light is the same, pictures."""
     groups: dict[str, list[DomainRecipe]] = {}
     for recipe in recipes:
@@ -163,102 +153,74 @@ def _by_gel(recipes: Sequence[DomainRecipe]) -> list[list[DomainRecipe]]:
     return list(groups.values())
 
 
-@dataclass
-class _Taken:
-    """What the pieces of one run have taken so far."""
-
-    wall_s: float = 0.0
-    worker_s: float = 0.0
-    client_s: float = 0.0
-    peak_bytes: int = 0
-    solves: int = 0
-    pieces: int = 0
-
-
-class RunLedger:
-    """What each run of the benchmark has taken, on disk, so that an interrupted benchmark can go on."""
-
-    def __init__(self, path: Path, plan: Sequence[Any]):
-        self._path, self._plan = path, json.loads(json.dumps(plan))
-        self._taken: dict[str, dict[str, Any]] = {}
-        try:
-            stored = json.loads(path.read_text(encoding="utf-8"))
-            self.found = stored["plan"] == self._plan
-            self._taken = stored["taken"] if self.found else {}
-        except (OSError, ValueError, KeyError):
-            self.found = False
-
-    def taken(self, what: str) -> _Taken:
-        return _Taken(**self._taken.get(what, {}))
-
-    def note(self, what: str, taken: _Taken) -> None:
-        self._taken[what] = vars(taken)
-        write_json(self._path, {"plan": self._plan, "taken": self._taken})
-
-    def close(self) -> None:
-        self._path.unlink(missing_ok=True)
-
-
-def _generation(
-    what: str, recipes: Sequence[DomainRecipe], out_dir: Path, workers: int | None, log: RunLedger
+def generation(
+    what: str, recipes: Sequence[DomainRecipe], out_dir: Path, workers: int | None, ledger: Ledger
 ) -> GenerationRun:
-    taken = log.taken(what)
-    manifests = [DomainFolder(out_dir / recipe.name) for recipe in recipes]
-    done = all(folder.exists() and folder.read_manifest()["complete"] for folder in manifests)
-    if not (taken.pieces and done):
-        taken.solves = max(taken.solves, len(plan_generation(recipes).solves))
-        taken.pieces += 1
-        children = resource.getrusage(resource.RUSAGE_CHILDREN)
-        own_s, start = time.process_time(), time.perf_counter()
-        sampler = MemorySampler()
-        try:
-            with sampler, shown_progress() as progress:
-                generate_recipes(recipes, out_dir, workers=workers, progress=progress)
-        finally:
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            taken.wall_s += time.perf_counter() - start
-            taken.client_s += time.process_time() - own_s - sampler.own_s
-            taken.worker_s += after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
-            taken.peak_bytes = max(taken.peak_bytes, sampler.peak_child_bytes)
-            log.note(what, taken)
+    """Generate what is missing of some domains and return what all pieces of the generation took together."""
+    folders = [DomainFolder(out_dir / recipe.name) for recipe in recipes]
+    done = all(folder.exists() and folder.read_manifest()["complete"] for folder in folders)
+    if not (done and ledger.values(what, Piece)):
+        _generate_piece(what, recipes, out_dir, workers, ledger)
+    pieces = ledger.values(what, Piece)
     count = workers or len(os.sched_getaffinity(0))
-    manifest = [folder.read_manifest() for folder in manifests]
-    frames = sum(one["frames"] for one in manifest)
+    manifests = [folder.read_manifest() for folder in folders]
+    frames = sum(manifest["frames"] for manifest in manifests)
+    wall_s = sum(piece.wall_s for piece in pieces)
     return GenerationRun(
         what=what,
         workers=count,
-        solves=taken.solves,
-        frames=frames,
-        wall_s=taken.wall_s,
-        frames_per_s=frames / taken.wall_s,
-        cpu_share=taken.worker_s / (taken.wall_s * count),
-        client_s=taken.client_s,
-        peak_mib_a_worker=taken.peak_bytes / MIB,
-        disk_mb=sum(entry["bytes"] for one in manifest for entry in one["files"].values()) / 1e6,
-        unconverged=sum(one["unconverged"] for one in manifest),
-        pieces=taken.pieces,
-    )
-
-
-def _together(runs: Sequence[GenerationRun]) -> GenerationRun:
-    wall_s, frames = sum(run.wall_s for run in runs), sum(run.frames for run in runs)
-    return GenerationRun(
-        what="together, one after another",
-        workers=runs[0].workers,
-        solves=sum(run.solves for run in runs),
+        solves=max(piece.solves for piece in pieces),
         frames=frames,
         wall_s=wall_s,
         frames_per_s=frames / wall_s,
-        cpu_share=sum(run.cpu_share * run.wall_s for run in runs) / wall_s,
-        client_s=sum(run.client_s for run in runs),
-        peak_mib_a_worker=max(run.peak_mib_a_worker for run in runs),
-        disk_mb=sum(run.disk_mb for run in runs),
-        unconverged=sum(run.unconverged for run in runs),
-        pieces=sum(run.pieces for run in runs),
+        cpu_share=sum(piece.worker_s for piece in pieces) / (wall_s * count),
+        client_s=sum(piece.client_s for piece in pieces),
+        peak_mib_a_worker=max(piece.peak_bytes for piece in pieces) / MIB,
+        disk_mb=sum(entry["bytes"] for manifest in manifests for entry in manifest["files"].values()) / 1e6,
+        unconverged=sum(manifest["unconverged"] for manifest in manifests),
+        pieces=len(pieces),
     )
 
 
-def _cost_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
+def _generate_piece(
+    what: str, recipes: Sequence[DomainRecipe], out_dir: Path, workers: int | None, ledger: Ledger
+) -> None:
+    """Generate until all is there or the benchmark is interrupted, and note what it took in either case."""
+    solves = len(plan_generation(recipes).solves)
+    before, own_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.process_time()
+    start, sampler = time.perf_counter(), MemorySampler()
+    try:
+        with sampler, shown_progress() as progress:
+            generate_recipes(recipes, out_dir, workers=workers, progress=progress)
+    finally:
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        piece = Piece(
+            solves=solves,
+            wall_s=time.perf_counter() - start,
+            worker_s=after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+            client_s=time.process_time() - own_s - sampler.own_s,
+            peak_bytes=sampler.peak_child_bytes,
+        )
+        ledger.note(what, piece)
+
+
+def together(runs: Sequence[GenerationRun]) -> GenerationRun:
+    """Return what several generations took one after another."""
+    total = {
+        name: sum(getattr(run, name) for run in runs)
+        for name in ("solves", "frames", "wall_s", "client_s", "disk_mb", "unconverged", "pieces")
+    }
+    return GenerationRun(
+        what="together, one after another",
+        workers=runs[0].workers,
+        frames_per_s=total["frames"] / total["wall_s"],
+        cpu_share=sum(run.cpu_share * run.wall_s for run in runs) / total["wall_s"],
+        peak_mib_a_worker=max(run.peak_mib_a_worker for run in runs),
+        **total,
+    )
+
+
+def core_hours_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
     """Return the core hours of solving and of rendering each frame on its own, extrapolated from samples.
 
     A solve is sampled on the shallowest problem, uncached; a frame alone takes the load steps of its own contact.
@@ -279,40 +241,44 @@ def _cost_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
     return step_s * steps / 3600, sum(estimate([recipe]).frame_core_s for recipe in recipes) / 3600
 
 
-def _reading_rates(frames: LabelledFrames) -> list[Rate]:
+def sharing_table(alone_h: tuple[float, float], shared_h: float) -> ResultTable:
+    """Return the core hours of solving and rendering every frame alone, beside those with shared solves."""
+    total_h = sum(alone_h)
+    return ResultTable(
+        "What sharing saved, hours of one core",
+        ("way", "solving", "rendering", "together", "over shared"),
+        [
+            ["each frame solved and rendered alone", *alone_h, total_h, total_h / shared_h],
+            ["shared", None, None, shared_h, 1.0],
+        ],
+        "alone: extrapolated from one solve's time per load step and a few frames of each domain",
+    )
+
+
+def reading_rates(frames: LabelledFrames) -> list[Rate]:
+    """Return the rates of reading pictures from Parquet, of building the cache and of loading batches from it."""
     import cv2
     import torch
 
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     count = min(len(frames), 300)
-    order = np.random.default_rng(0).permutation(len(frames))[:count]
+    order = np.random.default_rng(0).permutation(len(frames))[:count].tolist()
+    in_order = _rate(lambda: [frames.picture(i) for i in range(count)], count)
+    at_random = _rate(lambda: [frames.picture(i) for i in order], count)
     rates = [
-        Rate(
-            "Parquet, in order, full size",
-            _rate(lambda: [frames.picture(i) for i in range(count)], count),
-            150,
-        ),
-        Rate(
-            "Parquet, random order, full size",
-            _rate(lambda: [frames.picture(int(i)) for i in order], count),
-            None,
-        ),
+        Rate("Parquet, in order, full size", in_order, 150),
+        Rate("Parquet, random order, full size", at_random),
     ]
     start = time.process_time()
     frames.images(READING_SIZE_PX)
-    rates.append(Rate("building the cache", len(frames) / (time.process_time() - start), None))
+    rates.append(Rate("building the cache", len(frames) / (time.process_time() - start)))
     for pairing in ("channels", "stack", "difference"):
-        pairs = frames.torch(READING_SIZE_PX, pairing)
-        loader = pairs.loader(BATCH)
-
-        def epoch(loader=loader) -> None:
-            for inputs, _, _ in loader:
-                assert inputs.dtype == torch.float32
-
-        repeats = max(1, 3000 // len(pairs))
+        loader = frames.torch(READING_SIZE_PX, pairing).loader(BATCH)
+        epochs = max(1, 3000 // len(frames))
         rate = _rate(
-            lambda epoch=epoch, repeats=repeats: [epoch() for _ in range(repeats)], repeats * len(pairs)
+            lambda n=epochs, batches=loader: [deque(batches, maxlen=0) for _ in range(n)],
+            epochs * len(frames),
         )
         rates.append(Rate(f"DataLoader from the cache, {pairing}, batches of {BATCH}", rate, 3000))
     return rates
@@ -328,19 +294,16 @@ def _rate(work: Callable[[], object], count: int) -> float:
     return count / float(np.median(seconds))
 
 
-def _png_costs(frames: LabelledFrames) -> list[PngCost]:
+def png_costs(frames: LabelledFrames) -> list[PngCost]:
+    """Return mean size and median time of encoding some of the frames, by PNG setting."""
     import cv2
 
-    pictures = [
-        np.ascontiguousarray(frames.picture(i)[..., ::-1]) for i in range(0, len(frames), len(frames) // 10)
-    ]
-    settings = {f"level {level}": [cv2.IMWRITE_PNG_COMPRESSION, level] for level in (0, 1, 3, 6, 9)}
-    settings |= {
-        f"level 1, {name}": [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, strategy]
-        for name, strategy in {
-            "run-length": cv2.IMWRITE_PNG_STRATEGY_RLE,
-            "Huffman only (used)": cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
-        }.items()
+    some = range(0, len(frames), len(frames) // 10)
+    pictures = [np.ascontiguousarray(frames.picture(i)[..., ::-1]) for i in some]
+    level, strategy = cv2.IMWRITE_PNG_COMPRESSION, cv2.IMWRITE_PNG_STRATEGY
+    settings = {f"level {value}": [level, value] for value in (0, 1, 3, 6, 9)} | {
+        "level 1, run-length": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_RLE],
+        "level 1, Huffman only (used)": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY],
     }
     costs = []
     for name, setting in settings.items():

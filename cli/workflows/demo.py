@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.benchmarks.common.stages import StageClock
 from gelgap.cli.workflows.demo_result import SOURCE, TARGET, DemoResult, ForceCurve, Row
+from gelgap.cli.workflows.stages import StageClock
 
 if TYPE_CHECKING:
     from gelgap.domains import GenerationProgress

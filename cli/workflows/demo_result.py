@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.benchmarks.common.stages import Stage
+from gelgap.cli.workflows.stages import Stage
 
 if TYPE_CHECKING:
     from gelgap.adapt import Evaluation

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.common.stages import StageClock
 from gelgap.cli.workflows.demo import run_demo
 from gelgap.cli.workflows.demo_result import SOURCE, TARGET
+from gelgap.cli.workflows.stages import StageClock
 from gelgap.sim import ContactPath
 
 

@@ -1,30 +1,39 @@
 """The adaptation benchmark: what is missing, what is read back, how methods are compared and chosen."""
 
 import math
+import sys
+import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.adaptation import groups
-from gelgap.benchmarks.adaptation.groups import FURTHER_GROUPS, jobs_of
+from gelgap.benchmarks.adaptation.groups import jobs_of
 from gelgap.benchmarks.adaptation.jobs import (
-    Job,
-    Line,
-    append_line,
+    RUNS,
+    Bench,
+    RunRecord,
+    TrainingJob,
     missing_jobs,
-    read_lines,
     run_missing,
 )
-from gelgap.benchmarks.adaptation.results import load_further, load_results, write_oracles
+from gelgap.benchmarks.adaptation.methods import FURTHER_GROUPS
+from gelgap.benchmarks.adaptation.paper import GROUPS, PAPER_MAE_N
+from gelgap.benchmarks.adaptation.parts import Part
+from gelgap.benchmarks.adaptation.results import (
+    GroupOracles,
+    Results,
+    load_further,
+    load_results,
+    write_oracles,
+)
 from gelgap.benchmarks.adaptation.search import (
     WEIGHTS,
-    SearchLine,
+    SearchRecord,
     choices,
-    regret_rows,
+    regret_table,
     search_jobs,
-    weight_rows,
+    weight_table,
 )
 from gelgap.benchmarks.adaptation.statistics import (
     bootstrap_interval,
@@ -34,26 +43,22 @@ from gelgap.benchmarks.adaptation.statistics import (
     ranks,
 )
 from gelgap.benchmarks.adaptation.tables import (
-    GROUPS,
-    PAPER_MAE_N,
-    GroupOracles,
-    Results,
     check_table,
     closed_table,
     further_table,
     group_table,
-    result_tables,
+    group_tables,
     shear_table,
     summary_table,
 )
-from gelgap.cli.benchmark import PARTS
+from gelgap.benchmarks.common.records import append_record, read_records
 
 ORACLES = {group: GroupOracles((0.01,) * 3, (0.02,) * 3) for group in GROUPS}
 
 
-def line(source: str, target: str, method: str, mae: float, seed: int = 0) -> Line:
-    return Line(
-        Job(source, target, method, seed),
+def record(source: str, target: str, method: str, mae: float, seed: int = 0) -> RunRecord:
+    return RunRecord(
+        TrainingJob(source, target, method, seed),
         "cpu",
         {},
         mae_n=(mae,) * 3,
@@ -68,13 +73,13 @@ def line(source: str, target: str, method: str, mae: float, seed: int = 0) -> Li
 
 
 def results(errors: dict[str, float], seeds: int = 2) -> Results:
-    lines = [
-        line(*group, method, error + 0.01 * seed, seed)
+    records = [
+        record(*group, method, error + 0.01 * seed, seed)
         for group in GROUPS
         for method, error in errors.items()
         for seed in range(seeds)
     ]
-    return Results(lines, GROUPS, tuple(errors), tuple(range(seeds)), ORACLES)
+    return Results(records, GROUPS, tuple(errors), tuple(range(seeds)), ORACLES)
 
 
 def test_the_papers_means():
@@ -85,39 +90,42 @@ def test_the_papers_means():
 
 
 def test_only_missing_runs_are_planned_and_a_cut_line_is_ended(tmp_path):
-    done = line("mb0i0", "wmb0i0", "dsan", 0.1)
-    record = tmp_path / "runs.jsonl"
-    append_line(record, done)
-    with record.open("a", encoding="utf-8") as file:
+    done = record("mb0i0", "wmb0i0", "dsan", 0.1)
+    path = tmp_path / RUNS
+    append_record(path, done)
+    with path.open("a", encoding="utf-8") as file:
         file.write('{"job": "cut o')
-    assert read_lines(record) == [done]
+    assert read_records(path, RunRecord) == [done]
     other = replace(done, job=replace(done.job, seed=1, changes=(("transfer_weight", 0.1),)))
-    append_line(record, other)
-    assert read_lines(record) == [done, other]
-    jobs = missing_jobs(jobs_of(GROUPS[:2], ["source-only", "dsan"], [0]), "cpu", read_lines(record))
+    append_record(path, other)
+    assert read_records(path, RunRecord) == [done, other]
+    jobs = missing_jobs(
+        jobs_of(GROUPS[:2], ["source-only", "dsan"], [0]), "cpu", read_records(path, RunRecord)
+    )
     assert done.job not in jobs
     assert len(jobs) == 3
-    assert len(missing_jobs([done.job, done.job], "smoke", read_lines(record))) == 1
+    assert len(missing_jobs([done.job, done.job], "smoke", read_records(path, RunRecord))) == 1
 
 
 def test_work_comes_in_pieces_and_nothing_is_done_twice(tmp_path):
     jobs = jobs_of(GROUPS[:1], ["a", "b", "c"], [0])
     did = []
 
-    def work(data: Path, out: Path, profile: str, job: Job) -> Line:
+    def work(bench: Bench, job: TrainingJob) -> RunRecord:
         did.append(job.method)
-        return line(job.source, job.target, job.method, 0.1)
+        return record(job.source, job.target, job.method, 0.1)
 
-    assert run_missing(tmp_path, tmp_path, "cpu", jobs[:2], work, workers=1, minutes=0) == []
-    assert len(run_missing(tmp_path, tmp_path, "cpu", jobs[:2], work, workers=1)) == 2
-    assert len(run_missing(tmp_path, tmp_path, "cpu", jobs, work, workers=1)) == 3
+    bench = Bench(tmp_path, tmp_path, "cpu", workers=1)
+    assert run_missing(replace(bench, stop=time.time()), jobs[:2], work=work) == []
+    assert len(run_missing(bench, jobs[:2], work=work)) == 2
+    assert len(run_missing(bench, jobs, work=work)) == 3
     assert did == ["a", "b", "c"]
 
 
 def test_a_jobs_changes_stand_above_the_methods_own_weight():
     from gelgap.adapt import transfer_weight
 
-    job = Job("a", "b", "dsan", 0, (("transfer_weight", 0.7), ("adapt_epochs", 3)))
+    job = TrainingJob("a", "b", "dsan", 0, (("transfer_weight", 0.7), ("adapt_epochs", 3)))
     profile = job.profile("cpu")
     assert transfer_weight("dsan", profile) == 0.7
     assert profile.adapt_epochs == 3
@@ -138,14 +146,14 @@ def test_tables_know_what_is_missing_or_collapsed():
     found = results({"source-only": 0.3, "dsan": 0.15, "supervised": 0.05})
     collapsed = [
         replace(ln, problem="the features collapsed", mae_n=(math.nan,) * 3)
-        if ln.job == Job(*GROUPS[0], "dsan", 1)
+        if ln.job == TrainingJob(*GROUPS[0], "dsan", 1)
         else ln
-        for ln in found.lines
+        for ln in found.records
     ]
-    table = group_table(replace(found, lines=collapsed))
+    table = group_table(replace(found, records=collapsed))
     assert table.rows[0][3] == "0.150 (1 missing)"
     assert table.rows[1][3] == "0.155 ± 0.007"
-    titles = [table.title for table in result_tables(replace(found, lines=collapsed))]
+    titles = [table.title for table in group_tables(replace(found, records=collapsed))]
     assert len(titles) == len(set(titles)) == 9
     shear = {row[0]: row[1:] for row in shear_table(found).rows}
     assert shear["mb0i0 → wmb0i0"] == ["0.85", "0.85", "0.85"]
@@ -153,7 +161,9 @@ def test_tables_know_what_is_missing_or_collapsed():
 
 def test_methods_are_compared_on_what_all_have_finished():
     found = results({"source-only": 0.3, "dsan": 0.15, "supervised": 0.05})
-    partial = replace(found, lines=[ln for ln in found.lines if ln.job != Job(*GROUPS[0], "dsan", 1)])
+    partial = replace(
+        found, records=[ln for ln in found.records if ln.job != TrainingJob(*GROUPS[0], "dsan", 1)]
+    )
     assert partial.common.sum() == 17
     assert np.isnan(partial.of("source-only")[0, 1])
     assert partial.of("source-only")[0, 0] == pytest.approx(0.3)
@@ -164,10 +174,10 @@ def test_methods_are_compared_on_what_all_have_finished():
 
 def test_further_methods_do_not_shrink_the_papers_table(tmp_path):
     paper = {"source-only": 0.3, "dsan": 0.15, "supervised": 0.05}
-    for one in results(paper).lines:
-        append_line(tmp_path / "runs.jsonl", one)
+    for one in results(paper).records:
+        append_record(tmp_path / "runs.jsonl", one)
     for group in FURTHER_GROUPS:
-        append_line(tmp_path / "runs.jsonl", line(*group, "jan", 0.12))
+        append_record(tmp_path / "runs.jsonl", record(*group, "jan", 0.12))
     write_oracles(tmp_path, ORACLES)
     table, everything = load_results(tmp_path), load_further(tmp_path)
     assert table.methods == list(paper)
@@ -177,27 +187,6 @@ def test_further_methods_do_not_shrink_the_papers_table(tmp_path):
     rows = {row[0]: row for row in further_table(everything).rows}
     assert rows["jan"][1:6] == ["0.120", "0.120", "0.120", "0.120", "-60 %"]
     assert "3 of 3" in further_table(everything).note
-
-
-def test_every_part_is_reached_by_its_name(monkeypatch, tmp_path):
-    reached = []
-    monkeypatch.setattr("gelgap.benchmarks.adaptation.groups._data", lambda out: tmp_path / "data")
-    for part, function in {
-        "speed": "speed.run",
-        "groups": "groups.run_groups",
-        "methods": "groups.run_further",
-        "search": "search.run",
-        "ablation": "ablation.run",
-        "gaps": "gaps.run",
-        "cost": "cost.run",
-    }.items():
-        monkeypatch.setattr(
-            f"gelgap.benchmarks.adaptation.{function}", lambda *_, part=part: reached.append(part)
-        )
-    groups.run(False, tmp_path, PARTS["adaptation"])
-    assert tuple(reached) == PARTS["adaptation"]
-    groups.run(True, tmp_path, PARTS["adaptation"])
-    assert reached[len(PARTS["adaptation"]) :] == ["speed", "groups"]
 
 
 def test_a_group_with_a_bad_pose_oracle_is_marked():
@@ -244,37 +233,56 @@ def test_paired_comparisons_are_corrected_and_leave_domains_out():
     assert [c.first for c in compare(errors, ["dsan", "worse", "same"], GROUPS, "dsan")] == ["same"]
 
 
-def test_ranks_and_critical_difference(tmp_path):
+def test_a_missing_package_is_named_before_anything_is_measured(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "scikit_posthocs", None)
+    part = Part(measure=lambda bench: pytest.fail("measured"), tables=lambda folder: [])
+    with pytest.raises(ModuleNotFoundError, match=r"pip install gelgap\[benchmark\]"):
+        part.run(quick=True, out_dir=tmp_path)
+
+
+def test_ranks_and_critical_difference():
     assert ranks(np.array([[0.1, math.nan], [0.2, 0.3], [0.2, 0.4]])).tolist() == [[1, 3], [2.5, 1], [2.5, 2]]
     # Demšar 2006, table 5: q = 2.343 for three methods, 2.569 for four.
     assert critical_difference(4, 14) == pytest.approx(2.569 * np.sqrt(4 * 5 / (6 * 14)), rel=1e-3)
-    plot_critical_difference({"a": 1.2, "b": 2.0, "c": 3.8}, 1.25, "ranks", tmp_path / "cd.png")
-    assert (tmp_path / "cd.png").stat().st_size > 2000
 
 
-def search_line(weight: float, error: tuple, score: tuple, alarms=(False, False), problem=None) -> SearchLine:
+def test_methods_that_the_test_does_not_tell_apart_are_joined():
+    # Mean ranks 1, 2, 3.1 and 3.9 over ten cases; the critical difference is 1.48.
+    errors = np.array([[0.1] * 10, [0.2] * 10, [0.3] * 9 + [0.4], [0.4] * 9 + [0.3]])
+    (axes,) = plot_critical_difference(["a", "b", "c", "d"], errors, "ranks").axes
+    texts = {text.get_text() for text in axes.texts}
+    assert {"a  1.00", "b  2.00", "3.10  c", "3.90  d", "CD = 1.5"} <= texts
+    bars = [line.get_xdata() for line in axes.lines if len(set(line.get_ydata())) == 1]
+    joined = {(round(min(x), 1), round(max(x), 1)) for x in bars}
+    assert joined == {(1.0, 2.0), (2.0, 3.1), (3.1, 3.9), (1.0, 2.5)}  # the last one is the difference itself
+
+
+def search_record(
+    weight: float, error: tuple, score: tuple, alarms=(False, False), problem=None
+) -> SearchRecord:
     from gelgap.adapt import SELECTORS
 
-    job = Job("a", "b", "dsan", 0, (("transfer_weight", weight),))
-    return SearchLine(job, "cpu", (2, 4), error, dict.fromkeys(SELECTORS, score), alarms, problem)
+    job = TrainingJob("a", "b", "dsan", 0, (("transfer_weight", weight),))
+    return SearchRecord(job, "cpu", (2, 4), error, dict.fromkeys(SELECTORS, score), alarms, problem)
 
 
 def test_choices_over_weights_and_epochs():
     lines = [
-        search_line(0.003, (0.3, 0.25), (5.0, 4.0)),
-        search_line(0.03, (0.2, 0.1), (3.0, 2.0)),
-        search_line(0.3, (0.5, 0.6), (0.1, 0.1), alarms=(True, True)),
-        SearchLine(Job("a", "b", "dsan", 0, (("transfer_weight", 3.0),)), "cpu", problem="collapsed"),
+        search_record(0.003, (0.3, 0.25), (5.0, 4.0)),
+        search_record(0.03, (0.2, 0.1), (3.0, 2.0)),
+        search_record(0.3, (0.5, 0.6), (0.1, 0.1), alarms=(True, True)),
+        SearchRecord(
+            TrainingJob("a", "b", "dsan", 0, (("transfer_weight", 3.0),)), "cpu", problem="collapsed"
+        ),
     ]
     found = {choice.rule: choice for choice in choices(lines)}
     assert found["target labels (oracle)"].error_n == 0.1
     assert found["last epoch, profile's weight"].regret_n == pytest.approx(0.15)
     assert (found["IWCV"].weight, found["IWCV"].epoch) == (0.03, 4)
-    header, rows = weight_rows(lines)
-    assert header[1:] == [f"λ_t = {weight:g}" for weight in WEIGHTS]
-    assert rows[0][1:] == ["–", "0.250", "0.100", "0.600", "(1 of 1 collapsed)"]
-    header, rows = regret_rows(lines)
-    assert {row[0]: row[-1] for row in rows}["DEV"] == "0.000"
+    by_weight = weight_table(lines)
+    assert by_weight.columns[1:] == [f"λ_t = {weight:g}" for weight in WEIGHTS]
+    assert by_weight.rows[0][1:] == ["–", "0.250", "0.100", "0.600", "(1 of 1 collapsed)"]
+    assert {row[0]: row[-1] for row in regret_table(lines).rows}["DEV"] == "0.000"
 
 
 def test_every_method_has_the_same_budget():

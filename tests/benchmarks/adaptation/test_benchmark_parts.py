@@ -1,6 +1,6 @@
 """The benchmark's other parts: designs of gap curves, factorial effects, ablation, costs, and the report of all."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +8,13 @@ import pytest
 
 from gelgap.adapt import adapt_frames
 from gelgap.benchmarks.adaptation import ablation, cost, gaps, speed
-from gelgap.benchmarks.adaptation.gaps import Cell, Gap, GapResults, design, effects
-from gelgap.benchmarks.adaptation.jobs import Job, Line, append_line
-from gelgap.benchmarks.adaptation.results import (
-    is_benchmark,
-    prediction_figures,
-    write_benchmark_report,
-    write_oracles,
-)
-from gelgap.benchmarks.adaptation.tables import GROUPS, GroupOracles
+from gelgap.benchmarks.adaptation.figures import prediction_figures
+from gelgap.benchmarks.adaptation.gaps import CrossedCell, Gap, GapResults, design, effects
+from gelgap.benchmarks.adaptation.jobs import RUNS, RunRecord, TrainingJob
+from gelgap.benchmarks.adaptation.paper import GROUPS
+from gelgap.benchmarks.adaptation.parts import write_benchmark_report
+from gelgap.benchmarks.adaptation.results import GroupOracles, is_benchmark, write_oracles
+from gelgap.benchmarks.common.records import append_record
 from gelgap.benchmarks.common.tables import write_json
 
 
@@ -46,7 +44,10 @@ def test_gap_design_changes_one_thing_at_a_time():
 
 def crossed(error) -> GapResults:
     cells = tuple(
-        Cell(f"{m:d}{i:d}{k:d}", m, i, k) for m in (False, True) for i in (False, True) for k in (False, True)
+        CrossedCell(f"{m:d}{i:d}{k:d}", m, i, k)
+        for m in (False, True)
+        for i in (False, True)
+        for k in (False, True)
     )
     errors = {c.domain: {"dsan": error(c), "constant mean": 0.4} for c in cells}
     gaps = (Gap("modulus", "000", 1.0), Gap("modulus", "100", 0.7))
@@ -88,21 +89,21 @@ def test_report_of_all_parts(tmp_path):
         for method in ("source-only", "dann", "dsan", "supervised"):
             for seed in (0, 1):
                 mae = tuple((0.1 + 0.1 * rng.random(3)).tolist())
-                job = Job(*group, method, seed)
-                line = Line(
+                job = TrainingJob(*group, method, seed)
+                line = RunRecord(
                     job, "cpu", {}, mae_n=mae, r2=(0.9,) * 3, constant_mean_n=(0.4,) * 3, stage2_s=3.0
                 )
-                append_line(folder / "runs.jsonl", line)
+                append_record(folder / RUNS, line)
     write_oracles(folder, {group: GroupOracles((0.01,) * 3, (0.02,) * 3) for group in GROUPS})
     variation = ablation.variations()[0]
-    job = Job(*ablation.GROUPS[0], variation.method, 0, variation.changes)
-    append_line(folder / ablation.RECORD, Line(job, "cpu", {}, problem="the features collapsed"))
-    write_json(folder / "gaps" / gaps.RESULTS, crossed(lambda c: 0.1))
+    job = TrainingJob(*ablation.GROUPS[0], variation.method, 0, variation.changes)
+    append_record(folder / ablation.RECORD, RunRecord(job, "cpu", {}, problem="the features collapsed"))
+    write_json(folder / gaps.RESULTS, crossed(lambda c: 0.1))
     errors = {method: [0.2, 0.3] for method in cost.METHODS}
     costs = [cost.Cost("standard", 200, 1.0, 8, errors, 60.0)]
-    write_json(folder / "cost" / cost.RESULTS, [asdict(cost) for cost in costs])
+    write_json(folder / cost.RESULTS, costs)
     loops = [speed.Speed(name, 40.0, 0.01, 0.02) for name in ("stage 1", "stage 2, supervised")]
-    write_json(folder / speed.RESULTS, [asdict(speed) for speed in loops])
+    write_json(folder / speed.RESULTS, loops)
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 4
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
@@ -123,11 +124,11 @@ def test_figures_show_only_the_tables_runs_of_the_shown_methods(source, target, 
     short = profile.replace(source_epochs=1, adapt_epochs=1)
     runs = adapt_frames(target, source, ["source-only", "dsan-coarse"], short, out_dir=tmp_path)
     write_oracles(tmp_path, {(target.name, source.name): GroupOracles((0.01,) * 3, (0.02,) * 3)})
-    job = Job(target.name, source.name, "source-only", 0)
-    append_line(tmp_path / "runs.jsonl", Line(job, "cpu", {}, key="another run's"))
+    job = TrainingJob(target.name, source.name, "source-only", 0)
+    append_record(tmp_path / RUNS, RunRecord(job, "cpu", {}, key="another run's"))
     assert prediction_figures(tmp_path) == []
     for run in runs:
-        append_line(tmp_path / "runs.jsonl", Line(replace(job, method=run.method), "cpu", {}, key=run.key))
+        append_record(tmp_path / RUNS, RunRecord(replace(job, method=run.method), "cpu", {}, key=run.key))
     scatter, _ = prediction_figures(tmp_path)
     assert [axes.get_title().partition(":")[0] for axes in scatter.figure.axes] == ["source-only"] * 3
 
@@ -139,11 +140,17 @@ def test_no_records_is_one_sentence(tmp_path):
 
 def test_gap_errors_are_means_over_seeds(source, monkeypatch):
     monkeypatch.setattr("gelgap.domains.open_domain", lambda folder: source)
-    lines = [
-        Line(Job("mb0i0", "a", "dsan", seed), "smoke", {}, mae_n=(mae,) * 3, constant_mean_n=(4 * mae,) * 3)
+    records = [
+        RunRecord(
+            TrainingJob("mb0i0", "a", "dsan", seed),
+            "smoke",
+            {},
+            mae_n=(mae,) * 3,
+            constant_mean_n=(4 * mae,) * 3,
+        )
         for seed, mae in enumerate((0.1, 0.3))
     ]
-    found = gaps.collect(gaps.Design((), (Gap("modulus", "a", 2.0),), ()), lines, Path("x"), ["dsan"])
+    found = gaps.collect(gaps.Design((Gap("modulus", "a", 2.0),), ()), records, Path("x"))
     assert found.errors_n["a"]["dsan"] == pytest.approx(0.2)
     assert found.errors_n["a"]["constant mean"] == pytest.approx(0.8)
     assert gaps.gap_table(found).rows == [["modulus", "2", "0.800", "0.200", "0.000"]]

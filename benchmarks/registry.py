@@ -1,0 +1,91 @@
+"""The benchmarks: name, what each measures, and where. Adding one is a file and a line here.
+
+Every module has `run(quick: bool, out_dir: Path) -> None`, which measures, prints tables and writes what it found below
+`out_dir`. The modules of the adaptation benchmark also have a `PART`, which its report is made of.
+"""
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """One benchmark: a subject, or one part of a subject that has several.
+
+    Without a choice of parts, those `by_default` are measured; `--quick` leaves out parts without a quick form.
+    """
+
+    subject: str
+    part: str | None
+    description: str
+    module: str
+    by_default: bool = True
+    has_quick_form: bool = True
+
+    def load(self) -> ModuleType:
+        """Import the benchmark's module."""
+        return import_module(f"gelgap.benchmarks.{self.module}")
+
+    def run(self, quick: bool, out_dir: Path) -> None:
+        """Measure."""
+        self.load().run(quick=quick, out_dir=out_dir)
+
+
+BENCHMARKS = (
+    Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
+    Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
+    Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
+    Benchmark(
+        "stability", "render", "memory and time over many frames", "render.stability", by_default=False
+    ),
+    Benchmark(
+        "stability", "losses", "adaptation losses in every known trap", "adaptation.losses", by_default=False
+    ),
+    Benchmark("throughput", None, "time to generate and to read domains", "data.throughput"),
+    Benchmark("faults", None, "what a fault during generation costs", "data.faults"),
+    Benchmark("adaptation", "groups", "the paper's methods on its nine groups", "adaptation.groups"),
+    Benchmark(
+        "adaptation", "methods", "all methods on three groups", "adaptation.methods", has_quick_form=False
+    ),
+    Benchmark(
+        "adaptation", "search", "transfer weights and selectors", "adaptation.search", has_quick_form=False
+    ),
+    Benchmark("adaptation", "ablation", "what decides in DSAN", "adaptation.ablation", has_quick_form=False),
+    Benchmark(
+        "adaptation", "gaps", "error against the size of a gap", "adaptation.gaps", has_quick_form=False
+    ),
+    Benchmark("adaptation", "cost", "adaptation on cheaper data", "adaptation.cost", has_quick_form=False),
+    Benchmark("adaptation", "speed", "training steps beside a plain loop", "adaptation.speed"),
+)
+
+
+def subjects() -> tuple[str, ...]:
+    """Return the names of all subjects."""
+    return tuple(dict.fromkeys(benchmark.subject for benchmark in BENCHMARKS))
+
+
+def parts_of(subject: str) -> tuple[Benchmark, ...]:
+    """Return the parts of a subject; none if it has no parts."""
+    return tuple(b for b in BENCHMARKS if b.subject == subject and b.part is not None)
+
+
+def find_benchmarks(subject: str, part: str | None, quick: bool) -> tuple[Benchmark, ...]:
+    """Return what is to be measured of a subject: one part, or without a choice those by default.
+
+    Raises
+    ------
+    ValueError
+        If the subject has no such part, or nothing of what was chosen has a quick form.
+    """
+    names = ", ".join(benchmark.part for benchmark in parts_of(subject))
+    chosen = [b for b in BENCHMARKS if b.subject == subject and (b.part == part if part else b.by_default)]
+    if not chosen:
+        has = f"its parts are {names}" if names else "it has no parts"
+        raise ValueError(f"--what {part} is no part of benchmark {subject}; {has}")
+    found = tuple(b for b in chosen if b.has_quick_form or not quick)
+    if not found:
+        quick_names = ", ".join(b.part for b in parts_of(subject) if b.has_quick_form)
+        raise ValueError(f"--quick: {part} has no quick form; {quick_names} have")
+    return found
