@@ -14,7 +14,7 @@ import numpy as np
 
 from gelgap.benchmarks.common.stages import MIB, MemorySampler
 from gelgap.benchmarks.common.tables import print_table, write_json
-from gelgap.benchmarks.physics.solve_jobs import own_cache
+from gelgap.benchmarks.physics.cases import own_cache
 from gelgap.domains import (
     DomainFolder,
     DomainRecipe,

@@ -16,16 +16,14 @@ from gelgap.benchmarks.fem.contact import SphereContact
 from gelgap.benchmarks.fem.material import IsochoricNeoHookean
 from gelgap.benchmarks.fem.newton import Indentation, Iterate
 from gelgap.benchmarks.fem.pad import Pad
-from gelgap.sim.mesh import half_disc_hexahedra, layer_depths
+from gelgap.sim.mesh import _half_disc, layer_depths
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 PENALTY_PER_MODULUS = 1e3  # 1/mm: the sphere is entered by pressure / (1e3 E), some 1 µm
 STICK_PER_MODULUS = 5e2  # 1/mm: sticking nodes give way by shear / (5e2 E), some 1 µm
-NEWTON_LIMIT = 15
 RESIDUAL_TOLERANCE = 1e-6  # of the modulus times the square of the sphere's radius
-SMALLEST_STEP = 1 / 256
 
 
 @dataclass(frozen=True)
@@ -72,15 +70,13 @@ def solve_drag(problem: Drag, travels_mm: tuple[float, ...], step_mm: float = 0.
     scene = Indentation(
         pad=HexahedralPad(problem, furthest_mm=float(travels[-1])),
         contact=SphereContact(
-            radius_mm=problem.sphere_radius_mm,
-            friction=problem.friction,
+            problem.sphere_radius_mm,
+            problem.friction,
             penalty=PENALTY_PER_MODULUS * problem.young_modulus_mpa,
             stick_stiffness=STICK_PER_MODULUS * problem.young_modulus_mpa,
         ),
         tolerance_n=RESIDUAL_TOLERANCE * problem.young_modulus_mpa * problem.sphere_radius_mm**2,
         largest_rise=1.0,
-        max_iterations=NEWTON_LIMIT,
-        smallest_step=SMALLEST_STEP,
     )
     state = scene.untouched()
     first = min(step_mm, problem.depth_mm) / 4
@@ -102,15 +98,15 @@ class HexahedralPad(Pad):
     identity = np.eye(3).ravel()
 
     def __init__(self, problem: Drag, furthest_mm: float) -> None:
-        below = max(problem.sphere_radius_mm - problem.depth_mm, 0.0)
-        contact = math.sqrt(problem.sphere_radius_mm**2 - below**2)
-        self.nodes, self.connectivity = half_disc_hexahedra(
-            problem.pad_radius_mm,
-            1.15 * contact + furthest_mm,
-            problem.element_mm,
-            layer_depths(problem.thickness_mm, 0.75 * problem.element_mm, 1.25),
-            problem.sectors,
+        above = max(problem.sphere_radius_mm - problem.depth_mm, 0.0)
+        contact = math.sqrt(problem.sphere_radius_mm**2 - above**2)
+        plane, quads = _half_disc(
+            problem.pad_radius_mm, 1.15 * contact + furthest_mm, problem.element_mm, problem.sectors
         )
+        layers = layer_depths(problem.thickness_mm, 0.75 * problem.element_mm, 1.25)
+        below = np.arange(1, len(layers))[:, None, None] * len(plane) + quads
+        self.nodes = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in layers])
+        self.connectivity = np.concatenate([below, below - len(plane)], axis=-1).reshape(-1, 8)
         y, z = self.nodes[:, 1], self.nodes[:, 2]
         self.surface = np.flatnonzero(z > -1e-9)
         self.surface_area_mm2 = _nodal_areas_mm2(self.nodes, self.connectivity, self.surface)

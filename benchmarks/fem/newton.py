@@ -12,7 +12,9 @@ from gelgap.benchmarks.fem.pad import Pad
 
 Floats = NDArray[np.float64]
 
-STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
+MAX_ITERATIONS = 26
+NEWTON_SHARES = (1.0, 0.5, 0.25, 0.125)
+SMALLEST_STEP = 1 / 256  # of a step of the sphere; one in which Newton's method fails is halved until then
 
 
 @dataclass(frozen=True)
@@ -34,17 +36,14 @@ class Iterate:
 class Indentation:
     """A pad, the sphere that touches it, and how Newton's method looks for their equilibrium.
 
-    It succeeds when the out-of-balance forces' norm `fnorm` is below `tolerance_n`. A Newton step is shortened where it
-    raises that norm more than `largest_rise` times. After `max_iterations` it fails, and the sphere's step is halved,
-    down to `smallest_step` of what was asked for.
+    It has succeeded when the norm of the out-of-balance forces is below `tolerance_n`; a Newton step that raises that
+    norm more than `largest_rise` times is shortened.
     """
 
     pad: Pad
     contact: SphereContact
     tolerance_n: float
     largest_rise: float
-    max_iterations: int
-    smallest_step: float
 
     def untouched(self) -> Iterate:
         """Return the state before contact."""
@@ -66,7 +65,7 @@ class Indentation:
                 state = self._equilibrium(state, start + share * (sphere_mm - start))
             except FloatingPointError as failure:
                 step /= 2
-                if step < self.smallest_step:
+                if step < SMALLEST_STEP:
                     raise RuntimeError(
                         f"no equilibrium with the sphere near {sphere_mm} mm: {failure}"
                     ) from None
@@ -84,7 +83,7 @@ class Indentation:
         load[pad.surface_dofs] = start.touch.tangent @ (sphere_mm - state.sphere_mm)
         dx = self._solve(start, load[pad.free] - start.residual)
         iterate = self._step(state.u, dx, sphere_mm, stick_mm, np.inf)
-        for _ in range(self.max_iterations):
+        for _ in range(MAX_ITERATIONS):
             if iterate.fnorm < self.tolerance_n:
                 return iterate
             dx = self._solve(iterate, -iterate.residual)
@@ -119,7 +118,7 @@ class Indentation:
     ) -> Iterate:
         """Take the longest share of `dx` with a small enough residual, or the one with the smallest."""
         best = None
-        for share in STEP_SHARES:
+        for share in NEWTON_SHARES:
             try:
                 iterate = self._at(u + share * dx, sphere_mm, stick_mm)
             except FloatingPointError:
