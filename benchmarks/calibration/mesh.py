@@ -74,10 +74,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Calibrate the meshes' stiffness.")
     parser.add_argument("--quality", nargs="+", default=["draft", "standard"])
     parser.add_argument("--mesh", nargs="+", default=["disc"], choices=["disc", "pad"])
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=Path("benchmark-results"))
     chosen = parser.parse_args()
-    workers = Workers(chosen.processes, chosen.out / "mesh-solves")
+    workers = Workers(os.cpu_count() or 1, Path("benchmark-results/mesh-solves"))
     print(f"FORCE_RISE_PER_POISSON = {force_rise_per_poisson():.2f}")
     for title, presses in (("Calibration", CALIBRATION), ("Check: not used", CHECK)):
         rows = []

@@ -3,7 +3,6 @@
 `python -m gelgap.benchmarks.calibration.mesh_sizes` takes some five minutes on two cores.
 """
 
-import argparse
 import itertools
 import os
 import time
@@ -40,7 +39,7 @@ class Trial:
 
 
 def press(trial: Trial) -> PressErrors:
-    """Solve a case of the tables with a mesh of that size, and judge it."""
+    """Solve a case of the tables with a mesh of that size, and compare it with the table."""
     reference = press_references()[trial.case]
     case = press_case(reference, "standard")
     problem, frame, records = visiting_problem(
@@ -58,12 +57,8 @@ def press(trial: Trial) -> PressErrors:
 
 def main() -> None:
     """Print run time and errors of each mesh."""
-    parser = argparse.ArgumentParser(description="Compare meshes of the quality standard.")
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=Path("benchmark-results"))
-    chosen = parser.parse_args()
     trials = [Trial(name, case, size) for (name, size), case in itertools.product(SIZES.items(), CASES)]
-    found = Workers(chosen.processes, chosen.out / "mesh-solves").map(press, trials)
+    found = Workers(os.cpu_count() or 1, Path("benchmark-results/mesh-solves")).map(press, trials)
     print_table(
         "Meshes of half a disc",
         ["mesh", "case", "core s/pose", "Fz by depth %", "radius worst %", "u_z rms µm", "in-plane rms µm",

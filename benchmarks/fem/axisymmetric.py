@@ -142,11 +142,11 @@ def solve_press(
         largest_rise=np.inf,
     )
     state, reached, states = scene.untouched(), 0.0, []
-    spacing = problem.element_mm / 2 * nodes_per_step
     for depth in depths[1:]:
         while reached < depth:
-            # Hertz's contact radius √(R d) grows by `spacing`.
-            target = (hertz_contact_radius_mm(radius, reached) + spacing) ** 2 / radius
+            # Hertz's contact radius √(R d) grows by `nodes_per_step` nodes.
+            contact = hertz_contact_radius_mm(radius, reached) + nodes_per_step * problem.element_mm / 2
+            target = contact**2 / radius
             reached = target if depth - target >= 1e-3 * depth else depth
             state = scene.advance(state, np.array([0.0, -reached]))
         states.append(_describe(scene.pad, state))
@@ -242,12 +242,12 @@ def _nodal_areas_mm2(r: Floats) -> Floats:
 
     A uniform pressure puts no force on the axis node; a little area keeps it out of the sphere.
     """
-    start, middle, end = r[:-2:2], r[1:-1:2], r[2::2]
-    area = np.zeros(len(r))
-    width = end - start
-    area[:-2:2] += 2 * np.pi * width * start / 6
-    area[1:-1:2] += 2 * np.pi * width * middle * 2 / 3
-    area[2::2] += 2 * np.pi * width * end / 6
+    width = np.diff(r[::2])
+    simpson = np.zeros(len(r))
+    simpson[1::2] = 2 / 3 * width
+    simpson[:-2:2] += width / 6
+    simpson[2::2] += width / 6
+    area = 2 * np.pi * r * simpson
     area[0] = np.pi * (width[0] / 8) ** 2
     return area
 

@@ -25,6 +25,11 @@ PENALTY_PER_MODULUS = 1e3  # 1/mm: the sphere is entered by pressure / (1e3 E), 
 STICK_PER_MODULUS = 5e2  # 1/mm: sticking nodes give way by shear / (5e2 E), some 1 µm
 RESIDUAL_TOLERANCE = 1e-6  # of the modulus times the square of the sphere's radius
 
+_i, _j, _k = np.indices((3, 3, 3))
+LEVI_CIVITA = (_i - _j) * (_j - _k) * (_k - _i) / 2
+# F (9,) times this is d²J/dF² = ε_ikm ε_jln F_mn (81,).
+SECOND_DERIVATIVE = np.einsum("ikm,jln->mnijkl", LEVI_CIVITA, LEVI_CIVITA).reshape(9, 81)
+
 
 @dataclass(frozen=True)
 class Drag:
@@ -139,18 +144,7 @@ class HexahedralPad(Pad):
     def volume_ratio_derivatives(f: Floats) -> tuple[Floats, Floats]:
         rows = f.reshape(*f.shape[:-1], 3, 3)
         cofactor = [np.cross(rows[..., (i + 1) % 3, :], rows[..., (i + 2) % 3, :]) for i in range(3)]
-        return np.concatenate(cofactor, axis=-1), (f @ PERMUTATIONS).reshape(*f.shape, 9)
-
-
-def _permutations() -> Floats:
-    """Return d²J/dF² = ε_ikm ε_jln F_mn as a matrix (9, 81) that F is multiplied by."""
-    levi_civita = np.zeros((3, 3, 3))
-    for i, k, m in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        levi_civita[i, k, m], levi_civita[i, m, k] = 1.0, -1.0
-    return np.einsum("ikm,jln->mnijkl", levi_civita, levi_civita).reshape(9, 81)
-
-
-PERMUTATIONS = _permutations()
+        return np.concatenate(cofactor, axis=-1), (f @ SECOND_DERIVATIVE).reshape(*f.shape, 9)
 
 
 def _nodal_areas_mm2(nodes: Floats, hexahedra: NDArray[np.int64], surface: NDArray[np.int64]) -> Floats:

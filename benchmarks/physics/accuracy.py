@@ -93,7 +93,7 @@ def run(quick: bool, out_dir: Path) -> None:
     figure = out_dir / "physics-frontier.png"
     plot_frontier(
         figure,
-        [*frontier(pressed), *savings.points(saved)],
+        [*frontier(pressed), *savings.points(saved["savings"])],
         title="Run time against error of the normal force",
         time_label="processor time per pose, s",
         error_label="Fz error, rms, %",

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gelgap.benchmarks.physics.scenes import Scene
-from gelgap.sim import MembraneState, Pose, Sharing, Sphere, solve_poses
+from gelgap.sim import MembraneState, Pose, Sharing, solve_poses
 
 NOTHING_SHARED = Sharing(modulus=False, translation=False, reflection=False, path=False, cache=False)
 FORCE_TOLERANCE = 0.01  # of the sphere's force: balance, monotony, scaling, symmetry
@@ -16,8 +16,7 @@ FORCE_ERROR = {"draft": 0.06, "standard": 0.04, "fine": 0.02}  # what a quality 
 
 def solve_scene(scene: Scene) -> tuple[MembraneState, ...]:
     """Solve a scene for itself, with nothing shared."""
-    indenter = Sphere(diameter_mm=2 * scene.indenter_radius_mm)
-    return solve_poses(scene.elastomer, indenter, scene.poses, scene.quality, NOTHING_SHARED)
+    return solve_poses(scene.elastomer, scene.indenter, scene.poses, scene.quality, NOTHING_SHARED)
 
 
 def violations(scene: Scene, states: Sequence[MembraneState]) -> tuple[str, ...]:
@@ -72,15 +71,17 @@ def _of_drag(scene: Scene, drags: Sequence[tuple[Pose, MembraneState]]) -> Itera
     It may fall by the quality's force error, since in slip it changes as the sphere passes the membrane's vertices.
     """
     travel = max(pose.radius_mm for pose in scene.poses)
-    if drags and scene.to_rim_mm > scene.contact_mm + travel + scene.thickness_mm:
+    if drags and scene.to_rim_mm > scene.contact_mm + travel + scene.elastomer.thickness_mm:
         along = [float(scene.direction @ state.force_n[:2]) for _, state in drags]
         if np.any(np.diff(along) < -FORCE_ERROR[scene.quality] * abs(drags[0][1].force_n[2])):
             yield "friction falls in a drag"
 
 
 def _of_scaling(scene: Scene, states: Sequence[MembraneState]) -> Iterator[str]:
-    factor = 7.0 if scene.young_modulus_mpa < 0.3 else 1 / 7
-    others = solve_scene(replace(scene, young_modulus_mpa=factor * scene.young_modulus_mpa))
+    young = scene.elastomer.young_modulus_mpa
+    factor = 7.0 if young < 0.3 else 1 / 7
+    other_gel = scene.elastomer.model_copy(update={"young_modulus_mpa": factor * young})
+    others = solve_scene(replace(scene, elastomer=other_gel))
     for state, other in zip(states, others, strict=True):
         if other.converged and apart(state.force_n, other.force_n / factor) > FORCE_TOLERANCE:
             yield "force does not scale with the modulus"

@@ -58,61 +58,18 @@ class Saving:
     surface_error_um: float | None
 
 
-@dataclass(frozen=True)
-class EdgeEffect:
-    """What edges at a distance change in the largest pose: components of force in %, the membrane within 5 mm in µm."""
-
-    where: str
-    thicknesses: float
-    fx_percent: float
-    fz_percent: float
-    surface_rms_um: float
-    surface_worst_um: float
-
-
-@dataclass(frozen=True)
-class DescentEffect:
-    """What a descent shared with deeper poses, whose mesh it then has, changes in a pose: force and membrane."""
-
-    depth_mm: float
-    force_percent: float
-    surface_rms_um: float
-
-
-@dataclass(frozen=True)
-class Savings:
-    """All savings at `draft`, what translation neglects, and what shared descents change."""
-
-    savings: tuple[Saving, ...]
-    edges: tuple[EdgeEffect, ...]
-    descents: tuple[DescentEffect, ...]
-
-
-def measure(quick: bool, workers: Workers) -> Savings:
+def measure(quick: bool, workers: Workers) -> dict[str, list]:
     """Measure the savings, and in the full form what edges and shared descents change; print all."""
-    savings = tuple(_savings(cases(quick), workers))
+    savings = list(_savings(cases(quick), workers))
     print_table(
         "Savings, draft: the paper's path for two gels that differ in modulus",
         ["saving", "solves", "core s/pose", "force error %", "surface error µm"],
-        (astuple(saving) for saving in savings),
+        map(astuple, savings),
         note="errors: what the saving changes in a pose at the outermost point, 0.6 mm deep, 0.3 mm sideways",
     )
     if quick:
-        return Savings(savings, (), ())
-    edges = tuple(edge_effects(workers))
-    print_table(
-        "What translation neglects, draft: edges on both sides of a contact, 1 mm deep and 0.6 mm sideways",
-        ["edges", "thicknesses away", "Fx %", "Fz %", "surface rms µm", "worst µm"],
-        (astuple(edge) for edge in edges),
-        note="change against the same pose on a pad of 100 × 100 mm; surface: within 5 mm of the contact point",
-    )
-    descents = tuple(descent_effects(workers))
-    print_table(
-        "What shared descents change, draft: 0.3 mm sideways at the depths of the paper's path",
-        ["depth mm", "force %", "surface rms µm"],
-        (astuple(descent) for descent in descents),
-    )
-    return Savings(savings, edges, descents)
+        return {"savings": savings}
+    return {"savings": savings, "edges": edge_effects(workers), "descents": descent_effects(workers)}
 
 
 def cases(quick: bool) -> list[Case]:
@@ -167,8 +124,9 @@ def edge_cases() -> list[Case]:
     ]
 
 
-def edge_effects(workers: Workers) -> Iterator[EdgeEffect]:
-    """Yield what edges change, ahead and behind a drag or beside it, by their distance."""
+def edge_effects(workers: Workers) -> list[list[object]]:
+    """Print what edges change, ahead and behind a drag or beside it, by their distance."""
+    rows: list[list[object]] = []
     far, *others = workers.solve(edge_cases())
     far_state = far.states[0]
     x, y = np.meshgrid(far_state.x_mm, far_state.y_mm)
@@ -178,11 +136,19 @@ def edge_effects(workers: Workers) -> Iterator[EdgeEffect]:
         change = 1e3 * np.linalg.norm((state.displacement_mm - far_state.displacement_mm)[near], axis=-1)
         fx, _, fz = 100 * (state.force_n / np.where(far_state.force_n, far_state.force_n, 1.0) - 1)
         where, thicknesses = other.case.name.rsplit(" ", 1)
-        yield EdgeEffect(where, float(thicknesses), float(fx), float(fz), rms(change), float(change.max()))
+        rows.append([where, float(thicknesses), fx, fz, rms(change), change.max()])
+    print_table(
+        "What translation neglects, draft: edges on both sides of a contact, 1 mm deep and 0.6 mm sideways",
+        ["edges", "thicknesses away", "Fx %", "Fz %", "surface rms µm", "worst µm"],
+        rows,
+        note="change against the same pose on a pad of 100 × 100 mm; surface: within 5 mm of the contact point",
+    )
+    return rows
 
 
-def descent_effects(workers: Workers) -> Iterator[DescentEffect]:
-    """Yield what each depth of the paper's path changes by being solved with others, and not for itself."""
+def descent_effects(workers: Workers) -> list[list[object]]:
+    """Print what each depth of the paper's path changes by being solved with others, and not for itself."""
+    rows: list[list[object]] = []
     path = ContactPath("descents", (0.0,), (0.0,), CLASS_DEPTHS_MM, CLASS_RADII_MM, (0.0,))
     plans = [
         plan_solves(GEL, Sphere(), path, "draft", Sharing(path=shared, cache=False))
@@ -194,14 +160,20 @@ def descent_effects(workers: Workers) -> Iterator[DescentEffect]:
     solutions = {timed.solution.problem.key: timed.solution for timed in workers.map(solve_timed, solves)}
     for index in wanted:
         shared, alone = (plan.state(index, solutions[plan.solve_key(index)]) for plan in plans)
-        yield DescentEffect(path.poses[index].depth_mm, *_change(shared, alone, Pose(depth_mm=0.0)))
+        rows.append([path.poses[index].depth_mm, *_change(shared, alone, Pose(depth_mm=0.0))])
+    print_table(
+        "What shared descents change, draft: 0.3 mm sideways at the depths of the paper's path",
+        ["depth mm", "force %", "surface rms µm"],
+        rows,
+    )
+    return rows
 
 
-def points(savings: Savings) -> list[Point]:
+def points(savings: Sequence[Saving]) -> list[Point]:
     """Return the savings as points of the frontier: what is left on costs time, what is shared costs error."""
     return [
         Point(SERIES, s.name, s.core_s_per_pose, max(s.force_error_percent, FORCE_FLOOR_PERCENT))
-        for s in savings.savings
+        for s in savings
         if s.force_error_percent is not None
     ]
 

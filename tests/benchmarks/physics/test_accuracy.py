@@ -70,7 +70,9 @@ def test_shallow_press_is_judged_against_its_reference(tmp_path):
 
 
 def test_a_case_that_was_finished_is_not_solved_again(tmp_path):
-    cases = [Case("light", Elastomer.preset("b0"), (Pose(depth_mm=depth),), "draft") for depth in (0.05, 0.06)]
+    cases = [
+        Case("light", Elastomer.preset("b0"), (Pose(depth_mm=depth),), "draft") for depth in (0.05, 0.06)
+    ]
     workers = Workers(1, tmp_path)
     (first,) = workers.solve(cases[:1])
     again, other = workers.solve(cases)
