@@ -52,6 +52,7 @@ def main() -> None:
         for state in states:
             forces = (f"{state.force_n[0]:.5f}", f"{state.force_n[2]:.5f}")
             writer.writerow([*scene, f"{state.travel_mm:.9g}", *forces, f"{state.sticking_fraction:.3f}"])
+    workers.forget()
 
 
 if __name__ == "__main__":

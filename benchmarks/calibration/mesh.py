@@ -91,6 +91,7 @@ def main() -> None:
                 a, b = coefficients(ratios, getattr(quality_named(quality), mesh).stiffness)
                 print(f"    {quality} {mesh}: stiffness=({a:.4f}, {b:.5f})")
         print_table(title, ["quality", "mesh", "scene", "Fz error by depth, %", "mean ratio"], rows)
+    workers.forget()
 
 
 def force_rise_per_poisson() -> float:

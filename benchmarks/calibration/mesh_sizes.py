@@ -58,7 +58,8 @@ def press(trial: Trial) -> PressErrors:
 def main() -> None:
     """Print run time and errors of each mesh."""
     trials = [Trial(name, case, size) for (name, size), case in itertools.product(SIZES.items(), CASES)]
-    found = Workers(os.cpu_count() or 1, Path("benchmark-results/mesh-solves")).map(press, trials)
+    workers = Workers(os.cpu_count() or 1, Path("benchmark-results/mesh-size-solves"))
+    found = workers.map(press, trials)
     print_table(
         "Meshes of half a disc",
         ["mesh", "case", "core s/pose", "Fz by depth %", "radius worst %", "u_z rms µm", "in-plane rms µm",
@@ -70,6 +71,7 @@ def main() -> None:
         ),
         note="Fz with the stiffness of standard's mesh; another mesh would have its own",
     )  # fmt: skip
+    workers.forget()
 
 
 if __name__ == "__main__":

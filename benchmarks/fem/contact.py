@@ -59,14 +59,14 @@ class SphereContact:
         pressure = np.where(active, -self.penalty * gap, 0.0)
         d_pressure = np.where(active[:, None], -self.penalty * normal, 0.0)
 
-        # The trial shear opposes the way along the sphere from the stick point: −k (1 − n⊗n)·way.
+        # The trial shear opposes the offset from the stick point along the sphere: −k (1 − n⊗n)·offset.
         held = active & ~np.isnan(stick_mm[:, 0]) & (self.friction > 0)
-        way = np.where(held[:, None], from_centre - np.nan_to_num(stick_mm), 0.0)
-        inward = np.einsum("ni,ni->n", normal, way)
-        trial = -self.stick_stiffness * np.einsum("nij,nj->ni", across, way)
-        d_way = across - inward[:, None, None] * d_normal
-        d_way -= _outer(normal, np.einsum("ni,nij->nj", way, d_normal))
-        d_trial = np.where(held[:, None, None], -self.stick_stiffness * d_way, 0.0)
+        offset = np.where(held[:, None], from_centre - np.nan_to_num(stick_mm), 0.0)
+        inward = np.einsum("ni,ni->n", normal, offset)
+        trial = -self.stick_stiffness * np.einsum("nij,nj->ni", across, offset)
+        d_offset = across - inward[:, None, None] * d_normal
+        d_offset -= _outer(normal, np.einsum("ni,nij->nj", offset, d_normal))
+        d_trial = np.where(held[:, None, None], -self.stick_stiffness * d_offset, 0.0)
 
         # Return mapping: shear that Coulomb's cone does not allow is cut back to it.
         size = np.linalg.norm(trial, axis=1)

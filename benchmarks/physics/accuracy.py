@@ -8,23 +8,23 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, write_json
 from gelgap.benchmarks.physics import closed_forms, path, savings
-from gelgap.benchmarks.physics.cases import Workers
-from gelgap.benchmarks.physics.drags import DragErrors, drag_case, judge_drag, print_drags
+from gelgap.benchmarks.physics.cases import Case, Workers
+from gelgap.benchmarks.physics.drags import DragErrors, compare_drags, drag_case
 from gelgap.benchmarks.physics.presses import (
     HELD_BACK,
     PressErrors,
+    compare_presses,
     held_back_reference,
-    judge_press,
     own_energy,
     own_energy_cases,
     picture_maker,
     press_case,
-    print_presses,
 )
 from gelgap.benchmarks.physics.reference import (
     FORCE_UNCERTAINTY,
@@ -39,61 +39,22 @@ QUICK_CASE = FINE_CASE = "nh49_no_slip"
 QUICK_DEPTH_MM = 0.6
 QUICK_PROCESSES = 2
 SLOWEST_FIRST = ("fine", "standard", "draft")
+TITLE = "Presses against independent finite elements"
 
 
 def run(quick: bool, out_dir: Path) -> None:
     """Run the benchmark, print its tables, and write `physics.json` and `physics-frontier.png` to `out_dir`.
 
-    All cases are solved first, side by side, and kept in `out_dir`/physics-solves: a benchmark that was stopped goes on
-    from there. The quick form leaves out most cases, depths below 0.6 mm and the measured path.
+    Until the end, what is solved is kept in `out_dir`/physics-solves: a benchmark that was stopped goes on from there.
     """
     started = time.perf_counter()
     workers = Workers(QUICK_PROCESSES if quick else os.cpu_count() or 1, out_dir / "physics-solves")
-    references = list(press_references().values())
-    qualities, drag_qualities, drag_references = tuple(QUALITIES), ("draft", "standard"), no_slip_drags()
-    if quick:
-        references = [press_references()[QUICK_CASE].down_to(QUICK_DEPTH_MM)]
-        qualities, drag_qualities, drag_references = ("draft", "standard"), ("draft",), no_slip_drags()[:1]
-    else:
-        drag_references += coulomb_drags()
-    presses = {
-        press_case(reference, quality): reference
-        for quality in qualities
-        for reference in references
-        if quality != "fine" or reference.name == FINE_CASE
-    }
-    drags = {drag_case(r, quality): r for quality in drag_qualities for r in drag_references}
-    shallow_quality = "draft" if quick else "standard"
-    cases = [*presses, *drags, closed_forms.shallow_case(shallow_quality), *savings.cases(quick)]
-    if not quick:
-        held_back = {press_case(r, "standard"): r for r in workers.map(held_back_reference, HELD_BACK)}
-        cases += [*held_back, *own_energy_cases(), closed_forms.PARTIAL_SLIP, *savings.edge_cases()]
-    workers.solve(sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality)))
-
-    results: dict[str, object] = {"quick": quick, "processes": workers.processes}
-    if not quick:
-        results["own_energy"] = own_energy(workers)
-    picture = picture_maker()
-    results["presses"] = pressed = [
-        judge_press(solved, presses[solved.case], picture) for solved in workers.solve(presses)
-    ]
-    print_presses("Presses against independent finite elements", pressed)
-    if not quick:
-        results["held_back"] = [judge_press(s, held_back[s.case]) for s in workers.solve(held_back)]
-        print_presses("Held-back presses", results["held_back"])
-        results["partial_slip"] = closed_forms.partial_slip(workers)
-    results["theory"] = closed_forms.shallow_presses(shallow_quality, workers)
-    results["convergence"] = convergence(pressed)
-    if not quick:
-        results["path"] = path.measure(workers)
-    results["savings"] = saved = savings.measure(quick, workers)
-    results["shears"] = dragged = [judge_drag(s, drags[s.case]) for s in workers.solve(drags)]
-    print_drags(dragged)
-    print_targets(pressed, dragged)
+    results = quick_tables(workers) if quick else full_tables(workers)
+    print_targets(results["presses"], results["shears"])
     figure = out_dir / "physics-frontier.png"
     plot_frontier(
         figure,
-        [*frontier(pressed), *savings.points(saved["savings"])],
+        [*frontier(results["presses"]), *savings.points(results["savings"]["savings"])],
         title="Run time against error of the normal force",
         time_label="processor time per pose, s",
         error_label="Fz error, rms, %",
@@ -101,9 +62,60 @@ def run(quick: bool, out_dir: Path) -> None:
         targets=(2.0,),
         unjoined=(savings.SERIES,),
     )
-    results["wall_s"] = time.perf_counter() - started
+    results |= {"quick": quick, "processes": workers.processes, "wall_s": time.perf_counter() - started}
     write_json(out_dir / "physics.json", results)
+    workers.forget()
     print(f"{results['wall_s']:.0f} s in all; results in {out_dir / 'physics.json'}, plot in {figure}")
+
+
+def quick_tables(workers: Workers) -> dict[str, Any]:
+    """Measure one press down to 0.6 mm and one drag; of the paper's path, only what its solves would take."""
+    reference = press_references()[QUICK_CASE].down_to(QUICK_DEPTH_MM)
+    presses = {press_case(reference, quality): reference for quality in ("draft", "standard")}
+    drags = {drag_case(no_slip_drags()[0], "draft"): no_slip_drags()[0]}
+    solve_ahead(workers, [*presses, *drags, closed_forms.shallow_case("draft"), *savings.cases(quick=True)])
+    pressed = compare_presses(TITLE, presses, workers, picture_maker())
+    return {
+        "presses": pressed,
+        "theory": closed_forms.shallow_presses("draft", workers),
+        "convergence": convergence(pressed),
+        "savings": savings.measure(quick=True, workers=workers),
+        "shears": compare_drags(drags, workers),
+    }
+
+
+def full_tables(workers: Workers) -> dict[str, Any]:
+    """Measure all presses and drags that there is a reference for, the paper's path and what sharing changes."""
+    presses = {
+        press_case(reference, quality): reference
+        for quality in QUALITIES
+        for name, reference in press_references().items()
+        if quality != "fine" or name == FINE_CASE
+    }
+    held_back = {press_case(r, "standard"): r for r in workers.map(held_back_reference, HELD_BACK)}
+    drag_references = (*no_slip_drags(), *coulomb_drags())
+    drags = {drag_case(r, quality): r for quality in ("draft", "standard") for r in drag_references}
+    others = [closed_forms.shallow_case("standard"), closed_forms.PARTIAL_SLIP, *own_energy_cases()]
+    saved = [*savings.cases(quick=False), *savings.edge_cases()]
+    solve_ahead(workers, [*presses, *held_back, *drags, *others, *saved])
+    own = own_energy(workers)
+    pressed = compare_presses(TITLE, presses, workers, picture_maker())
+    return {
+        "own_energy": own,
+        "presses": pressed,
+        "held_back": compare_presses("Held-back presses", held_back, workers),
+        "partial_slip": closed_forms.partial_slip(workers),
+        "theory": closed_forms.shallow_presses("standard", workers),
+        "convergence": convergence(pressed),
+        "path": path.measure(workers),
+        "savings": savings.measure(quick=False, workers=workers),
+        "shears": compare_drags(drags, workers),
+    }
+
+
+def solve_ahead(workers: Workers, cases: Sequence[Case]) -> None:
+    """Solve all cases side by side, the slowest first; the tables find them solved."""
+    workers.solve(sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality)))
 
 
 def convergence(presses: Sequence[PressErrors]) -> list[list[object]]:

@@ -2,10 +2,12 @@
 
 import hashlib
 import importlib.metadata
+import inspect
 import multiprocessing
 import os
 import pickle
 import resource
+import shutil
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -58,7 +60,7 @@ class SolvedCase:
 class Workers:
     """Fresh processes of one thread each, and the folder that keeps what they have finished.
 
-    A benchmark that was stopped goes on from that folder. Results of other versions of the simulator are not taken.
+    A benchmark that was stopped goes on from that folder, unless the code that it runs has changed.
     """
 
     processes: int
@@ -85,8 +87,12 @@ class Workers:
                 write_whole(pending[future], pickle.dumps(future.result()))
         return [pickle.loads(file.read_bytes()) for file in files.values()]
 
+    def forget(self) -> None:
+        """Delete what is kept, so that the next benchmark measures anew."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
     def _file(self, function: Callable[[Any], Any], argument: Any) -> Path:
-        question = f"{_simulator()} {function.__qualname__} {argument!r}"
+        question = f"{_code_digest(inspect.getfile(function))} {function.__qualname__} {argument!r}"
         return self.folder / f"{hashlib.sha256(question.encode()).hexdigest()[:32]}.pickle"
 
 
@@ -129,8 +135,8 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 
 @cache
-def _simulator() -> str:
-    """Return a digest of all code that a result depends on."""
-    sources = [file for room in (sim, fem) for file in sorted(Path(room.__file__).parent.rglob("*.py"))]
-    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
-    return f"{digest.hexdigest()} mujoco {importlib.metadata.version('mujoco')}"
+def _code_digest(source: str) -> str:
+    """Return a digest of a source file, of the solvers, and of MuJoCo's version."""
+    solvers = [file for room in (sim, fem) for file in sorted(Path(room.__file__).parent.rglob("*.py"))]
+    code = b"".join(file.read_bytes() for file in (Path(source), *solvers))
+    return f"{hashlib.sha256(code).hexdigest()} {importlib.metadata.version('mujoco')}"

@@ -1,12 +1,12 @@
 """Drags against three-dimensional finite elements: forces by travel, and how near Coulomb's limit they end."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gelgap.benchmarks.common.tables import print_table
-from gelgap.benchmarks.physics.cases import Case, SolvedCase
+from gelgap.benchmarks.physics.cases import Case, SolvedCase, Workers
 from gelgap.benchmarks.physics.presses import signed
 from gelgap.benchmarks.physics.reference import NO_SLIP_FRICTION, DragReference
 from gelgap.benchmarks.physics.surface_errors import rms
@@ -65,8 +65,9 @@ def judge_drag(solved: SolvedCase, reference: DragReference) -> DragErrors:
     )
 
 
-def print_drags(rows: Sequence[DragErrors]) -> None:
-    """Print the forces of the drags beside the references'."""
+def compare_drags(references: Mapping[Case, DragReference], workers: Workers) -> list[DragErrors]:
+    """Solve each drag, compare it with its reference, and print both's forces."""
+    rows = [judge_drag(solved, references[solved.case]) for solved in workers.solve(references)]
     print_table(
         "Drags to 0.6 mm, ν 0.48, against 3-D finite elements",
         ["reference", "friction", "depth mm", "quality", "Fx rms %", "Fx by travel %", "ref ± %", "Fz rms %",
@@ -80,3 +81,4 @@ def print_drags(rows: Sequence[DragErrors]) -> None:
         note=f"friction {NO_SLIP_FRICTION:g} does not slip; ratios at the end of the drag; the contact points' own "
         "friction stays within μ of their normal force, the ratio of the whole contact need not",
     )  # fmt: skip
+    return rows

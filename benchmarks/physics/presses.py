@@ -1,7 +1,7 @@
 """Presses against independent finite elements: force, contact radius, membrane, picture and cost."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,8 +112,11 @@ def picture_maker() -> Picture:
     )
 
 
-def print_presses(title: str, rows: Sequence[PressErrors]) -> None:
-    """Print force, contact radius and cost, then the membrane."""
+def compare_presses(
+    title: str, references: Mapping[Case, PressReference], workers: Workers, picture: Picture | None = None
+) -> list[PressErrors]:
+    """Solve each case and compare it with its reference; print force, contact radius and cost, then the membrane."""
+    rows = [judge_press(solved, references[solved.case], picture) for solved in workers.solve(references)]
     print_table(
         f"{title}: force, contact radius, cost",
         ["case", "quality", "Fz rms %", "Fz by depth %", "radius worst %", "ref ± %", "core s/pose", "MiB",
@@ -139,6 +142,7 @@ def print_presses(title: str, rows: Sequence[PressErrors]) -> None:
         ([r.case, r.quality, *r.surface.values, r.psnr_db] for r in rows),
         note="displacement within 5 mm of the contact point, normals within 3 mm of the contact; PSNR: worst depth",
     )
+    return rows
 
 
 def own_energy_cases() -> dict[Case, PressReference]:
