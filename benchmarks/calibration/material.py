@@ -1,4 +1,4 @@
-"""Derive `equivalent_moduli` from locking-free presses of both energies, and check it elsewhere.
+"""Derive the equivalent material from locking-free presses of both energies, and check it elsewhere.
 
 `python -m gelgap.benchmarks.calibration.material` takes some ten minutes on one core and prints the coefficients
 that `sim/material.py` holds, and the errors with and without them where they were not fitted.
@@ -19,49 +19,21 @@ from gelgap.sim.material import Moduli, equivalent_moduli
 Floats = NDArray[np.float64]
 
 GEL_POISSON_RATIOS = (0.3, 0.35, 0.4, 0.43, 0.45, 0.47, 0.48, 0.49, 0.495, 0.499)
-MUJOCO_POISSON_RATIOS = (
-    0.3,
-    0.33,
-    0.36,
-    0.39,
-    0.42,
-    0.44,
-    0.46,
-    0.47,
-    0.48,
-    0.485,
-    0.49,
-    0.494,
-    0.497,
-    0.499,
-    0.4995,
-)
+SOFT_POISSON_RATIOS = (0.3, 0.33, 0.36, 0.39, 0.42, 0.44, 0.46, 0.47)
+MUJOCO_POISSON_RATIOS = (*SOFT_POISSON_RATIOS, 0.48, 0.485, 0.49, 0.494, 0.497, 0.499, 0.4995)
 FRICTIONS = (0.0, math.inf)
-DEPTHS_OVER_DEEPEST = (0.2, 0.4, 0.6, 0.8, 1.0)
-ELEMENT_MM = 0.1
+SHARES_OF_DEEPEST = (0.2, 0.4, 0.6, 0.8, 1.0)
 # An error of one counts as much as an error of the other.
 FORCE_SCALE = 0.01
 SURFACE_SCALE_MM = 0.005
-
-
-@dataclass(frozen=True)
-class CheckCase:
-    """A press that the calibration did not use."""
-
-    indenter_radius_mm: float
-    thickness_mm: float
-    poisson_ratio: float
-    friction: float
-
-
-CHECKS = (
-    CheckCase(1.0, 3.0, 0.46, math.inf),
-    CheckCase(3.0, 3.0, 0.46, 0.3),
-    CheckCase(1.5, 5.0, 0.475, 0.0),
-    CheckCase(2.0, 2.0, 0.485, 0.5),
-    CheckCase(4.0, 4.0, 0.44, math.inf),
-    CheckCase(1.0, 1.5, 0.37, 0.3),
-    CheckCase(2.5, 6.0, 0.4975, math.inf),
+CHECKS = (  # presses that the calibration did not use
+    Press.scaled(1.0, 3.0, 0.46, math.inf),
+    Press.scaled(3.0, 3.0, 0.46, 0.3),
+    Press.scaled(1.5, 5.0, 0.475, 0.0),
+    Press.scaled(2.0, 2.0, 0.485, 0.5),
+    Press.scaled(4.0, 4.0, 0.44, math.inf),
+    Press.scaled(1.0, 1.5, 0.37, 0.3),
+    Press.scaled(2.5, 6.0, 0.4975, math.inf),
 )
 
 
@@ -74,11 +46,20 @@ class Response:
     volume_change_mm3: Floats
 
 
-def respond(problem: Press) -> Response:
-    """Press to a third of the thickness or two thirds of the radius, whichever comes first."""
-    deepest = min(problem.thickness_mm / 3, problem.indenter_radius_mm / 1.5)
-    states = solve_press(problem, tuple(deepest * share for share in DEPTHS_OVER_DEEPEST))
-    return describe(states, 5.0 * problem.indenter_radius_mm / 1.5)
+@dataclass(frozen=True)
+class MaterialErrors:
+    """How far a Stable Neo-Hookean press is from the isochoric one; the volume change's error is at the deepest."""
+
+    force_percent: Floats
+    surface_rms_um: float
+    surface_peak_um: float
+    volume_change_mm3: float
+
+
+def respond(press: Press) -> Response:
+    """Press as deep as the scene allows, and describe it by depth."""
+    states = solve_press(press, tuple(press.deepest_mm * share for share in SHARES_OF_DEEPEST))
+    return describe(states, 5.0 * press.indenter_radius_mm / 1.5)
 
 
 def describe(states: tuple[PressState, ...], furthest_mm: float) -> Response:
@@ -97,7 +78,7 @@ class StableFamily:
     def __init__(self, friction: float) -> None:
         order = np.log(1 - 2 * np.array(MUJOCO_POISSON_RATIOS))[::-1]
         presses = [
-            respond(Press(poisson_ratio=nu, energy="stable", friction=friction, element_mm=ELEMENT_MM))
+            respond(Press(poisson_ratio=nu, energy="stable", friction=friction, element_mm=0.1))
             for nu in reversed(MUJOCO_POISSON_RATIOS)
         ]
         self._force = CubicSpline(order, np.array([press.force_n for press in presses]))
@@ -111,7 +92,7 @@ class StableFamily:
 def best_moduli(
     poisson_ratio: float, gels: list[Response], families: list[StableFamily]
 ) -> tuple[float, float]:
-    """Return (E′/E, ν′) whose presses come closest to the isochoric gel's."""
+    """Return (E′/E, ν′) of the stable presses that come closest to the isochoric gel's."""
 
     def compare(candidate: float) -> tuple[float, float]:
         pressed = [family(candidate) for family in families]
@@ -135,7 +116,7 @@ def fit() -> None:
     families = [StableFamily(friction) for friction in FRICTIONS]
     moduli = []
     for nu in GEL_POISSON_RATIOS:
-        gels = [respond(Press(poisson_ratio=nu, friction=mu, element_mm=ELEMENT_MM)) for mu in FRICTIONS]
+        gels = [respond(Press(poisson_ratio=nu, friction=mu, element_mm=0.1)) for mu in FRICTIONS]
         moduli.append(best_moduli(nu, gels, families))
     x = 1 - 2 * np.array(GEL_POISSON_RATIOS)
     ratio, poisson = np.array(moduli).T
@@ -153,18 +134,8 @@ def fit() -> None:
     print(f"POISSON_COEFFICIENTS = ({poisson_fit[0]:.4f}, {poisson_fit[1]:.4f})")
 
 
-@dataclass(frozen=True)
-class MaterialErrors:
-    """How far a Stable Neo-Hookean press is from the isochoric one."""
-
-    force_percent: Floats
-    surface_rms_um: float
-    surface_peak_um: float
-    volume_change_mm3: float
-
-
 def material_errors(stable: Response, gel: Response) -> MaterialErrors:
-    """Compare two presses depth by depth; the volume change's error is the one at the deepest."""
+    """Compare two presses depth by depth."""
     surface = 1e3 * (stable.surface_mm - gel.surface_mm)
     return MaterialErrors(
         100 * (stable.force_n / gel.force_n - 1),
@@ -174,19 +145,10 @@ def material_errors(stable: Response, gel: Response) -> MaterialErrors:
     )
 
 
-def check(cases: tuple[CheckCase, ...] = CHECKS) -> None:
+def check() -> None:
     """Print how close MuJoCo's energy comes with the gel's own moduli and with the equivalent ones."""
     rows = []
-    for case in cases:
-        name = f"R {case.indenter_radius_mm:g} h {case.thickness_mm:g} ν {case.poisson_ratio:g} μ {case.friction:g}"
-        gel = Press(
-            poisson_ratio=case.poisson_ratio,
-            friction=case.friction,
-            indenter_radius_mm=case.indenter_radius_mm,
-            thickness_mm=case.thickness_mm,
-            pad_radius_mm=max(10.0, 3.5 * case.thickness_mm),
-            element_mm=ELEMENT_MM * case.indenter_radius_mm / 1.5,
-        )
+    for gel in CHECKS:
         truth = respond(gel)
         equivalent = equivalent_moduli(Moduli(gel.young_modulus_mpa, gel.poisson_ratio))
         same = replace(gel, energy="stable")
@@ -195,18 +157,11 @@ def check(cases: tuple[CheckCase, ...] = CHECKS) -> None:
             young_modulus_mpa=equivalent.young_modulus_mpa,
             poisson_ratio=equivalent.poisson_ratio,
         )
-        for moduli, problem in (("same", same), ("equivalent", moved)):
-            errors = material_errors(respond(problem), truth)
-            rows.append(
-                [
-                    name,
-                    moduli,
-                    " ".join(f"{error:+.1f}" for error in errors.force_percent),
-                    errors.surface_rms_um,
-                    errors.surface_peak_um,
-                    errors.volume_change_mm3,
-                ]
-            )
+        for moduli, press in (("same", same), ("equivalent", moved)):
+            found = material_errors(respond(press), truth)
+            force = " ".join(f"{error:+.1f}" for error in found.force_percent)
+            surface = (found.surface_rms_um, found.surface_peak_um)
+            rows.append([str(gel), moduli, force, *surface, found.volume_change_mm3])
     columns = ["press", "moduli", "Fz error by depth, %", "surface rms, µm", "peak, µm", "volume change, mm³"]
     print_table("Check: what the calibration did not use", columns, rows)
 

@@ -3,18 +3,16 @@
 `python -m gelgap.benchmarks.calibration.mesh_sizes` takes some five minutes on two cores.
 """
 
-import argparse
 import itertools
-import multiprocessing
 import os
 import time
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from gelgap.benchmarks.common.tables import print_table
-from gelgap.benchmarks.physics.accuracy import PressErrors, judge_press, press_job
+from gelgap.benchmarks.physics.cases import SolvedCase, Workers
+from gelgap.benchmarks.physics.presses import PressErrors, judge_press, press_case, signed
 from gelgap.benchmarks.physics.reference import press_references
-from gelgap.benchmarks.physics.solve_jobs import Outcome, single_threaded
 from gelgap.sim import PosePath, plan_solves
 from gelgap.sim.newton import solve
 from gelgap.sim.quality import QUALITIES, MeshSize
@@ -31,41 +29,46 @@ SIZES = {
 }
 
 
-def press(case: str, size: MeshSize) -> PressErrors:
-    """Solve a case of the tables with a mesh of that size, and judge it."""
-    reference = press_references()[case]
-    job = press_job(reference, "standard")
-    path = PosePath(case, tuple(replace(pose, trajectory=0) for pose in job.poses))
-    plan = plan_solves(job.elastomer, job.indenter, path, job.quality, job.sharing)
+@dataclass(frozen=True)
+class Trial:
+    """A case of the tables on a mesh of some size."""
+
+    name: str
+    case: str
+    size: MeshSize
+
+
+def press(trial: Trial) -> PressErrors:
+    """Solve a case of the tables with a mesh of that size, and compare it with the table."""
+    reference = press_references()[trial.case]
+    case = press_case(reference, "standard")
+    path = PosePath(trial.case, tuple(replace(pose, trajectory=0) for pose in case.poses))
+    plan = plan_solves(case.elastomer, case.indenter, path, case.quality, case.sharing)
     problem = plan.solves[0].problem
     started = time.process_time()
-    solution = solve(replace(problem, quality=replace(problem.quality, disc=size)))
+    solution = solve(replace(problem, quality=replace(problem.quality, disc=trial.size)))
     seconds = time.process_time() - started
-    states = tuple(plan.state(index, solution) for index in range(len(job.poses)))
-    return judge_press(Outcome(job, states, seconds, seconds, 0.0), reference)
+    states = tuple(plan.state(index, solution) for index in range(len(case.poses)))
+    return judge_press(SolvedCase(case, states, seconds, seconds, 0.0), reference)
 
 
 def main() -> None:
     """Print run time and errors of each mesh."""
-    parser = argparse.ArgumentParser(description="Compare meshes of the quality standard.")
-    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
-    chosen = parser.parse_args()
-    scenes = list(itertools.product(SIZES, CASES))
-    spawn = multiprocessing.get_context("spawn")
-    with single_threaded(), ProcessPoolExecutor(chosen.processes, mp_context=spawn) as pool:
-        found = list(pool.map(press, [case for _, case in scenes], [SIZES[name] for name, _ in scenes]))
+    trials = [Trial(name, case, size) for (name, size), case in itertools.product(SIZES.items(), CASES)]
+    workers = Workers(os.cpu_count() or 1, Path("benchmark-results/mesh-size-solves"))
+    found = workers.map(press, trials)
     print_table(
         "Meshes of half a disc",
-        ["mesh", "case", "core s a pose", "Fz by depth %", "radius worst %", "u_z rms µm", "in-plane rms µm",
+        ["mesh", "case", "core s/pose", "Fz by depth %", "radius worst %", "u_z rms µm", "in-plane rms µm",
          "peak µm", "normals rms °", "worst °", "unconverged"],
         (
-            [name, case, e.processor_s_per_pose, " ".join(f"{x:+.1f}" for x in e.fz_percent),
-             max(map(abs, e.radius_percent)), e.surface.uz_rms_um, e.surface.in_plane_rms_um, e.surface.peak_um,
-             e.surface.normal_rms_deg, e.surface.normal_worst_deg, e.unconverged]
-            for (name, case), e in zip(scenes, found, strict=True)
+            [trial.name, e.case, e.processor_s_per_pose, signed(e.fz_percent), e.radius_worst_percent,
+             *e.surface.values, e.unconverged]
+            for trial, e in zip(trials, found, strict=True)
         ),
-        note="Fz with the stiffness of standard's mesh, which another mesh would have its own of",
+        note="Fz with the stiffness of standard's mesh; another mesh would have its own",
     )  # fmt: skip
+    workers.forget()
 
 
 if __name__ == "__main__":

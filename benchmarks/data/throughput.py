@@ -15,7 +15,7 @@ from gelgap.adapt import ResultTable
 from gelgap.benchmarks.common.memory import MIB, MemorySampler
 from gelgap.benchmarks.common.records import Ledger
 from gelgap.benchmarks.common.tables import write_json
-from gelgap.benchmarks.physics.solve_jobs import own_cache
+from gelgap.benchmarks.physics.cases import own_cache
 from gelgap.domains import (
     DomainFolder,
     DomainRecipe,

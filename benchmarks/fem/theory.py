@@ -54,23 +54,24 @@ def bonded_layer_force_n(
     return hertz_force_n(young_modulus_mpa, 0.5, indenter_radius_mm, depth_mm) * correction
 
 
-def partial_slip_force_n(
-    young_modulus_mpa: ArrayLike,
-    poisson_ratio: ArrayLike,
-    indenter_radius_mm: ArrayLike,
-    depth_mm: ArrayLike,
-    friction: ArrayLike,
-    shear_mm: ArrayLike,
+def full_slip_mm(
+    limit_n: ArrayLike, contact_radius_mm: ArrayLike, shear_modulus_mpa: ArrayLike, poisson_ratio: ArrayLike
 ) -> Floats:
-    """Return the tangential force of a sphere pressed and then moved sideways, N (Cattaneo–Mindlin).
+    """Return the travel s* = 3 Q (2−ν) / (16 a G) at which a contact with the friction limit Q = μ P slips whole, mm.
 
-    Q = μ P (1 − (1 − s/s*)^1.5) up to the displacement s* = 3 μ P (2−ν) / (16 a G) of full slip, and μ P
-    beyond (Johnson 1985, eq. 7.42, one elastic body, no rotation; P, a are Hertz's). Half-space, a ≪ R.
+    Johnson 1985, eq. 7.42, for one elastic body without rotation. Half-space, a ≪ R.
     """
-    normal = hertz_force_n(young_modulus_mpa, poisson_ratio, indenter_radius_mm, depth_mm)
-    radius = hertz_contact_radius_mm(indenter_radius_mm, depth_mm)
-    shear_modulus = shear_modulus_mpa(young_modulus_mpa, poisson_ratio)
-    limit = np.asarray(friction) * normal
-    full_slip_mm = 3 * limit * (2 - np.asarray(poisson_ratio)) / (16 * radius * shear_modulus)
-    stuck = np.clip(1 - np.asarray(shear_mm) / full_slip_mm, 0, 1)
-    return limit * (1 - stuck**1.5)
+    stiffness = 16 * np.asarray(contact_radius_mm) * shear_modulus_mpa / (3 * (2 - np.asarray(poisson_ratio)))
+    return np.asarray(limit_n) / stiffness
+
+
+def partial_slip_force_n(
+    limit_n: ArrayLike,
+    contact_radius_mm: ArrayLike,
+    shear_modulus_mpa: ArrayLike,
+    poisson_ratio: ArrayLike,
+    travel_mm: ArrayLike,
+) -> Floats:
+    """Return the tangential force Q (1 − (1 − s/s*)^1.5), N, and Q = μ P beyond full slip (Cattaneo–Mindlin)."""
+    full_mm = full_slip_mm(limit_n, contact_radius_mm, shear_modulus_mpa, poisson_ratio)
+    return np.asarray(limit_n) * (1 - np.clip(1 - np.asarray(travel_mm) / full_mm, 0, 1) ** 1.5)

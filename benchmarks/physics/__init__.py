@@ -1,1 +1,1 @@
-"""Forces and membranes against finite elements of other codes."""
+"""Forces and membranes: their errors and cost, and whether random scenes obey physics."""

@@ -1,14 +1,13 @@
 """What the solves of the paper's whole path cost: on the default pad, measured, and on a small one, from one solve."""
 
-import multiprocessing
+import tempfile
 import time
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gelgap.benchmarks.common.tables import print_table
-from gelgap.benchmarks.physics.solve_jobs import own_cache, single_threaded
+from gelgap.benchmarks.physics.cases import Workers, own_cache
 from gelgap.sim import ContactPath, Elastomer, Solution, Solve, SolvePlan, Sphere, plan_solves
 from gelgap.sim.problem import ContactProblem
 
@@ -18,11 +17,26 @@ STATES = 200
 
 
 @dataclass(frozen=True)
+class PathScene:
+    """A path over a gel at one quality, and in how many processes it is solved."""
+
+    gel: Elastomer
+    path: ContactPath
+    quality: str
+    processes: int
+
+    @property
+    def plan(self) -> SolvePlan:
+        return plan_solves(self.gel, Sphere(), self.path, self.quality)
+
+
+@dataclass(frozen=True)
 class PathCost:
     """The solves of a path, their load steps, and what they took.
 
-    `wall_s` is of all processes, with their start; it and `again_s`, the same from the cache, are None where the path's
-    cost was taken from one of its solves. `states` are those that were solved, `unconverged` those of them flagged.
+    `wall_s` is of all processes, with their start; it, `again_s` (the same from the cache) and `membranes_per_s` are
+    None where the path's cost was taken from one of its solves. `states` are those that were solved, `unconverged`
+    those of them flagged.
     """
 
     pad_size_mm: tuple[float, float]
@@ -30,100 +44,75 @@ class PathCost:
     solves: int
     load_steps: int
     core_s: float
-    wall_s: float | None
-    again_s: float | None
     states: int
     unconverged: int
+    wall_s: float | None = None
+    again_s: float | None = None
+    membranes_per_s: float | None = None
 
 
-def measure(quick: bool, processes: int, cache_folder: Path) -> list[PathCost]:
-    """Measure the path, print it and how fast its membranes follow; in the quick form at `draft` alone."""
+@dataclass(frozen=True)
+class TimedSolution:
+    """A solution and the processor s that it took."""
+
+    solution: Solution
+    core_s: float
+
+
+def measure(workers: Workers) -> list[PathCost]:
+    """Measure the path, print it and how fast its membranes follow."""
     gel, path = Elastomer.preset(GEL), ContactPath.preset("paper")
-    costs = [
-        whole_path(gel, path, quality, processes, cache_folder)
-        for quality in (("draft",) if quick else ("draft", "standard"))
-    ]
-    if not quick:
-        costs.append(small_pad(gel, path))
-    rate = membrane_rate(plan_solves(gel, Sphere(), path, "draft"), cache_folder)
-    columns = [
-        "pad, mm",
-        "quality",
-        "solves",
-        "load steps",
-        "core s",
-        "wall s",
-        "again, wall s",
-        "states",
-        "unconverged",
-    ]
+    scenes = [PathScene(gel, path, quality, workers.processes) for quality in ("draft", "standard")]
+    # One at a time, since the wall time counts.
+    costs = replace(workers, processes=1).map(whole_path, scenes)
+    small = PathScene(gel.model_copy(update={"pad_size_mm": SMALL_PAD_MM}), path, "standard", 1)
+    costs.append(small_pad(small, workers))
     print_table(
-        f"The paper's path, {len(path.poses)} poses, gel {GEL}, {processes} processes",
-        columns,
+        f"The paper's path, {len(path.poses)} poses, gel {GEL}, {workers.processes} processes",
+        ["pad, mm", "quality", "solves", "load steps", "core s", "wall s", "again, wall s", "states", "unconverged"],
         (
-            [
-                "{:g} × {:g}".format(*cost.pad_size_mm),
-                cost.quality,
-                cost.solves,
-                cost.load_steps,
-                cost.core_s,
-                cost.wall_s,
-                cost.again_s,
-                cost.states,
-                cost.unconverged,
-            ]
-            for cost in costs
+            ["{:g} × {:g}".format(*c.pad_size_mm), c.quality, c.solves, c.load_steps, c.core_s, c.wall_s, c.again_s,
+             c.states, c.unconverged]
+            for c in costs
         ),
         note="again: from the cache, as with another modulus if the mount is rigid; without wall time: from one of "
-        f"its solves, by load steps; membranes come on top, {rate:.0f} a s on one core",
-    )
+        f"its solves, by load steps; membranes come on top, {costs[0].membranes_per_s:.0f} per s on one core",
+    )  # fmt: skip
     return costs
 
 
-def whole_path(
-    gel: Elastomer, path: ContactPath, quality: str, processes: int, cache_folder: Path
-) -> PathCost:
-    """Solve the path, and take it once more from what `cache_folder` then holds."""
-    plan = plan_solves(gel, Sphere(), path, quality)
-    with own_cache(cache_folder):
-        started = time.perf_counter()
-        solutions, core_s = run_solves(plan.solves, processes)
-        wall_s = time.perf_counter() - started
-        started = time.perf_counter()
-        run_solves(plan.solves, processes)
-        again_s = time.perf_counter() - started
+def whole_path(scene: PathScene) -> PathCost:
+    """Solve the path, and take it once more from the cache that then holds it."""
+    plan = scene.plan
+    with tempfile.TemporaryDirectory() as name, own_cache(Path(name)):
+        solved, wall_s = _timed_map(plan.solves, Workers(scene.processes, Path(name) / "first"))
+        _, again_s = _timed_map(plan.solves, Workers(scene.processes, Path(name) / "again"))
+    solutions = {solve.key: timed.solution for solve, timed in zip(plan.solves, solved, strict=True)}
     return PathCost(
-        gel.pad_size_mm,
-        quality,
+        scene.gel.pad_size_mm,
+        scene.quality,
         len(plan.solves),
         count_load_steps(plan.solves),
-        core_s,
+        sum(timed.core_s for timed in solved),
+        *_states(solutions.values()),
         wall_s,
         again_s,
-        *_states(solutions),
+        membrane_rate(plan, solutions),
     )
 
 
-def small_pad(gel: Elastomer, path: ContactPath) -> PathCost:
+def small_pad(scene: PathScene, workers: Workers) -> PathCost:
     """Solve what a descent to the path's middle depth ends with, on a pad whose edges no contact is far from."""
-    gel = gel.model_copy(update={"pad_size_mm": SMALL_PAD_MM})
-    solves = plan_solves(gel, Sphere(), path, "standard").solves
+    solves = scene.plan.solves
     problems = [solve.problem for solve in solves]
-    shallower = min(problem.depth_mm for problem in problems)
-    chosen = _deepest_drags(
-        max((problem for problem in problems if problem.depth_mm == shallower), key=lambda p: p.load_steps)
-    )
-    solutions, core_s = run_solves([Solve(chosen, cached=False)], 1)
+    shallowest = min(problem.depth_mm for problem in problems)
+    longest = max((p for p in problems if p.depth_mm == shallowest), key=lambda problem: problem.load_steps)
+    chosen = _deepest_drags(longest)
+    (timed,) = workers.map(solve_timed, [Solve(chosen, cached=False)])
     load_steps = count_load_steps(solves)
+    core_s = timed.core_s * load_steps / chosen.load_steps
     return PathCost(
-        SMALL_PAD_MM,
-        "standard",
-        len(solves),
-        load_steps,
-        core_s * load_steps / chosen.load_steps,
-        None,
-        None,
-        *_states(solutions),
+        scene.gel.pad_size_mm, scene.quality, len(solves), load_steps, core_s, *_states([timed.solution])
     )
 
 
@@ -137,10 +126,8 @@ def _deepest_drags(problem: ContactProblem) -> ContactProblem:
     )
 
 
-def membrane_rate(plan: SolvePlan, cache_folder: Path) -> float:
-    """Return how many membranes of a solved path one core makes a second."""
-    with own_cache(cache_folder):
-        solutions = {solve.key: solve.run() for solve in plan.solves}
+def membrane_rate(plan: SolvePlan, solutions: dict[str, Solution]) -> float:
+    """Return how many membranes of a solved path one core makes per second."""
     sample = range(1, len(plan.poses), max(1, len(plan.poses) // STATES))
     started = time.process_time()
     for index in sample:
@@ -148,21 +135,19 @@ def membrane_rate(plan: SolvePlan, cache_folder: Path) -> float:
     return len(sample) / (time.process_time() - started)
 
 
-def run_solves(solves: Iterable[Solve], processes: int) -> tuple[list[Solution], float]:
-    """Return the solutions and the processor s that they took."""
-    spawn = multiprocessing.get_context("spawn")
-    with single_threaded(), ProcessPoolExecutor(max_workers=processes, mp_context=spawn) as pool:
-        outcomes = list(pool.map(_timed, solves))
-    return [solution for solution, _ in outcomes], sum(seconds for _, seconds in outcomes)
-
-
-def _timed(solve: Solve) -> tuple[Solution, float]:
+def solve_timed(solve: Solve) -> TimedSolution:
+    """Solve a problem, or take it from the cache."""
     started = time.process_time()
-    return solve.run(), time.process_time() - started
+    return TimedSolution(solve.run(), time.process_time() - started)
 
 
 def count_load_steps(solves: Iterable[Solve]) -> int:
     return sum(solve.problem.load_steps for solve in solves)
+
+
+def _timed_map(solves: Sequence[Solve], workers: Workers) -> tuple[list[TimedSolution], float]:
+    started = time.perf_counter()
+    return workers.map(solve_timed, solves), time.perf_counter() - started
 
 
 def _states(solutions: Iterable[Solution]) -> tuple[int, int]:

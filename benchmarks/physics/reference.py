@@ -1,7 +1,7 @@
 """The independent finite-element solutions in assets/reference, as arrays and as membranes."""
 
 import csv
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from gelgap.assets import asset_path
 
 Floats = NDArray[np.float64]
+Rows = list[dict[str, str]]
 
 FORCE_UNCERTAINTY = 0.003
-SURFACE_UNCERTAINTY_MM = 0.003
-SHEAR_FX_UNCERTAINTY = 0.04
-SHEAR_FZ_UNCERTAINTY = 0.02
+DRAG_FX_UNCERTAINTY = 0.04
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 
 
@@ -36,6 +35,12 @@ class PressReference:
     contact_radius_uncertainty_mm: Floats
     profiles: tuple[Floats, ...]
 
+    def down_to(self, depth_mm: float) -> "PressReference":
+        """Return the part of the press that is no deeper."""
+        kept = slice(int(np.searchsorted(self.depths_mm, depth_mm, side="right")))
+        names = ("depths_mm", "force_n", "contact_radius_mm", "contact_radius_uncertainty_mm", "profiles")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
     def displacement_mm(self, index: int, x_mm: Floats, y_mm: Floats) -> Floats:
         """Return the surface's displacement (ny, nx, 3) on a rest grid centred on the contact."""
         r, u_r, u_z = self.profiles[index]
@@ -46,31 +51,19 @@ class PressReference:
 
 
 @dataclass(frozen=True)
-class ShearReference:
-    """A drag along x at one depth: forces by sideways travel, and how far they may be off, as shares."""
+class DragReference:
+    """A drag along x at one depth: forces by travel, and how far Fx may be off, as a share."""
 
     source: str
     friction: float
     fx_uncertainty: float
-    fz_uncertainty: float
     poisson_ratio: float
     young_modulus_mpa: float
     depth_mm: float
     element_mm: float
-    shear_mm: Floats
+    travel_mm: Floats
     fx_n: Floats
     fz_n: Floats
-
-
-def _rows(*parts: str) -> list[dict[str, str]]:
-    with asset_path("reference", *parts).open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def _friction(contact: str) -> float:
-    if contact == "no slip":
-        return NO_SLIP_FRICTION
-    return 0.0 if contact == "frictionless" else float(contact.split()[-1])
 
 
 @cache
@@ -81,88 +74,77 @@ def press_references() -> dict[str, PressReference]:
     return {name: _press_reference(name, [row for row in rows if row["case"] == name]) for name in names}
 
 
-def _press_reference(name: str, rows: list[dict[str, str]]) -> PressReference:
-    def column(field: str) -> Floats:
-        return np.array([float(row[field]) for row in rows])
-
-    first, depths = rows[0], column("depth_mm")
-    table = np.genfromtxt(asset_path("reference", "profiles", f"{name}.csv"), delimiter=",", skip_header=1)
-    return PressReference(
-        name=name,
-        strain_energy="isochoric" if first["energy"].startswith("isochoric") else "stable-neo-hookean",
-        poisson_ratio=float(first["poisson_ratio"]),
-        young_modulus_mpa=float(first["young_modulus_mpa"]),
-        friction=_friction(first["contact"]),
-        indenter_radius_mm=float(first["indenter_radius_mm"]),
-        thickness_mm=float(first["thickness_mm"]),
-        depths_mm=tuple(depths),
-        force_n=column("fz_n"),
-        contact_radius_mm=column("contact_radius_mm"),
-        contact_radius_uncertainty_mm=(column("contact_radius_high_mm") - column("contact_radius_low_mm"))
-        / 2,
-        profiles=tuple(table[np.isclose(table[:, 0], depth), 1:].T for depth in depths),
-    )
-
-
 @cache
-def shear_references() -> tuple[ShearReference, ...]:
-    """Return the no-slip drags on a 20×20 mm pad, the one with the smaller elements for each depth."""
+def no_slip_drags() -> tuple[DragReference, ...]:
+    """Return the drags without slip on a 20×20 mm pad, the one with the smallest elements for each depth."""
     rows = [row | {"friction": str(NO_SLIP_FRICTION)} for row in _rows("shear_no_slip.csv")]
-    return tuple(
-        _shear_reference("table", _finest(group), SHEAR_FX_UNCERTAINTY, SHEAR_FZ_UNCERTAINTY)
-        for group in _by_scene(rows)
-    )
+    return tuple(_drag_reference("table", meshes[0], DRAG_FX_UNCERTAINTY) for meshes in _drags(rows))
 
 
 @cache
-def coulomb_references() -> tuple[ShearReference, ...]:
-    """Return the drags with Coulomb friction of the project's own 3-D solver (`benchmarks/drag_reference.py`).
+def coulomb_drags() -> tuple[DragReference, ...]:
+    """Return the drags with Coulomb friction of the project's own 3-D solver (`calibration/drag_reference.py`).
 
     Their error falls with the square of the elements' size, so that the fine mesh is off by what the coarse one
     differs from it, over (ratio of sizes)² − 1.
     """
     references = []
-    for group in _by_scene([row for row in _rows("drag_coulomb.csv") if row["friction"] != "inf"]):
-        fine = _finest(group)
-        coarse = [row for row in group if row["element_mm"] != fine[0]["element_mm"]]
-        if len(coarse) == len(fine):
-            ratio = float(coarse[0]["element_mm"]) / float(fine[0]["element_mm"])
-            uncertainty = [
-                max(
-                    abs(float(c[force]) / float(f[force]) - 1)
-                    for c, f in zip(coarse[1:], fine[1:], strict=True)
-                )
-                / (ratio**2 - 1)
-                for force in ("fx_n", "fz_n")
-            ]
-            references.append(_shear_reference("own 3-D", fine, *uncertainty))
+    for fine, *coarser in _drags([row for row in _rows("drag_coulomb.csv") if row["friction"] != "inf"]):
+        if coarser and len(coarser[0]) == len(fine):
+            ratio = _column(coarser[0], "element_mm")[0] / _column(fine, "element_mm")[0]
+            apart = np.abs(_column(coarser[0], "fx_n")[1:] / _column(fine, "fx_n")[1:] - 1).max()
+            references.append(_drag_reference("own 3-D", fine, float(apart / (ratio**2 - 1))))
     return tuple(references)
 
 
-def _by_scene(rows: list[dict[str, str]]) -> list[list[dict[str, str]]]:
-    scenes = dict.fromkeys((row["friction"], row["depth_mm"]) for row in rows)
-    return [[row for row in rows if (row["friction"], row["depth_mm"]) == scene] for scene in scenes]
+def _rows(name: str) -> Rows:
+    with asset_path("reference", name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
-def _finest(rows: list[dict[str, str]]) -> list[dict[str, str]]:
-    finest = min((row["element_mm"] for row in rows), key=float)
-    return [row for row in rows if row["element_mm"] == finest]
+def _column(rows: Rows, field: str) -> Floats:
+    return np.array([float(row[field]) for row in rows])
 
 
-def _shear_reference(
-    source: str, rows: list[dict[str, str]], fx_uncertainty: float, fz_uncertainty: float
-) -> ShearReference:
-    first = rows[0]
-    return ShearReference(
-        source=source,
-        friction=float(first["friction"]),
-        fx_uncertainty=fx_uncertainty,
-        fz_uncertainty=fz_uncertainty,
+def _drags(rows: Rows) -> list[list[Rows]]:
+    """Return the rows of each drag by the mesh that they were solved on, the finest mesh first."""
+    drags: dict[tuple[str, str], dict[str, Rows]] = {}
+    for row in sorted(rows, key=lambda row: float(row["element_mm"])):
+        meshes = drags.setdefault((row["friction"], row["depth_mm"]), {})
+        meshes.setdefault(row["element_mm"], []).append(row)
+    order = dict.fromkeys((row["friction"], row["depth_mm"]) for row in rows)
+    return [list(drags[drag].values()) for drag in order]
+
+
+def _press_reference(name: str, rows: Rows) -> PressReference:
+    first, depths = rows[0], _column(rows, "depth_mm")
+    contact = first["contact"]
+    profiles = np.genfromtxt(asset_path("reference", "profiles", f"{name}.csv"), delimiter=",", skip_header=1)
+    radius_range = _column(rows, "contact_radius_high_mm") - _column(rows, "contact_radius_low_mm")
+    frictions = {"no slip": NO_SLIP_FRICTION, "frictionless": 0.0}
+    return PressReference(
+        name=name,
+        strain_energy="isochoric" if first["energy"].startswith("isochoric") else "stable-neo-hookean",
         poisson_ratio=float(first["poisson_ratio"]),
         young_modulus_mpa=float(first["young_modulus_mpa"]),
-        depth_mm=float(first["depth_mm"]),
-        element_mm=float(first["element_mm"]),
-        shear_mm=np.array([float(row["shear_x_mm"]) for row in rows]),
-        fx_n=np.array([float(row["fx_n"]) for row in rows]),
-        fz_n=np.array([float(row["fz_n"]) for row in rows]),
+        friction=frictions[contact] if contact in frictions else float(contact.split()[-1]),
+        indenter_radius_mm=float(first["indenter_radius_mm"]),
+        thickness_mm=float(first["thickness_mm"]),
+        depths_mm=tuple(depths),
+        force_n=_column(rows, "fz_n"),
+        contact_radius_mm=_column(rows, "contact_radius_mm"),
+        contact_radius_uncertainty_mm=radius_range / 2,
+        profiles=tuple(profiles[np.isclose(profiles[:, 0], depth), 1:].T for depth in depths),
+    )
+
+
+def _drag_reference(source: str, rows: Rows, fx_uncertainty: float) -> DragReference:
+    numbers = ("friction", "poisson_ratio", "young_modulus_mpa", "depth_mm", "element_mm")
+    return DragReference(
+        source=source,
+        fx_uncertainty=fx_uncertainty,
+        travel_mm=_column(rows, "shear_x_mm"),
+        fx_n=_column(rows, "fx_n"),
+        fz_n=_column(rows, "fz_n"),
+        **{name: float(rows[0][name]) for name in numbers},
     )

@@ -1,9 +1,10 @@
 """How far a delivered membrane is from the one that it should be: displacement, normals, and the picture of both."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +22,17 @@ class SurfaceErrors:
     normal_rms_deg: float
     normal_worst_deg: float
 
+    @property
+    def values(self) -> tuple[float, ...]:
+        """All of them, in their order."""
+        return astuple(self)
+
+
+def combined(errors: Sequence[SurfaceErrors]) -> SurfaceErrors:
+    """Return the root mean squares of the rms errors and the largest of the peaks."""
+    uz, in_plane, peak, normal, worst = zip(*(e.values for e in errors), strict=True)
+    return SurfaceErrors(rms(uz), rms(in_plane), max(peak), rms(normal), max(worst))
+
 
 def surface_errors(
     x_mm: Floats, y_mm: Floats, displacement_mm: Floats, expected_mm: Floats, contact_radius_mm: float
@@ -32,10 +44,10 @@ def surface_errors(
     cosine = (normals(x_mm, y_mm, displacement_mm) * normals(x_mm, y_mm, expected_mm)).sum(-1)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))[radius <= contact_radius_mm + NORMALS_REACH_MM]
     return SurfaceErrors(
-        uz_rms_um=_rms(error[:, 2]),
-        in_plane_rms_um=_rms(in_plane),
+        uz_rms_um=rms(error[:, 2]),
+        in_plane_rms_um=rms(in_plane),
         peak_um=float(max(np.abs(error[:, 2]).max(), in_plane.max())),
-        normal_rms_deg=_rms(angle),
+        normal_rms_deg=rms(angle),
         normal_worst_deg=float(angle.max()),
     )
 
@@ -56,5 +68,6 @@ def picture_psnr_db(picture: NDArray[np.uint8], expected: NDArray[np.uint8]) -> 
     return float(10 * np.log10(255**2 / square)) if square else float("inf")
 
 
-def _rms(values: Floats) -> float:
-    return float(np.sqrt((values**2).mean()))
+def rms(values: ArrayLike) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.square(values).mean()))

@@ -8,7 +8,7 @@ import pytest
 
 from gelgap.assets import asset_path
 from gelgap.benchmarks.fem import theory
-from gelgap.benchmarks.fem.axisymmetric import Press, _mesh, _Pad, solve_press
+from gelgap.benchmarks.fem.axisymmetric import AxisymmetricPad, Press, solve_press
 
 REFERENCE_UNCERTAINTY = 0.003
 SURFACE_UNCERTAINTY_MM = 0.003
@@ -44,16 +44,16 @@ def test_press_reproduces_independent_finite_elements(case, poisson_ratio, energ
 def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
     for energy in ("isochoric", "stable"):
         problem = Press(poisson_ratio=0.48, energy=energy, element_mm=1.0)
-        pad = _Pad(problem, _mesh(problem, 0.5))
+        pad = AxisymmetricPad(problem, deepest_mm=0.5)
         rng = np.random.default_rng(0)
         u = 0.02 * rng.standard_normal(pad.size)
-        way = rng.standard_normal(pad.size)
+        direction = rng.standard_normal(pad.size)
         step = 1e-6
         force, matrix = pad.assemble(u)
-        rise = (pad.energy_mj(u + step * way) - pad.energy_mj(u - step * way)) / (2 * step)
-        assert force @ way == pytest.approx(rise, rel=1e-6)
-        change = (pad.assemble(u + step * way)[0] - pad.assemble(u - step * way)[0]) / (2 * step)
-        np.testing.assert_allclose(matrix @ way, change, rtol=1e-4, atol=1e-6 * np.abs(change).max())
+        rise = (pad.energy_mj(u + step * direction) - pad.energy_mj(u - step * direction)) / (2 * step)
+        assert force @ direction == pytest.approx(rise, rel=1e-6)
+        change = (pad.assemble(u + step * direction)[0] - pad.assemble(u - step * direction)[0]) / (2 * step)
+        np.testing.assert_allclose(matrix @ direction, change, rtol=1e-4, atol=1e-6 * np.abs(change).max())
 
 
 def test_shallow_press_meets_the_bonded_layer():

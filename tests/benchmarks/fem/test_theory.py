@@ -24,13 +24,13 @@ def test_closed_forms_scale_with_the_modulus_and_broadcast():
 
 
 def test_partial_slip_has_mindlins_stiffness_and_coulombs_limit():
-    e, nu, r, d, mu = 0.3, 0.48, 1.5, 0.05, 0.4
+    limit_n, contact_radius_mm, shear_modulus_mpa, nu = 0.01, 0.27, 0.1, 0.48
+    contact = (limit_n, contact_radius_mm, shear_modulus_mpa, nu)
     small_mm = 1e-6
-    stiffness = theory.partial_slip_force_n(e, nu, r, d, mu, small_mm) / small_mm
-    expected = 8 * theory.hertz_contact_radius_mm(r, d) * theory.shear_modulus_mpa(e, nu) / (2 - nu)
-    assert stiffness == pytest.approx(expected, rel=1e-3)
-    limit = mu * theory.hertz_force_n(e, nu, r, d)
-    assert theory.partial_slip_force_n(e, nu, r, d, mu, 1.0) == pytest.approx(limit)
+    stiffness = theory.partial_slip_force_n(*contact, small_mm) / small_mm
+    assert stiffness == pytest.approx(8 * contact_radius_mm * shear_modulus_mpa / (2 - nu), rel=1e-3)
+    assert theory.partial_slip_force_n(*contact, 0.9 * theory.full_slip_mm(*contact)) < limit_n
+    assert theory.partial_slip_force_n(*contact, 1.0) == pytest.approx(limit_n)
 
 
 def test_moduli_agree_with_each_other():

@@ -1,21 +1,21 @@
 """What the physics benchmark measures with: references, surface errors, summaries, on cases that are known."""
 
-import dataclasses
 import json
 
 import numpy as np
 import pytest
 
 from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, write_json
-from gelgap.benchmarks.physics import accuracy as physics
+from gelgap.benchmarks.physics.cases import Case, Workers
+from gelgap.benchmarks.physics.presses import judge_press, press_case
 from gelgap.benchmarks.physics.reference import (
     NO_SLIP_FRICTION,
-    coulomb_references,
+    coulomb_drags,
+    no_slip_drags,
     press_references,
-    shear_references,
 )
 from gelgap.benchmarks.physics.surface_errors import normals, picture_psnr_db, surface_errors
-from gelgap.sim import grid_axes
+from gelgap.sim import Elastomer, Pose, grid_axes
 
 
 def test_references_have_profiles_that_fit_their_depths():
@@ -27,8 +27,8 @@ def test_references_have_profiles_that_fit_their_depths():
     for depth, (r, _, u_z) in zip(reference.depths_mm, reference.profiles, strict=True):
         assert r[0] == 0
         assert u_z[0] == pytest.approx(-depth, abs=2e-3)
-    assert [shear.depth_mm for shear in shear_references()] == [0.6, 1.0]
-    assert shear_references()[0].element_mm == 0.15
+    assert [drag.depth_mm for drag in no_slip_drags()] == [0.6, 1.0]
+    assert no_slip_drags()[0].element_mm == 0.15
 
 
 def test_reference_membrane_has_no_error_against_itself_and_a_shift_has_its_own():
@@ -58,21 +58,27 @@ def test_psnr_of_a_known_difference():
     assert picture_psnr_db(black + np.uint8(1), black) == pytest.approx(48.13, abs=0.01)
 
 
-def test_shallow_press_is_judged_against_its_reference():
-    full = press_references()["nh49_no_slip"]
-    shallow = dataclasses.replace(
-        full,
-        depths_mm=full.depths_mm[:1],
-        force_n=full.force_n[:1],
-        contact_radius_mm=full.contact_radius_mm[:1],
-        contact_radius_uncertainty_mm=full.contact_radius_uncertainty_mm[:1],
-        profiles=full.profiles[:1],
-    )
-    (errors,) = physics.press_errors({full.name: shallow}, ["draft"], processes=1)
+def test_shallow_press_is_judged_against_its_reference(tmp_path):
+    shallow = press_references()["nh49_no_slip"].down_to(0.2)
+    assert shallow.depths_mm == (0.2,)
+    (solved,) = Workers(1, tmp_path).solve([press_case(shallow, "draft")])
+    errors = judge_press(solved, shallow)
     assert errors.unconverged == 0
     assert errors.fz_worst_percent < 8
     assert errors.surface.uz_rms_um < 10
     assert errors.processor_s_per_pose > 0
+
+
+def test_a_case_that_was_finished_is_not_solved_again(tmp_path):
+    cases = [
+        Case("light", Elastomer.preset("b0"), (Pose(depth_mm=depth),), "draft") for depth in (0.05, 0.06)
+    ]
+    workers = Workers(1, tmp_path)
+    (first,) = workers.solve(cases[:1])
+    again, other = workers.solve(cases)
+    assert again.processor_s == first.processor_s
+    assert other.case == cases[1]
+    assert other.states[0].force_n[2] < first.states[0].force_n[2] < 0
 
 
 def test_results_and_plot_are_written(tmp_path, capsys):
@@ -90,13 +96,13 @@ def test_results_and_plot_are_written(tmp_path, capsys):
 
 
 def test_drags_with_friction_know_how_far_they_are_off():
-    references = {(r.friction, r.depth_mm): r for r in coulomb_references()}
+    references = {(r.friction, r.depth_mm): r for r in coulomb_drags()}
     assert {(0.3, 0.6), (0.8, 0.6)} <= set(references)
     for reference in references.values():
         assert 0 < reference.fx_uncertainty < 0.05
-        assert np.all(np.diff(reference.shear_mm) > 0)
+        assert np.all(np.diff(reference.travel_mm) > 0)
         assert reference.fx_n[0] == pytest.approx(0, abs=1e-3)
     # More friction, more shear, and both below the drag that never slips.
     ends = [references[0.3, 0.6].fx_n[-1], references[0.8, 0.6].fx_n[-1]]
-    without_slip = next(r for r in shear_references() if r.depth_mm == 0.6).fx_n[-1]
+    without_slip = next(r for r in no_slip_drags() if r.depth_mm == 0.6).fx_n[-1]
     assert ends[0] < ends[1] < without_slip
