@@ -1,7 +1,7 @@
 """`gelgap benchmark physics`: forces and surfaces against independent finite elements, and what they cost.
 
 Processor seconds of single-threaded processes are the run time of the tables, since wall time depends on what
-else the machine does.
+else the machine does; both are in the JSON.
 """
 
 import os

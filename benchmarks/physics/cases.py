@@ -48,6 +48,10 @@ class SolvedCase:
     peak_memory_mib: float
 
     @property
+    def wall_s_per_pose(self) -> float:
+        return self.wall_s / len(self.states)
+
+    @property
     def processor_s_per_pose(self) -> float:
         return self.processor_s / len(self.states)
 

@@ -45,6 +45,7 @@ class PressErrors:
     surface: SurfaceErrors
     psnr_db: float | None
     processor_s_per_pose: float
+    wall_s_per_pose: float
     peak_memory_mib: float
     unconverged: int
 
@@ -97,6 +98,7 @@ def judge_press(solved: SolvedCase, reference: PressReference, picture: Picture 
         surface=combined(surfaces),
         psnr_db=min(psnr_db, default=None),
         processor_s_per_pose=solved.processor_s_per_pose,
+        wall_s_per_pose=solved.wall_s_per_pose,
         peak_memory_mib=solved.peak_memory_mib,
         unconverged=solved.unconverged,
     )
@@ -161,10 +163,9 @@ def own_energy(workers: Workers) -> dict[str, object]:
         label = f"ν {reference.poisson_ratio} {reference.strain_energy}"
         for values in zip(reference.depths_mm, force, reference.force_n, error, strict=True):
             rows.append([label, f"{values[0]:g}", *values[1:3], f"{values[3]:+.2f}"])
-        wall_s = solved.wall_s / len(force)
-        cost = f"{wall_s:.2f} s wall, {solved.processor_s_per_pose:.2f} s core"
-        rows.append([label, "per pose", None, None, cost])
-        results[label] = {"fz_n": force, "error_percent": error, "wall_s": wall_s}
+        core_s, wall_s = solved.processor_s_per_pose, solved.wall_s_per_pose
+        rows.append([label, "per pose", None, None, f"{wall_s:.2f} s wall, {core_s:.2f} s core"])
+        results[label] = {"fz_n": force, "error_percent": error, "wall_s": wall_s, "processor_s": core_s}
     print_table(
         f"Fz at E 0.3 MPa, 3 mm pad, R 1.5 mm, friction {OWN_ENERGY_FRICTION:g}, standard, against the no-slip tables",
         ["gel", "depth mm", "Fz N", "reference N", "error %"],
