@@ -1,9 +1,9 @@
 """Fitting a sensor file to a real sensor: LED colours, levels and positions, and the coat's gloss.
 
-What is known of a real picture is the shape where a sphere touches: the sphere's own. So the fit uses the reference
-picture, where the membrane is flat, and of each press the inside of the contact. There nothing casts a shadow but the
-point's own tangent plane. LED colours enter linearly and are solved for exactly at every step; only positions, the
-weight of the gloss and presses' centres are searched, by least squares on errors in code values.
+Where a sphere touches the membrane, the membrane has the sphere's shape. So the fit uses the reference picture, where
+the membrane is flat, and the inside of the contact of each press. No other part of the membrane shadows a point there.
+LED colours enter linearly and are solved for exactly at every step; only positions, the weight of the gloss and the
+presses' centres are searched, by least squares on errors in code values.
 """
 
 from dataclasses import dataclass

@@ -57,15 +57,8 @@ class Ray(NamedTuple):
 @numba.njit(cache=True, fastmath=True, inline="always")
 def vertex_at(surface, row, column):
     """Return a vertex of a `Surface`."""
-    positions, normals = surface.positions_mm, surface.normals
-    return Vertex(
-        positions[row, column, 0],
-        positions[row, column, 1],
-        positions[row, column, 2],
-        normals[row, column, 0],
-        normals[row, column, 1],
-        normals[row, column, 2],
-    )
+    position, normal = surface.positions_mm[row, column], surface.normals[row, column]
+    return Vertex(position[0], position[1], position[2], normal[0], normal[1], normal[2])
 
 
 @numba.njit(cache=True, fastmath=True)

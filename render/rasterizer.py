@@ -1,12 +1,11 @@
 """pyrender as a geometry rasteriser: the deformed membrane in, rest coordinates and height of every pixel out.
 
-One persistent off-screen context a process; fixed topology; the vertex buffer is overwritten for each frame. What the
+One persistent off-screen context per process; fixed topology; the vertex buffer is overwritten for each frame. What the
 rasteriser writes does not depend on light, so one raster serves any number of illuminations and markers.
 """
 
 import os
 import threading
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -161,23 +160,16 @@ class Rasterizer:
             gl.glDeleteRenderbuffers(2, self._renderbuffers)
 
 
-@dataclass(frozen=True)
-class _Key:
-    process_id: int
-    camera: Camera
-    lattice: Lattice
-    size_px: tuple[int, int]
-
-
-_rasterizers: dict[_Key, Rasterizer] = {}
+# By process, camera, grid and picture size.
+_rasterizers: dict[tuple[int, Camera, Lattice, tuple[int, int]], Rasterizer] = {}
 
 
 def rasterizer_for(camera: Camera, lattice: Lattice, size_px: tuple[int, int]) -> Rasterizer:
     """Return this process's rasteriser for a camera, grid and picture size; a few are kept, the oldest is freed."""
-    key = _Key(os.getpid(), camera, lattice, size_px)
+    key = (os.getpid(), camera, lattice, size_px)
     with _LOCK:
         if key not in _rasterizers:
-            for other in [other for other in _rasterizers if other.process_id != key.process_id]:
+            for other in [other for other in _rasterizers if other[0] != os.getpid()]:
                 del _rasterizers[other]  # belongs to the parent's context: never touch it from here
             if len(_rasterizers) >= _CACHED_RASTERIZERS:
                 _rasterizers.pop(next(iter(_rasterizers))).delete()

@@ -22,8 +22,11 @@ Quality = Literal["draft", "standard", "fine"]
 
 @dataclass(frozen=True)
 class QualitySettings:
-    """What a quality level means. The rastered mesh is twice as coarse as the shaded grid: it only says which rest
-    point a pixel sees, and the light is gathered from the finer grid."""
+    """What a quality level means.
+
+    The rastered mesh is twice as coarse as the shaded grid: it only says which rest point a pixel sees. The light is
+    gathered from the finer grid.
+    """
 
     spacing_mm: float
     shadows: ShadowDetail
@@ -46,7 +49,7 @@ class MembraneRenderer:
     size_px
         Width and height of the picture.
     quality
-        `draft`, `standard` or `fine`: spacing of the shaded grid and strips an LED.
+        `draft`, `standard` or `fine`: spacing of the shaded grid and number of strips per LED.
     linear_by_led_to_camera
         (n_leds, 3) of another renderer with the same sensor and illumination, so that this process need not import
         colour-science; by default it is computed.
@@ -151,9 +154,9 @@ class MembraneRenderer:
         return linear
 
     def _encoded(self, linear: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
-        if rng is None:
-            return imaging.encode(linear)
-        return imaging.encode_noisy(linear, self.sensor.camera, rng)
+        return imaging.encode(
+            linear if rng is None else imaging.sensor_noise(linear, self.sensor.camera, rng)
+        )
 
     def linear(
         self,

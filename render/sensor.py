@@ -39,7 +39,7 @@ class Markers(Settings):
 
 
 class Sensor(Settings):
-    """Everything about a sensor but its gel."""
+    """Everything about a sensor except its gel."""
 
     name: str = ""
     description: str = ""

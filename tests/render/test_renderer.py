@@ -277,10 +277,9 @@ def test_bad_settings_are_refused():
         Illumination(leds=({"position_mm": (-9, 0, -0.4), "facing": (1, 0, 0), "spectrum": {"cct_k": 5000}},))
 
 
-def test_noise_in_one_pass_equals_noise_then_encoding(renderer):
-    from gelgap.render.imaging import encode, encode_noisy, sensor_noise
+def test_a_noisy_picture_is_the_noisy_linear_picture_encoded(renderer):
+    from gelgap.render.imaging import encode, sensor_noise
 
     render = renderer("i0", (64, 48))
-    linear, camera = render.reference_linear(), render.sensor.camera
-    two_steps = encode(sensor_noise(linear, camera, np.random.default_rng(4)))
-    assert np.array_equal(encode_noisy(linear, camera, np.random.default_rng(4)), two_steps)
+    noisy = sensor_noise(render.reference_linear(), render.sensor.camera, np.random.default_rng(4))
+    assert np.array_equal(render.reference(rng=np.random.default_rng(4)), encode(noisy))
