@@ -1,6 +1,6 @@
 """A rigid sphere pressed into a bonded pad: locking-free axisymmetric finite elements of finite strain.
 
-The project's own check of MuJoCo's forces and surfaces, and the solver behind `equivalent_material`; a user is never
+The project's own check of MuJoCo's forces and surfaces, and the solver behind `equivalent_moduli`; a user is never
 given its results as a frame. Elements are biquadratic quadrilaterals in (r, z) whose volume ratio is projected on
 linear functions (Q2/P1 discontinuous: Simo & Taylor 1991, Comput. Methods Appl. Mech. Eng. 85:273). Units are mm,
 N and MPa.
