@@ -47,4 +47,6 @@ def _sentence(detail: Any) -> str:
     shown = detail["type"] not in ("missing", "extra_forbidden") and not isinstance(detail["input"], dict)
     value = f" = {detail['input']!r}" if shown else ""
     message = detail["msg"].removeprefix("Value error, ")
-    return f"{field}{value}: {message[0].lower()}{message[1:]}"
+    if not message[:2].isupper():  # an abbreviation keeps its capitals
+        message = message[0].lower() + message[1:]
+    return f"{field}{value}: {message}"
