@@ -5,7 +5,6 @@ import importlib.metadata
 import inspect
 import multiprocessing
 import os
-import pickle
 import resource
 import shutil
 import time
@@ -20,6 +19,7 @@ from typing import Any
 from gelgap import sim
 from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks import fem
+from gelgap.benchmarks.common.kept_results import result_bytes, result_from_bytes
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -88,8 +88,8 @@ class Workers:
                 if not file.is_file()
             }
             for future in as_completed(pending):
-                write_whole(pending[future], pickle.dumps(future.result()))
-        return [pickle.loads(file.read_bytes()) for file in files.values()]
+                write_whole(pending[future], result_bytes(future.result()))
+        return [result_from_bytes(file.read_bytes()) for file in files.values()]
 
     def forget(self) -> None:
         """Delete what is kept, so that the next benchmark measures anew."""
@@ -97,7 +97,7 @@ class Workers:
 
     def _file(self, function: Callable[[Any], Any], argument: Any) -> Path:
         question = f"{_code_digest(inspect.getfile(function))} {function.__qualname__} {argument!r}"
-        return self.folder / f"{hashlib.sha256(question.encode()).hexdigest()[:32]}.pickle"
+        return self.folder / f"{hashlib.sha256(question.encode()).hexdigest()[:32]}.result"
 
 
 def solve_case(case: Case) -> SolvedCase:
