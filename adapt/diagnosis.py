@@ -13,7 +13,7 @@ from gelgap.adapt.network import Activations
 
 @dataclass(frozen=True)
 class StepResult:
-    """A step's loss, its parts by name (not weighted), and what the network said of the source batch."""
+    """A step's loss, its parts by name (not weighted), and the network's output for the source batch."""
 
     loss: Tensor
     parts: dict[str, Tensor]

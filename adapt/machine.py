@@ -37,7 +37,7 @@ def torch_threads(count: int) -> Iterator[None]:
 
 @functools.cache
 def keep_freed_memory() -> bool:
-    """Have glibc keep freed memory for the next step; return whether the C library can be told so.
+    """Have glibc keep freed memory for the next step; return whether the C library supports this.
 
     By default glibc maps and unmaps every activation above 128 kB anew, and each step zeroes all their pages again.
     """

@@ -11,7 +11,7 @@ from gelgap.adapt.resnet import make_resnet
 
 @dataclass(frozen=True)
 class Activations:
-    """What the network says about one batch of B frames of one domain, and what is known about them.
+    """The network's output for a batch of B frames of one domain, and their known labels.
 
     features (B, D) after the bottleneck's ReLU, prediction (B, 3) in [0, 1], logits (B, C) where the method
     uses the classifier; force (B, 3) in [0, 1] and contact_class (B,) only where labels may be used.

@@ -1,4 +1,4 @@
-"""What alignment alone can be expected to reach, from contacts that both domains share.
+"""Errors that perfect alignment would give, computed from contacts that both domains share.
 
 The pose oracle predicts a target frame's force by the source's force at the same commanded pose: what a perfect
 alignment of contact classes gives. The geometry oracle predicts it by the source gel's force at the target's actual
@@ -54,7 +54,7 @@ class Presses:
 
 
 def pose_oracle(source: LabelledFrames, target: LabelledFrames) -> Evaluation:
-    """Return the error of the source's force at the target's commanded pose, over the contacts that both have.
+    """Return the error of the source's force at the target's commanded pose, over shared contacts.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def pose_oracle(source: LabelledFrames, target: LabelledFrames) -> Evaluation:
 
 
 def geometry_oracle(source: Presses, target: Presses) -> Evaluation:
-    """Return the error of the source gel's force at the target's actual contact, over the contacts that both have.
+    """Return the error of the source gel's force at the target's actual contact, over shared contacts.
 
     With a rigid rig the actual contact is the commanded one, and this is the pose oracle. With a compliant one the
     indenter of a stiffer gel goes less deep; the source's force there is interpolated between its own contacts at the

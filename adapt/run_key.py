@@ -1,4 +1,4 @@
-"""What tells runs, and the stage 1 that they share, apart: a hash of everything that decides their result."""
+"""Keys of runs and of the stage 1 that they share: hashes of everything that decides their result."""
 
 import hashlib
 import json

@@ -1,1 +1,1 @@
-"""Run time against error: every claim of speed or accuracy comes from a command in here."""
+"""Run time against error: every claim of speed or accuracy comes from a command in this package."""

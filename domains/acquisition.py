@@ -1,4 +1,4 @@
-"""What goes wrong when data are taken: a rig that is misplaced, a force sensor that errs. Off by default."""
+"""Acquisition errors: a misplaced rig and an inaccurate force sensor. Off by default."""
 
 import itertools
 import math
@@ -42,7 +42,7 @@ class AcquisitionError(Settings):
 
 @dataclass(frozen=True)
 class DrawnErrors:
-    """The errors of one domain as drawn: what a real rig would not know of itself."""
+    """The errors of one domain as drawn: which a real rig would not know."""
 
     point_offset_mm: tuple[float, float]
     depth_zero_mm: float

@@ -61,7 +61,7 @@ def run_in_process(
 def run_on_cluster(
     plan: GenerationPlan, matrices: dict[str, np.ndarray], progress: GenerationProgress, client: "Client"
 ) -> Iterator[list[Shard]]:
-    """Run a plan on a Dask cluster and yield the shards as they come; keys are content, so work is never done twice.
+    """Run a plan on a Dask cluster and yield the shards as they come; keys are content, so no work is done twice.
 
     Raises
     ------

@@ -36,7 +36,7 @@ def same_picture(recipes: Sequence[DomainRecipe]) -> list[list[int]]:
 
 
 def reference_png(recipe: DomainRecipe, matrix: np.ndarray) -> bytes:
-    """Return the picture without contact of a domain whose LED-to-camera matrix this is."""
+    """Return a domain's picture without contact, given its LED-to-camera matrix."""
     rng = random_stream(recipe.seed, recipe.picture_name, "reference noise")
     picture = _renderer(recipe, matrix).reference(markers=_shows_markers(recipe), rng=rng)
     return encode_png(_as_shown(recipe, picture))

@@ -10,7 +10,7 @@ _SECONDS_BETWEEN_LINES = 10.0
 
 
 class GenerationProgress:
-    """What a generation tells about itself; this one is silent."""
+    """How a generation reports its progress; this one is silent."""
 
     def begin(self, solves: int, frames: int) -> None:
         """Say how much is to be done."""

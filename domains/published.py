@@ -19,7 +19,7 @@ ALIASES = {"inpainting": "wmb0i0"}
 
 
 class PublishedDomain(PictureFiles):
-    """One domain of the published data set, its quirks handled and told in `notes`.
+    """One domain of the published data set, with its irregularities handled and listed in `notes`.
 
     Row i of `force.csv` belongs to `i.jpg`; columns are found by name. Where the parts `train` and `test` exist they
     are read, and `ori`, which repeats them, is not. A part whose rows and pictures do not match is an error.

@@ -25,5 +25,5 @@ class RunLog:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(line | values) + "\n")
         except OSError:
-            # A log that cannot be written, on a full disk, must not hide the error that it is about.
+            # A log that cannot be written, on a full disk, must not hide the original error.
             pass

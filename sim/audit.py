@@ -72,7 +72,7 @@ def audit_contact(
 ) -> Diagnostics:
     """Check the equilibrium of vertices at `positions_mm` (n, 3); `moduli` are those of MuJoCo's energy.
 
-    Of the diagnostics, those of the way there (iterations, slip, sticking) are not known here and left out.
+    Diagnostics of the iteration (iterations, slip, sticking) are not known here and left out.
     """
     state = elastic_state(mesh.vertices_mm, mesh.tetrahedra, positions_mm, moduli)
     holding = state.holding_force_n.copy()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 # second step is at least the second number times as long as the first.
 _PARALLEL_COSINE = 0.9
 _SMALLEST_RATIO = 0.3
-# From this ratio of two steps on, the series' end is too uncertain: it is led on as far as is allowed.
+# Above this ratio of two steps the series' end is too uncertain: it is extrapolated as far as is allowed.
 _LARGEST_RATIO = 0.95
 # This many extrapolations need a series of one pair of steps; each further one needs two pairs more.
 _QUICK_EXTRAPOLATIONS = 2
@@ -26,9 +26,9 @@ class GeometricSeries:
     def remainder(self, step: NDArray[np.float64], dofs: NDArray[np.int64], furthest: float) -> float:
         """Add a step (n,); return the sum of the steps still to come as a multiple of it, 0 while that is not clear.
 
-        Only `dofs` are looked at, none of which shall go on by more than `furthest`. The first step after an
-        extrapolation answers the jump and belongs to no series. An iteration that goes in circles from one
-        extrapolation to the next needs time to settle by itself, so later ones wait for longer series.
+        Only `dofs` are considered, and none of them is moved further than `furthest`. The first step after an
+        extrapolation is a response to the jump and belongs to no series. Where extrapolations make an iteration go in
+        circles, it needs time to settle by itself, so later extrapolations wait for longer series.
         """
         last, self._last = self._last, np.array(step)
         if last is None:

@@ -17,10 +17,10 @@ class FrictionalContacts:
     """The contacts in MuJoCo's data; arrays have an entry per contact, in MuJoCo's order.
 
     Friction acts against the slip since the load step's start: Coulomb's law of a load step (backward Euler) is about
-    this slip and not that of one iteration. Nodes that are active, which is to say pressed by the last iteration, when
-    the step begins are held from there. A node that becomes active within the step has landed: on average it does so
-    half way, so its slip counts from half way between where it was at the start and where it slid to freely. Other
-    nodes slide freely.
+    this slip and not that of one iteration. A node is active if the last iteration pressed it. Nodes that are active
+    when the step begins stick from where they are then. A node that becomes active within the step has landed, on
+    average half way: its slip counts from half way between its position at the start of the step and the one that it
+    reached without friction. Other nodes slide freely.
     """
 
     def __init__(self, gel: GelModel, data: Any, indenter: Indenter, friction: float) -> None:
@@ -55,8 +55,8 @@ class FrictionalContacts:
     def impose_friction(self, active: NDArray[np.bool_]) -> None:
         """Write into MuJoCo's contacts what makes its friction act as Coulomb's law of the load step.
 
-        A contact's surface velocity is added to its friction rows; as an iteration takes 1 s, it stands for what has
-        slid already. MuJoCo's convex friction cone lets a node that slides by s rise by μ s (Anitescu 2006, Math.
+        A contact's surface velocity is added to its friction rows; as an iteration takes 1 s, it stands for the slip so
+        far. MuJoCo's convex friction cone lets a node that slides by s rise by μ s (Anitescu 2006, Math.
         Program. 105:113). The gap is widened by as much, so that a settled node slides on the indenter (the fixed point
         of De Saxcé & Feng 1998, Math. Comput. Model. 28:225).
         """

@@ -1,4 +1,4 @@
-"""Quasi-static solution of a contact problem: load steps, each settled by Newton iterations that are MuJoCo's steps."""
+"""Quasi-static solution of a contact problem: load steps, each solved by Newton iterations, which are MuJoCo steps."""
 
 from dataclasses import dataclass, replace
 
@@ -56,7 +56,7 @@ class StaticNewton:
         return State(qpos, self.command_mm, self.active, self.slip_mm, self.snapped)
 
     def return_to(self, state: State) -> None:
-        """Go back to a state as if nothing had happened since."""
+        """Restore a state."""
         self.data.qpos[:] = state.qpos
         self.command_mm, self.active = state.command_mm, state.active
         self.slip_mm, self.snapped = state.slip_mm, state.snapped

@@ -1,4 +1,4 @@
-"""Solve one scene: a pose, several that the indenter visits in one go, or a press to a force."""
+"""Solve one scene: a pose, several poses in a row, or a press to a given force."""
 
 from dataclasses import replace
 

@@ -76,7 +76,7 @@ class ContactProblem:
 
     @property
     def load_steps(self) -> int:
-        """How many load steps lead through all waypoints, not counting those that have to be halved."""
+        """The number of load steps through all waypoints, not counting halved ones."""
         return sum(self.quality.load_steps(end - start) for start, end in self.segments_mm)
 
     @property

@@ -1,4 +1,4 @@
-"""A scene: an elastomer under an indenter, how finely it is solved, and what its solutions are shared over."""
+"""A scene: an elastomer under an indenter, how finely it is solved, and which poses may share a solution."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ _DEEPEST_THICKNESSES = 0.6
 
 @dataclass(frozen=True)
 class Sharing:
-    """What solutions are shared over; each saving can be switched off.
+    """Which poses may share a solution; each kind of sharing can be switched off.
 
     `modulus`: one solve serves every Young's modulus. `translation`: interior points share theirs; under a body of
     revolution directions are then rotations of each other, and half the gel is enough. `reflection`: on a small pad,

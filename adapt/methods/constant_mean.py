@@ -1,4 +1,4 @@
-"""Constant mean: predict the source's mean force for every frame, the floor that a method must beat."""
+"""Constant mean: predict the source's mean force for every frame, the baseline that a method must beat."""
 
 import torch
 

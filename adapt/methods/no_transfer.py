@@ -1,4 +1,4 @@
-"""No transfer: stage 2 without a transfer loss, the control for what a method's loss itself brings."""
+"""No transfer: stage 2 without a transfer loss, the control that isolates the effect of a method's loss."""
 
 from torch import Tensor
 

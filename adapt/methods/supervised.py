@@ -1,4 +1,4 @@
-"""Supervised on the target: train on its labels too. The ceiling, not a method for domain adaptation."""
+"""Supervised on the target: train on its labels too. An upper limit, not a method for domain adaptation."""
 
 from torch import Tensor
 from torch.nn import functional

@@ -10,7 +10,7 @@ from gelgap.benchmarks.registry import parts_of
 
 
 def main() -> None:
-    """Do what is missing of a part within a time, for some seeds; the next call goes on."""
+    """Do the missing runs of a part within a time limit, for some seeds; the next call continues."""
     parts = {entry.part: entry for entry in parts_of("adaptation")}
     parser = argparse.ArgumentParser(prog="python -m gelgap.benchmarks.adaptation", description=main.__doc__)
     parser.add_argument("part", choices=list(parts))

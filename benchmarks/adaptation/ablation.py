@@ -1,4 +1,4 @@
-"""What decides in DSAN: classes, weight, warm-up, statistics or feedback; and what mixed colours change."""
+"""Ablation of DSAN: classes, weight, warm-up, statistics, feedback and colour mixing."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

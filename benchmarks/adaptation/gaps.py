@@ -203,7 +203,7 @@ def measure(bench: Bench) -> None:
 
 
 def collect(found: Design, records: Sequence[RunRecord], data: Path) -> GapResults:
-    """Return the errors of the finished runs (mean over seeds) beside what needs no learning."""
+    """Return the errors of the finished runs (mean over seeds) beside errors that need no learning."""
     from gelgap.adapt import pose_oracle
     from gelgap.domains import open_domain
 

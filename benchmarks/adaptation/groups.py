@@ -1,4 +1,4 @@
-"""The paper's nine groups with its methods and their controls, several seeds, beside what needs no learning."""
+"""The paper's nine groups with its methods and their controls, several seeds, beside baselines without learning."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -80,7 +80,7 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class Bench:
-    """Where runs find their data and leave their records, with which profile, and what may be spent on them now.
+    """Where runs find their data and leave their records, with which profile, and how much time they may take now.
 
     Without `seeds` a part of the benchmark takes its own. `workers` are processes, by default one per core; one means
     this process, without a cluster. No run is begun after `stop`, a time of `time.time`.

@@ -1,4 +1,4 @@
-"""Adaptation losses under stress: value, gradient and run time in every trap, ours beside the published forms."""
+"""Adaptation losses under stress: value, gradient and run time on degenerate inputs, beside the published forms."""
 
 import math
 import time
@@ -100,7 +100,7 @@ KERNEL_LOSSES = ("dan", "dan, median", "jan", "dsan (lmmd)", "dsan, median", "co
 
 
 def traps() -> list[Trap]:
-    """Return every trap, float32; the first is none."""
+    """Return every trap in float32; the first is an ordinary pair of batches."""
     generator = torch.Generator().manual_seed(0)
     s = torch.rand(BATCH, FEATURES, generator=generator)
     t = torch.rand(BATCH, FEATURES, generator=generator) * 1.3

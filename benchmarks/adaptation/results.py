@@ -19,7 +19,7 @@ _NO_RUN = RunRecord(TrainingJob("", "", "", 0), "", {})
 
 @dataclass(frozen=True)
 class GroupOracles:
-    """What paired contacts say of a group: mean absolute errors per axis, N, without any learning."""
+    """Oracle errors of a group from paired contacts: mean absolute errors per axis, N, without learning."""
 
     pose_n: Axes
     geometry_n: Axes
@@ -82,7 +82,7 @@ class Results:
 
     @cached_property
     def common(self) -> np.ndarray:
-        """Which pairs (groups, seeds) every method except supervised has finished, be it by a collapse."""
+        """Which pairs (groups, seeds) every method except supervised has finished, including those that collapsed."""
         learned = [method for method in self.methods if method != "supervised"]
         return np.array(
             [

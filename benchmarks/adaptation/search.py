@@ -1,4 +1,4 @@
-"""Choosing transfer weight and epoch without target labels: an equal grid for every method, and what choices cost."""
+"""Choosing transfer weight and epoch without target labels: one grid for all methods, and the regret of each rule."""
 
 import math
 from collections.abc import Sequence
@@ -114,7 +114,7 @@ def candidate_of(model, frames):
 
 
 class Choice(NamedTuple):
-    """What one way of choosing took from a grid: weight, epoch, its test error and its regret, N."""
+    """What one selection rule chose from a grid: weight, epoch, its test error and its regret, N."""
 
     rule: str
     weight: float
@@ -127,7 +127,7 @@ def choices(records: Sequence[SearchRecord]) -> list[Choice]:
     """Return what each rule chooses among all weights and epochs of one group, method and seed.
 
     Rules: the target's labels (the oracle), the last epoch of the profile's weight, the last epoch of the weight that
-    reverse validation likes best there (how the profiles' weights were found), and each selector among all candidates.
+    reverse validation prefers there (how the profiles' weights were found), and each selector among all candidates.
     A run that collapsed counts with the epochs before.
     """
     from gelgap.adapt import SELECTORS, Profile, transfer_weight

@@ -110,7 +110,7 @@ def core_minutes_per_seed(results: Results) -> float:
 
 
 def group_table(results: Results) -> ResultTable:
-    """The paper's main table beside what needs no learning."""
+    """The paper's main table, beside baselines without learning."""
     comparable = {group: results.oracles[group].comparable(group) for group in results.groups}
     names = [group_name(group) + ("" if comparable[group] else " *") for group in results.groups]
     columns = {"constant mean": _with_mean(results.constant_mean_n)}

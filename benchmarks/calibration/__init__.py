@@ -1,1 +1,1 @@
-"""Calibrations that are run by hand, and whose results stand in the code."""
+"""Calibrations that are run by hand, and whose results are constants in the code."""

@@ -1,4 +1,4 @@
-"""By how much each quality's mesh is too stiff: MuJoCo's presses against locking-free ones of the same energy.
+"""How much too stiff each quality's mesh is: MuJoCo's presses against locking-free ones of the same energy.
 
 `python -m gelgap.benchmarks.calibration.mesh` prints the coefficients that the meshes of `sim/quality.py` hold, and the
 errors of the force with the present ones, on the calibration's scenes and on others. It takes some ten minutes on one

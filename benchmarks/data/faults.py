@@ -27,14 +27,14 @@ DISK_SHARES = (0.3, 0.5, 0.8)
 
 
 class ImpossibleHere(Exception):
-    """The machine does not let a fault be made, for want of rights."""
+    """This machine does not permit a fault, for lack of rights."""
 
 
 @dataclass(frozen=True)
 class FaultResult:
     """One fault: tries, in how many the run itself survived, and what a rerun of the same command left.
 
-    No tries: this machine does not let the fault be made.
+    No tries: this machine does not permit the fault.
     """
 
     fault: str

@@ -75,7 +75,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Rate:
-    """How many frames per second one way of reading gives on one core."""
+    """Frames per second of one way of reading, on one core."""
 
     way: str
     frames_per_s: float

@@ -1,1 +1,1 @@
-"""The project's own finite elements, which share nothing with MuJoCo: what its contacts are compared with."""
+"""The project's own finite elements, which share nothing with MuJoCo: the reference for its contacts."""

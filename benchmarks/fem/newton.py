@@ -34,10 +34,10 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Indentation:
-    """A pad, the sphere that touches it, and how Newton's method looks for their equilibrium.
+    """A pad, the sphere that touches it, and the settings of Newton's method.
 
-    It has succeeded when the norm of the out-of-balance forces is below `tolerance_n`; a Newton step that raises that
-    norm more than `largest_rise` times is shortened.
+    It has converged when the norm of the out-of-balance forces is below `tolerance_n`; a step that raises that norm more
+    than `largest_rise` times is shortened.
     """
 
     pad: Pad
@@ -76,7 +76,7 @@ class Indentation:
     def _equilibrium(self, state: Iterate, sphere_mm: Floats) -> Iterate:
         """Return the equilibrium with the sphere at `sphere_mm`; raise FloatingPointError if none is found."""
         pad = self.pad
-        # At first the contact's forces change as if its nodes had moved against the sphere's motion.
+        # First step: to the contact, a moving sphere is the same as its nodes moving the other way.
         stick_mm = state.touch.stick_mm
         start = self._at(state.u, state.sphere_mm, stick_mm)
         load = np.zeros(pad.size)

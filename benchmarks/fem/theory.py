@@ -1,4 +1,4 @@
-"""Closed forms of sphere contact: Hertz, the bonded layer and Cattaneo–Mindlin. Checks, not truth.
+"""Closed forms of sphere contact: Hertz, the bonded layer and Cattaneo–Mindlin. They are approximate checks.
 
 Units are mm, N and MPa. Forces are magnitudes (positive under compression); the rest of gelgap counts
 compression as Fz < 0. Every argument may be an array; arguments broadcast.
@@ -57,7 +57,7 @@ def bonded_layer_force_n(
 def full_slip_mm(
     limit_n: ArrayLike, contact_radius_mm: ArrayLike, shear_modulus_mpa: ArrayLike, poisson_ratio: ArrayLike
 ) -> Floats:
-    """Return the travel s* = 3 Q (2−ν) / (16 a G) at which a contact with the friction limit Q = μ P slips whole, mm.
+    """Return the travel s* = 3 Q (2−ν) / (16 a G) at which a contact with the friction limit Q = μ P slips wholly, mm.
 
     Johnson 1985, eq. 7.42, for one elastic body without rotation. Half-space, a ≪ R.
     """

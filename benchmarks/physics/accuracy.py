@@ -69,7 +69,7 @@ def run(quick: bool, out_dir: Path) -> None:
 
 
 def quick_tables(workers: Workers) -> dict[str, Any]:
-    """Measure one press down to 0.6 mm and one drag; of the paper's path, only what its solves would take."""
+    """Measure one press down to 0.6 mm and one drag; of the paper's path, only estimate the cost of its solves."""
     reference = press_references()[QUICK_CASE].down_to(QUICK_DEPTH_MM)
     presses = {press_case(reference, quality): reference for quality in ("draft", "standard")}
     drags = {drag_case(no_slip_drags()[0], "draft"): no_slip_drags()[0]}
@@ -119,7 +119,7 @@ def solve_ahead(workers: Workers, cases: Sequence[Case]) -> None:
 
 
 def convergence(presses: Sequence[PressErrors]) -> list[list[object]]:
-    """Print by which power of the surface elements' size the error of Fz falls between qualities."""
+    """Print the order of convergence: the power of the surface spacing with which the error of Fz falls."""
     rows: list[list[object]] = []
     for case in dict.fromkeys(press.case for press in presses):
         found = [press for press in presses if press.case == case]

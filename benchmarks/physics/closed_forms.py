@@ -1,4 +1,4 @@
-"""Presses and a drag beside the closed forms of contact theory: sanity, not truth."""
+"""Presses and a drag beside closed forms of contact theory, as an approximate check."""
 
 from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.fem import theory

@@ -1,4 +1,4 @@
-"""What physics demands of a solved scene: balance, friction's limit, monotony, scaling and symmetry of its forces."""
+"""Invariants of a solved scene: balance, friction limit, monotonic forces, scaling and symmetry."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -60,7 +60,7 @@ class TimedSolution:
 
 
 def measure(workers: Workers) -> list[PathCost]:
-    """Measure the path, print it and how fast its membranes follow."""
+    """Measure the path, and print its cost and the rate of its membranes."""
     gel, path = Elastomer.preset(GEL), ContactPath.preset("paper")
     scenes = [PathScene(gel, path, quality, workers.processes) for quality in ("draft", "standard")]
     # One at a time, since the wall time counts.
@@ -102,7 +102,7 @@ def whole_path(scene: PathScene) -> PathCost:
 
 
 def small_pad(scene: PathScene, workers: Workers) -> PathCost:
-    """Solve what a descent to the path's middle depth ends with, on a pad whose edges no contact is far from."""
+    """Solve the press to the path's middle depth and its drags, on a pad whose edges are near every contact."""
     solves = scene.plan.solves
     problems = [solve.problem for solve in solves]
     shallowest = min(problem.depth_mm for problem in problems)

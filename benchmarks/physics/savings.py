@@ -147,7 +147,7 @@ def edge_effects(workers: Workers) -> list[list[object]]:
 
 
 def descent_effects(workers: Workers) -> list[list[object]]:
-    """Print what each depth of the paper's path changes by being solved with others, and not for itself."""
+    """Print how each depth of the paper's path changes when it shares a solve with others."""
     rows: list[list[object]] = []
     path = ContactPath("descents", (0.0,), (0.0,), CLASS_DEPTHS_MM, CLASS_RADII_MM, (0.0,))
     plans = [
@@ -170,7 +170,7 @@ def descent_effects(workers: Workers) -> list[list[object]]:
 
 
 def points(savings: Sequence[Saving]) -> list[Point]:
-    """Return the savings as points of the frontier: what is left on costs time, what is shared costs error."""
+    """Return the savings as points of the frontier: processor time against error."""
     return [
         Point(SERIES, s.name, s.core_s_per_pose, max(s.force_error_percent, FORCE_FLOOR_PERCENT))
         for s in savings

@@ -1,4 +1,4 @@
-"""`gelgap benchmark stability --what physics`: hundreds of scenes, each compared with what physics demands.
+"""`gelgap benchmark stability --what physics`: hundreds of scenes, each checked against physical invariants.
 
 Each scene runs in a process of its own with a time limit, and its verdict is a JSON line, so that a run that was
 stopped goes on where it was. `python -m gelgap.benchmarks.physics.stability --only 17` repeats one scene.
@@ -30,7 +30,7 @@ SOLVED_AT_FINE = 20
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a scene did. `status` is converged, flagged (the solver says so) or failed (crash, error, no end).
+    """What a scene did. `status` is converged, flagged (the solver says so) or failed (crash, error or time limit).
 
     `seconds` are of processor time, `command` presses the scene's last pose alone.
     """
@@ -82,7 +82,7 @@ def judge_scenes(numbers: range, quality: str, out_dir: Path) -> list[Verdict]:
 
 
 def judge_limited(scene: Scene) -> Verdict:
-    """Judge a scene in a process of its own; a crash, an error or no end is a verdict too."""
+    """Judge a scene in a process of its own; a crash, an error or a time-out is a verdict too."""
     attempt = run_limited(judge, scene, TIME_LIMIT_S)
     if attempt.failure is None:
         return attempt.value

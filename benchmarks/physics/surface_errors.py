@@ -1,4 +1,4 @@
-"""How far a delivered membrane is from the one that it should be: displacement, normals, and the picture of both."""
+"""Errors of a membrane against a reference: displacement, normals, and the picture."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass

@@ -1,4 +1,4 @@
-"""What pictures would be without our light: stock pyrender, and area LEDs that nothing shadows."""
+"""Baselines without our light: stock pyrender, and area LEDs without shadows."""
 
 import numpy as np
 

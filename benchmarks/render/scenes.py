@@ -101,7 +101,7 @@ _DRAWS = Variation(led_position_mm=0.8, led_angle_deg=8.0, led_drive=0.2, albedo
 
 
 def drawn_scene(seed: int) -> RenderScene:
-    """Return a scene that nothing was tuned on: press, place, drag, LEDs and coat drawn; every third glossy."""
+    """Return a scene that was not used for tuning: press, place, drag, LEDs and coat drawn; every third glossy."""
     rng = np.random.default_rng([seed, 5])
     depth_mm, angle = round(rng.uniform(0.15, 1.1), 2), rng.uniform(0, 2 * np.pi)
     drag_mm = rng.uniform(0, 0.55) * depth_mm

@@ -1,4 +1,4 @@
-"""Stress for the renderer: memory over many frames, and random presses whose pictures must not hide trouble."""
+"""Stress for the renderer: memory over many frames, and random presses compared with the finest quality."""
 
 import gc
 from dataclasses import dataclass

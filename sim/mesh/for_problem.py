@@ -17,7 +17,7 @@ _FINE_MARGIN = 1.15  # of the penetration radius
 
 
 def mesh_scale(indenter: Indenter, thickness_mm: float, depth_mm: float) -> float:
-    """Return by which factor a scene's mesh is coarser than the one that a quality's lengths are given for."""
+    """Return how many times coarser a scene's mesh is than the one that a quality's lengths refer to."""
     size = indenter.feature_size_mm / _REFERENCE_INDENTER.feature_size_mm
     penetration_radius = indenter.penetration_radius_mm(depth_mm)
     contact = penetration_radius / _REFERENCE_INDENTER.penetration_radius_mm(_REFERENCE_DEPTH_MM)
