@@ -36,8 +36,8 @@ class Iterate:
 class Indentation:
     """A pad, the sphere that touches it, and the settings of Newton's method.
 
-    It has converged when the norm of the out-of-balance forces is below `tolerance_n`; a step that raises that norm more
-    than `largest_rise` times is shortened.
+    It has converged when the norm of the out-of-balance forces is below `tolerance_n`; a step that raises that norm
+    more than `largest_rise` times is shortened.
     """
 
     pad: Pad
