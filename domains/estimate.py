@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.domains.frame_pictures import led_to_camera, picture_cells, same_picture
+from gelgap.domains.frame_pictures import led_to_camera, picture_cells, group_by_picture
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState, grid_axes
@@ -108,7 +108,7 @@ def _frame_cost(
     start = time.process_time()
     cells = [
         row
-        for members in same_picture(recipes)
+        for members in group_by_picture(recipes)
         for row in picture_cells([recipes[index] for index in members], matrices[members[0]], 0, state)
     ]
     seconds = time.process_time() - start

@@ -25,7 +25,7 @@ def led_to_camera(recipe: DomainRecipe) -> np.ndarray:
     return recipe.illumination.led_to_camera(recipe.sensor.camera)
 
 
-def same_picture(recipes: Sequence[DomainRecipe]) -> list[list[int]]:
+def group_by_picture(recipes: Sequence[DomainRecipe]) -> list[list[int]]:
     """Return the indices of the recipes in groups whose pictures are one rendering, inpainted or not."""
     groups: dict[Hashable, list[int]] = {}
     for index, recipe in enumerate(recipes):
@@ -45,7 +45,7 @@ def reference_png(recipe: DomainRecipe, matrix: np.ndarray) -> bytes:
 def picture_cells(
     recipes: Sequence[DomainRecipe], matrix: np.ndarray, frame: int, state: "MembraneState"
 ) -> list[dict[str, Any]]:
-    """Return the picture columns of one contact for recipes that have the `same_picture`, rendered once.
+    """Return the picture columns of one contact for recipes that have the `group_by_picture`, rendered once.
 
     Raises
     ------

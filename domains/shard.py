@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.domains.columns import LABELS, OPTIONAL, LabelColumn, LabelSource
-from gelgap.domains.frame_pictures import KEPT_RENDERERS, picture_cells, same_picture
+from gelgap.domains.frame_pictures import KEPT_RENDERERS, picture_cells, group_by_picture
 from gelgap.domains.plan import FrameBatch, solve_plan
 from gelgap.domains.random_streams import random_stream
 from gelgap.domains.recipe import DomainRecipe
@@ -51,7 +51,7 @@ def render_batch(batch: FrameBatch, matrices: Sequence[np.ndarray], solutions: d
     physics = solve_plan(batch.recipes[0])
     frames = range(batch.start, batch.stop)
     states = [physics.state(frame, solutions.get(physics.solve_key(frame))) for frame in frames]
-    groups = same_picture(batch.recipes)
+    groups = group_by_picture(batch.recipes)
     shards: list[Shard | None] = [None] * len(batch.recipes)
     # Contacts are the inner loop as long as the renderers of the outer one are kept.
     for start in range(0, len(groups), KEPT_RENDERERS):
