@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.domains.frame_pictures import led_to_camera, picture_cells, group_by_picture
+from gelgap.domains.frame_pictures import group_by_picture, led_to_camera, picture_cells
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState, grid_axes

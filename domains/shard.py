@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.domains.columns import LABELS, OPTIONAL, LabelColumn, LabelSource
-from gelgap.domains.frame_pictures import KEPT_RENDERERS, picture_cells, group_by_picture
+from gelgap.domains.frame_pictures import KEPT_RENDERERS, group_by_picture, picture_cells
 from gelgap.domains.plan import FrameBatch, solve_plan
 from gelgap.domains.random_streams import random_stream
 from gelgap.domains.recipe import DomainRecipe
