@@ -6,6 +6,10 @@ from typing import Annotated
 
 import tyro
 
+from gelgap.cli.rules import InputFolder, OutputFolder
+
+DOMAINS = InputFolder("the folder of one domain, or of several,")
+
 
 @dataclass(frozen=True)
 class Export:
@@ -15,9 +19,9 @@ class Export:
       gelgap export data --format huggingface --out upload
     """
 
-    folder: tyro.conf.Positional[Path]
+    folder: Annotated[tyro.conf.Positional[Path], DOMAINS]
     """Folder of one domain, or of several."""
-    out: Path
+    out: Annotated[Path, OutputFolder()]
     """New folder for the export."""
     format_name: Annotated[str, tyro.conf.arg(name="format")] = "paper"
     """paper, webdataset or huggingface."""

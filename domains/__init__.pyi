@@ -29,6 +29,7 @@ from .paired_frames import Pairing as Pairing
 from .plan import plan_generation as plan_generation
 from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
+from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
 from .splits import DomainSplit as DomainSplit
 from .splits import split_domains as split_domains

@@ -1,9 +1,11 @@
-"""The known methods by name. A new one is a file in this folder and a line in `METHODS`."""
+"""The known methods by name. A new one is a file in this folder and a line in `METHODS`, or comes from outside."""
 
 from importlib import import_module
 
 from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.methods.outside import code_digest, installed_methods, load_method
 from gelgap.adapt.profile import Profile
+from gelgap.assets.names import unknown_name
 
 METHODS = {
     "constant-mean": "constant_mean.ConstantMean",
@@ -26,11 +28,14 @@ METHODS = {
     "supervised": "supervised.Supervised",
 }
 _EXTRA: dict[str, type[Method]] = {}
+_CODE: dict[str, str] = {}
+"""A hash of the code of methods from outside, by name."""
 
 
 def method_names() -> tuple[str, ...]:
     """Return the names of all methods."""
-    return (*METHODS, *_EXTRA)
+    installed = (name for name in installed_methods() if name not in METHODS and name not in _EXTRA)
+    return (*METHODS, *_EXTRA, *installed)
 
 
 def register(name: str, method: type[Method]) -> None:
@@ -46,6 +51,29 @@ def register(name: str, method: type[Method]) -> None:
     _EXTRA[name] = method
 
 
+def use_method(name: str) -> str:
+    """Return the name of a method that may also stand as `module:Class` or `file.py:Class`; such a class is registered.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method, or the module or class is not one.
+    """
+    if ":" not in name:
+        find_method(name)
+        return name
+    own, method = load_method(name)
+    if own in METHODS or _EXTRA.get(own, method) is not method:
+        raise ValueError(f"method {name!r}: the name {own} is taken by another method")
+    _EXTRA[own], _CODE[own] = method, code_digest(method)
+    return own
+
+
+def method_code(name: str) -> str | None:
+    """Return a hash of the code of a method from outside; None for those of gelgap and of `register`."""
+    return _CODE.get(name)
+
+
 def find_method(name: str) -> type[Method]:
     """Return a method's class.
 
@@ -56,8 +84,14 @@ def find_method(name: str) -> type[Method]:
     """
     if name in _EXTRA:
         return _EXTRA[name]
+    if name not in METHODS and (place := installed_methods().get(name)):
+        _, method = load_method(place)
+        _EXTRA[name], _CODE[name] = method, code_digest(method)
+        return method
     if name not in METHODS:
-        raise ValueError(f"method {name!r} is unknown; known methods: {', '.join(method_names())}")
+        raise ValueError(
+            f"{unknown_name('method', name, method_names(), 'known methods')}; your own: module:Class or file.py:Class"
+        )
     module, _, attribute = METHODS[name].rpartition(".")
     return getattr(import_module(f"gelgap.adapt.methods.{module}"), attribute)
 
