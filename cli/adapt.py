@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from gelgap.cli.arguments import optional
-from gelgap.cli.rules import SEED, InputFile, InputFolder, OneOf, OutputFolder, Preset
+from gelgap.cli.rules import SEED, DataSet, InputFile, OneOf, OutputFolder, Preset
 
 if TYPE_CHECKING:
     from gelgap.adapt import Run
@@ -37,9 +37,9 @@ class Adapt:
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --out runs
     """
 
-    source: Annotated[Path, InputFolder("the folder of a domain")]
+    source: Annotated[Path, DataSet()]
     """Folder of the source domain."""
-    target: Annotated[Path, InputFolder("the folder of a domain")]
+    target: Annotated[Path, DataSet()]
     """Folder of the target domain."""
     method: Annotated[tuple[str, ...], MethodNames()] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""

@@ -106,11 +106,15 @@ def read_picture(path: Path) -> "np.ndarray":
     Raises
     ------
     FileNotFoundError
-        If there is no picture at the path.
+        If there is no such file.
+    ValueError
+        If it is not a picture.
     """
     import cv2
 
-    picture = cv2.imread(str(path)) if path.is_file() else None
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist or is not a file; a picture is needed")
+    picture = cv2.imread(str(path))
     if picture is None:
-        raise FileNotFoundError(f"{path} does not exist or is not a picture")
+        raise ValueError(f"{path} is not a picture that OpenCV can read")
     return picture[..., ::-1].copy()

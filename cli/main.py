@@ -75,7 +75,7 @@ def parse(arguments: Sequence[str]) -> Command:
     """Return the command that the arguments describe; on bad ones print one line and exit with code 2."""
     if arguments and (name := command_name(arguments)) is not None and name not in COMMANDS:
         fail(refusal(arguments, COMMANDS, ""), EXIT_BAD_INPUT)
-    if empty := empty_value(arguments):
+    if empty := empty_value(arguments, COMMANDS):
         fail(empty, EXIT_BAD_INPUT)
     errors = io.StringIO()
     commands = _one_of(COMMANDS, summary=not COMMANDS.keys() & set(arguments))

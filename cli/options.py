@@ -90,11 +90,5 @@ def _needs(kind: Any) -> str:
         case value if value is tuple and get_args(kind)[-1] is Ellipsis:
             return f"{_needs(get_args(kind)[0])}, or several"
         case value if value is tuple:
-            return " and ".join(_needs(part) for part in get_args(kind))
-    return {
-        int: "a whole number",
-        float: "a number",
-        Path: "a path",
-        str: "a name",
-        bool: "given without a value",
-    }[kind]
+            return f"{len(get_args(kind))} {_needs(get_args(kind)[0]).removeprefix('a ')}s"
+    return {int: "a whole number", float: "a number", Path: "a path", str: "a name"}[kind]

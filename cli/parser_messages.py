@@ -32,19 +32,25 @@ def command_name(arguments: Sequence[str]) -> str | None:
     return next((argument for argument in arguments if not argument.startswith("-")), None)
 
 
-def empty_value(arguments: Sequence[str]) -> str | None:
+def empty_value(arguments: Sequence[str], commands: Mapping[str, type]) -> str | None:
     """Return the sentence for an empty value, as an unset variable of a shell leaves it; None if there is none."""
     for place, argument in enumerate(arguments):
         if argument == "" or re.fullmatch(r"--[\w-]+=", argument):
-            before = next((a for a in reversed(arguments[:place]) if a.startswith("-")), "a value")
-            return f"{argument[:-1] or before} = '': must not be empty"
+            before = next((a for a in reversed(arguments[:place]) if a.startswith("-")), None)
+            return f"{argument[:-1] or before or _first_value(arguments, commands)} = '': must not be empty"
     return None
+
+
+def _first_value(arguments: Sequence[str], commands: Mapping[str, type]) -> str:
+    """Return the name of a command's values without a name."""
+    options = options_of(commands[name]) if (name := command_name(arguments)) in commands else ()
+    return next((option.name for option in options if option.positional), "a value")
 
 
 def _one_line(parser_message: str) -> str:
     """Flatten the parser's boxed error into one sentence, without the pointer to --help that closes it."""
     without_title = parser_message.partition("\n")[2]
-    text = " ".join(_BOX_AND_COLOUR.sub(" ", without_title).split())
+    text = re.sub("-{5,}", "", " ".join(_BOX_AND_COLOUR.sub(" ", without_title).split())).strip()
     return text.split(" For full helptext, ")[0]
 
 

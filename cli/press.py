@@ -52,7 +52,7 @@ class Press:
         optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
     ] = None
     """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
-    indenter_diameter_mm: float = 3.0
+    indenter_diameter_mm: Annotated[float, Between(0.5, 50, "mm")] = 3.0
     """Diameter of the sphere in mm."""
     depth_mm: Annotated[float | None, optional("MM", "0.6, or what --force-n needs")] = None
     """Commanded depth below first contact in mm, at least 0."""
@@ -60,9 +60,9 @@ class Press:
         float | None, optional("N", aliases=("--force-n",)), Between(1e-6, 1e4, "N")
     ] = None
     """Load control: press to this normal force in N (positive) instead of to a depth, then drag at that depth."""
-    shear_x_mm: float = 0.0
+    shear_x_mm: Annotated[float, Between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along x after the press, in mm."""
-    shear_y_mm: float = 0.0
+    shear_y_mm: Annotated[float, Between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along y (down in the image) after the press, in mm."""
     point_x_mm: float = 0.0
     """Contact point along x in mm; 0 is the centre of the pad."""

@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 
 from gelgap.cli.arguments import optional
-from gelgap.cli.rules import InputFolder, OutputFolder
+from gelgap.cli.rules import FinishedRuns, OutputFolder
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Report:
       gelgap report runs
     """
 
-    runs: Annotated[tyro.conf.Positional[Path], InputFolder("a folder with runs of gelgap adapt")]
+    runs: Annotated[tyro.conf.Positional[Path], FinishedRuns()]
     """Folder with finished runs, at any depth."""
     out: Annotated[Path | None, optional("PATH", "the folder of the runs"), OutputFolder()] = None
     """Folder for the report."""

@@ -86,7 +86,7 @@ class InputFile:
     hint: str = ""
 
     def problem(self, value: Path) -> str | None:
-        return _not_there(value, self.what, Path.is_file, "is a folder", self.hint.format(path=value))
+        return _not_there(value, self.what, Path.is_file, "is a folder", self.hint.format(path=_short(value)))
 
 
 @dataclass(frozen=True)
@@ -97,6 +97,34 @@ class InputFolder:
 
     def problem(self, value: Path) -> str | None:
         return _not_there(value, self.what, Path.is_dir, "is a file", "")
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """The folder of a domain, or of several if `several`, in a layout that is known."""
+
+    several: bool = False
+
+    def problem(self, value: Path) -> str | None:
+        whats = "the folder of one domain, or of several," if self.several else "the folder of a domain"
+        if missing := InputFolder(whats).problem(value):
+            return missing
+        from gelgap.domains import domain_folders, layout_problem
+
+        folders = domain_folders(value) if self.several else (value,)
+        return next((problem for folder in folders if (problem := layout_problem(folder))), None)
+
+
+@dataclass(frozen=True)
+class FinishedRuns:
+    """A folder with finished runs of `gelgap adapt` or of the benchmark, at any depth."""
+
+    def problem(self, value: Path) -> str | None:
+        if missing := InputFolder("a folder with runs of gelgap adapt").problem(value):
+            return missing
+        if any(value.rglob("run.json")) or any(value.glob("*.jsonl")):
+            return None
+        return f"holds no finished adaptation run; `gelgap adapt … --out {value}` writes one"
 
 
 @dataclass(frozen=True)
@@ -142,9 +170,7 @@ class Scheduler:
     """`synchronous`, or an address with a port."""
 
     def problem(self, value: str) -> str | None:
-        if value == "synchronous" or re.fullmatch(
-            r"(tcp|tls|ucx|wss?)://[^\s/:]\S*:\d{1,5}/?|inproc://\S+|[^\s/:]+:\d{1,5}", value
-        ):
+        if value == "synchronous" or _SCHEDULER_ADDRESS.fullmatch(value):
             return None
         return "must be synchronous (this process) or the address of a Dask scheduler such as tcp://host:8786"
 
@@ -159,6 +185,10 @@ def _not_there(
     except OSError as error:
         found = f"cannot be opened ({error.strerror})"
     return f"{found}; {what} is needed{hint}"
+
+
+def _short(path: Path) -> str:
+    return shown(str(path)).strip("'")
 
 
 def _unwritable(folder: Path) -> str | None:

@@ -33,7 +33,9 @@ class DomainRecipe(Settings):
     """One domain, completely: the same recipe and package versions give the same bytes."""
 
     name: str = Field(
-        description="the domain's name, and its folder's", pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
+        description="the domain's name, and its folder's",
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$",
+        max_length=128,
     )
     elastomer: Elastomer
     indenter: AnyIndenter = Sphere()
