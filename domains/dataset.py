@@ -270,7 +270,7 @@ class FrameSubset(LabelledFrames):
         self.whole = whole
         self.indices = np.arange(len(whole))[indices]
         self.name, self.force_range_n, self.n_classes = whole.name, whole.force_range_n, whole.n_classes
-        self.notes, self.unconverged = whole.notes, whole.unconverged
+        self.notes = whole.notes
         self.columns = {name: values[self.indices] for name, values in whole.columns.items()}
         self._images: dict[tuple[int, int], np.ndarray] = {}
 

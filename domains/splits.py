@@ -111,11 +111,17 @@ def _parts(
             case "given":
                 found.append(_stated_parts(frames))
             case "random":
-                found.append(draw_parts(len(frames), seed, own))
+                found.append(_parts_at_random(frames, seed, own))
                 _check_filled(frames, found[-1], own, f"{len(frames)} frames")
             case _:
                 raise ValueError(f"split {by!r} is unknown; known: random, point, given")
     return found
+
+
+def _parts_at_random(frames: LabelledFrames, seed: int, shares: Shares) -> np.ndarray:
+    """Draw frames that did not converge too, so that a seed gives the same part whichever frames are left out."""
+    drawn = draw_parts(len(frames) + frames.unconverged, seed, shares)
+    return drawn[frames.columns["frame_id"]] if frames.unconverged else drawn
 
 
 def _parts_by_point(

@@ -13,6 +13,8 @@ MARGIN_MM = 1.0
 TAPER_MM = 3.0
 
 
+# numba's cache on disk refers by name to the NamedTuples that kernels take. Who renames or removes one must rename the
+# modules of those kernels too: a cache that an older version has left there would fail to load.
 class Grid(NamedTuple):
     """Where a lattice's first point lies and how far apart its points are, as kernels take it: float32."""
 

@@ -5,7 +5,6 @@ they leave behind. Everything runs in its quickest form, which the tables below 
 """
 
 import contextlib
-import functools
 import glob
 import io
 import pkgutil
@@ -25,7 +24,6 @@ import pytest
 
 from gelgap.adapt import Profile
 from gelgap.cli.main import COMMANDS, main, parse
-from gelgap.sim import load_path
 
 # --- what is documented -----------------------------------------------------------------------------------------
 
@@ -145,17 +143,21 @@ angles_deg = [0, 90, 180, 270]
 """
 
 
-def smallest_solves(_: Callable) -> Callable:
-    """Solve a benchmark's jobs at draft in this process, instead of each in a process of its own."""
+def in_this_process(_: Callable) -> Callable:
+    """Do a benchmark's work in this process, instead of each piece in a process of its own."""
+    return lambda workers, function, arguments: [function(argument) for argument in arguments]
 
-    def solve(jobs, processes: int = 1):
-        from gelgap.benchmarks.physics.solve_jobs import Outcome
+
+def smallest_solve(_: Callable) -> Callable:
+    """Solve a benchmark's case at draft, with the cache."""
+
+    def solve(case):
+        from gelgap.benchmarks.physics.cases import SolvedCase
         from gelgap.sim import solve_poses
 
-        for job in jobs:
-            sharing = replace(job.sharing, cache=True)
-            states = solve_poses(job.elastomer, job.indenter, job.poses, "draft", sharing)
-            yield Outcome(job, states, wall_s=1.0, processor_s=1.0, peak_memory_mib=1.0)
+        sharing = replace(case.sharing, cache=True)
+        states = solve_poses(case.elastomer, case.indenter, case.poses, "draft", sharing)
+        return SolvedCase(case, states, wall_s=1.0, processor_s=1.0, peak_memory_mib=1.0)
 
     return solve
 
@@ -164,49 +166,44 @@ def smallest_recipes(_: Callable) -> Callable:
     """Make one domain of the tiny path instead of a preset's."""
     from gelgap.domains import make_recipes
 
-    return lambda name, quality: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
+    return lambda: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
-        "physics.accuracy.solve_jobs": smallest_solves,
-        "physics.savings.solve_jobs": smallest_solves,
-        "physics.accuracy.press_references": lambda real: (
-            lambda: {name: shortened(reference, 2) for name, reference in real().items()}
-        ),
-        "physics.accuracy.shear_references": lambda real: lambda: [shortened(real()[0], 1)],
-        "physics.path.ContactPath.preset": lambda real: lambda name: load_path("tiny.toml"),
-        "physics.savings.ContactPath.preset": lambda real: lambda name: load_path("tiny.toml"),
-        "physics.path.STATES": lambda real: 2,
+        "physics.cases.Workers.map": in_this_process,
+        "physics.cases.solve_case": smallest_solve,
+        "physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
     },
     "gelgap benchmark render --quick": {
-        "render.accuracy.SIZES_PX": lambda real: real[:1],
-        "render.accuracy.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
-        "render.accuracy.start_up_s": lambda real: functools.cache(real),
+        "render.speed.SIZES_PX": lambda real: real[:1],
+        "render.speed.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
     },
     "gelgap benchmark throughput --quick": {
-        "data.throughput.preset_recipes": smallest_recipes,
+        "data.throughput.quick_recipes": smallest_recipes,
         "data.throughput.generate_recipes": lambda real: (
             lambda recipes, out, workers, progress: real(recipes, out, workers=1, progress=progress)
         ),
     },
     "gelgap benchmark stability --what physics --quick": {
-        "physics.stability.CORNERS": lambda real: 35,
         "physics.stability.QUICK_SCENES": lambda real: 1,
     },
     "gelgap benchmark stability --what render --quick": {
         "render.stability.QUICK_FRAMES": lambda real: 20,
-        "render.stability.QUICK_SCENES": lambda real: 1,
+        "render.stability.QUICK_PRESSES": lambda real: 1,
     },
     "gelgap benchmark stability --what losses --quick": {
-        "adaptation.losses.cases": lambda real: lambda: real()[:2]
+        "adaptation.losses.traps": lambda real: lambda: real()[:2]
     },
     "gelgap benchmark adaptation --quick": {
-        "adaptation.groups._data": lambda real: lambda out: Path("data"),
+        "adaptation.jobs.Bench.at": lambda real: (
+            lambda folder: real(folder).__class__(Path("data"), folder, folder.name, workers=1)
+        ),
+        "adaptation.jobs.Bench.generate_preset": lambda real: lambda bench: None,
         "adaptation.groups.TABLE_METHODS": lambda real: ("source-only", "dsan"),
         "adaptation.speed.METHODS": lambda real: real[:1],
-        "adaptation.speed.measure": lambda real: lambda profile: real(profile, 2 * profile.batch_size, 1),
-        "adaptation.speed.overhead": lambda real: lambda profile: real(profile, 1),
+        "adaptation.speed.FRAMES": lambda real: 64,
+        "adaptation.speed.REPEATS": lambda real: 1,
     },
 }
 """Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""

@@ -9,6 +9,7 @@ import pytest
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains.folder import DomainFolder
 from gelgap.domains.opening import open_domain
+from gelgap.domains.splits import split_frames
 from gelgap.sim import SolvePlan
 
 pytestmark = pytest.mark.usefixtures("small_shards")
@@ -175,6 +176,8 @@ def test_a_pose_that_did_not_converge_is_written_without_a_picture(
     data = open_domain(tmp_path / "mb0i0")
     assert (report.unconverged, data.unconverged, len(data)) == (1, 1, 25)
     assert 4 not in data.columns["frame_id"]
+    given, random = (split_frames(data, by) for by in ("given", "random"))
+    assert all(np.array_equal(stated, drawn) for stated, drawn in zip(given, random, strict=True))
     assert "1 of 26 frames did not converge" in data.notes[0]
 
 
