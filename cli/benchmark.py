@@ -40,7 +40,7 @@ class Benchmark:
     subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
     what: Annotated[Literal[*_PARTS] | None, optional("PART", help=_help_on_parts())] = None
     quick: Flag = False
-    """A form that takes under two minutes."""
+    """A short form: the smallest case or two of each table; seconds to minutes."""
     out: Annotated[Path, OutputFolder()] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 

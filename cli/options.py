@@ -50,13 +50,17 @@ def check_values(command: Any) -> None:
     Raises
     ------
     ValueError
-        If a value breaks one; the message names option, value, and what is allowed.
+        If values break some; the message names each option, its value, and what is allowed.
     """
-    for option in options_of(type(command)):
-        value = getattr(command, option.field)
-        for rule in option.rules if value is not None else ():
-            if problem := rule.problem(value):
-                raise ValueError(f"{option.name} = {_as_given(value)}: {problem}")
+    problems = [
+        f"{option.name} = {_as_given(value)}: {problem}"
+        for option in options_of(type(command))
+        if (value := getattr(command, option.field)) is not None
+        for rule in option.rules
+        if (problem := rule.problem(value))
+    ]
+    if problems:
+        raise ValueError("; ".join(problems))
 
 
 def _as_given(value: Any) -> str:
