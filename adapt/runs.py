@@ -11,7 +11,8 @@ import numpy as np
 
 from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_predictions
-from gelgap.adapt.methods.registry import find_method, method_names, method_settings, use_method
+from gelgap.adapt.methods.names import method_names
+from gelgap.adapt.methods.registry import find_method, method_settings, use_method
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.normalisation import with_statistics_of
 from gelgap.adapt.profile import Profile

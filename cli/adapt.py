@@ -54,10 +54,11 @@ class Adapt:
 
     def run(self, started: float) -> None:
         """Train, adapt, print one line per method."""
-        from gelgap.adapt import Profile, adapt_folders, console_progress
+        from gelgap.adapt import Profile
 
         is_file = self.profile.endswith(".toml")
         profile = Profile.load(self.profile) if is_file else Profile.preset(self.profile)
+        from gelgap.adapt import adapt_folders, console_progress
 
         with console_progress() as progress:
             runs = adapt_folders(

@@ -25,6 +25,7 @@ from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
 from gelgap.cli.render import Render
 from gelgap.cli.report import Report
+from gelgap.cli.rules import OutputFolder
 
 EXIT_FAILED_RUN = 1
 EXIT_BAD_INPUT = 2
@@ -105,6 +106,13 @@ def explain(error: Exception) -> str:
     )
 
 
+def check_cache(writes: bool) -> None:
+    """Raise ValueError if the cache's folder is none or, where a command writes to it, takes no file."""
+    folder = cache_folder()
+    if writes and (problem := OutputFolder().problem(folder)):
+        raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {problem}")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; the entry point of the `gelgap` script."""
     started = time.perf_counter()
@@ -116,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
     try:
         check_values(command)
-        cache_folder()
+        check_cache(writes=isinstance(command, Benchmark | Demo | Generate | Press))
         command.run(started)
     except KeyboardInterrupt:
         fail("interrupted; what was finished is kept, run the same command again to go on", EXIT_INTERRUPTED)

@@ -1,25 +1,14 @@
-"""Methods of other people's code: entry points of installed packages, and `module:Class` or `file.py:Class`."""
+"""Methods of other people's code, named by `module:Class` or `file.py:Class`."""
 
 import hashlib
 import inspect
 import sys
-from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
 from gelgap.adapt.methods.base import Method
-
-ENTRY_POINTS = "gelgap.methods"
-"""The group in which a package declares its methods: a name, and `module:Class`."""
-
-
-@cache
-def installed_methods() -> dict[str, str]:
-    """Return the methods that installed packages declare, `module:Class` by name."""
-    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)}
 
 
 def load_method(place: str) -> tuple[str, type[Method]]:

@@ -1,41 +1,15 @@
-"""The known methods by name. A new one is a file in this folder and a line in `METHODS`, or comes from outside."""
+"""The known methods: their classes and settings by name."""
 
 from importlib import import_module
 
 from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.outside import code_digest, installed_methods, load_method
+from gelgap.adapt.methods.names import EXTRA, METHODS, installed_methods, method_names
+from gelgap.adapt.methods.outside import code_digest, load_method
 from gelgap.adapt.profile import Profile
 from gelgap.assets.names import unknown_name
 
-METHODS = {
-    "constant-mean": "constant_mean.ConstantMean",
-    "source-only": "source_only.SourceOnly",
-    "adabn": "adabn.AdaBN",
-    "no-transfer": "no_transfer.NoTransfer",
-    "coral": "coral.DeepCORAL",
-    "dan": "dan.DAN",
-    "jan": "jan.JAN",
-    "dann": "dann.DANN",
-    "rsd": "rsd.RSD",
-    "daregram": "daregram.DAREGRAM",
-    "daregram-published": "daregram.PublishedDAREGRAM",
-    "daregram-tikhonov": "daregram.TikhonovDAREGRAM",
-    "dsan": "dsan.DSAN",
-    "dsan-coarse": "dsan.CoarseDSAN",
-    "dsan-soft": "dsan.SoftDSAN",
-    "cod": "cod.COD",
-    "ssa": "ssa.SSA",
-    "supervised": "supervised.Supervised",
-}
-_EXTRA: dict[str, type[Method]] = {}
 _CODE: dict[str, str] = {}
 """A hash of the code of methods from outside, by name."""
-
-
-def method_names() -> tuple[str, ...]:
-    """Return the names of all methods."""
-    installed = (name for name in installed_methods() if name not in METHODS and name not in _EXTRA)
-    return (*METHODS, *_EXTRA, *installed)
 
 
 def register(name: str, method: type[Method]) -> None:
@@ -48,7 +22,7 @@ def register(name: str, method: type[Method]) -> None:
     """
     if name in method_names():
         raise ValueError(f"method name {name!r} is taken")
-    _EXTRA[name] = method
+    EXTRA[name] = method
 
 
 def use_method(name: str) -> str:
@@ -63,9 +37,9 @@ def use_method(name: str) -> str:
         find_method(name)
         return name
     own, method = load_method(name)
-    if own in METHODS or _EXTRA.get(own, method) is not method:
+    if own in METHODS or EXTRA.get(own, method) is not method:
         raise ValueError(f"method {name!r}: the name {own} is taken by another method")
-    _EXTRA[own], _CODE[own] = method, code_digest(method)
+    EXTRA[own], _CODE[own] = method, code_digest(method)
     return own
 
 
@@ -82,11 +56,11 @@ def find_method(name: str) -> type[Method]:
     ValueError
         If there is no such method; the message lists the known ones.
     """
-    if name in _EXTRA:
-        return _EXTRA[name]
+    if name in EXTRA:
+        return EXTRA[name]
     if name not in METHODS and (place := installed_methods().get(name)):
         _, method = load_method(place)
-        _EXTRA[name], _CODE[name] = method, code_digest(method)
+        EXTRA[name], _CODE[name] = method, code_digest(method)
         return method
     if name not in METHODS:
         raise ValueError(

@@ -1,6 +1,8 @@
 """The command line: what it prints, its exit codes, and one-line errors that say what would be right."""
 
 import json
+import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -95,6 +97,28 @@ def test_a_cache_that_is_a_file_is_refused_first(
     code, out, err = run(["press"], capsys)
     assert (code, out) == (2, "")
     assert f"GELGAP_CACHE = '{tmp_path / 'cache'}'" in err
+
+
+def test_a_cache_that_takes_no_file_is_refused_before_solving(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GELGAP_CACHE", "/proc/gelgap")
+    code, out, err = run(["press"], capsys)
+    assert (code, out) == (2, "")
+    assert "GELGAP_CACHE = '/proc/gelgap': the folder /proc cannot be written to" in err
+    assert run(["presets", "paths"], capsys)[0] == 0
+
+
+def test_bad_names_are_refused_without_torch(tmp_path: Path) -> None:
+    """Importing torch takes seconds."""
+    program = (
+        "import sys\nfrom gelgap.cli.main import main\n"
+        "try: main('adapt --source . --target . --method dsn'.split())\n"
+        "except SystemExit as stop: sys.exit(0 if stop.code == 2 and 'torch' not in sys.modules else 1)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "did you mean dsan?" in done.stderr
 
 
 def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.adapt.methods import outside, registry
+from gelgap.adapt.methods import names, registry
 from gelgap.cli.main import main
 from gelgap.domains import make_recipes, own_recipe
 from gelgap.sim import Elastomer
@@ -99,7 +99,7 @@ def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     )
     (tmp_path / "own.py").write_text(METHOD)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(registry, "_EXTRA", {})
+    monkeypatch.setattr(registry, "EXTRA", {})
     monkeypatch.setattr(registry, "_CODE", {})
     return tmp_path
 
@@ -133,7 +133,7 @@ def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyP
     other = pictures / "other"
     other.mkdir()
     (other / "own.py").write_text(METHOD.replace("0.5", "0.7"))
-    monkeypatch.setattr(registry, "_EXTRA", {})
+    monkeypatch.setattr(registry, "EXTRA", {})
     registry.use_method("other/own.py:Half")
     assert before is not None
     assert registry.method_code("own.Half") != before
@@ -169,13 +169,13 @@ def test_an_installed_package_offers_its_methods(pictures: Path, monkeypatch: py
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text("[gelgap.methods]\nhalf = offered_methods:Half\n")
     monkeypatch.syspath_prepend(str(pictures))
-    outside.installed_methods.cache_clear()
+    names.installed_methods.cache_clear()
     try:
-        assert "half" in registry.method_names()
+        assert "half" in names.method_names()
         assert registry.find_method("half").__name__ == "Half"
         assert registry.method_code("half")
     finally:
-        outside.installed_methods.cache_clear()
+        names.installed_methods.cache_clear()
         sys.modules.pop("offered_methods", None)
 
 
