@@ -87,7 +87,7 @@ def adapt_frames(
 
 def _known(methods: Iterable[str], profile: Profile) -> tuple[str, ...]:
     """Return the methods' names; raise ValueError if there is none, one is unknown, or has a wrong setting."""
-    methods = tuple(dict.fromkeys(use_method(method) for method in methods))
+    methods = tuple(use_method(method) for method in methods)
     if not methods:
         raise ValueError(f"no method was named; known methods: {', '.join(method_names())}")
     for method in methods:

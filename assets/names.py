@@ -10,10 +10,11 @@ def unknown_name(what: str, name: str, known: Iterable[str], of_known: str = "kn
     """Return the sentence for a name that nothing has: the nearest known name, and all that are known.
 
     >>> unknown_name("profile preset", "cpus", ["cpu", "paper"])
-    "profile preset 'cpus' is unknown; did you mean cpu? known: cpu, paper"
+    "profile preset 'cpus' is unknown; known: cpu, paper; did you mean cpu?"
     """
     known = tuple(known)
-    return f"{what} {shown(name)} is unknown;{meant(name, known)} {of_known}: {', '.join(known)}"
+    near = meant(name, known)
+    return f"{what} {shown(name)} is unknown; {of_known}: {', '.join(known)}{';' if near else ''}{near}"
 
 
 def meant(name: str, known: Iterable[str]) -> str:

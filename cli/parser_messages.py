@@ -89,4 +89,6 @@ def _unknown_option(word: str, options: Sequence[Option], command: str) -> str:
     if not word.startswith("-"):
         return f"{shown(word)} is one value too many for gelgap {command}; see: gelgap {command} --help"
     names = [name for option in options if not option.positional for name in option.names]
-    return f"{unknown_name('option', word, names, 'options')}; see: gelgap {command} --help"
+    near = meant(word, names)
+    known = near or f" options: {', '.join(names)};"
+    return f"option {shown(word)} is unknown;{known} see: gelgap {command} --help"

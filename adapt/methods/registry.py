@@ -63,9 +63,7 @@ def find_method(name: str) -> type[Method]:
         EXTRA[name], _CODE[name] = method, code_digest(method)
         return method
     if name not in METHODS:
-        raise ValueError(
-            f"{unknown_name('method', name, method_names(), 'known methods')}; your own: module:Class or file.py:Class"
-        )
+        raise ValueError(unknown_name("method", name, method_names(), "known methods"))
     module, _, attribute = METHODS[name].rpartition(".")
     return getattr(import_module(f"gelgap.adapt.methods.{module}"), attribute)
 
