@@ -10,9 +10,9 @@ from .loop import TrainingDiverged as TrainingDiverged
 from .methods.base import Adaptation as Adaptation
 from .methods.base import Method as Method
 from .methods.base import MethodSettings as MethodSettings
+from .methods.names import method_names as method_names
 from .methods.registry import find_method as find_method
 from .methods.registry import make_method as make_method
-from .methods.registry import method_names as method_names
 from .methods.registry import register as register
 from .methods.registry import transfer_weight as transfer_weight
 from .model import ForceModel as ForceModel

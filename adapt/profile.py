@@ -1,11 +1,13 @@
 """One frozen object with every hyperparameter of an adaptation run, and the presets smoke, cpu and paper."""
 
+from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings
+from gelgap.assets.toml_file import read_toml
 
 
 class Profile(Settings):
@@ -105,6 +107,26 @@ class Profile(Settings):
     def replace(self, **changes: Any) -> "Profile":
         """Return a checked copy with some fields changed."""
         return Profile(**{**self.model_dump(), **changes})
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Profile":
+        """Read a profile from a TOML file; `base` names the preset whose values hold where the file gives none.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not valid TOML, a field is unknown, or a value is out of range; the message names the file.
+        """
+        values = read_toml(path)
+        values.pop("description", None)
+        try:
+            base = values.pop("base", None)
+            start = {} if base is None else cls.preset(base).model_dump()
+            return cls(**{**start, "name": Path(path).stem, **values})
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
 
     @classmethod
     def preset(cls, name: str) -> "Profile":

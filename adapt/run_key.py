@@ -4,6 +4,7 @@ import hashlib
 import json
 from pathlib import Path
 
+from gelgap.adapt.methods.registry import method_code
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.splits import SplitFrames
 from gelgap.domains import LabelledFrames
@@ -25,7 +26,10 @@ def run_key(
     """
     parts = (frames.source_train, frames.source_held_out, frames.target_train, frames.target_test)
     own = {name: values for name, values in profile.settings.items() if name == method}
-    return _key(parts, method, profile.replace(settings=own), seed, weights)
+    code = method_code(method)
+    return _key(
+        parts, method if code is None else f"{method} {code}", profile.replace(settings=own), seed, weights
+    )
 
 
 def stage1_key(

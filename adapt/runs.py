@@ -11,14 +11,15 @@ import numpy as np
 
 from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_predictions
-from gelgap.adapt.methods.registry import find_method, method_settings
+from gelgap.adapt.methods.names import method_names
+from gelgap.adapt.methods.registry import find_method, method_settings, use_method
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.normalisation import with_statistics_of
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.run_key import run_key, stage1_key
 from gelgap.adapt.run_record import Run, is_finished, load_run, run_folder, versions, write_run
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.source_training import train_source, untrained
 from gelgap.adapt.splits import SplitFrames, check_same_size, split_for_training
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains import LabelledFrames, open_domain
@@ -44,7 +45,7 @@ def adapt_folders(
     source, target
         Folders of domains that `gelgap.domains.open_domain` reads.
     methods
-        Their names; the runs come in this order.
+        Their names, or `module:Class` or `file.py:Class` of your own; the runs come in this order.
     weights
         A gelgap checkpoint, or a torchvision ResNet state dictionary, to start stage 1 from.
     out_dir
@@ -85,8 +86,10 @@ def adapt_frames(
 
 
 def _known(methods: Iterable[str], profile: Profile) -> tuple[str, ...]:
-    """Return the methods, or raise ValueError if one is unknown or has a wrong setting."""
-    methods = tuple(methods)
+    """Return the methods' names; raise ValueError if there is none, one is unknown, or has a wrong setting."""
+    methods = tuple(use_method(method) for method in methods)
+    if not methods:
+        raise ValueError(f"no method was named; known methods: {', '.join(method_names())}")
     for method in methods:
         method_settings(method, profile)
     return methods
@@ -132,6 +135,10 @@ class Stage1:
             model.save(self.checkpoint)
             (folder / "resume.pt").unlink(missing_ok=True)
         return model, wall_s
+
+    def untrained(self) -> ForceModel:
+        """Return the model with which stage 1 begins."""
+        return untrained(self.source_train, self.profile, self.seed)
 
     def _train(self, resume_file: Path | None) -> tuple[ForceModel, float]:
         self.source_train.images(self.profile.image_size_px)
@@ -187,13 +194,19 @@ class _Experiment:
 
     def _do(self, planned: Sequence[_PlannedRun]) -> Iterator[Run]:
         frames, start = self.frames, time.perf_counter()
-        model, stage1_s = self.stage1.model()
+        # Methods that need no trained network do not wait for one.
+        needing = {run.method for run in planned if find_method(run.method).needs_stage_1}
+        trained, stage1_s = self.stage1.model() if needing else (None, 0.0)
+        plain = None if needing == {run.method for run in planned} else self.stage1.untrained()
         for part in (frames.source_train, frames.source_held_out, frames.target_train, frames.target_test):
             part.images(self.stage1.profile.image_size_px)
         load_s = time.perf_counter() - start - stage1_s
         for run in planned:
-            yield self._run(run, model, {"load": load_s, "stage1": stage1_s})
-            stage1_s = 0.0
+            needs = run.method in needing
+            yield self._run(
+                run, trained if needs else plain, {"load": load_s, "stage1": stage1_s if needs else 0.0}
+            )
+            stage1_s = 0.0 if needs else stage1_s
 
     def _run(self, planned: _PlannedRun, model: ForceModel, wall_s: dict[str, float]) -> Run:
         """Adapt, evaluate and, if it has a folder, write one run."""

@@ -69,6 +69,18 @@ def train_source(
         records = train(stage, progress, resume_file)
         if profile.colour_mixing:
             estimate_statistics(network, domain.pictures, seed)
+    return _model(network, source, profile, seed, tuple(asdict(record) for record in records))
+
+
+def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
+    """Return the network as stage 1 begins with it, for methods that do not need its training."""
+    network = make_network(profile, source.n_classes, seed).to(best_device())
+    return _model(network, source, profile, seed, ())
+
+
+def _model(
+    network: ForceNetwork, source: LabelledFrames, profile: Profile, seed: int, history: tuple[dict, ...]
+) -> ForceModel:
     return ForceModel(
         network=network.eval(),
         profile=profile,
@@ -76,7 +88,7 @@ def train_source(
         n_classes=source.n_classes,
         seed=seed,
         source=source.name,
-        history=tuple(asdict(record) for record in records),
+        history=history,
     )
 
 

@@ -5,6 +5,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from gelgap.assets.names import unknown_name
+
 PRESET_KINDS = ("elastomers", "paths", "illuminations", "sensors", "datasets", "profiles")
 
 
@@ -26,7 +28,7 @@ def list_presets(kind: str) -> tuple[str, ...]:
         If there is no such kind.
     """
     if kind not in PRESET_KINDS:
-        raise ValueError(f"preset kind {kind!r} is unknown; known kinds: {', '.join(PRESET_KINDS)}")
+        raise ValueError(unknown_name("preset kind", kind, PRESET_KINDS, "known kinds"))
     return tuple(sorted(path.stem for path in asset_path(kind).glob("*.toml")))
 
 
@@ -40,5 +42,5 @@ def load_preset(kind: str, name: str) -> dict[str, Any]:
     """
     known = list_presets(kind)
     if name not in known:
-        raise ValueError(f"{kind[:-1]} preset {name!r} is unknown; known presets: {', '.join(known)}")
+        raise ValueError(unknown_name(f"{kind[:-1]} preset", name, known, "known presets"))
     return tomllib.loads(asset_path(kind, f"{name}.toml").read_text(encoding="utf-8"))

@@ -4,6 +4,8 @@ from typing import Any, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from gelgap.assets.names import shown
+
 
 class Settings(BaseModel):
     """A frozen pydantic model that raises ValueError with one plain sentence instead of pydantic's report."""
@@ -44,8 +46,11 @@ def one_sentence(error: ValidationError) -> str:
 
 def _sentence(detail: Any) -> str:
     field = ".".join(str(part) for part in detail["loc"]) or "settings"
-    shown = detail["type"] not in ("missing", "extra_forbidden") and not isinstance(detail["input"], dict)
-    value = f" = {detail['input']!r}" if shown else ""
+    # A table given for a field would fill the screen; the field's name says where it stands.
+    is_table = isinstance(detail["input"], dict | list | tuple) and "{" in repr(detail["input"])
+    value = (
+        "" if is_table or detail["type"] in ("missing", "extra_forbidden") else f" = {shown(detail['input'])}"
+    )
     message = detail["msg"].removeprefix("Value error, ")
     if not message[:2].isupper():  # an abbreviation keeps its capitals
         message = message[0].lower() + message[1:]

@@ -4,17 +4,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from gelgap.cli.rules import Preset
+
 if TYPE_CHECKING:
     from gelgap.render import Illumination, Sensor
+    from gelgap.sim import Elastomer
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 """A switch that is off unless it is given."""
 
 
-def optional(metavar: str, default: str = "", aliases: tuple[str, ...] = ()) -> Any:
+SensorName = Annotated[str, Preset("sensors")]
+"""A sensor by its preset's name or its TOML file."""
+
+
+def optional(metavar: str, default: str = "", aliases: tuple[str, ...] = (), help: str | None = None) -> Any:
     """Return the annotation of an argument that may be left out, with what happens then as --help shows it."""
     hint = f"(default: {default})" if default else ""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, aliases=aliases)
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, aliases=aliases, help=help)
 
 
 def load_sensor(name: str) -> "Sensor":
@@ -22,6 +29,13 @@ def load_sensor(name: str) -> "Sensor":
     from gelgap.render import Sensor
 
     return Sensor.load(name) if name.endswith(".toml") else Sensor.preset(name)
+
+
+def load_elastomer(name: str) -> "Elastomer":
+    """Return the elastomer of a TOML file or of a preset's name."""
+    from gelgap.sim import Elastomer
+
+    return Elastomer.load(name) if name.endswith(".toml") else Elastomer.preset(name)
 
 
 def load_illumination(name: str) -> "Illumination":

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 import tyro
 
 from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, subjects
+from gelgap.cli.arguments import Flag, optional
+from gelgap.cli.rules import OutputFolder
 
 _PARTS = tuple(dict.fromkeys(benchmark.part for benchmark in BENCHMARKS if benchmark.part))
 
@@ -36,10 +38,10 @@ class Benchmark:
     """
 
     subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
-    what: Annotated[Literal[*_PARTS] | None, tyro.conf.arg(help=_help_on_parts())] = None
-    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """A form that takes under two minutes."""
-    out: Path = Path("benchmark-results")
+    what: Annotated[Literal[*_PARTS] | None, optional("PART", help=_help_on_parts())] = None
+    quick: Flag = False
+    """A short form: the smallest case or two of each table; seconds to minutes."""
+    out: Annotated[Path, OutputFolder()] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 
     def run(self, started: float) -> None:

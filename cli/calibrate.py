@@ -1,17 +1,23 @@
 """`gelgap calibrate`: fit a sensor's LEDs to pictures of a real one."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from gelgap.cli.arguments import Flag, load_sensor
+from gelgap.cli.arguments import Flag, SensorName, load_sensor
+from gelgap.cli.rules import InputFile, OutputFile
 
 if TYPE_CHECKING:
     import numpy as np
 
     from gelgap.render import PressPicture
+
+FEWEST_PRESSES = 3
+# A fit from a right start leaves 1 to 2 code values, camera noise included; one from a wrong start ten times as much.
+DOUBTFUL_RMS_CODE_VALUES = 5.0
 
 
 @dataclass(frozen=True)
@@ -30,13 +36,13 @@ class Calibrate:
       gelgap calibrate presses.toml --reference ref.png --sensor start.toml -o fitted.toml
     """
 
-    presses: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PRESSES")]
+    presses: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PRESSES"), InputFile("a TOML file")]
     """TOML file that lists the pictures of pressed spheres."""
-    reference: Path
+    reference: Annotated[Path, InputFile("a picture")]
     """Picture without contact."""
-    sensor: str
+    sensor: SensorName
     """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 6 mm of its place."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), OutputFile((".toml",))]
     """The sensor TOML to write."""
     fit_gloss: Flag = False
     """Fit the weight of the coat's gloss as well."""
@@ -45,17 +51,25 @@ class Calibrate:
         """Fit and write the sensor."""
         from gelgap.render import calibrate, save_sensor
 
-        if not self.output.parent.is_dir():
-            raise FileNotFoundError(f"the folder of {self.output} does not exist; create it first")
-        sensor = load_sensor(self.sensor)
-        fit = calibrate(
-            sensor, read_picture(self.reference), read_presses(self.presses), fit_gloss=self.fit_gloss
-        )
+        sensor, presses = load_sensor(self.sensor), read_presses(self.presses)
+        if len(presses) < FEWEST_PRESSES:
+            raise ValueError(
+                f"{self.presses} lists {len(presses)} presses; LED positions need {FEWEST_PRESSES} or more, apart from "
+                "each other"
+            )
+        fit = calibrate(sensor, read_picture(self.reference), presses, fit_gloss=self.fit_gloss)
         save_sensor(fit.sensor, self.output)
         points = ", ".join(f"({x:.2f}, {y:.2f})" for x, y in fit.press_points_mm)
         print(
             f"wrote {self.output}; residual {fit.rms_code_values:.2f} code values rms; presses at {points} mm"
         )
+        if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
+            print(
+                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is no good fit (above "
+                f"{DOUBTFUL_RMS_CODE_VALUES:g}): check where the LEDs of {self.sensor} start, each within 6 mm of its "
+                "place, and the depths and points of the presses",
+                file=sys.stderr,
+            )
 
 
 def read_presses(path: Path) -> "tuple[PressPicture, ...]":
@@ -92,11 +106,15 @@ def read_picture(path: Path) -> "np.ndarray":
     Raises
     ------
     FileNotFoundError
-        If there is no picture at the path.
+        If there is no such file.
+    ValueError
+        If it is not a picture.
     """
     import cv2
 
-    picture = cv2.imread(str(path)) if path.is_file() else None
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist or is not a file; a picture is needed")
+    picture = cv2.imread(str(path))
     if picture is None:
-        raise FileNotFoundError(f"{path} does not exist or is not a picture")
+        raise ValueError(f"{path} is not a picture that OpenCV can read")
     return picture[..., ::-1].copy()

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from gelgap.cli.arguments import optional
+from gelgap.cli.rules import PICTURE_SIDES, OutputFolder, Preset, Scheduler
 
 
 @dataclass(frozen=True)
@@ -18,17 +19,17 @@ class Demo:
       gelgap demo
     """
 
-    out: Path = Path("demo")
+    out: Annotated[Path, OutputFolder()] = Path("demo")
     """Folder for domains, models and report.html."""
-    path: str = "smoke"
+    path: Annotated[str, Preset("paths")] = "smoke"
     """Contact path of both domains (see: gelgap presets paths)."""
-    profile: str = "smoke"
+    profile: Annotated[str, Preset("profiles", or_file=False)] = "smoke"
     """Training profile (see: gelgap presets profiles)."""
     quality: Literal["draft", "standard", "fine"] = "draft"
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
-    size: tuple[int, int] = (320, 240)
+    size: Annotated[tuple[int, int], PICTURE_SIDES] = (320, 240)
     """Width and height of the pictures in pixels."""
-    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster on all cores")] = None
+    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster on all cores"), Scheduler()] = None
     """Address of a Dask scheduler; `synchronous` runs in this process."""
 
     def run(self, started: float) -> None:

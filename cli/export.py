@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
+
+from gelgap.cli.rules import DataSet, OutputFolder
 
 
 @dataclass(frozen=True)
@@ -15,12 +17,14 @@ class Export:
       gelgap export data --format huggingface --out upload
     """
 
-    folder: tyro.conf.Positional[Path]
+    folder: Annotated[tyro.conf.Positional[Path], DataSet(several=True)]
     """Folder of one domain, or of several."""
-    out: Path
+    out: Annotated[Path, OutputFolder()]
     """New folder for the export."""
-    format_name: Annotated[str, tyro.conf.arg(name="format")] = "paper"
-    """paper, webdataset or huggingface."""
+    format_name: Annotated[Literal["paper", "webdataset", "huggingface"], tyro.conf.arg(name="format")] = (
+        "paper"
+    )
+    """The layout to write."""
 
     def run(self, started: float) -> None:
         """Export, and name what was written."""

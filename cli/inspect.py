@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from gelgap.cli.arguments import Flag, optional
+from gelgap.cli.rules import DataSet, OutputFile
 
 
 @dataclass(frozen=True)
@@ -18,13 +19,13 @@ class Inspect:
       gelgap inspect data/wmb1i1 --gap-to data/mb0i0
     """
 
-    folder: tyro.conf.Positional[Path]
+    folder: Annotated[tyro.conf.Positional[Path], DataSet(several=True)]
     """Folder of one domain, or of several."""
     verify: Flag = False
     """Read every byte and compare it with the manifest; exit code 1 if anything is damaged."""
-    html: Annotated[Path | None, optional("PATH")] = None
+    html: Annotated[Path | None, optional("PATH"), OutputFile()] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
-    gap_to: Annotated[Path | None, optional("PATH")] = None
+    gap_to: Annotated[Path | None, optional("PATH"), DataSet()] = None
     """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""
 
     def run(self, started: float) -> None:

@@ -2,14 +2,15 @@
 
 import contextlib
 import io
-import re
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from typing import Annotated, Any, Protocol, Union
 
 import tyro
 
+from gelgap.assets.user_cache import cache_folder
 from gelgap.cli.adapt import Adapt
 from gelgap.cli.benchmark import Benchmark
 from gelgap.cli.cache import Cache
@@ -18,10 +19,13 @@ from gelgap.cli.demo import Demo
 from gelgap.cli.export import Export
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
+from gelgap.cli.options import check_values
+from gelgap.cli.parser_messages import command_name, empty_value, refusal
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
 from gelgap.cli.render import Render
 from gelgap.cli.report import Report
+from gelgap.cli.rules import OutputFolder
 
 EXIT_FAILED_RUN = 1
 EXIT_BAD_INPUT = 2
@@ -34,7 +38,8 @@ For example:
   gelgap generate mb0i0 wmb1i1 --path cpu --out data
   gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --out runs
 
-Every command explains itself with --help. Add --debug to any command for a full traceback."""
+Every command explains itself with --help; --version says which gelgap this is. Add --debug to any command for a full
+traceback."""
 
 COMMANDS = {
     "demo": Demo,
@@ -67,18 +72,12 @@ def _one_of(commands: Mapping[str, type], *, summary: bool) -> Any:
     return Union[tuple(listed)]  # noqa: UP007
 
 
-_BOX_AND_COLOUR = re.compile(r"\x1b\[[0-9;]*m|[│╭╮╰╯─┃━]")
-
-
-def one_line(parser_message: str) -> str:
-    """Flatten tyro's boxed error into one sentence, without the pointer to --help that closes it."""
-    without_title = parser_message.partition("\n")[2]
-    text = " ".join(_BOX_AND_COLOUR.sub(" ", without_title).split())
-    return text.split(" For full helptext, ")[0]
-
-
 def parse(arguments: Sequence[str]) -> Command:
     """Return the command that the arguments describe; on bad ones print one line and exit with code 2."""
+    if arguments and (name := command_name(arguments)) is not None and name not in COMMANDS:
+        fail(refusal(arguments, COMMANDS, ""), EXIT_BAD_INPUT)
+    if empty := empty_value(arguments, COMMANDS):
+        fail(empty, EXIT_BAD_INPUT)
     errors = io.StringIO()
     commands = _one_of(COMMANDS, summary=not COMMANDS.keys() & set(arguments))
     try:
@@ -86,7 +85,7 @@ def parse(arguments: Sequence[str]) -> Command:
             return tyro.cli(commands, prog="gelgap", description=DESCRIPTION, args=list(arguments))
     except SystemExit as stop:
         if stop.code not in (0, None):
-            fail(one_line(errors.getvalue()), EXIT_BAD_INPUT)
+            fail(refusal(arguments, COMMANDS, errors.getvalue()), EXIT_BAD_INPUT)
         raise
 
 
@@ -107,13 +106,25 @@ def explain(error: Exception) -> str:
     )
 
 
+def check_cache(writes: bool) -> None:
+    """Raise ValueError if the cache's folder is none or, where a command writes to it, takes no file."""
+    folder = cache_folder()
+    if writes and (problem := OutputFolder().problem(folder)):
+        raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {problem}")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; the entry point of the `gelgap` script."""
     started = time.perf_counter()
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
+    if arguments == ["--version"]:
+        print(f"gelgap {version('gelgap')}")
+        return
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
     try:
+        check_values(command)
+        check_cache(writes=isinstance(command, Benchmark | Demo | Generate | Press))
         command.run(started)
     except KeyboardInterrupt:
         fail("interrupted; what was finished is kept, run the same command again to go on", EXIT_INTERRUPTED)

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import tyro
 
+from gelgap.assets import PRESET_KINDS
 from gelgap.cli.arguments import optional
+from gelgap.cli.rules import OneOf
 
 
 @dataclass(frozen=True)
@@ -16,12 +18,14 @@ class Presets:
       gelgap presets elastomers
     """
 
-    kind: Annotated[tyro.conf.Positional[str | None], optional("[KIND]", "all")] = None
+    kind: Annotated[
+        tyro.conf.Positional[str | None], optional("[KIND]", "all"), OneOf(lambda: PRESET_KINDS)
+    ] = None
     """One of elastomers, paths, illuminations, sensors, datasets and profiles."""
 
     def run(self, started: float) -> None:
         """Print one line per preset: its name and its description."""
-        from gelgap.assets import PRESET_KINDS, list_presets, load_preset
+        from gelgap.assets import list_presets, load_preset
 
         for kind in [self.kind] if self.kind else PRESET_KINDS:
             names = list_presets(kind)

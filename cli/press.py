@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from gelgap.cli.arguments import Flag, optional
+from gelgap.cli.arguments import Flag, load_elastomer, optional
+from gelgap.cli.rules import Between, OutputFile, Preset
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
@@ -32,8 +33,8 @@ class Press:
       gelgap press --elastomer b1 --force-n 0.5 --save state.npz
     """
 
-    elastomer: Annotated[str | None, optional("NAME")] = None
-    """Elastomer preset to start from (see: gelgap presets elastomers); the values below override it."""
+    elastomer: Annotated[str | None, optional("NAME"), Preset("elastomers")] = None
+    """Elastomer preset or TOML file to start from (see: gelgap presets elastomers); the values below override it."""
     young_modulus_mpa: Annotated[float | None, optional("MPA", "0.3, or the preset's")] = None
     """Young's modulus in MPa."""
     poisson_ratio: Annotated[float | None, optional("NU", "0.49, or the preset's")] = None
@@ -51,15 +52,17 @@ class Press:
         optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
     ] = None
     """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
-    indenter_diameter_mm: float = 3.0
+    indenter_diameter_mm: Annotated[float, Between(0.5, 50, "mm")] = 3.0
     """Diameter of the sphere in mm."""
     depth_mm: Annotated[float | None, optional("MM", "0.6, or what --force-n needs")] = None
     """Commanded depth below first contact in mm, at least 0."""
-    normal_force_n: Annotated[float | None, optional("N", aliases=("--force-n",))] = None
+    normal_force_n: Annotated[
+        float | None, optional("N", aliases=("--force-n",)), Between(1e-6, 1e4, "N")
+    ] = None
     """Load control: press to this normal force in N (positive) instead of to a depth, then drag at that depth."""
-    shear_x_mm: float = 0.0
+    shear_x_mm: Annotated[float, Between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along x after the press, in mm."""
-    shear_y_mm: float = 0.0
+    shear_y_mm: Annotated[float, Between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along y (down in the image) after the press, in mm."""
     point_x_mm: float = 0.0
     """Contact point along x in mm; 0 is the centre of the pad."""
@@ -69,7 +72,7 @@ class Press:
     """How finely MuJoCo's mesh and load steps resolve the contact."""
     json: Flag = False
     """Print one JSON object instead of a table."""
-    save: Annotated[Path | None, optional("PATH")] = None
+    save: Annotated[Path | None, optional("PATH"), OutputFile()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
 
     def run(self, started: float) -> None:
@@ -78,7 +81,7 @@ class Press:
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
-        base = Elastomer.preset(self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
+        base = load_elastomer(self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
         given = {name: value for name in OVERRIDES if (value := getattr(self, name)) is not None}
         elastomer = Elastomer(**base | given)
         indenter = Sphere(diameter_mm=self.indenter_diameter_mm)

@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gelgap.cli.arguments import load_illumination, load_sensor, optional
+from gelgap.cli.arguments import SensorName, load_illumination, load_sensor, optional
+from gelgap.cli.rules import PICTURE_SIDES, SEED, InputFile, OutputFile, Preset
 
 if TYPE_CHECKING:
     from gelgap.sim import MembraneState
@@ -23,24 +24,29 @@ class Render:
       gelgap render state.npz --illumination i1 --no-markers -o picture.png
     """
 
-    state: tyro.conf.Positional[Path]
+    state: Annotated[
+        tyro.conf.Positional[Path],
+        InputFile("a membrane's .npz file", "; write one with: gelgap press --save {path}"),
+    ]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), OutputFile(PICTURE_SUFFIXES)]
     """The PNG to write."""
-    illumination: Annotated[str | None, optional("NAME", "the sensor's own, or i0")] = None
+    illumination: Annotated[
+        str | None, optional("NAME", "the sensor's own, or i0"), Preset("illuminations")
+    ] = None
     """Illumination preset or TOML file (see: gelgap presets illuminations)."""
-    sensor: str = "paper"
+    sensor: SensorName = "paper"
     """Sensor preset or TOML file (see: gelgap presets sensors)."""
     markers: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: drawn)")] = True
     """Draw the membrane's markers."""
-    size: tuple[int, int] = (320, 240)
+    size: Annotated[tuple[int, int], PICTURE_SIDES] = (320, 240)
     """Width and height of the picture in pixels."""
-    linear: Annotated[Path | None, optional("PATH")] = None
+    linear: Annotated[Path | None, optional("PATH"), OutputFile((".npy",))] = None
     """Also write float32 (h, w, 3) linear camera RGB, before noise and encoding, to this .npy."""
-    noise_seed: Annotated[int | None, optional("N", "no noise")] = None
+    noise_seed: Annotated[int | None, optional("N", "no noise"), SEED] = None
     """Add the camera's shot and read noise, drawn from this seed."""
-    quality: str = "standard"
-    """How finely light and shadows are sampled: draft, standard or fine."""
+    quality: Literal["draft", "standard", "fine"] = "standard"
+    """How finely light and shadows are sampled."""
 
     def run(self, started: float) -> None:
         """Render and write the picture."""
@@ -49,7 +55,6 @@ class Render:
 
         from gelgap.render import Illumination, MembraneRenderer, encode, sensor_noise
 
-        self._check_outputs()
         state = load_membrane(self.state)
         sensor = load_sensor(self.sensor)
         if self.illumination is None:
@@ -66,18 +71,6 @@ class Render:
         if not cv2.imwrite(str(self.output), encode(linear)[..., ::-1]):
             raise RuntimeError(f"{self.output} could not be written")
         print(f"wrote {self.output}" + (f" and {self.linear}" if self.linear else ""))
-
-    def _check_outputs(self) -> None:
-        """Refuse what could not be written before anything is computed."""
-        if self.output.suffix.lower() not in PICTURE_SUFFIXES:
-            raise ValueError(
-                f"output is {self.output}; a picture's name must end in {', '.join(PICTURE_SUFFIXES)}"
-            )
-        if self.noise_seed is not None and self.noise_seed < 0:
-            raise ValueError(f"noise_seed is {self.noise_seed}; it must be 0 or more")
-        for path in (self.output, self.linear):
-            if path is not None and not path.parent.is_dir():
-                raise FileNotFoundError(f"the folder of {path} does not exist; create it first")
 
 
 def load_membrane(path: Path) -> "MembraneState":

@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from gelgap.cli.arguments import optional
+from gelgap.cli.rules import FinishedRuns, OutputFolder
 
 
 @dataclass(frozen=True)
@@ -20,9 +21,9 @@ class Report:
       gelgap report runs
     """
 
-    runs: tyro.conf.Positional[Path]
+    runs: Annotated[tyro.conf.Positional[Path], FinishedRuns()]
     """Folder with finished runs, at any depth."""
-    out: Annotated[Path | None, optional("PATH", "the folder of the runs")] = None
+    out: Annotated[Path | None, optional("PATH", "the folder of the runs"), OutputFolder()] = None
     """Folder for the report."""
 
     def run(self, started: float) -> None:

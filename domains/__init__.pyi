@@ -22,6 +22,7 @@ from .inspection import domain_folders as domain_folders
 from .inspection import gap_rows as gap_rows
 from .inspection import inspect_domain as inspect_domain
 from .inspection import verify_domain as verify_domain
+from .opening import layout_problem as layout_problem
 from .opening import open_domain as open_domain
 from .overview import write_overview as write_overview
 from .paired_frames import PairedFrames as PairedFrames
@@ -29,6 +30,7 @@ from .paired_frames import Pairing as Pairing
 from .plan import plan_generation as plan_generation
 from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
+from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
 from .splits import DomainSplit as DomainSplit
 from .splits import split_domains as split_domains

@@ -76,7 +76,7 @@ class LabelledFrames(ABC):
 
     @abstractmethod
     def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        """Return all pictures (n, h, w, 3) uint8, area-averaged to `size_px` (see `image_size_px`)."""
+        """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`)."""
 
     def take(self, indices: np.ndarray) -> "LabelledFrames":
         """Return the frames with these indices, in this order."""

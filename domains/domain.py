@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from gelgap.assets import list_presets
+from gelgap.assets.names import meant, shown
 
 OWN_LIGHT = "own"
 
@@ -36,7 +37,8 @@ class Domain:
         found = {domain.name: domain for domain in known_domains()}
         if name not in found:
             raise ValueError(
-                f"domain {name!r} is unknown; a name is m or wm (with or without markers), then an elastomer "
+                f"domain {shown(name)} is unknown;{meant(name, found)} a name is m or wm (with or "
+                "without markers), then an elastomer "
                 f"({', '.join(list_presets('elastomers'))}), then an illumination "
                 f"({', '.join(list_presets('illuminations'))}, or {OWN_LIGHT}: the sensor's own), for example mb0i0 or "
                 "wmb1i1"

@@ -56,7 +56,15 @@ class Estimate:
 
 
 def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Estimate:
-    """Plan domains and estimate their cost; a few frames of each light are rendered for it."""
+    """Plan domains and estimate their cost; a few frames of each light are rendered for it.
+
+    Raises
+    ------
+    ValueError
+        If workers is below 1.
+    """
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers = {workers}: must be 1 or more")
     from gelgap.sim import load_solution
 
     plan = plan_generation(recipes)

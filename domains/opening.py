@@ -25,10 +25,18 @@ def open_domain(folder: Path | str) -> StoredFrames:
     for layout in (PublishedDomain, PictureFolder):
         if layout.recognises(folder):
             return layout(folder)
+    raise FileNotFoundError(f"{folder} {layout_problem(folder)}")
+
+
+def layout_problem(folder: Path) -> str | None:
+    """Return why a folder is no data set, and what was looked for; None if it has a known layout."""
+    known = (folder / MANIFEST).exists()
+    if known or any(layout.recognises(folder) for layout in (PublishedDomain, PictureFolder)):
+        return None
     what = "does not exist" if not folder.exists() else "is not a data set"
     inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST}"))
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
-    raise FileNotFoundError(
-        f"{folder} {what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
+    return (
+        f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
         f"(the published layout), or with pictures and one CSV table{hint}"
     )

@@ -58,19 +58,24 @@ def decode_picture(data: bytes) -> np.ndarray:
 def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     """Return the picture at (width, height) px: each pixel the mean of the area that it covers.
 
+    A size of another aspect may be longer on one side, if it has no more pixels in all: the other side is reduced by
+    area means first, then this one is interpolated linearly (320×240 to 256×256, say).
+
     Raises
     ------
     ValueError
-        If the size is larger than the picture: enlarging invents pixels.
+        If the size has more pixels than the picture, or is longer on both sides: enlarging invents pixels.
     """
     import cv2
 
     height, width = picture.shape[:2]
     if size_px == (width, height):
         return picture
-    if not (1 <= size_px[0] <= width and 1 <= size_px[1] <= height):
+    if not (min(size_px) >= 1 and size_px[0] * size_px[1] <= width * height):
         raise ValueError(
             f"image size {size_px[0]}×{size_px[1]} px is not possible: pictures are {width}×{height} px and are only "
-            f"down-sampled; allowed are 1…{width} × 1…{height}"
+            f"down-sampled; allowed are 1…{width} × 1…{height}, or another aspect with no more pixels in all"
         )
-    return cv2.resize(picture, size_px, interpolation=cv2.INTER_AREA)
+    reduced_px = min(size_px[0], width), min(size_px[1], height)
+    reduced = cv2.resize(picture, reduced_px, interpolation=cv2.INTER_AREA)
+    return reduced if reduced_px == size_px else cv2.resize(reduced, size_px, interpolation=cv2.INTER_LINEAR)

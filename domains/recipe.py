@@ -17,7 +17,7 @@ from gelgap.domains.acquisition import (
 )
 from gelgap.domains.columns import OptionalColumn
 from gelgap.domains.dataset import PAPER_FORCE_RANGE_N
-from gelgap.domains.domain import OWN_LIGHT, Domain
+from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
 from gelgap.domains.folder import canonical_json
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import AnyIndenter, ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
@@ -33,7 +33,9 @@ class DomainRecipe(Settings):
     """One domain, completely: the same recipe and package versions give the same bytes."""
 
     name: str = Field(
-        description="the domain's name, and its folder's", pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$"
+        description="the domain's name, and its folder's",
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$",
+        max_length=128,
     )
     elastomer: Elastomer
     indenter: AnyIndenter = Sphere()
@@ -161,6 +163,35 @@ def _light(domain: Domain, sensor: Sensor) -> Illumination:
             "another sensor, or name an illumination preset"
         )
     return sensor.illumination
+
+
+def own_recipe(
+    name: str,
+    path: str | ContactPath | PosePath = "cpu",
+    *,
+    base: str | Domain = "mb0i0",
+    elastomer: Elastomer | None = None,
+    illumination: Illumination | None = None,
+    **settings: Any,
+) -> DomainRecipe:
+    """Return the recipe of a domain with parts of one's own; what is not given is the base's, markers included.
+
+    Settings are those of `make_recipes`. Without markers it is rendered, not inpainted.
+
+    Raises
+    ------
+    ValueError
+        If the name is not one for a folder or means a domain of presets, or for a bad value.
+    """
+    meant = next((domain for domain in known_domains() if domain.name == name), None)
+    if meant is not None and meant.illumination != OWN_LIGHT:
+        raise ValueError(
+            f"name = {name!r}: means a domain of presets; choose another, for example {name}-own"
+        )
+    (recipe,) = make_recipes([base], path, **settings)
+    own = {"elastomer": elastomer, "illumination": illumination}
+    given = {part: value for part, value in own.items() if value is not None}
+    return DomainRecipe(**{**dict(recipe), "inpainted_from": None, **given, "name": name})
 
 
 def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:

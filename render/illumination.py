@@ -30,7 +30,10 @@ class Illumination(Settings):
     @classmethod
     def load(cls, path: str | Path) -> "Illumination":
         """Read an illumination TOML file."""
-        return cls(**{"name": Path(path).stem, **read_toml(path)})
+        try:
+            return cls(**{"name": Path(path).stem, **read_toml(path)})
+        except ValueError as error:
+            raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""

@@ -58,7 +58,10 @@ class Sensor(Settings):
     @classmethod
     def load(cls, path: str | Path) -> "Sensor":
         """Read a sensor TOML file."""
-        return cls(**{"name": Path(path).stem, **read_toml(path)})
+        try:
+            return cls(**{"name": Path(path).stem, **read_toml(path)})
+        except ValueError as error:
+            raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
 
 def save_sensor(sensor: Sensor, path: str | Path) -> None:

@@ -1,11 +1,13 @@
 """The soft pad: what it is made of, how large it is and how it is mounted."""
 
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings, within
+from gelgap.assets.toml_file import read_toml
 from gelgap.sim.material import Moduli, equivalent_moduli
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
@@ -55,6 +57,24 @@ class Elastomer(Settings):
         values = load_preset("elastomers", name)
         values.pop("description", None)
         return cls(**values)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read an elastomer TOML file: these fields, and a description if there is one.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not valid TOML, a field is unknown or missing, or a value is out of range.
+        """
+        values = read_toml(path)
+        values.pop("description", None)
+        try:
+            return cls(**values)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
 
     @property
     def mujoco_moduli(self) -> Moduli:

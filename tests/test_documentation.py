@@ -39,7 +39,7 @@ PAGES = (README, *OTHER_PAGES)
 _PROGRAMS = ("gelgap", "python", "make", "dask", "pip", "git")
 _COMMAND = re.compile(rf"({'|'.join(_PROGRAMS)}) \S")
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_FILE_NAME = re.compile(r"# (\S+\.toml)\n")
+_FILE_NAME = re.compile(r"# (\S+\.(?:toml|py))\n")
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,9 @@ def snippets(page: str) -> list[Snippet]:
 
 
 def _of_block(where: str, language: str, text: str) -> Iterator[Snippet]:
-    if language == "python":
+    if language == "python" and _FILE_NAME.match(text):
+        yield Snippet(where, "file", text)
+    elif language == "python":
         yield Snippet(where, "python", text)
     elif language == "toml" and _FILE_NAME.match(text):
         yield Snippet(where, "file", text)

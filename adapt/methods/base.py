@@ -63,6 +63,8 @@ class Method(nn.Module):
         Whether target labels reach its loss; then it is no method for domain adaptation.
     scheduled
         Whether λ_t and its ramp apply; otherwise λ_t = 1 throughout.
+    needs_stage_1
+        Whether it starts from the network that stage 1 trained, or from any.
     diagnostics
         Numbers that it wants recorded after each epoch.
     """
@@ -72,6 +74,7 @@ class Method(nn.Module):
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
     scheduled: ClassVar[bool] = True
+    needs_stage_1: ClassVar[bool] = True
 
     def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int) -> None:
         super().__init__()

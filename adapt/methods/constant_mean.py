@@ -9,6 +9,7 @@ class ConstantMean(Method):
     """The regression head with zero weights: its bias gives the mean, whatever the picture."""
 
     uses_target = False
+    needs_stage_1 = False
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Set the head to the source's mean force."""

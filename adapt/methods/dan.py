@@ -29,9 +29,11 @@ def mmd_of_kernel(kernel: Tensor, n: int, unbiased: bool = False) -> Tensor:
 def mk_mmd(source: Tensor, target: Tensor, robust: bool = False, unbiased: bool = False) -> Tensor:
     """Return the squared MMD of features (n, D) and (m, D) summed over five Gaussian kernels.
 
-    robust takes the median instead of the mean squared distance as bandwidth.
+    robust takes the median instead of the mean squared distance as bandwidth. Its distances are taken in float64: one
+    outlier leaves the bandwidth small, and in float32 would take the digits of all others.
     """
-    distances = squared_distances(torch.cat([source, target]))
+    rows = torch.cat([source, target])
+    distances = squared_distances(rows.double() if robust else rows).to(rows.dtype)
     kernel = multi_gaussian(distances, bandwidth(distances, robust))
     return mmd_of_kernel(kernel, len(source), unbiased)
 

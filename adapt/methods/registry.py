@@ -1,36 +1,15 @@
-"""The known methods by name. A new one is a file in this folder and a line in `METHODS`."""
+"""The known methods: their classes and settings by name."""
 
 from importlib import import_module
 
 from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.methods.names import EXTRA, METHODS, installed_methods, method_names
+from gelgap.adapt.methods.outside import code_digest, load_method
 from gelgap.adapt.profile import Profile
+from gelgap.assets.names import unknown_name
 
-METHODS = {
-    "constant-mean": "constant_mean.ConstantMean",
-    "source-only": "source_only.SourceOnly",
-    "adabn": "adabn.AdaBN",
-    "no-transfer": "no_transfer.NoTransfer",
-    "coral": "coral.DeepCORAL",
-    "dan": "dan.DAN",
-    "jan": "jan.JAN",
-    "dann": "dann.DANN",
-    "rsd": "rsd.RSD",
-    "daregram": "daregram.DAREGRAM",
-    "daregram-published": "daregram.PublishedDAREGRAM",
-    "daregram-tikhonov": "daregram.TikhonovDAREGRAM",
-    "dsan": "dsan.DSAN",
-    "dsan-coarse": "dsan.CoarseDSAN",
-    "dsan-soft": "dsan.SoftDSAN",
-    "cod": "cod.COD",
-    "ssa": "ssa.SSA",
-    "supervised": "supervised.Supervised",
-}
-_EXTRA: dict[str, type[Method]] = {}
-
-
-def method_names() -> tuple[str, ...]:
-    """Return the names of all methods."""
-    return (*METHODS, *_EXTRA)
+_CODE: dict[str, str] = {}
+"""A hash of the code of methods from outside, by name."""
 
 
 def register(name: str, method: type[Method]) -> None:
@@ -43,7 +22,30 @@ def register(name: str, method: type[Method]) -> None:
     """
     if name in method_names():
         raise ValueError(f"method name {name!r} is taken")
-    _EXTRA[name] = method
+    EXTRA[name] = method
+
+
+def use_method(name: str) -> str:
+    """Return the name of a method that may also stand as `module:Class` or `file.py:Class`; such a class is registered.
+
+    Raises
+    ------
+    ValueError
+        If there is no such method, or the module or class is not one.
+    """
+    if ":" not in name:
+        find_method(name)
+        return name
+    own, method = load_method(name)
+    if own in METHODS or EXTRA.get(own, method) is not method:
+        raise ValueError(f"method {name!r}: the name {own} is taken by another method")
+    EXTRA[own], _CODE[own] = method, code_digest(method)
+    return own
+
+
+def method_code(name: str) -> str | None:
+    """Return a hash of the code of a method from outside; None for those of gelgap and of `register`."""
+    return _CODE.get(name)
 
 
 def find_method(name: str) -> type[Method]:
@@ -54,10 +56,14 @@ def find_method(name: str) -> type[Method]:
     ValueError
         If there is no such method; the message lists the known ones.
     """
-    if name in _EXTRA:
-        return _EXTRA[name]
+    if name in EXTRA:
+        return EXTRA[name]
+    if name not in METHODS and (place := installed_methods().get(name)):
+        _, method = load_method(place)
+        EXTRA[name], _CODE[name] = method, code_digest(method)
+        return method
     if name not in METHODS:
-        raise ValueError(f"method {name!r} is unknown; known methods: {', '.join(method_names())}")
+        raise ValueError(unknown_name("method", name, method_names(), "known methods"))
     module, _, attribute = METHODS[name].rpartition(".")
     return getattr(import_module(f"gelgap.adapt.methods.{module}"), attribute)
 

@@ -96,6 +96,10 @@ LOSSES: dict[str, Loss] = {
     "daregram published": lambda s, t, common: daregram_published(s, t, 0.5, 0.003, 0.9),
     "daregram-tikhonov": lambda s, t, common: daregram_tikhonov(s, t, 0.5, 0.003, 0.01),
 }
+NO_GAP = """where all singular values are equal, no cut of the spectrum lies in a gap, and which vectors it keeps is a
+matter of rounding; the published form fails alike, and daregram-tikhonov cuts nothing"""
+KNOWN_LIMITS = {("daregram", "repeated singular values"): NO_GAP}
+"""Failures that are in a loss's definition, and why: loss, trap."""
 KERNEL_LOSSES = ("dan", "dan, median", "jan", "dsan (lmmd)", "dsan, median", "cod")
 
 
@@ -197,7 +201,13 @@ def milliseconds(loss: Loss, trap: Trap, repeats: int) -> float:
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Print the verdict of every loss in every trap, and the cost of each loss; write `stability-losses.json`."""
+    """Print the verdict of every loss in every trap, and the cost of each loss; write `stability-losses.json`.
+
+    Raises
+    ------
+    RuntimeError
+        If a loss of ours fails in a trap where that is no known limit of it.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(0)
     every_trap, names = traps(), list(LOSSES)
@@ -220,6 +230,11 @@ def run(quick: bool, out_dir: Path) -> None:
         note="gradient error: against central differences; not for kernels, whose bandwidth carries no gradient",
     )
     ours = [verdict for verdict in verdicts.values() if "published" not in verdict.loss]
-    failed = [f"{verdict.loss} in {verdict.case}" for verdict in ours if verdict.verdict.isupper()]
+    wrong = {(verdict.loss, verdict.case) for verdict in ours if verdict.verdict.isupper()}
+    failed = [f"{loss} in {case}" for loss, case in sorted(wrong - KNOWN_LIMITS.keys())]
     print("; ".join([f"{len(ours)} cases of our losses: {len(failed)} failed", *failed]))
+    for loss, case in sorted(wrong & KNOWN_LIMITS.keys()):
+        print(f"known limit: {loss} in {case}: {' '.join(KNOWN_LIMITS[loss, case].split())}")
     write_json(out_dir / "stability-losses.json", {"outcomes": list(verdicts.values()), "costs": costs})
+    if failed:
+        raise RuntimeError(f"{len(failed)} of {len(ours)} cases of our losses failed: {'; '.join(failed)}")

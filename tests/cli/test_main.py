@@ -1,6 +1,9 @@
 """The command line: what it prints, its exit codes, and one-line errors that say what would be right."""
 
 import json
+import subprocess
+import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import cv2
@@ -35,12 +38,31 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["generate", "mb0i0"], ("--out",)),
         (["generate", "--out", "never"], ("preset",)),
         (["generate", "--preset", "huge", "--out", "never"], ("huge", "smoke")),
-        (["generate", "mb0i0", "--sweep", "s.toml", "--out", "never"], ("one of", "--sweep")),
+        (["generate", "mb0i0", "--preset", "smoke", "--out", "never"], ("one of", "--sweep")),
+        (
+            ["generate", "mb0i0", "--sweep", "s.toml", "--out", "never"],
+            ("--sweep", "s.toml", "does not exist"),
+        ),
+        (["generate", "mb0i0", "--scheduler", "foo", "--out", "never"], ("--scheduler", "foo", "tcp://")),
+        (["generate", "mb0i0", "--seed", "-1", "--out", "never"], ("--seed", "-1", "0")),
+        (["generate", "mb0i0", "--dry-run", "--workers", "0", "--out", "never"], ("--workers", "0", "1")),
+        (["generate", "mb0i0", "--elastomer", "b1", "--out", "never"], ("--name",)),
+        (
+            ["generate", "--name", "mb0i0", "--elastomer", "b1", "--out", "never"],
+            ("name", "mb0i0", "presets"),
+        ),
+        (["adapt", "--source", ".", "--target", ".", "--out", "x", "--method"], ("--method", "dsan")),
+        (["generat"], ("command 'generat' is unknown", "did you mean generate?", "press")),
+        (["generate", "mb0i0", "--presett", "paper"], ("'--presett'", "did you mean --preset?")),
+        (["generate", "--preset", "papre", "--out", "never"], ("papre", "did you mean paper?")),
+        (["press", "--save", "nowhere/state.npz"], ("--save", "nowhere", "does not exist; create it first")),
+        (["press", "--save", "/proc/state.npz"], ("--save", "/proc cannot be written to")),
+        (["press", "--save", "."], ("--save", "is a folder")),
         (["benchmark", "adaptation", "--what", "render"], ("render", "adaptation", "ablation")),
         (["benchmark", "physics", "--what", "losses"], ("losses", "no parts")),
         (["benchmark", "adaptation", "--what", "gaps", "--quick"], ("gaps", "speed")),
         (["presets", "gels"], ("gels", "elastomers")),
-        (["adapt", "--source", "a", "--target", "b", "--method", "magic"], ("magic", "dsan")),
+        (["adapt", "--source", ".", "--target", ".", "--method", "magic"], ("magic", "dsan")),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(
@@ -60,10 +82,47 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_missing_data_set_is_a_failed_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_missing_data_set_is_bad_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, _, err = run(["adapt", "--source", str(tmp_path / "a"), "--target", str(tmp_path / "b")], capsys)
-    assert code == 1
+    assert code == 2
+    assert "--source" in err
     assert "does not exist" in err
+
+
+def test_a_cache_that_is_a_file_is_refused_first(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cache").write_text("")
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))
+    code, out, err = run(["press"], capsys)
+    assert (code, out) == (2, "")
+    assert f"GELGAP_CACHE = '{tmp_path / 'cache'}'" in err
+
+
+def test_a_cache_that_takes_no_file_is_refused_before_solving(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GELGAP_CACHE", "/proc/gelgap")
+    code, out, err = run(["press"], capsys)
+    assert (code, out) == (2, "")
+    assert "GELGAP_CACHE = '/proc/gelgap': the folder /proc cannot be written to" in err
+    assert run(["presets", "paths"], capsys)[0] == 0
+
+
+def test_bad_names_are_refused_without_torch(tmp_path: Path) -> None:
+    """Importing torch takes seconds."""
+    program = (
+        "import sys\nfrom gelgap.cli.main import main\n"
+        "try: main('adapt --source . --target . --method dsn'.split())\n"
+        "except SystemExit as stop: sys.exit(0 if stop.code == 2 and 'torch' not in sys.modules else 1)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "did you mean dsan?" in done.stderr
+
+
+def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--version"], capsys) == (0, f"gelgap {version('gelgap')}\n", "")
 
 
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ def test_press_to_a_force(
     ("options", "words"),
     [
         (["--depth-mm", "0.2"], ("depth_mm", "normal_force_n")),
-        (["--force-n", "-1"], ("normal_force_n", "-1")),
+        (["--force-n", "-1"], ("--normal-force-n", "-1")),
     ],
 )
 def test_bad_load_control_is_refused(

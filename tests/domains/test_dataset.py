@@ -10,7 +10,7 @@ import pytest
 
 from gelgap.domains.dataset import ArrayFrames
 from gelgap.domains.opening import open_domain
-from gelgap.domains.picture_codec import decode_picture, encode_png
+from gelgap.domains.picture_codec import decode_picture, encode_png, resized
 from gelgap.sim import Diagnostics
 
 
@@ -80,6 +80,21 @@ def test_the_cache_holds_area_means_and_survives_a_change_of_the_array(data: Pat
     assert not list((data / "mb0i1" / ".cache").glob("*.tmp"))
     with pytest.raises(ValueError, match=r"160×120 px is not possible.*80×60"):
         frames.images(160)
+
+
+@pytest.mark.parametrize("size_px", [(160, 120), (80, 60), (64, 48), (50, 37)])
+def test_smaller_pictures_are_area_means_bit_for_bit(size_px: tuple[int, int]):
+    picture = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
+    assert np.array_equal(
+        resized(picture, size_px), cv2.resize(picture, size_px, interpolation=cv2.INTER_AREA)
+    )
+
+
+def test_no_size_has_more_pixels_than_the_picture():
+    with pytest.raises(ValueError, match="no more pixels in all"):
+        resized(np.zeros((240, 320, 3), np.uint8), (320, 241))
+    with pytest.raises(ValueError, match="not possible"):
+        resized(np.zeros((240, 320, 3), np.uint8), (0, 100))
 
 
 def test_a_folder_that_cannot_be_written_to_is_cached_for_the_user(

@@ -1,0 +1,302 @@
+"""Wrong values for every option of every command, made from the command line's own definition."""
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal, get_args, get_origin
+
+import cv2
+import numpy as np
+import pytest
+
+from gelgap.cli.main import COMMANDS, main
+from gelgap.cli.options import Option, options_of
+from gelgap.cli.rules import OutputFile, OutputFolder, Rule
+from gelgap.sim import MembraneState
+
+HUGE = "9" * 400
+LONG = "x" * 5000
+A_FOLDER, A_FILE = "a-folder", "a-file.txt"
+NO_FOLDER_HERE = f"{A_FILE}/below"
+
+RIGHT: dict[str, dict[str, list[str]]] = {
+    "demo": {"--out": ["demo"]},
+    "press": {},
+    "render": {"state": ["state.npz"], "--output": ["picture.png"]},
+    "generate": {"domains": ["mb0i0"], "--out": ["data"]},
+    "inspect": {"folder": ["real"]},
+    "export": {"folder": ["real"], "--out": ["exported"]},
+    "calibrate": {
+        "presses": ["presses.toml"],
+        "--reference": ["real/reference.png"],
+        "--sensor": ["digit-like"],
+        "--output": ["fitted.toml"],
+    },
+    "adapt": {"--source": ["real"], "--target": ["real"], "--out": ["runs"]},
+    "report": {"runs": ["finished"]},
+    "benchmark": {"subject": ["physics"], "--out": ["results"]},
+    "presets": {},
+    "cache": {},
+}
+"""What a command needs besides the option that is tried."""
+
+BESIDE: dict[tuple[str, str], dict[str, list[str]]] = {
+    ("generate", "--preset"): {"domains": []},
+    ("generate", "--sweep"): {"domains": []},
+    ("generate", "--elastomer"): {"--name": ["own"]},
+    ("generate", "--illumination"): {"--name": ["own"]},
+    ("benchmark", "--what"): {"subject": ["adaptation"]},
+}
+"""Where an option needs others than that."""
+
+WRONG: dict[Any, dict[str, str]] = {
+    int: {
+        "text": "x",
+        "part": "1.5",
+        "nan": "nan",
+        "infinite": "inf",
+        "negative": "-1",
+        "huge": HUGE,
+        "½": "½",
+    },
+    float: {
+        "text": "x",
+        "nan": "nan",
+        "infinite": "inf",
+        "negative infinite": "-inf",
+        "negative": "-1e9",
+        "huge": "1e308",
+        "½": "½",
+    },
+    str: {
+        "unknown": "no-such-name",
+        "unknown file": "no-such-file.toml",
+        "folder": A_FOLDER,
+        "file": A_FILE,
+        "unicode": "ü☃/…",
+        "huge": LONG,
+        "number": "-1",
+    },
+    Path: {
+        "not there": "no-such-folder/below/it",
+        "folder": A_FOLDER,
+        "file": A_FILE,
+        "below a file": NO_FOLDER_HERE,
+        "unwritable": "/proc/gelgap",
+        "unicode": "ü☃",
+        "huge": LONG,
+    },
+}
+"""Wrong values by the type of an option: what is wrong, and the value."""
+
+SAME_NUMBER = {"1e308": ("1e+308",), "-1e9": ("-1e+09", "-1000000000.0")}
+
+ANY_NAME = "a domain may have any name that can be a folder's"
+ALLOWED: dict[tuple[str | Rule, str], str] = {
+    (OutputFolder(), "not there"): "an output folder is made",
+    (OutputFolder(), "folder"): "an output folder may be there",
+    (OutputFolder(), "unicode"): "a folder may have such a name",
+    (OutputFile(), "file"): "an output file is replaced",
+    (OutputFile(), "unicode"): "a file may have such a name",
+    ("generate --columns", "missing"): "no optional columns",
+    ("generate --name", "unknown"): ANY_NAME,
+    ("generate --name", "unknown file"): ANY_NAME,
+    ("generate --name", "folder"): ANY_NAME,
+    ("generate --name", "file"): ANY_NAME,
+    ("adapt --weights", "file"): "only reading all of it tells; that comes before training",
+}
+"""Values of the table above that are right after all, by option or by rule, and why."""
+
+
+WORK = {
+    "sim.plan": "Solve.run",
+    "domains.generate": "_run",
+    "domains.export": "_paper",
+    "domains.estimate": "_frame_costs",
+    "adapt.runs": "Stage1.model",
+    "adapt.source_training": "train",
+    "adapt.report": "load_runs",
+    "render.renderer": "MembraneRenderer.linear",
+    "render.calibration": "_search",
+    "benchmarks.registry": "Benchmark.run",
+    "cli.workflows.demo": "force_curve",
+}
+"""Where work starts, by module."""
+
+
+class WorkStarted(BaseException):
+    """Something was computed before the input was refused."""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with one right input of each kind."""
+    folder = tmp_path_factory.mktemp("inputs")
+    (folder / A_FOLDER).mkdir()
+    (folder / A_FILE).write_text("text")
+    real = folder / "real"
+    real.mkdir()
+    names = ["reference.png", *(f"{number}.png" for number in range(8))]
+    for number, name in enumerate(names):
+        cv2.imwrite(str(real / name), np.full((60, 80, 3), 20 * number, np.uint8))
+    rows = [f"{name},0.1,0.2,-{number / 10}" for number, name in enumerate(names[1:])]
+    (real / "table.csv").write_text("\n".join(["image,fx_n,fy_n,fz_n", *rows]))
+    press = (
+        '[[presses]]\npicture = "real/1.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\npoint_mm = [0, 0]\n'
+    )
+    (folder / "presses.toml").write_text(3 * press)
+    (folder / "finished").mkdir()
+    (folder / "finished/run.json").write_text("{}")
+    axis = np.linspace(-7, 7, 15)
+    flat = np.zeros((15, 15, 3), np.float32)
+    MembraneState(axis, axis, flat, np.zeros((15, 15), bool), np.zeros(3)).save(folder / "state.npz")
+    return folder
+
+
+@pytest.fixture
+def nothing_works(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make work that starts an error."""
+
+    def started(*_: Any, **__: Any) -> None:
+        raise WorkStarted
+
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))
+    for module, name in WORK.items():
+        # A room's name may be that of a function in it, so modules are looked up by themselves.
+        owner = import_module(f"gelgap.{module}")
+        *inside, last = name.split(".")
+        for step in inside:
+            owner = getattr(owner, step)
+        monkeypatch.setattr(owner, last, started)
+
+
+def wrong_values(option: Option) -> Iterator[tuple[str, list[str], str]]:
+    """Yield what is wrong, what is typed, and the value that the sentence must show."""
+    if option.is_switch:
+        yield "value of a switch", [f"{option.name}=1"], "1"
+        return
+    before = [] if option.positional else [option.names[0]]
+    kinds = get_args(option.type) if get_origin(option.type) is tuple else (option.type,)
+    kinds = [str if get_origin(kind) is Literal else kind for kind in kinds if kind is not Ellipsis]
+    if before or option.field not in ("domains", "kind"):
+        yield "missing", before, ""
+    yield "empty", [*before, ""], "''"
+    rest = [{int: "64", float: "20"}.get(kind, "") for kind in kinds[1:]]
+    if rest:
+        yield "too few", [*before, *rest], rest[0]
+    for what, value in WRONG[kinds[0]].items():
+        if option.positional and value.startswith("-"):
+            continue
+        yield what, [*before, value, *rest], value
+        if rest:
+            yield f"{what}, second", [*before, *rest, value], value
+
+
+EVERY_OPTION = [
+    pytest.param(command, option, id=f"{command} {option.name}")
+    for command, definition in COMMANDS.items()
+    for option in options_of(definition)
+]
+
+
+@pytest.mark.parametrize(("command", "option"), EVERY_OPTION)
+def test_wrong_values_are_refused_in_one_sentence(
+    command: str,
+    option: Option,
+    place: Path,
+    tmp_path: Path,
+    nothing_works: None,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    before = contents(place)
+    wrong = []
+    for number, (what, typed, value) in enumerate(wrong_values(option)):
+        here = tmp_path / str(number)
+        shutil.copytree(place, here)
+        with contextlib.chdir(here):
+            said = outcome(command, option, typed, capsys)
+        problem = complaint(said, option, value) or (contents(here) != before and "wrote something")
+        allowed = excuse(command, option, what) is not None
+        if allowed != bool(problem):
+            wrong.append(f"{what}: {' '.join(typed)[:60]}: {problem or 'refused, though it is excused'}")
+    assert not wrong, "\n".join(wrong)
+
+
+def outcome(command: str, option: Option, typed: list[str], capsys: Any) -> SimpleNamespace:
+    """Run a command with one option as typed and the others right."""
+    others = RIGHT[command] | BESIDE.get((command, option.name), {})
+    mine = {option.field, *option.names}
+    words = [word for name, values in others.items() if name not in mine for word in _words(name, values)]
+    # Values without a name come first, or a list of values would take them.
+    arguments = [command, *typed, *words] if option.positional else [command, *words, *typed]
+    code: Any = 0
+    try:
+        main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    except WorkStarted:
+        code = "work started"
+    captured = capsys.readouterr()
+    return SimpleNamespace(code=code, out=captured.out, err=captured.err)
+
+
+def _words(name: str, values: list[str]) -> list[str]:
+    return [name, *values] if name.startswith("-") else values
+
+
+def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
+    """Return what is wrong with an answer, or None if the input was refused as it should be."""
+    if said.code != 2:
+        return f"exit code {said.code}: {said.err.strip()[:200]}"
+    if said.out or said.err.count("\n") != 1 or not said.err.startswith("gelgap: ") or len(said.err) > 900:
+        return f"not one sentence: {said.err[:200]!r}"
+    # A value that is a file names itself.
+    if option.type is Path and value[:30] in said.err:
+        return None
+    named = (
+        *option.names,
+        option.field,
+        option.field.replace("_", "-"),
+        option.field.upper(),
+        option.field.rstrip("s"),
+    )
+    if not any(name in said.err for name in named):
+        return f"does not name the option: {said.err.strip()[:200]}"
+    if not any(form[:30] in said.err for form in (value, *SAME_NUMBER.get(value, ()))):
+        return f"does not show the value: {said.err.strip()[:200]}"
+    return None
+
+
+def excuse(command: str, option: Option, what: str) -> str | None:
+    """Return why a value is right after all."""
+    return next(
+        (reason for of in (f"{command} {option.name}", *option.rules) if (reason := ALLOWED.get((of, what)))),
+        None,
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes | None]:
+    """Return every file below a folder with its bytes."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
+        for path in folder.rglob("*")
+    }
+
+
+def test_every_excuse_is_needed() -> None:
+    tried = {
+        (of, what)
+        for command, definition in COMMANDS.items()
+        for option in options_of(definition)
+        for of in (f"{command} {option.name}", *option.rules)
+        for what, *_ in wrong_values(option)
+    }
+    assert ALLOWED.keys() - tried == set()
+
+
+def test_the_layouts_of_export_are_those_that_there_are() -> None:
+    (option,) = (option for option in options_of(COMMANDS["export"]) if option.field == "format_name")
+    assert set(get_args(option.type)) == set(import_module("gelgap.domains.export").FORMATS)

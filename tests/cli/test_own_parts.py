@@ -1,0 +1,195 @@
+"""Own gels, lights, profiles and methods from the command line."""
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gelgap.adapt.methods import names, registry
+from gelgap.cli.main import main
+from gelgap.domains import make_recipes, own_recipe
+from gelgap.sim import Elastomer
+
+GEL = 'description = "soft"\nyoung_modulus_mpa = 0.2\npoisson_ratio = 0.48\nfriction = 0.5\nthickness_mm = 4.0\n'
+LAMP = """[[leds]]
+name = "left"
+kind = "disc"
+position_mm = [-12.0, 0.0, -5.0]
+facing = [1.0, 0.0, 0.3]
+diameter_mm = 4.0
+spectrum = { cct_k = 6500.0 }
+drive = 6.0
+"""
+METHOD = '''"""A method of one's own."""
+from gelgap.adapt import Method
+
+class Half(Method):
+    """Half the distance of the means."""
+
+    def transfer_loss(self, source, target):
+        return 0.5 * (source.features.mean(dim=0) - target.features.mean(dim=0)).square().sum()
+
+number = 3
+'''
+
+
+def test_an_own_gel_and_light_make_a_domain_with_a_name(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "gel.toml").write_text(GEL)
+    (tmp_path / "lamp.toml").write_text(LAMP)
+    main(
+        f"generate wmb1i1 --elastomer {tmp_path}/gel.toml --illumination {tmp_path}/lamp.toml --name soft --path smoke "
+        f"--size 64 48 --dry-run --out {tmp_path}/data".split()
+    )
+    assert "domains  soft" in capsys.readouterr().out
+    assert not (tmp_path / "data").exists()
+
+
+def test_what_is_not_given_is_the_named_domains() -> None:
+    (base,) = make_recipes(["wmb0i0"], "smoke", seed=3)
+    gel = Elastomer.preset("b1")
+    own = own_recipe("soft", "smoke", base="wmb0i0", elastomer=gel, seed=3)
+    assert own.elastomer == gel
+    assert own.inpainted_from is None
+    same = {"illumination", "sensor", "markers", "path", "seed", "size_px"}
+    assert own.model_dump(include=same) == base.model_dump(include=same)
+
+
+@pytest.mark.parametrize(("name", "words"), [("mb0i0", "presets"), ("../x", "pattern"), ("x" * 200, "128")])
+def test_a_name_that_means_something_else_is_refused(name: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        own_recipe(name, "smoke", elastomer=Elastomer.preset("b1"))
+
+
+def test_a_wrong_gel_names_its_file_and_field(tmp_path: Path) -> None:
+    (tmp_path / "gel.toml").write_text(GEL.replace("0.48", "0.5"))
+    with pytest.raises(ValueError, match=r"gel\.toml: poisson_ratio = 0\.5"):
+        Elastomer.load(tmp_path / "gel.toml")
+
+
+def test_a_wrong_table_inside_a_file_is_not_printed_whole(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "lamp.toml").write_text(LAMP.replace('kind = "disc"\n', 'kind = "disc"\nbrightness = 3\n'))
+    with pytest.raises(SystemExit):
+        main(f"generate mb0i0 --illumination {tmp_path}/lamp.toml --name x --out {tmp_path}/data".split())
+    message = capsys.readouterr().err
+    assert "lamp.toml" in message
+    assert "brightness" in message
+    assert "facing" not in message
+
+
+@pytest.fixture
+def pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Stand in a folder with 30 random pictures and forces in `real`, a small profile and a method."""
+    real, rng = tmp_path / "real", np.random.default_rng(0)
+    real.mkdir()
+    rows = ["image,fx_n,fy_n,fz_n"]
+    for name in ["reference", *map(str, range(30))]:
+        cv2.imwrite(str(real / f"{name}.png"), rng.integers(0, 255, (48, 64, 3), np.uint8))
+        if name != "reference":
+            rows.append(f"{name}.png,{rng.random() / 2},0.1,{-rng.random()}")
+    (real / "table.csv").write_text("\n".join(rows))
+    (tmp_path / "mine.toml").write_text(
+        'base = "smoke"\nsource_epochs = 1\nadapt_epochs = 1\nbatch_size = 8\n'
+    )
+    (tmp_path / "own.py").write_text(METHOD)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(registry, "EXTRA", {})
+    monkeypatch.setattr(registry, "_CODE", {})
+    return tmp_path
+
+
+ADAPT = [
+    "adapt",
+    "--source",
+    "real",
+    "--target",
+    "real",
+    "--out",
+    "runs",
+    "--profile",
+    "mine.toml",
+    "--method",
+]
+
+
+def test_an_own_profile_and_method_run(pictures: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main([*ADAPT, "own.py:Half"])
+    assert "own.Half" in capsys.readouterr().out
+    (record,) = (pictures / "runs").glob("real-real-own.Half-0-*/run.json")
+    run = json.loads(record.read_text())
+    assert run["profile"]["name"] == "mine"
+    assert (run["profile"]["source_epochs"], run["profile"]["width"]) == (1, 0.25)
+
+
+def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    registry.use_method("own.py:Half")
+    before = registry.method_code("own.Half")
+    other = pictures / "other"
+    other.mkdir()
+    (other / "own.py").write_text(METHOD.replace("0.5", "0.7"))
+    monkeypatch.setattr(registry, "EXTRA", {})
+    registry.use_method("other/own.py:Half")
+    assert before is not None
+    assert registry.method_code("own.Half") != before
+    assert registry.method_code("dsan") is None
+
+
+@pytest.mark.parametrize(
+    ("method", "words"),
+    [
+        ("absent.py:Half", "absent.py does not exist"),
+        ("own.py:Third", "Third is no class of own.py that extends gelgap.adapt.Method; it has Half"),
+        ("own.py:number", "number is no class"),
+        ("own.py:", "it has Half"),
+        ("no_such_module:Half", "no_such_module could not be imported"),
+    ],
+)
+def test_what_is_no_method_is_bad_input(
+    method: str, words: str, pictures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([*ADAPT, method])
+    assert stop.value.code == 2
+    message = capsys.readouterr().err
+    assert words in message
+    assert message.count("\n") == 1
+    assert not (pictures / "runs").exists()
+
+
+def test_an_installed_package_offers_its_methods(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (pictures / "offered_methods.py").write_text(METHOD)
+    metadata = pictures / "offered-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[gelgap.methods]\nhalf = offered_methods:Half\n")
+    monkeypatch.syspath_prepend(str(pictures))
+    names.installed_methods.cache_clear()
+    try:
+        assert "half" in names.method_names()
+        assert registry.find_method("half").__name__ == "Half"
+        assert registry.method_code("half")
+    finally:
+        names.installed_methods.cache_clear()
+        sys.modules.pop("offered_methods", None)
+
+
+def test_the_constant_mean_trains_nothing_and_stands_once_in_the_table(
+    pictures: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def trained(*_: object, **__: object) -> None:
+        raise AssertionError("a network was trained")
+
+    monkeypatch.setattr("gelgap.adapt.runs.train_source", trained)
+    main([*ADAPT, "constant-mean"])
+    out = capsys.readouterr().out
+    assert (out.count("constant mean"), out.count("constant-mean")) == (1, 0)
+    assert not list((pictures / "runs").glob("stage1/*.pt"))
+    (record,) = (pictures / "runs").glob("*/run.json")
+    run = json.loads(record.read_text())
+    assert run["target_test"]["mae_n"] == pytest.approx(run["target_constant_mean"]["mae_n"], rel=1e-5)
