@@ -20,6 +20,7 @@ from gelgap.adapt.run_key import run_key, stage1_key
 from gelgap.adapt.run_record import Run, is_finished, load_run, run_folder, versions, write_run
 from gelgap.adapt.source_training import train_source
 from gelgap.adapt.splits import SplitFrames, check_same_size, split_for_training
+from gelgap.assets.damage import set_aside
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains import LabelledFrames, open_domain
 
@@ -125,7 +126,10 @@ class Stage1:
         if self.checkpoint is None:
             return self._train(None)
         if self.checkpoint.is_file():
-            return ForceModel.load(self.checkpoint), 0.0
+            try:
+                return ForceModel.load(self.checkpoint), 0.0
+            except ValueError as error:
+                set_aside(self.checkpoint, f"cannot be used ({error})")
         folder = self.checkpoint.with_suffix("")
         with sole_use(folder):
             model, wall_s = self._train(folder / "resume.pt")

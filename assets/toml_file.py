@@ -4,6 +4,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+MOST_BYTES = 2**24
+
 
 def read_toml(path: Path | str) -> dict[str, Any]:
     """Return the tables of a TOML file.
@@ -20,10 +22,14 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         raise FileNotFoundError(
             f"{path} {'is a folder, not a TOML file' if path.is_dir() else 'does not exist'}"
         )
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path} is not valid TOML: it is larger than {MOST_BYTES // 2**20} MiB")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not valid TOML: {error}") from None
+    except RecursionError:
+        raise ValueError(f"{path} is not valid TOML: it is nested too deeply") from None
 
 
 def toml_text(values: dict[str, Any]) -> str:

@@ -68,6 +68,7 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     ValueError
         If the list is not valid TOML, or a table lacks a field or has an unknown one.
     """
+    from gelgap.assets.plain_name import stays_inside
     from gelgap.assets.toml_file import read_toml
     from gelgap.render import PressPicture
 
@@ -81,6 +82,10 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
                 "sphere_diameter_mm, depth_mm and, if known, point_mm"
             )
         point = tuple(table["point_mm"]) if "point_mm" in table else None
+        if not isinstance(table["picture"], str) or not stays_inside(table["picture"]):
+            raise ValueError(
+                f"{path}, press {number}: picture = {table['picture']!r} must lie in the folder of the list"
+            )
         picture = read_picture(path.parent / table["picture"])
         presses.append(PressPicture(picture, table["sphere_diameter_mm"], table["depth_mm"], point))
     return tuple(presses)
