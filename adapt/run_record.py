@@ -87,7 +87,7 @@ def versions() -> dict[str, str]:
 
 
 def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
-    """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record of the run."""
+    """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record."""
     with whole_file(run.folder / _PREDICTIONS) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
     model.save(run.folder / _MODEL)

@@ -18,17 +18,22 @@ def file_sha256(path: Path) -> str:
 
 
 def write_checksums(folder: Path, sums: Mapping[str, str]) -> None:
-    """Write the list of a folder: SHA-256 by the name of the file."""
-    write_whole(folder / SUMS, "".join(f"{digest}  {name}\n" for name, digest in sums.items()).encode())
+    """Write the list of a folder, SHA-256 by the name of the file; files that it names already stay in it."""
+    every = _listed(folder) | sums
+    write_whole(folder / SUMS, "".join(f"{digest}  {name}\n" for name, digest in every.items()).encode())
 
 
 def checksum_problem(path: Path) -> str | None:
     """Return how a file differs from the list beside it; None if it does not, or if no list names it."""
-    try:
-        lines = path.with_name(SUMS).read_bytes().decode(errors="replace").splitlines()
-    except OSError:
-        return None
-    sums = {match[2]: match[1] for line in lines if (match := _LINE.fullmatch(line))}
+    sums = _listed(path.parent)
     if path.name not in sums or not path.is_file() or file_sha256(path) == sums[path.name]:
         return None
     return f"is damaged: it has not the SHA-256 that {SUMS} states"
+
+
+def _listed(folder: Path) -> dict[str, str]:
+    try:
+        lines = (folder / SUMS).read_bytes().decode(errors="replace").splitlines()
+    except OSError:
+        return {}
+    return {match[2]: match[1] for line in lines if (match := _LINE.fullmatch(line))}
