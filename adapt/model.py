@@ -94,7 +94,7 @@ class ForceModel:
         """
         path = Path(path)
         if problem := checksum_problem(path):
-            raise ValueError(f"{path} {problem}")
+            raise ValueError(f"{path} {problem}; train it again or take a whole copy")
         content = load_checkpoint(path)
         if content.get("format") != _FORMAT:
             raise ValueError(f"{path} is not a gelgap checkpoint of format {_FORMAT}")

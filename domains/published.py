@@ -86,7 +86,7 @@ class PublishedDomain(PictureFiles):
         found = sum(1 for path in images.glob("*.jpg") if path.stem.isdigit())
         if found != len(rows):
             raise ValueError(
-                f"{self.folder / part} has {found} pictures and {len(rows)} rows of forces; they must match"
+                f"{self.folder / part} has {found} pictures and {len(rows)} rows of forces ({table}); they must match"
             )
         read = []
         for number, row in enumerate(rows):

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from gelgap.assets.json_file import with_checksum
 from gelgap.assets.plain_name import stays_inside
 from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import read_toml
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.assets.whole_file import write_whole
 from gelgap.domains.domain_gaps import domain_gap
 from gelgap.domains.recipe import DomainRecipe, make_recipes
@@ -81,7 +81,8 @@ class Sweep(Settings):
             raise ValueError(
                 f"{file}: path = {path!r} must be a preset or a TOML file below the working folder"
             )
-        return cls(**values)
+        with named_in_errors(file):
+            return cls(**values)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
