@@ -1,5 +1,6 @@
 """Reading files of torch that anyone may have written: tensors and plain values alone, checked by their CRC-32."""
 
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,9 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
         if file.read(len(_ZIP)) == _ZIP:
             _check_archive(path)
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about foreign bytes; the sentence below is enough
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # an unpickler of foreign bytes raises anything
         reason = str(error).partition("\n")[0].partition(". ")[0]
         raise ValueError(f"{path} is not a checkpoint of torch ({type(error).__name__}: {reason})") from None
