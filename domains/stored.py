@@ -75,7 +75,8 @@ class StoredFrames(LabelledFrames):
         if picture.shape != self.reference.shape:
             raise ValueError(
                 f"data set {self.name}: the picture of frame {index} is {picture.shape[1]}×{picture.shape[0]} px "
-                f"({self.place_of(index)}), the reference {self.reference.shape[1]}×{self.reference.shape[0]} px; all pictures must have one size"
+                f"({self.place_of(index)}), the reference {self.reference.shape[1]}×{self.reference.shape[0]} px; "
+                "all pictures must have one size"
             )
         return picture
 
