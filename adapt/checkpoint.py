@@ -1,7 +1,9 @@
 """Reading files of torch that anyone may have written: tensors and plain values alone, checked by their CRC-32."""
 
+import struct
 import warnings
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,11 @@ import torch
 
 # A checkpoint stores its tensors as they are: more than this over the file's size is no checkpoint.
 _MOST_GROWTH = 2
+# What Python's zipfile and zlib raise on bytes that are not theirs.
+_UNREADABLE = (
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+    *(EOFError, OSError, ValueError, NotImplementedError, RuntimeError),
+)
 _ZIP = b"PK\x03\x04"
 
 
@@ -48,10 +55,11 @@ def _check_archive(path: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             total = sum(info.file_size for info in archive.infolist())
-            if total > _MOST_GROWTH * path.stat().st_size:
-                raise ValueError(f"{path} is not a checkpoint: it would take {total / 2**20:.0f} MiB")
-            damaged = archive.testzip()
-    except (zipfile.BadZipFile, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+            fits = total <= _MOST_GROWTH * path.stat().st_size
+            damaged = archive.testzip() if fits else None
+    except _UNREADABLE as error:
         raise ValueError(f"{path} is damaged ({error}): it is not a whole checkpoint") from None
+    if not fits:
+        raise ValueError(f"{path} is not a checkpoint: it would take {total / 2**20:.0f} MiB")
     if damaged is not None:
-        raise ValueError(f"{path} is damaged: the CRC-32 of {damaged} does not match")
+        raise ValueError(f"{path} is damaged: the CRC-32 of {damaged!r} does not match")

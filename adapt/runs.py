@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.adapt.adaptation import adapt
+from gelgap.adapt.checkpoint import load_checkpoint
 from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_predictions
 from gelgap.adapt.methods.registry import find_method, method_settings
 from gelgap.adapt.model import ForceModel
@@ -78,6 +79,8 @@ def adapt_frames(
 ) -> list[Run]:
     """As `adapt_folders`, for domains that are open."""
     methods = _known(methods, profile)
+    if weights is not None:
+        load_checkpoint(Path(weights))  # refused before any picture is read
     check_same_size(source, target)
     frames = split_for_training(source, target, profile, seed)
     out = None if out_dir is None else Path(out_dir)

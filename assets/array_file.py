@@ -2,7 +2,9 @@
 
 import io
 import math
+import struct
 import zipfile
+import zlib
 from collections.abc import Collection
 from pathlib import Path
 from typing import BinaryIO
@@ -12,7 +14,10 @@ import numpy as np
 MOST_BYTES = 2**30
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # What Python's zipfile, zlib and NumPy raise on bytes that are not theirs.
-_UNREADABLE = (zipfile.BadZipFile, EOFError, OSError, ValueError, KeyError, NotImplementedError, RuntimeError)
+_UNREADABLE = (
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+    *(EOFError, OSError, ValueError, KeyError, NotImplementedError, RuntimeError, MemoryError),
+)
 
 
 def read_arrays(source: Path | bytes, names: Collection[str] | None = None) -> dict[str, np.ndarray]:
@@ -26,8 +31,6 @@ def read_arrays(source: Path | bytes, names: Collection[str] | None = None) -> d
         If it is not an npz file, an array is damaged, holds Python objects, or is larger than 1 GiB; the message says
         which and does not name the file.
     """
-    import zlib
-
     file = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
         with zipfile.ZipFile(file) as archive:
@@ -41,7 +44,7 @@ def read_arrays(source: Path | bytes, names: Collection[str] | None = None) -> d
             return {name: _read(archive, name, info) for name, info in wanted.items()}
     except _Refused as reason:
         raise ValueError(str(reason)) from None
-    except (*_UNREADABLE, zlib.error, MemoryError, RecursionError) as error:
+    except _UNREADABLE as error:
         raise ValueError(" ".join(str(error).split()) or "its end is missing") from None
 
 

@@ -15,7 +15,7 @@ from gelgap.benchmarks.common.records import append_record
 DOMAIN = "mb0i0"
 RUN_EPOCHS = 1
 FRAMES = 12
-SIZE_PX = (40, 32)
+SIZE_PX = (64, 48)
 _SWEEP = """base = "mb0i0"
 path = "smoke"
 
