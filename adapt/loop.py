@@ -1,5 +1,6 @@
 """The training loop: SGD over the epochs of a stage, which can be resumed after each of them."""
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -10,11 +11,13 @@ from typing import Any, ClassVar
 import torch
 from torch import nn
 
+from gelgap.adapt.checkpoint import load_checkpoint
 from gelgap.adapt.diagnosis import EpochLog, EpochRecord, StepResult
 from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.schedules import learning_rate_factor
+from gelgap.assets.damage import set_aside
 from gelgap.assets.whole_file import whole_file
 
 MAX_SKIPPED_IN_A_ROW = 20
@@ -102,7 +105,11 @@ def train(
     """
     training = _Training(stage)
     if resume_file is not None and resume_file.is_file():
-        training.restore(resume_file)
+        try:
+            training.restore(resume_file)
+        except ValueError as error:
+            set_aside(resume_file, f"cannot be gone on from ({error})")
+            training = _Training(stage)
     for epoch in range(len(training.records), stage.epochs):
         record = training.epoch(epoch)
         if stage.stops_on_collapse:
@@ -176,14 +183,22 @@ class _Training:
             torch.save(content, temporary)
 
     def restore(self, path: Path) -> None:
-        device = next(self.stage.network.parameters()).device
-        content = torch.load(path, map_location=device, weights_only=True)
-        self.stage.network.load_state_dict(content["network"])
-        if self.stage.companion is not None:
-            self.stage.companion.load_state_dict(content["companion"])
-        self.optimizer.load_state_dict(content["optimizer"])
-        self.records = [EpochRecord(**record) for record in content["records"]]
-        self.steps = content["steps"]
+        """Go on from a file that `store` wrote, or raise ValueError and leave the modules as they were."""
+        content = load_checkpoint(path)
+        before = copy.deepcopy([module.state_dict() for module in self.stage.modules])
+        try:
+            self.stage.network.load_state_dict(content["network"])
+            if self.stage.companion is not None:
+                self.stage.companion.load_state_dict(content["companion"])
+            self.optimizer.load_state_dict(content["optimizer"])
+            self.records = [EpochRecord(**record) for record in content["records"]]
+            self.steps = int(content["steps"])
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            for module, state in zip(self.stage.modules, before, strict=True):
+                module.load_state_dict(state)
+            raise ValueError(
+                f"{path} belongs to another training: {' '.join(str(error).split())[:200]}"
+            ) from None
 
 
 def _make_optimizer(stage: Stage) -> torch.optim.SGD:

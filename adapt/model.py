@@ -8,8 +8,10 @@ import numpy as np
 import torch
 
 from gelgap.adapt.batches import network_inputs
+from gelgap.adapt.checkpoint import load_checkpoint
 from gelgap.adapt.network import ForceNetwork, make_network
 from gelgap.adapt.profile import Profile
+from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
 from gelgap.domains import LabelledFrames
 
@@ -88,25 +90,41 @@ class ForceModel:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is not a gelgap checkpoint.
+            If it is not a gelgap checkpoint, or is damaged.
         """
         path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"checkpoint {path} does not exist")
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        if not isinstance(content, dict) or content.get("format") != _FORMAT:
+        if problem := checksum_problem(path):
+            raise ValueError(f"{path} {problem}; train it again or take a whole copy")
+        content = load_checkpoint(path)
+        if content.get("format") != _FORMAT:
             raise ValueError(f"{path} is not a gelgap checkpoint of format {_FORMAT}")
-        profile = Profile.model_validate_json(content["profile"])
-        network = make_network(profile, content["n_classes"], seed=0)
-        network.load_state_dict(content["state"])
-        return cls(
-            network=network,
-            profile=profile,
-            force_range_n=np.array(content["force_range_n"]),
-            n_classes=content["n_classes"],
-            seed=content["seed"],
-            source=content["source"],
-            target=content["target"],
-            method=content["method"],
-            history=tuple(content["history"]),
-        )
+        try:
+            return cls(**_fields(content))
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            reason = " ".join(str(error).split())[:200]
+            raise ValueError(f"{path} is not a whole gelgap checkpoint ({reason})") from None
+
+
+def _fields(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of the model that a checkpoint's content describes, or raise what says why it does not."""
+    profile = Profile.model_validate_json(content["profile"])
+    state, n_classes = content["state"], content["n_classes"]
+    # Before a network of that size is made.
+    if tuple(state["classifier.weight"].shape) != (n_classes, profile.feature_dim):
+        raise ValueError(f"the classifier is {tuple(state['classifier.weight'].shape)}")
+    force_range_n = np.array(content["force_range_n"], dtype=float)
+    if force_range_n.shape != (3, 2) or not (np.diff(force_range_n) > 0).all():
+        raise ValueError(f"force_range_n = {content['force_range_n']!r}")
+    network = make_network(profile, n_classes, seed=0)
+    network.load_state_dict(state)
+    return {
+        "network": network,
+        "profile": profile,
+        "force_range_n": force_range_n,
+        "n_classes": n_classes,
+        "seed": content["seed"],
+        "source": content["source"],
+        "target": content["target"],
+        "method": content["method"],
+        "history": tuple(content["history"]),
+    }

@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import torch
 from torch import Tensor, nn
+
+from gelgap.adapt.checkpoint import load_checkpoint
 
 
 def _convolution(n_in: int, n_out: int, size: int, stride: int = 1) -> nn.Conv2d:
@@ -121,16 +122,13 @@ def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
         If the file does not fit this backbone (another depth or width).
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"weights file {path} does not exist; give a torchvision ResNet state dictionary"
-        )
-    state = torch.load(path, map_location="cpu", weights_only=True)
-    state = {key: value for key, value in state.items() if not key.startswith("fc.")}
+    state = {key: value for key, value in load_checkpoint(path).items() if not str(key).startswith("fc.")}
+    if not all(isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()):
+        raise ValueError(f"weights file {path} is no state dictionary: it holds more than named tensors")
     expected = backbone.state_dict()
     filters = state.get("conv1.weight")
     wanted = expected["conv1.weight"].shape[1]
-    if filters is not None and filters.shape[1] == 3 and wanted % 3 == 0:
+    if filters is not None and filters.ndim == 4 and filters.shape[1] == 3 and wanted % 3 == 0:
         state["conv1.weight"] = filters.repeat(1, wanted // 3, 1, 1) * (3 / wanted)
     wrong = sorted(
         {key for key in expected if key not in state or state[key].shape != expected[key].shape}

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
-from gelgap.adapt.result_table import ResultTable
+from gelgap.adapt.result_table import ResultTable, markdown_text
 from gelgap.assets.pages import html_page
 from gelgap.assets.whole_file import write_whole
 
@@ -40,8 +41,10 @@ def write_pages(
     pictures = [(figure, figure.png) for figure in figures]
     for figure, png in pictures:
         write_whole(folder / f"{figure.name}.png", png)
-    parts = [f"# {title}\n", *(table.markdown() for table in tables)]
-    parts += [f"## {figure.caption}\n\n![{figure.caption}]({figure.name}.png)\n" for figure in figures]
+    parts = [f"# {markdown_text(title)}\n", *(table.markdown() for table in tables)]
+    for figure in figures:
+        caption = markdown_text(figure.caption)
+        parts.append(f"## {caption}\n\n![{caption}]({quote(figure.name)}.png)\n")
     latex = [table.latex() for table in tables]
     embedded = [(figure.caption, base64.b64encode(png).decode()) for figure, png in pictures]
     html = html_page("results.html", title=title, tables=tables, figures=embedded)

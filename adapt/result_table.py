@@ -10,6 +10,12 @@ import numpy as np
 from gelgap.assets.pages import html_page
 
 _LATEX = {
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
     "λ_t": r"$\lambda_t$",
     "_": r"\_",
     "%": r"\%",
@@ -20,6 +26,7 @@ _LATEX = {
     "×": r"$\times$",
     "≥": r"$\ge$",
     "<": "$<$",
+    ">": "$>$",
     "²": "$^2$",
     "…": "--",
     "–": "--",
@@ -45,13 +52,15 @@ class ResultTable:
 
     def markdown(self) -> str:
         """Return the table in Markdown, with its title as a heading of the second level."""
-        lines = [self.columns, ["---", *("---:" for _ in self.columns[1:])], *self.cells]
-        table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-        return f"## {self.title}\n\n{table}\n" + (f"\n{self.note}\n" if self.note else "")
+        rule = ["---", *("---:" for _ in self.columns[1:])]
+        rows = [[markdown_text(cell) for cell in row] for row in (self.columns, *self.cells)]
+        table = "\n".join("| " + " | ".join(line) + " |" for line in (rows[0], rule, *rows[1:]))
+        title, note = markdown_text(self.title), markdown_text(self.note)
+        return f"## {title}\n\n{table}\n" + (f"\n{note}\n" if note else "")
 
     def latex(self) -> str:
         """Return a LaTeX tabular in booktabs' style, with its title as a comment."""
-        return "\n".join([f"% {self.title}", *self._latex_lines()]) + "\n"
+        return "\n".join([f"% {' '.join(self.title.split())}", *self._latex_lines()]) + "\n"
 
     def _latex_lines(self) -> Iterator[str]:
         yield r"\begin{tabular}{l" + "r" * (len(self.columns) - 1) + "}"
@@ -96,6 +105,12 @@ def cell_text(value: object) -> str:
     if isinstance(value, float | np.floating):
         return f"{value:.4g}"
     return str(value)
+
+
+def markdown_text(text: str) -> str:
+    """Return a text so that Markdown shows it in one line: no HTML, no border of a cell."""
+    escaped = text.replace("&", "&amp;").replace("<", "&lt;").replace("|", "\\|")
+    return " ".join(escaped.splitlines())
 
 
 def _latex_row(cells: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from gelgap.adapt.methods.registry import method_code
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.splits import SplitFrames
+from gelgap.assets.checksums import file_sha256
 from gelgap.domains import LabelledFrames
 
 _STAGE_2_FIELDS = frozenset(
@@ -55,6 +56,12 @@ def _key(
         "method": method,
         "profile": profile.model_dump(mode="json", exclude={"name"}, exclude_defaults=True),
         "seed": seed,
-        "weights": None if weights is None else hashlib.sha256(Path(weights).read_bytes()).hexdigest(),
+        "weights": None if weights is None else _weights_digest(Path(weights)),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _weights_digest(path: Path) -> str:
+    if not path.is_file():
+        raise FileNotFoundError(f"weights file {path} does not exist")
+    return file_sha256(path)

@@ -1,5 +1,6 @@
 """One finished run as a folder that a report can read: run.json, predictions.npz and model.pt."""
 
+import hashlib
 import json
 import math
 import platform
@@ -9,14 +10,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.model import ForceModel
+from gelgap.assets.array_file import read_arrays
+from gelgap.assets.checksums import checksum_problem, file_sha256, write_checksums
+from gelgap.assets.json_file import read_json
+from gelgap.assets.plain_name import is_plain_name
+from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import whole_file, write_whole
 
 _RECORD = "run.json"
 _PREDICTIONS = "predictions.npz"
 _MODEL = "model.pt"
+_ARRAYS = ("target_true_n", "target_predicted_n", "target_features", "source_features")
 _EVALUATIONS = ("target_test", "target_constant_mean", "source_held_out", "source_constant_mean")
 
 
@@ -79,13 +87,15 @@ def versions() -> dict[str, str]:
 
 
 def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
-    """Write a run's folder: what `load_predictions` will return, the model, and last the record of a finished run."""
+    """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record."""
     with whole_file(run.folder / _PREDICTIONS) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
     model.save(run.folder / _MODEL)
     content = {name: value for name, value in asdict(run).items() if name != "folder"}
-    text = json.dumps(_without_nan(content), indent=1, ensure_ascii=False)
-    write_whole(run.folder / _RECORD, f"{text}\n".encode())
+    record = f"{json.dumps(_without_nan(content), indent=1, ensure_ascii=False)}\n".encode()
+    sums = {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
+    write_checksums(run.folder, sums | {_RECORD: hashlib.sha256(record).hexdigest()})
+    write_whole(run.folder / _RECORD, record)
 
 
 def load_run(folder: str | Path) -> Run:
@@ -95,16 +105,19 @@ def load_run(folder: str | Path) -> Run:
     ------
     FileNotFoundError
         If there is no finished run in the folder.
+    RuntimeError
+        If its record is damaged.
     """
     folder = Path(folder)
     if not is_finished(folder):
         raise FileNotFoundError(f"{folder} holds no finished run ({_RECORD} is missing)")
-    content = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
-    for name in _EVALUATIONS:
-        if content[name] is not None:
-            content[name] = _evaluation(content[name])
-    content["history"] = tuple(content["history"])
-    return Run(**content, folder=folder)
+    path = folder / _RECORD
+    if problem := checksum_problem(path):
+        raise _damaged(path, problem)
+    try:
+        return _run(read_json(path), folder)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise _damaged(path, f"is not the record of a run: {_reason(error)}") from None
 
 
 def load_runs(folder: str | Path) -> list[Run]:
@@ -129,11 +142,68 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
     For the target's test frames and, as `source_…`, the source's held-out frames: `target_true_n` and
     `target_predicted_n` (n, 3) in N, and of the first 400 frames `target_features` (m, D) and
     `target_features_force_n` (m, 3).
+
+    Raises
+    ------
+    RuntimeError
+        If the file is missing or damaged.
     """
     if run.folder is None:
         raise ValueError("this run was not written to a folder, so there are no predictions to read")
-    with np.load(run.folder / _PREDICTIONS) as arrays:
-        return dict(arrays)
+    path = run.folder / _PREDICTIONS
+    if not path.is_file():
+        raise _damaged(path, "is missing")
+    if problem := checksum_problem(path):
+        raise _damaged(path, problem)
+    try:
+        arrays = read_arrays(path)
+        _check_predictions(arrays)
+    except ValueError as error:
+        raise _damaged(path, f"is damaged: {error}") from None
+    return arrays
+
+
+def _check_predictions(arrays: dict[str, np.ndarray]) -> None:
+    """Raise ValueError if an array is missing, has another shape, or holds what is not a finite number."""
+    missing = [name for name in _ARRAYS if name not in arrays]
+    if missing:
+        raise ValueError(f"it lacks {', '.join(missing)}")
+    for name, values in arrays.items():
+        columns = values.shape[1] if name.endswith("_features") and values.ndim == 2 else 3
+        if values.dtype.kind != "f" or values.shape[1:] != (columns,):
+            raise ValueError(f"{name} is {values.dtype} {values.shape}, expected numbers (n, {columns})")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds values that are not finite")
+        other = name.replace("_true_n", "_predicted_n")
+        if other in arrays and len(arrays[other]) != len(values):
+            raise ValueError(f"{name} and {other} have {len(values)} and {len(arrays[other])} rows")
+
+
+def _run(content: dict[str, Any], folder: Path) -> Run:
+    """Return the run of a record, or raise what says which of its fields is not one."""
+    for name in _EVALUATIONS:
+        if content[name] is not None:
+            content[name] = _evaluation(content[name])
+    run = TypeAdapter(Run).validate_python({**content, "folder": folder})
+    for field_name in ("source", "target", "method"):
+        if not is_plain_name(getattr(run, field_name)):
+            raise ValueError(f"{field_name} = {getattr(run, field_name)!r} is no name")
+    if not isinstance(run.profile.get("name"), str) or not {"stage1", "stage2"} <= run.wall_s.keys():
+        raise ValueError("it lacks the profile's name or the times of the stages")
+    return run
+
+
+def _reason(error: Exception) -> str:
+    """Return why a record could not be read, in one line."""
+    if isinstance(error, ValidationError):
+        return one_sentence(error)
+    return f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+
+
+def _damaged(path: Path, problem: str) -> RuntimeError:
+    return RuntimeError(
+        f"{path} {problem}; delete the folder {path.parent} and run the same `gelgap adapt` again"
+    )
 
 
 def _without_nan(value: Any) -> Any:

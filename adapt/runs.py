@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.adapt.adaptation import adapt
+from gelgap.adapt.checkpoint import load_checkpoint
 from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_predictions
 from gelgap.adapt.methods.names import method_names
 from gelgap.adapt.methods.registry import find_method, method_settings, use_method
@@ -21,6 +22,7 @@ from gelgap.adapt.run_key import run_key, stage1_key
 from gelgap.adapt.run_record import Run, is_finished, load_run, run_folder, versions, write_run
 from gelgap.adapt.source_training import train_source, untrained
 from gelgap.adapt.splits import SplitFrames, check_same_size, split_for_training
+from gelgap.assets.damage import set_aside
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains import LabelledFrames, open_domain
 
@@ -78,6 +80,8 @@ def adapt_frames(
 ) -> list[Run]:
     """As `adapt_folders`, for domains that are open."""
     methods = _known(methods, profile)
+    if weights is not None:
+        load_checkpoint(Path(weights))  # refused before any picture is read
     check_same_size(source, target)
     frames = split_for_training(source, target, profile, seed)
     out = None if out_dir is None else Path(out_dir)
@@ -128,7 +132,10 @@ class Stage1:
         if self.checkpoint is None:
             return self._train(None)
         if self.checkpoint.is_file():
-            return ForceModel.load(self.checkpoint), 0.0
+            try:
+                return ForceModel.load(self.checkpoint), 0.0
+            except ValueError as error:
+                set_aside(self.checkpoint, f"cannot be used ({error})")
         folder = self.checkpoint.with_suffix("")
         with sole_use(folder):
             model, wall_s = self._train(folder / "resume.pt")

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order
+from gelgap.adapt.checkpoint import load_checkpoint
 from gelgap.adapt.colour_mixing import mix_batch
 from gelgap.adapt.diagnosis import StepResult
 from gelgap.adapt.loop import Stage, train
@@ -125,10 +126,7 @@ def regression_loss(activations: Activations) -> Tensor:
 
 def _load_start(network: ForceNetwork, path: Path) -> None:
     """Start from a gelgap checkpoint, or load ImageNet weights into the backbone."""
-    if not path.is_file():
-        raise FileNotFoundError(f"weights file {path} does not exist")
-    content = torch.load(path, map_location="cpu", weights_only=True)
-    if "state" not in content:
+    if "state" not in load_checkpoint(path):
         load_imagenet_weights(network.backbone, path)
         return
     checkpoint = ForceModel.load(path)

@@ -1,8 +1,12 @@
 """Reading and writing TOML files, with one sentence that names the file where one is not right."""
 
+import contextlib
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+MOST_BYTES = 2**24
 
 
 def read_toml(path: Path | str) -> dict[str, Any]:
@@ -13,17 +17,35 @@ def read_toml(path: Path | str) -> dict[str, Any]:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is not valid TOML in UTF-8; the message names the file and the place.
+        If it is empty or not valid TOML in UTF-8; the message names the file and the place.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(
             f"{path} {'is a folder, not a TOML file' if path.is_dir() else 'does not exist'}"
         )
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path} is not valid TOML: it is larger than {MOST_BYTES // 2**20} MiB")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not valid TOML: {error}") from None
+    except RecursionError:
+        raise ValueError(f"{path} is not valid TOML: it is nested too deeply") from None
+    if not values:
+        raise ValueError(f"{path} is empty: it states no field")
+    return values
+
+
+@contextlib.contextmanager
+def named_in_errors(path: Path | str) -> Iterator[None]:
+    """Put the file's name in front of a ValueError about what it holds, unless it is there."""
+    try:
+        yield
+    except ValueError as error:
+        if str(path) in str(error):
+            raise
+        raise ValueError(f"{path}: {error}") from None
 
 
 def toml_text(values: dict[str, Any]) -> str:

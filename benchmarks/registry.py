@@ -44,7 +44,10 @@ BENCHMARKS = (
         "stability", "losses", "adaptation losses in every known trap", "adaptation.losses", by_default=False
     ),
     Benchmark("throughput", None, "time to generate and to read domains", "data.throughput"),
-    Benchmark("faults", None, "what a fault during generation costs", "data.faults"),
+    Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),
+    Benchmark(
+        "faults", "files", "what damage to each kind of file does", "data.file_faults", by_default=False
+    ),
     Benchmark("adaptation", "groups", "the paper's methods on its nine groups", "adaptation.groups"),
     Benchmark(
         "adaptation", "methods", "all methods on three groups", "adaptation.methods", has_quick_form=False

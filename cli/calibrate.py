@@ -1,5 +1,6 @@
 """`gelgap calibrate`: fit a sensor's LEDs to pictures of a real one."""
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,11 +83,17 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     ValueError
         If the list is not valid TOML, or a table lacks a field or has an unknown one.
     """
+    from gelgap.assets.plain_name import stays_inside
     from gelgap.assets.toml_file import read_toml
     from gelgap.render import PressPicture
 
     presses = []
-    for number, table in enumerate(read_toml(path).get("presses", []), start=1):
+    tables = read_toml(path).get("presses", [])
+    if not isinstance(tables, list):
+        raise ValueError(f"{path}: presses must be tables [[presses]]")
+    for number, table in enumerate(tables, start=1):
+        if not isinstance(table, dict):
+            raise ValueError(f"{path}, press {number}: must be a table [[presses]]")
         known = {"picture", "sphere_diameter_mm", "depth_mm", "point_mm"}
         wrong = (known - {"point_mm"} - table.keys()) | (table.keys() - known)
         if wrong:
@@ -94,10 +101,28 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
                 f"{path}, press {number}: {', '.join(sorted(wrong))} missing or unknown; a press has picture, "
                 "sphere_diameter_mm, depth_mm and, if known, point_mm"
             )
+        for field, length in {"sphere_diameter_mm": None, "depth_mm": None, "point_mm": 2}.items():
+            if field in table and not _is_numeric(table[field], length):
+                raise ValueError(
+                    f"{path}, press {number}: {field} = {table[field]!r}: must be a number of mm"
+                )
         point = tuple(table["point_mm"]) if "point_mm" in table else None
+        if not isinstance(table["picture"], str) or not stays_inside(table["picture"]):
+            raise ValueError(
+                f"{path}, press {number}: picture = {table['picture']!r} must lie in the folder of the list"
+            )
         picture = read_picture(path.parent / table["picture"])
         presses.append(PressPicture(picture, table["sphere_diameter_mm"], table["depth_mm"], point))
     return tuple(presses)
+
+
+def _is_numeric(value: object, length: int | None) -> bool:
+    """Return whether a value is a finite number, or a list of `length` of them."""
+    if length is not None:
+        return (
+            isinstance(value, list) and len(value) == length and all(_is_numeric(one, None) for one in value)
+        )
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def read_picture(path: Path) -> "np.ndarray":

@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from gelgap.cli.arguments import Flag, optional
 from gelgap.cli.rules import DataSet, OutputFile
+
+if TYPE_CHECKING:
+    from gelgap.domains import Damage
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class Inspect:
     folder: Annotated[tyro.conf.Positional[Path], DataSet(several=True)]
     """Folder of one domain, or of several."""
     verify: Flag = False
-    """Read every byte and compare it with the manifest; exit code 1 if anything is damaged."""
+    """Compare every byte with the manifest, or decode every picture of real data; exit code 1 if one is damaged."""
     html: Annotated[Path | None, optional("PATH"), OutputFile()] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
     gap_to: Annotated[Path | None, optional("PATH"), DataSet()] = None
@@ -31,6 +34,7 @@ class Inspect:
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
         from gelgap.domains import (
+            MANIFEST,
             domain_folders,
             gap_rows,
             inspect_domain,
@@ -44,10 +48,10 @@ class Inspect:
             names = ", ".join(folder.name for folder in folders)
             raise ValueError(f"--html shows one domain; {self.folder} holds {names}: name one of them")
         base = open_domain(self.gap_to) if self.gap_to is not None else None
-        damages = {folder: verify_domain(folder) for folder in folders} if self.verify else {}
-        if any(damages.values()):
-            listed = "; ".join(f"{folder.name}/{damage}" for folder in folders for damage in damages[folder])
-            raise RuntimeError(f"damaged: {listed}. The same gelgap generate command repairs it")
+        damages = [(folder, damage) for folder in folders if self.verify for damage in verify_domain(folder)]
+        if damages:
+            listed = "; ".join(f"{folder.name}/{damage}" for folder, damage in damages)
+            raise RuntimeError(f"damaged: {listed}. {advice(damages)}")
         for folder in folders:
             print(inspect_domain(folder))
             if base is not None:
@@ -55,6 +59,20 @@ class Inspect:
                 for what, value in gap_rows(open_domain(folder), base):
                     print(f"    {what}: {value}")
         if self.verify:
-            print("every file is what its manifest says")
+            generated = all((folder / MANIFEST).exists() for folder in folders)
+            print(
+                "every file is what its manifest says" if generated else "every picture and force is readable"
+            )
         if self.html is not None:
             print(f"wrote {write_overview(folders[0], self.html, self.gap_to)}")
+
+
+def advice(damages: "list[tuple[Path, Damage]]") -> str:
+    """Return what to do about damage: what gelgap generated it makes again, real data it cannot."""
+    from gelgap.domains import MANIFEST
+
+    if any(not (folder / MANIFEST).exists() for folder, _ in damages):
+        return "Take these rows out of the table, or replace the files by whole ones"
+    if any(damage.file == MANIFEST for _, damage in damages):
+        return "The same gelgap generate command with --overwrite makes it again"
+    return "The same gelgap generate command repairs it"

@@ -11,6 +11,8 @@ from .domain_gaps import differing_fields as differing_fields
 from .domain_gaps import domain_gap as domain_gap
 from .estimate import estimate as estimate
 from .export import export as export
+from .folder import MANIFEST as MANIFEST
+from .folder import Damage as Damage
 from .folder import DomainFolder as DomainFolder
 from .generate import GenerationReport as GenerationReport
 from .generate import generate as generate

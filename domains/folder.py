@@ -2,28 +2,24 @@
 
 import hashlib
 import json
+import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gelgap.assets.checksums import file_sha256
+from gelgap.assets.json_file import parse_json, with_checksum, without_checksum
+from gelgap.assets.plain_name import is_plain_name
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
+MISSING = "is missing"
 
 
 def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
-
-
-def file_sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def canonical_json(value: Any) -> bytes:
-    """Return the one JSON text of a value: sorted keys, so that equal values hash equally."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
 
 
 def shard_name(number: int) -> str:
@@ -66,27 +62,22 @@ class DomainFolder:
         """
         try:
             text = self.manifest_path.read_bytes()
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise FileNotFoundError(
                 f"{self.path} holds no {MANIFEST}; expected a domain folder as `gelgap generate` writes it"
             ) from None
         try:
-            manifest = json.loads(text)
-            stated = manifest.pop("sha256")
-        except (ValueError, KeyError, AttributeError, TypeError):
-            stated, manifest = None, None
-        if stated is None or stated != sha256(canonical_json(manifest)):
+            manifest = without_checksum(parse_json(text))
+            _check_manifest(manifest)
+        except ValueError as error:
             raise RuntimeError(
-                f"{self.manifest_path} is damaged (its own checksum does not match); "
-                "generate the domain again with --overwrite"
-            )
+                f"{self.manifest_path} is damaged ({error}); generate the domain again with --overwrite"
+            ) from None
         return manifest
 
     def write_manifest(self, manifest: dict[str, Any]) -> None:
-        signed = {**manifest, "sha256": sha256(canonical_json(manifest))}
-        write_whole(
-            self.manifest_path, json.dumps(signed, indent=1, sort_keys=True, ensure_ascii=False).encode()
-        )
+        text = json.dumps(with_checksum(manifest), indent=1, sort_keys=True, ensure_ascii=False)
+        write_whole(self.manifest_path, text.encode())
 
     def write_file(self, name: str, data: bytes) -> dict[str, Any]:
         """Write one file and return its manifest entry."""
@@ -97,7 +88,7 @@ class DomainFolder:
         """Return how a file differs from what the manifest states, or None if it has exactly those bytes."""
         path = self.path / name
         if not path.exists():
-            return "is missing"
+            return MISSING
         size = path.stat().st_size
         if size != entry["bytes"]:
             return f"has {size} bytes, the manifest states {entry['bytes']}"
@@ -121,8 +112,10 @@ class DomainFolder:
         """Return everything that differs from what the manifest states: missing, changed and unknown files."""
         try:
             manifest = self.read_manifest()
-        except (FileNotFoundError, RuntimeError) as error:
-            return [Damage(MANIFEST, str(error))]
+        except FileNotFoundError:
+            return [Damage(MANIFEST, "is missing")]
+        except RuntimeError:
+            return [Damage(MANIFEST, "is damaged (its own checksum does not match)")]
         files = manifest["files"]
         problems = {name: self.problem(name, entry) for name, entry in sorted(files.items())}
         found = [Damage(name, problem) for name, problem in problems.items() if problem]
@@ -131,3 +124,45 @@ class DomainFolder:
         if not manifest["complete"]:
             found.append(Damage(MANIFEST, "says that generation has not finished"))
         return found
+
+
+_SHARD_NAME = re.compile(r"frames-\d{5,}\.parquet")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+def _check_manifest(manifest: dict[str, Any]) -> None:
+    """Raise ValueError if a manifest, whose checksum is right, states what no generation writes."""
+    if not is_plain_name(manifest.get("domain")):
+        raise ValueError(f"it states domain = {manifest.get('domain')!r}, which is no name")
+    kinds = {"files": dict, "configuration": dict, "versions": dict, "complete": bool, "schema_version": int}
+    for field, kind in kinds.items():
+        if not isinstance(manifest.get(field), kind):
+            raise ValueError(f"it states {field} = {manifest.get(field)!r}, expected {kind.__name__}")
+    for name, entry in manifest["files"].items():
+        if name != REFERENCE and not _SHARD_NAME.fullmatch(name):
+            raise ValueError(f"it states the file {name!r}, which is not of this folder")
+        known = isinstance(entry, dict) and isinstance(entry.get("bytes"), int)
+        if not known or not _SHA256.fullmatch(str(entry.get("sha256"))):
+            raise ValueError(f"it states no size and SHA-256 of {name}")
+    columns = manifest["configuration"].get("columns")
+    if not isinstance(columns, list) or not all(isinstance(column, str) for column in columns):
+        raise ValueError(f"it states columns = {columns!r}, expected a list of names")
+    if not _is_range(manifest.get("force_range_n")):
+        raise ValueError(
+            f"it states force_range_n = {manifest.get('force_range_n')!r}, expected three ranges"
+        )
+
+
+def _is_range(value: Any) -> bool:
+    """Return whether a value is three pairs of finite numbers, the first below the second."""
+    return (
+        isinstance(value, list)
+        and len(value) == 3
+        and all(
+            isinstance(pair, list)
+            and len(pair) == 2
+            and all(isinstance(number, int | float) and math.isfinite(number) for number in pair)
+            and pair[0] < pair[1]
+            for pair in value
+        )
+    )

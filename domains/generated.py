@@ -1,13 +1,16 @@
 """Reading gelgap's own format: a manifest, a reference picture and Parquet shards."""
 
 import hashlib
+import os
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.domains.folder import REFERENCE, DomainFolder
+from gelgap.domains.columns import IMAGE, LABELS
+from gelgap.domains.folder import MISSING, REFERENCE, DomainFolder
 from gelgap.domains.picture_codec import decode_picture
 from gelgap.domains.stored import StoredFrames
 
@@ -31,6 +34,11 @@ class GeneratedDomain(StoredFrames):
                 f"{self.folder} is not finished; run the same `gelgap generate` again to complete what is missing"
             )
         self._shards = sorted(name for name in self.manifest["files"] if name.endswith(".parquet"))
+        if not self._shards or REFERENCE not in self.manifest["files"]:
+            raise RuntimeError(
+                f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
+            )
+        self._check_bytes(files)
         tables, places = zip(*(self._read_labels(number) for number in range(len(self._shards))), strict=True)
         joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
         kept = np.flatnonzero(joined["converged"])
@@ -44,6 +52,16 @@ class GeneratedDomain(StoredFrames):
         self._open_files: dict[int, ParquetFile] = {}
         self._group: tuple[tuple[int, int, str] | None, list[bytes | None]] = (None, [])
 
+    def _check_bytes(self, files: DomainFolder) -> None:
+        """Compare every file with the manifest: a changed label would train a model, and no one would see it."""
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+            problems = threads.map(lambda item: files.problem(*item), self.manifest["files"].items())
+            for name, problem in zip(self.manifest["files"], problems, strict=True):
+                if problem == MISSING:
+                    raise FileNotFoundError(f"{self.folder / name} is missing; generate the domain again")
+                if problem:
+                    raise _damaged(self.folder / name, problem)
+
     def _read_labels(self, number: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the plain columns of one shard, and where its rows are: shard, row group, row (n, 3)."""
         import pyarrow as pa
@@ -53,13 +71,10 @@ class GeneratedDomain(StoredFrames):
         try:
             file = pq.ParquetFile(path)
             names = [field.name for field in file.schema_arrow if not pa.types.is_nested(field.type)]
+            _check_columns(file)
             table = file.read(columns=names)
-        except FileNotFoundError:
-            raise FileNotFoundError(f"{path} is missing; generate the domain again") from None
-        except (OSError, ValueError) as error:
-            raise RuntimeError(
-                f"{path} is damaged ({error}); run the same `gelgap generate` again to repair it"
-            ) from error
+        except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
+            raise _damaged(path, str(error)) from None
         places = [
             (number, group, row)
             for group in range(file.num_row_groups)
@@ -73,7 +88,7 @@ class GeneratedDomain(StoredFrames):
 
     @cached_property
     def reference(self) -> np.ndarray:
-        return decode_picture((self.folder / REFERENCE).read_bytes())
+        return self.decoded_file(self.folder / REFERENCE)
 
     @cached_property
     def digest(self) -> str:
@@ -81,7 +96,13 @@ class GeneratedDomain(StoredFrames):
         return hashlib.sha256(repr(hashes).encode()).hexdigest()
 
     def encoded_picture(self, index: int) -> bytes:
-        return self._cell(index, "image")
+        picture = self._cell(index, "image")
+        if not isinstance(picture, bytes):
+            raise _damaged(self.folder / self.place_of(index), f"frame {index} has no picture")
+        return picture
+
+    def place_of(self, index: int) -> str:
+        return self._shards[int(self._places[index][0])]
 
     def optional(self, column: str, index: int) -> np.ndarray:
         """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
@@ -139,7 +160,32 @@ class GeneratedDomain(StoredFrames):
 
         if shard not in self._open_files:
             self._open_files[shard] = pq.ParquetFile(self.folder / self._shards[shard], memory_map=True)
-        cells = self._open_files[shard].read_row_group(group, columns=[column]).column(column)
+        try:
+            cells = self._open_files[shard].read_row_group(group, columns=[column]).column(column)
+        except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
+            raise _damaged(self.folder / self._shards[shard], str(error)) from None
         if pa.types.is_struct(cells.type):
             return [cell for chunk in cells.chunks for cell in chunk.field("bytes").to_pylist()]
         return cells.to_pylist()
+
+
+# More rows than any shard has; a few bytes of Parquet can claim billions.
+_MOST_ROWS = 100_000
+
+
+def _check_columns(file: "ParquetFile") -> None:
+    """Raise ValueError if a shard has not the rows and columns that generation writes."""
+    if file.metadata.num_rows > _MOST_ROWS:
+        raise ValueError(f"it states {file.metadata.num_rows} rows")
+    schema = file.schema_arrow
+    for column in (*LABELS, IMAGE):
+        if column.name not in schema.names or schema.field(column.name).type != column.type:
+            raise ValueError(f"column {column.name} is missing or not {column.type}")
+
+
+def _damaged(path: Path, problem: str) -> RuntimeError:
+    problem = " ".join(problem.split())
+    return RuntimeError(
+        f"{path} is damaged ({problem}): run the same `gelgap generate` again to repair it; "
+        f"`gelgap inspect {path.parent} --verify` names all damage"
+    )

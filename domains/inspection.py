@@ -12,6 +12,8 @@ from gelgap.domains.domain_gaps import domain_gap
 from gelgap.domains.folder import MANIFEST, Damage, DomainFolder
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.opening import open_domain
+from gelgap.domains.picture_damages import header_damages, table_damages
+from gelgap.domains.stored import PictureFiles
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
     """
     frames = open_domain(folder)
     low, high = frames.force_range_n.T
+    forces = frames.force_n[np.isfinite(frames.force_n).all(axis=1)]
     return DomainSummary(
         folder=str(folder),
         name=frames.name,
@@ -83,18 +86,30 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         points=_distinct(frames.point_id),
         classes=_distinct(frames.contact_class),
         force_range_n=tuple(tuple(axis) for axis in frames.force_range_n.tolist()),
-        force_min_n=tuple(frames.force_n.min(axis=0).tolist()) if len(frames) else (0.0,) * 3,
-        force_max_n=tuple(frames.force_n.max(axis=0).tolist()) if len(frames) else (0.0,) * 3,
+        force_min_n=tuple(forces.min(axis=0).tolist()) if len(forces) else (0.0,) * 3,
+        force_max_n=tuple(forces.max(axis=0).tolist()) if len(forces) else (0.0,) * 3,
         outside_range=int(((frames.force_n < low) | (frames.force_n > high)).any(axis=1).sum()),
         optional_columns=frames.optional_columns if isinstance(frames, GeneratedDomain) else (),
         bytes=sum(path.stat().st_size for path in Path(folder).rglob("*") if _is_data(path)),
-        notes=(*frames.notes, *_label_notes(frames)),
+        notes=(*frames.notes, *_label_notes(frames), *_picture_notes(frames)),
     )
 
 
 def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
-    """Read every byte of a generated domain and return what differs from its manifest; empty if all is intact."""
-    return tuple(DomainFolder(folder).damages())
+    """Return what is wrong with the files of a data set; empty if all is intact.
+
+    Every byte of a generated domain is compared with its manifest. Of pictures with a table every picture is decoded,
+    and every force must be a number.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no data set of a known layout.
+    """
+    if DomainFolder(folder).exists() or not Path(folder).is_dir():
+        return tuple(DomainFolder(folder).damages())
+    frames = open_domain(folder)
+    return tuple(table_damages(frames)) if isinstance(frames, PictureFiles) else ()
 
 
 def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:
@@ -143,6 +158,16 @@ def _is_data(path: Path) -> bool:
 
 def _distinct(numbers: np.ndarray) -> int:
     return len(np.unique(numbers[numbers >= 0]))
+
+
+def _picture_notes(frames: LabelledFrames) -> list[str]:
+    """Return what pictures say of themselves that is wrong; generated ones were compared with their manifest."""
+    if not isinstance(frames, PictureFiles):
+        return []
+    damages = header_damages(frames)
+    if not damages:
+        return []
+    return [f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}"]
 
 
 def _label_notes(frames: LabelledFrames) -> list[str]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from gelgap.domains.folder import MANIFEST
 from gelgap.domains.generated import GeneratedDomain
-from gelgap.domains.picture_folder import PictureFolder
+from gelgap.domains.picture_folder import PictureFolder, tables_of
 from gelgap.domains.published import PublishedDomain
 from gelgap.domains.stored import StoredFrames
 
@@ -18,6 +18,8 @@ def open_domain(folder: Path | str) -> StoredFrames:
         If there is no data set of a known layout; the message says what was looked for.
     RuntimeError
         If the data set is damaged or not finished.
+    ValueError
+        If a table is not as it should be, or there are several.
     """
     folder = Path(folder)
     if (folder / MANIFEST).exists():
@@ -33,6 +35,11 @@ def layout_problem(folder: Path) -> str | None:
     known = (folder / MANIFEST).exists()
     if known or any(layout.recognises(folder) for layout in (PublishedDomain, PictureFolder)):
         return None
+    if len(tables := tables_of(folder)) > 1:
+        return (
+            f"holds {len(tables)} CSV tables ({', '.join(table.name for table in tables)}): keep one, "
+            "with a row per picture"
+        )
     what = "does not exist" if not folder.exists() else "is not a data set"
     inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST}"))
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from gelgap.domains.picture_header import check_picture
+
 
 def encode_png(picture: np.ndarray) -> bytes:
     """Encode an 8-bit RGB or 8/16-bit grey picture losslessly.
@@ -40,19 +42,28 @@ def _encoded(suffix: str, pixels: np.ndarray, parameters: list[int]) -> bytes:
 
 
 def decode_picture(data: bytes) -> np.ndarray:
-    """Decode a PNG or JPEG to (h, w, 3) RGB uint8, or a grey picture to (h, w) in its own depth.
+    """Decode a PNG, JPEG or BMP to (h, w, 3) RGB uint8, or a grey picture to (h, w) in its own depth.
 
     Raises
     ------
     ValueError
-        If the bytes are not a readable picture.
+        If the bytes are not a readable picture of at most 64 million pixels, or a PNG's checksums do not match.
     """
     import cv2
 
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    check_picture(data)
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
     if picture is None:
         raise ValueError("image bytes are neither PNG nor JPEG, or are damaged; expected a readable picture")
     return np.ascontiguousarray(picture[..., 2::-1]) if picture.ndim == 3 else picture
+
+
+def as_colour(picture: np.ndarray) -> np.ndarray:
+    """Return a picture (h, w, 3); a grey one (h, w) is repeated."""
+    return np.repeat(picture[..., None], 3, axis=2) if picture.ndim == 2 else picture
 
 
 def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.picture_codec import decode_picture
+from gelgap.assets.plain_name import stays_inside
 from gelgap.domains.stored import PictureFiles, read_table
 
 # Names under which people write the same thing; letters and digits alone count.
@@ -32,13 +32,13 @@ class PictureFolder(PictureFiles):
 
     The reference is a picture called reference, ref, background or bg; without one, the frame of class 0 or else the
     one with the smallest force takes its place, and `notes` says so. Forces beyond the paper's range widen the declared
-    range to the next 0.1 N, which `notes` says too.
+    range to the next 0.1 N, which `notes` says too. Pictures lie in the folder or in its `images/`.
     """
 
     def __init__(self, folder: Path | str):
         self.folder = Path(folder)
         self.name = self.folder.name
-        table = next(iter(_tables(self.folder)))
+        table = next(iter(tables_of(self.folder)))
         rows = read_table(table)
         if not rows:
             raise ValueError(f"{table} has no rows; expected one per picture")
@@ -62,13 +62,15 @@ class PictureFolder(PictureFiles):
 
     @staticmethod
     def recognises(folder: Path) -> bool:
-        return folder.is_dir() and len(_tables(folder)) == 1
+        return folder.is_dir() and len(tables_of(folder)) == 1
 
     @cached_property
     def reference(self) -> np.ndarray:
-        return decode_picture(self._reference_file.read_bytes())
+        return self.decoded_file(self._reference_file)
 
     def _picture_path(self, name: str, table: Path) -> Path:
+        if not stays_inside(name):
+            raise ValueError(f"{table} names the picture {name!r}: pictures must lie in {self.folder}")
         for place in (self.folder / name, self.folder / "images" / name):
             if place.is_file():
                 return place
@@ -79,9 +81,12 @@ class PictureFolder(PictureFiles):
     def _declared_range(self, notes: list[str]) -> np.ndarray:
         declared = type(self).force_range_n
         forces = self.force_n
-        low = np.minimum(declared[:, 0], np.floor(forces.min(axis=0) * 10) / 10)
-        high = np.maximum(declared[:, 1], np.ceil(forces.max(axis=0) * 10) / 10)
-        widened = np.round(np.stack([low, high], axis=1), 1)
+        forces = forces[np.isfinite(forces).all(axis=1)]
+        lowest = forces.min(axis=0, initial=0.0)
+        highest = forces.max(axis=0, initial=0.0)
+        low = np.where(lowest < declared[:, 0], np.round(np.floor(lowest * 10) / 10, 1), declared[:, 0])
+        high = np.where(highest > declared[:, 1], np.round(np.ceil(highest * 10) / 10, 1), declared[:, 1])
+        widened = np.stack([low, high], axis=1)
         if not np.array_equal(widened, declared):
             notes.append(f"forces go beyond the paper's range: the declared range is {widened.tolist()} N")
         return widened
@@ -94,7 +99,7 @@ class PictureFolder(PictureFiles):
         index = (
             int(np.flatnonzero(classes == 0)[0])
             if classes is not None and (classes == 0).any()
-            else int(np.linalg.norm(self.force_n, axis=1).argmin())
+            else int(np.nan_to_num(np.linalg.norm(self.force_n, axis=1), nan=np.inf).argmin())
         )
         force = np.linalg.norm(self.force_n[index])
         notes.append(f"no reference picture: frame {index}, with a force of {force:.3f} N, takes its place")
@@ -109,10 +114,15 @@ def _values(ours: str, theirs: str, rows: list[dict[str, str]], table: Path) -> 
         numbers = np.array([float(value) for value in values])
     except ValueError:
         raise ValueError(f"{table}, column {theirs!r}: every row must hold a number") from None
-    return numbers.astype(np.int64) if ours in ("contact_class", "point_id") else numbers
+    if ours not in ("contact_class", "point_id"):
+        return numbers
+    if not (np.abs(numbers) < 2**31).all():
+        raise ValueError(f"{table}, column {theirs!r}: every row must hold a whole number")
+    return numbers.astype(np.int64)
 
 
-def _tables(folder: Path) -> list[Path]:
+def tables_of(folder: Path) -> list[Path]:
+    """Return the CSV tables in a folder."""
     return sorted(folder.glob("*.csv"))
 
 

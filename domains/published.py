@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.domains.dataset import FORCE_COLUMNS
-from gelgap.domains.picture_codec import decode_picture
 from gelgap.domains.stored import PictureFiles, read_table
 
 REFERENCE = "ref.jpg"
@@ -51,6 +50,7 @@ class PublishedDomain(PictureFiles):
             self.columns["split"] = np.array([part for part, *_ in rows], dtype=object)
         self.columns["frame_id"] = np.arange(len(rows))
         low, high = self.force_range_n.T
+        forces = forces[np.isfinite(forces).all(axis=1)]
         outside = int(((forces < low) | (forces > high)).any(axis=1).sum())
         if outside:
             smallest, largest = (
@@ -70,7 +70,7 @@ class PublishedDomain(PictureFiles):
 
     @cached_property
     def reference(self) -> np.ndarray:
-        return decode_picture((self.folder / REFERENCE).read_bytes())
+        return self.decoded_file(self.folder / REFERENCE)
 
     def _read_part(self, part: str) -> list[tuple[Path, list[float], int | None]]:
         table = self.folder / part / "forcePosition" / "force.csv"
@@ -86,7 +86,7 @@ class PublishedDomain(PictureFiles):
         found = sum(1 for path in images.glob("*.jpg") if path.stem.isdigit())
         if found != len(rows):
             raise ValueError(
-                f"{self.folder / part} has {found} pictures and {len(rows)} rows of forces; they must match"
+                f"{self.folder / part} has {found} pictures and {len(rows)} rows of forces ({table}); they must match"
             )
         read = []
         for number, row in enumerate(rows):
@@ -96,7 +96,9 @@ class PublishedDomain(PictureFiles):
             try:
                 force = [float(row[name]) for name in PUBLISHED_FORCES]
                 label = int(float(row[LABEL_COLUMN])) if row.get(LABEL_COLUMN) else None
-            except ValueError:
+                if label is not None and abs(label) >= 2**31:
+                    raise ValueError
+            except (ValueError, OverflowError):
                 raise ValueError(
                     f"{table}, row {number}: {row} has something else where a number is expected"
                 ) from None

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from gelgap.assets import load_preset
+from gelgap.assets.json_file import canonical_json
 from gelgap.assets.settings import Settings
 from gelgap.domains.acquisition import (
     AcquisitionError,
@@ -18,7 +19,6 @@ from gelgap.domains.acquisition import (
 from gelgap.domains.columns import OptionalColumn
 from gelgap.domains.dataset import PAPER_FORCE_RANGE_N
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
-from gelgap.domains.folder import canonical_json
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import AnyIndenter, ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets.user_cache import cache_folder
-from gelgap.assets.whole_file import whole_file
 from gelgap.domains.dataset import LabelledFrames
-from gelgap.domains.picture_codec import decode_picture, resized
+from gelgap.domains.kept_pictures import open_kept_pictures, write_kept_pictures
+from gelgap.domains.picture_codec import as_colour, decode_picture, resized
 
 _CHUNK = 256
 
@@ -28,6 +28,18 @@ class StoredFrames(LabelledFrames):
     def encoded_picture(self, index: int) -> bytes:
         """Return the PNG or JPEG bytes of one frame."""
 
+    @abstractmethod
+    def place_of(self, index: int) -> str:
+        """Return the name of the file that holds one frame's picture."""
+
+    def decoded_file(self, path: Path) -> np.ndarray:
+        """Return the picture (h, w, 3) of a file of this data set, or raise ValueError with its name."""
+        try:
+            picture = decode_picture(path.read_bytes())
+        except ValueError as error:
+            raise ValueError(f"data set {self.name}: {path} is not readable: {error}") from None
+        return as_colour(picture)
+
     def picture(self, index: int) -> np.ndarray:
         return self._decoded(index, self.encoded_picture(index))
 
@@ -40,18 +52,31 @@ class StoredFrames(LabelledFrames):
         size = self.image_size_px(size_px)
         resized(self.reference, size)
         path = self._cache_file(size)
-        if not path.exists():
-            self._build_cache(size, path)
-        return np.load(path, mmap_mode="c")
+        shape = (len(self), size[1], size[0], 3)
+        pictures = open_kept_pictures(path, shape)
+        if pictures is None:
+            write_kept_pictures(path, shape, self._decoded_chunks(size))
+            pictures = open_kept_pictures(path, shape)
+        if pictures is None:
+            raise RuntimeError(
+                f"{path} is not what was written: the disk is faulty, or another program changed it"
+            )
+        return pictures
 
     def _decoded(self, index: int, data: bytes) -> np.ndarray:
-        picture = decode_picture(data)
-        if picture.ndim == 2:
-            picture = np.repeat(picture[..., None], 3, axis=2)
+        try:
+            picture = decode_picture(data)
+        except ValueError as error:
+            raise ValueError(
+                f"data set {self.name}: the picture of frame {index} ({self.place_of(index)}) is not readable: "
+                f"{error}; `gelgap inspect {self.folder} --verify` names every such picture"
+            ) from None
+        picture = as_colour(picture)
         if picture.shape != self.reference.shape:
             raise ValueError(
-                f"data set {self.name}: the picture of frame {index} is {picture.shape[1]}×{picture.shape[0]} px, the "
-                f"reference {self.reference.shape[1]}×{self.reference.shape[0]} px; all pictures must have one size"
+                f"data set {self.name}: the picture of frame {index} is {picture.shape[1]}×{picture.shape[0]} px "
+                f"({self.place_of(index)}), the reference {self.reference.shape[1]}×{self.reference.shape[0]} px; "
+                "all pictures must have one size"
             )
         return picture
 
@@ -61,14 +86,6 @@ class StoredFrames(LabelledFrames):
         if (beside / name).exists() or os.access(self.folder, os.W_OK):
             return beside / name
         return cache_folder() / "images" / name
-
-    def _build_cache(self, size_px: tuple[int, int], path: Path) -> None:
-        header = {"descr": "|u1", "fortran_order": False, "shape": (len(self), size_px[1], size_px[0], 3)}
-        # Plain writes, not a memory map: a full disk is then an error and not a crash.
-        with whole_file(path) as temporary, temporary.open("wb") as file:
-            np.lib.format.write_array_header_1_0(file, header)
-            for chunk in self._decoded_chunks(size_px):
-                file.write(chunk)
 
     def _decoded_chunks(self, size_px: tuple[int, int]) -> Iterator[bytes]:
         def shrunk(index: int, data: bytes) -> np.ndarray:
@@ -95,11 +112,23 @@ class PictureFiles(StoredFrames):
     def encoded_picture(self, index: int) -> bytes:
         return self.picture_paths[index].read_bytes()
 
+    def place_of(self, index: int) -> str:
+        return str(self.picture_paths[index].relative_to(self.folder))
+
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV table by the names of its columns, without spaces around names and values."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        return [
-            {name.strip(): (value or "").strip() for name, value in row.items() if name is not None}
-            for row in csv.DictReader(file, skipinitialspace=True)
-        ]
+    """Return the rows of a CSV table by the names of its columns, without spaces around names and values.
+
+    Raises
+    ------
+    ValueError
+        If it is not a table in UTF-8; the message names the file.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            return [
+                {name.strip(): (value or "").strip() for name, value in row.items() if name is not None}
+                for row in csv.DictReader(file, skipinitialspace=True)
+            ]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None

@@ -10,8 +10,10 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from gelgap.assets.json_file import with_checksum
+from gelgap.assets.plain_name import stays_inside
 from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import read_toml
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.assets.whole_file import write_whole
 from gelgap.domains.domain_gaps import domain_gap
 from gelgap.domains.recipe import DomainRecipe, make_recipes
@@ -74,7 +76,13 @@ class Sweep(Settings):
             If it is not valid TOML or a value is out of range.
         """
         file = Path(file)
-        return cls(**{"name": file.stem} | read_toml(file))
+        values = {"name": file.stem} | read_toml(file)
+        if isinstance(path := values.get("path"), str) and not stays_inside(path):
+            raise ValueError(
+                f"{file}: path = {path!r} must be a preset or a TOML file below the working folder"
+            )
+        with named_in_errors(file):
+            return cls(**values)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -159,7 +167,8 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
         variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
         for variant in variants
     }
-    text = json.dumps({"base": base.name, "domains": table}, indent=1, ensure_ascii=False)
+    content = with_checksum({"base": base.name, "domains": table})
+    text = json.dumps(content, indent=1, ensure_ascii=False)
     path = Path(out_dir) / SWEEP_FILE
     write_whole(path, text.encode())
     return path

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import read_toml
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.render.camera import Camera
 from gelgap.render.led import Emitter, Led
 from gelgap.render.led_cache import cached_camera_rgb
@@ -30,10 +30,8 @@ class Illumination(Settings):
     @classmethod
     def load(cls, path: str | Path) -> "Illumination":
         """Read an illumination TOML file."""
-        try:
+        with named_in_errors(path):
             return cls(**{"name": Path(path).stem, **read_toml(path)})
-        except ValueError as error:
-            raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""

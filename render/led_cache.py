@@ -3,8 +3,12 @@
 import contextlib
 import hashlib
 import json
+import math
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
+from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
+from gelgap.assets.json_file import read_json, with_checksum, without_checksum
 from gelgap.assets.user_cache import cache_folder
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.spectrum import RgbSpectrum, Spectrum, camera_rgb
@@ -17,26 +21,36 @@ def cached_camera_rgb(
 ) -> tuple[Rgb, ...]:
     """Return `camera_rgb` of these spectra from the user's cache folder, or compute and keep it.
 
-    A file that is damaged, or that cannot be written, costs the time to compute and nothing else.
+    A damaged file is named and set aside; one that cannot be written costs the time to compute and nothing else.
     """
     if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
         return camera_rgb(spectra, sensitivity, white_balance_cct_k)
     path = cache_folder() / f"{_key(spectra, sensitivity, white_balance_cct_k)}.led"
-    with contextlib.suppress(OSError, ValueError, TypeError):
-        rows = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple((float(red), float(green), float(blue)) for red, green, blue in rows)
-        if len(found) == len(spectra):
-            return found
+    if path.is_file():
+        try:
+            return _read(path, len(spectra))
+        except (OSError, ValueError, TypeError) as error:
+            set_aside(path, f"is damaged ({error})")
     found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
     with contextlib.suppress(RuntimeError):
-        write_whole(path, json.dumps(found).encode())
+        write_whole(path, json.dumps(with_checksum({"rgb": found})).encode())
     return found
 
 
 def clear_led_cache() -> None:
     """Delete what `cached_camera_rgb` has kept."""
-    for path in cache_folder().glob("*.led"):
-        path.unlink(missing_ok=True)
+    for pattern in ("*.led", f"*.led{DAMAGED_SUFFIX}"):
+        for path in cache_folder().glob(pattern):
+            path.unlink(missing_ok=True)
+
+
+def _read(path: Path, count: int) -> tuple[Rgb, ...]:
+    """Return the rows of a file, or raise ValueError or TypeError with the reason."""
+    rows = without_checksum(read_json(path)).get("rgb")
+    found = tuple((float(red), float(green), float(blue)) for red, green, blue in rows)
+    if len(found) != count or not all(math.isfinite(value) for row in found for value in row):
+        raise ValueError(f"it does not hold {count} colours")
+    return found
 
 
 def _key(spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None) -> str:
@@ -49,5 +63,5 @@ def _key(spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: f
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-# Raise it when `camera_rgb` computes something else.
-_MODEL = 1
+# Raise it when `camera_rgb` computes something else, or the file has another form.
+_MODEL = 2

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import read_toml, toml_text
+from gelgap.assets.toml_file import named_in_errors, read_toml, toml_text
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
 from gelgap.render.illumination import Illumination
@@ -58,10 +58,8 @@ class Sensor(Settings):
     @classmethod
     def load(cls, path: str | Path) -> "Sensor":
         """Read a sensor TOML file."""
-        try:
+        with named_in_errors(path):
             return cls(**{"name": Path(path).stem, **read_toml(path)})
-        except ValueError as error:
-            raise ValueError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
 
 
 def save_sensor(sensor: Sensor, path: str | Path) -> None:

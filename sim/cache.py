@@ -4,10 +4,11 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
 from gelgap.assets.user_cache import cache_folder
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
+from gelgap.sim.solution import Solution, is_of_this_format, solution_bytes, solution_from_bytes
 
 _SUFFIX = ".solution"
 
@@ -33,9 +34,18 @@ class CacheEntry:
 
 
 def load_solution(key: str) -> Solution | None:
-    """Return the cached solution of that key; None if there is none or its file is damaged."""
-    solution = _read(_path(key))
-    return solution if solution is not None and solution.problem.key == key else None
+    """Return the cached solution of that key; None if there is none. A damaged file is named and set aside."""
+    path = _path(key)
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    solution = solution_from_bytes(data)
+    if solution is not None and solution.problem.key == key:
+        return solution
+    if solution is None and is_of_this_format(data):
+        set_aside(path, "is damaged (its checksum does not match)")
+    return None
 
 
 def store_solution(solution: Solution) -> None:
@@ -67,7 +77,7 @@ def cache_entries() -> tuple[CacheEntry, ...]:
 def clear_cache() -> CacheUse:
     """Delete all cached solutions and return what there was."""
     use = cache_use()
-    for suffix in (_SUFFIX, TEMPORARY_SUFFIX):
+    for suffix in (_SUFFIX, TEMPORARY_SUFFIX, DAMAGED_SUFFIX):
         for file in cache_folder().glob(f"*{suffix}"):
             file.unlink(missing_ok=True)
     return use

@@ -1,12 +1,13 @@
 """The deformed outer membrane of one pose, with the force that deforms it."""
 
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gelgap.assets.array_file import read_arrays
 
 GRID_SPACING_MM = 0.1
 GRID_SIZE_MM = (14.0, 11.0)
@@ -79,27 +80,36 @@ class MembraneState:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is not an .npz file of arrays, one is missing or the shapes do not match.
+            If it is not an .npz file of arrays, one is missing or damaged, or shapes or types do not match.
         """
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"membrane state {path} does not exist")
         try:
-            with np.load(path) as file:
-                arrays = dict(file)
-        except (zipfile.BadZipFile, EOFError, OSError, TypeError, ValueError):
-            raise ValueError(f"{path} is not an .npz file of arrays") from None
+            arrays = read_arrays(path, (*_NEEDED, *_OPTIONAL))
+        except ValueError as error:
+            raise ValueError(f"{path} is not an .npz file of arrays ({error})") from None
         missing = [name for name in _NEEDED if name not in arrays]
         if missing:
             raise ValueError(
                 f"{path} lacks {', '.join(missing)}: a membrane state needs {', '.join(_NEEDED)}"
             )
         x_mm, y_mm, displacement_mm = (arrays[name] for name in _NEEDED)
-        shape = (len(y_mm), len(x_mm))
-        if displacement_mm.shape != (*shape, 3):
-            raise ValueError(
-                f"displacement_mm in {path} has shape {displacement_mm.shape}: must be {(*shape, 3)}"
-            )
+        shape = (y_mm.size, x_mm.size)
+        shapes = {
+            "x_mm": shape[1:],
+            "y_mm": shape[:1],
+            "displacement_mm": (*shape, 3),
+            "contact": shape,
+            "force_n": (3,),
+            "contact_radius_mm": (),
+            "converged": (),
+        }
+        for name, values in arrays.items():
+            if values.dtype.kind not in "biuf":
+                raise ValueError(f"{name} in {path} holds {values.dtype}: must be numbers")
+            if values.shape != shapes[name]:
+                raise ValueError(f"{name} in {path} has shape {values.shape}: must be {shapes[name]}")
         return cls(
             x_mm=x_mm,
             y_mm=y_mm,

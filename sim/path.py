@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from gelgap.assets import load_preset
-from gelgap.assets.toml_file import read_toml
+from gelgap.assets.toml_file import named_in_errors, read_toml
 
 # The paper's grid of contacts; any path that visits one of them gives it the paper's number.
 CLASS_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -18,6 +18,7 @@ CLASS_ANGLES_DEG = tuple(30.0 * k for k in range(12))
 CLASS_POINTS_X_MM = (-3.75, -2.25, -0.75, 0.75, 2.25, 3.75)
 CLASS_POINTS_Y_MM = (-2.6, -1.3, 0.0, 1.3, 2.6)
 NO_CLASS = -1
+MOST_POSES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -127,13 +128,15 @@ class PosePath:
         poses = []
         for number, trajectory in enumerate(trajectories):
             where = f"trajectory {number} of path {name}"
+            if not isinstance(trajectory, Mapping):
+                raise ValueError(f"{where} = {trajectory!r}: must be a table of point_mm and waypoints_mm")
             if unknown := trajectory.keys() - {"point_mm", "waypoints_mm"}:
                 raise ValueError(
                     f"{where}: unknown field {sorted(unknown)[0]}; known: point_mm, waypoints_mm"
                 )
             x, y = point = _numbers(trajectory.get("point_mm", (0.0, 0.0)), 2, f"point_mm of {where}")
             waypoints = trajectory.get("waypoints_mm")
-            if not waypoints:
+            if not waypoints or not isinstance(waypoints, Sequence):
                 raise ValueError(f"waypoints_mm of {where} = {waypoints!r}: must list at least one waypoint")
             index = points.setdefault(point, len(points))
             place = {"point_x_mm": x, "point_y_mm": y, "point_id": _point_id(x, y, index)}
@@ -170,6 +173,7 @@ class PosePath:
 
         if not isinstance(number, int) or number < 1:
             raise ValueError(f"number = {number!r} of path {name}: must be a whole number from 1")
+        _check_number(number, name)
         ranges = {
             "point_x_mm": point_x_mm,
             "point_y_mm": point_y_mm,
@@ -213,17 +217,22 @@ def load_path(name: str) -> ContactPath | PosePath:
     ValueError
         If there is no such preset (the message lists the known ones), or the file does not describe a path.
     """
-    if name.endswith(".toml"):
-        values, name = read_toml(name), Path(name).stem
-    else:
-        values = load_preset("paths", name)
+    if not name.endswith(".toml"):
+        return _path(name, load_preset("paths", name))
+    with named_in_errors(name):
+        return _path(Path(name).stem, read_toml(name))
+
+
+def _path(name: str, values: dict[str, Any]) -> ContactPath | PosePath:
     values.pop("description", None)
     if values.keys() == {"trajectories"}:
+        if not isinstance(values["trajectories"], list):
+            raise ValueError(f"trajectories of path {name}: must be tables [[trajectories]]")
         return PosePath.from_trajectories(name, values["trajectories"])
     if values.keys() == {"random"}:
         try:
             return PosePath.random(name, **values["random"])
-        except TypeError as error:
+        except (TypeError, OverflowError) as error:
             raise ValueError(f"[random] of path {name}: {error}") from None
     fields = ("points_x_mm", "points_y_mm", "depths_mm", "radii_mm", "angles_deg")
     if values.keys() != set(fields):
@@ -231,9 +240,16 @@ def load_path(name: str) -> ContactPath | PosePath:
             f"path {name} holds {', '.join(values) or 'nothing'}: must hold {', '.join(fields)}, or [[trajectories]], "
             "or [random]"
         )
-    return ContactPath(
-        name, **{field: _numbers(values[field], None, f"{field} of path {name}") for field in fields}
-    )
+    numbers = {field: _numbers(values[field], None, f"{field} of path {name}") for field in fields}
+    _check_number(math.prod(map(len, numbers.values())), name)
+    if min(numbers["depths_mm"]) < 0:
+        raise ValueError(f"depths_mm of path {name} = {values['depths_mm']!r}: must be 0 or more")
+    return ContactPath(name, **numbers)
+
+
+def _check_number(poses: int, name: str) -> None:
+    if poses > MOST_POSES:
+        raise ValueError(f"path {name} has {poses} poses: allowed are up to {MOST_POSES}")
 
 
 def _numbers(values: Any, length: int | None, what: str) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from gelgap.assets.array_file import read_arrays
 from gelgap.sim.membrane import Diagnostics
 from gelgap.sim.problem import ContactProblem
 
@@ -89,11 +90,11 @@ def solution_from_bytes(data: bytes) -> Solution | None:
     content = data[start:]
     if data[:start] != _MARK + hashlib.sha256(content).digest():
         return None
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        arrays = dict(file)
     try:
+        arrays = read_arrays(content)
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
-    except ValueError:
+        _check_shapes(arrays, len(problem.waypoints_mm))
+    except (ValueError, KeyError):
         return None
     columns = zip(*(arrays[name] for name in (*_STACKED, "diagnostics")), strict=True)
     records = tuple(
@@ -101,6 +102,28 @@ def solution_from_bytes(data: bytes) -> Solution | None:
         for *values, converged, diagnostics in columns
     )
     return Solution(problem, arrays["rest_mm"], records)
+
+
+def is_of_this_format(data: bytes) -> bool:
+    """Return whether bytes begin as those of `solution_bytes` do: if they are no solution, they are damaged."""
+    return data.startswith(_MARK)
+
+
+def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
+    """Raise ValueError if arrays do not belong together; KeyError if one is missing."""
+    vertices = len(arrays["rest_mm"])
+    shapes = {
+        "rest_mm": (vertices, 2),
+        "displacement_mm": (n, vertices, 3),
+        "normal_force_n": (n, vertices),
+        "indenter_mm": (n, 3),
+        "force_n": (n, 3),
+        "converged": (n,),
+        "diagnostics": (n, len(fields(Diagnostics))),
+    }
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape or arrays[name].dtype.kind not in "bf":
+            raise ValueError(f"{name} has another shape or type")
 
 
 def _diagnostics(values: np.ndarray) -> Diagnostics:

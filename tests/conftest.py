@@ -1,9 +1,13 @@
-"""A small domain drawn with NumPy, whose pictures determine the force, and a profile that learns it."""
+"""A small domain drawn with NumPy, whose pictures determine the force, a profile that learns it, and sound files."""
+
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gelgap.adapt.profile import Profile
+from gelgap.benchmarks.data.sound_files import make_sound_files
 from gelgap.domains import ArrayFrames
 
 
@@ -64,3 +68,19 @@ def profile() -> Profile:
         transfer_weight=0.1,
         source_holdout=0.2,
     )
+
+
+@pytest.fixture(scope="session")
+def sound_files(tmp_path_factory: pytest.TempPathFactory):
+    """One sound file of every kind."""
+    folder = tmp_path_factory.mktemp("sound") / "files"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GELGAP_CACHE", str(folder / "cache"))
+        make_sound_files(folder)
+        yield folder
+
+
+@pytest.fixture
+def files(sound_files: Path, tmp_path: Path) -> Path:
+    """A copy to be changed."""
+    return Path(shutil.copytree(sound_files, tmp_path / "files"))

@@ -13,8 +13,7 @@ from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Bench, TrainingJob, run_missing
 from gelgap.benchmarks.adaptation.parts import Part
 from gelgap.benchmarks.adaptation.tables import by_column, number, spread
-from gelgap.benchmarks.common.records import read_json
-from gelgap.benchmarks.common.tables import write_json
+from gelgap.benchmarks.common.records import read_results, write_results
 
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
@@ -59,7 +58,7 @@ def measure(bench: Bench) -> None:
     for variant in VARIANTS:
         folder = variant.replace(", ", "-").replace(" ", "-")
         costs.append(measure_variant(bench.within(f"cost/{folder}", PROFILE), variant))
-        write_json(bench.out / RESULTS, costs)
+        write_results(bench.out / RESULTS, costs)
 
 
 def measure_variant(bench: Bench, variant: str) -> Cost:
@@ -77,7 +76,7 @@ def measure_variant(bench: Bench, variant: str) -> Cost:
 def tables(folder: Path) -> list[ResultTable]:
     """Return the table of costs, if they were measured."""
     path = folder / RESULTS
-    return [cost_table(read_json(path, list[Cost]))] if path.is_file() else []
+    return [cost_table(read_results(path, list[Cost]))] if path.is_file() else []
 
 
 def cost_table(costs: Sequence[Cost]) -> ResultTable:

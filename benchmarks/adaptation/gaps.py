@@ -14,8 +14,7 @@ from gelgap.adapt import NamedFigure, ResultTable
 from gelgap.benchmarks.adaptation.jobs import Bench, RunRecord, TrainingJob, run_missing
 from gelgap.benchmarks.adaptation.parts import Part
 from gelgap.benchmarks.adaptation.tables import by_column, numbers
-from gelgap.benchmarks.common.records import read_json
-from gelgap.benchmarks.common.tables import write_json
+from gelgap.benchmarks.common.records import read_results, write_results
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -199,7 +198,7 @@ def measure(bench: Bench) -> None:
     jobs = [TrainingJob(BASE, t, method, seed) for seed in seeds for method in METHODS for t in targets]
     records = run_missing(own, jobs)
     if records:
-        write_json(bench.out / RESULTS, collect(found, records, own.data))
+        write_results(bench.out / RESULTS, collect(found, records, own.data))
 
 
 def collect(found: Design, records: Sequence[RunRecord], data: Path) -> GapResults:
@@ -236,7 +235,7 @@ def figures(folder: Path) -> list[NamedFigure]:
 
 def _load(folder: Path) -> list[GapResults]:
     path = folder / RESULTS
-    return [read_json(path, GapResults)] if path.is_file() else []
+    return [read_results(path, GapResults)] if path.is_file() else []
 
 
 def gap_table(results: GapResults) -> ResultTable:

@@ -10,8 +10,7 @@ import numpy as np
 
 from gelgap.benchmarks.adaptation.jobs import RUNS, Axes, RunRecord, TrainingJob
 from gelgap.benchmarks.adaptation.paper import GROUPS, PAPER_MAE_N, TABLE_METHODS
-from gelgap.benchmarks.common.records import read_json, read_records
-from gelgap.benchmarks.common.tables import write_json
+from gelgap.benchmarks.common.records import read_records, read_results, write_results
 
 ORACLES = "oracles.json"
 _NO_RUN = RunRecord(TrainingJob("", "", "", 0), "", {})
@@ -33,7 +32,7 @@ class GroupOracles:
 
 def write_oracles(folder: Path, oracles: dict[tuple[str, str], GroupOracles]) -> None:
     """Keep the groups' oracles beside the runs, so that a report needs no data."""
-    write_json(folder / ORACLES, {" → ".join(group): found for group, found in oracles.items()})
+    write_results(folder / ORACLES, {" → ".join(group): found for group, found in oracles.items()})
 
 
 def is_benchmark(folder: Path) -> bool:
@@ -161,7 +160,7 @@ def _records(folder: Path) -> list[RunRecord]:
 
 
 def _results(folder: Path, records: Sequence[RunRecord]) -> Results:
-    found = read_json(folder / ORACLES, dict[str, GroupOracles])
+    found = read_results(folder / ORACLES, dict[str, GroupOracles])
     oracles = {tuple(name.split(" → ")): values for name, values in found.items()}
     groups = [group for group in oracles if any(record.job.group == group for record in records)]
     groups.sort(key=lambda group: GROUPS.index(group) if group in GROUPS else len(GROUPS))

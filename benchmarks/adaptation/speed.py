@@ -12,8 +12,7 @@ from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Bench
 from gelgap.benchmarks.adaptation.parts import Part
 from gelgap.benchmarks.adaptation.tables import by_column
-from gelgap.benchmarks.common.records import read_json
-from gelgap.benchmarks.common.tables import write_json
+from gelgap.benchmarks.common.records import read_results, write_results
 
 if TYPE_CHECKING:
     from gelgap.adapt import Profile
@@ -41,7 +40,7 @@ def measure(bench: Bench) -> None:
     """Measure the bench's profile and write `speed.json`."""
     from gelgap.adapt import Profile
 
-    write_json(bench.out / RESULTS, measure_profile(Profile.preset(bench.profile)))
+    write_results(bench.out / RESULTS, measure_profile(Profile.preset(bench.profile)))
 
 
 def measure_profile(profile: "Profile") -> list[Speed]:
@@ -131,7 +130,7 @@ def overhead(frames: "ArrayFrames", profile: "Profile") -> float:
 def tables(folder: Path) -> list[ResultTable]:
     """Return the table of speeds, if they were measured."""
     path = folder / RESULTS
-    return [speed_table(read_json(path, list[Speed]))] if path.is_file() else []
+    return [speed_table(read_results(path, list[Speed]))] if path.is_file() else []
 
 
 def speed_table(speeds: Sequence[Speed]) -> ResultTable:

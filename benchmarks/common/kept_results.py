@@ -3,12 +3,19 @@
 import hashlib
 import io
 import json
+from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
+
+from gelgap.assets.array_file import read_arrays
+from gelgap.assets.damage import set_aside
+from gelgap.assets.json_file import parse_json
+from gelgap.assets.whole_file import write_whole
 
 
 def result_bytes(value: Any) -> bytes:
@@ -36,9 +43,31 @@ def result_from_bytes(data: bytes) -> Any:
     digest, content = data[:32], data[32:]
     if hashlib.sha256(content).digest() != digest:
         raise ValueError("a kept result is damaged: its checksum does not match")
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        arrays = dict(file)
-    return _decoded(json.loads(arrays["tree"].tobytes()), arrays)
+    arrays = read_arrays(content)
+    try:
+        return _decoded(parse_json(arrays["tree"].tobytes()), arrays)
+    except (KeyError, TypeError, AttributeError, ImportError, RecursionError) as error:
+        raise ValueError(f"a kept result is of another version ({error})") from None
+
+
+def kept_result(file: Path, make: Callable[[], Any]) -> Any:
+    """Return the result that a file keeps; make and keep it if there is none, or if its file is damaged."""
+    found = read_kept(file)
+    if found is None:
+        found = make()
+        write_whole(file, result_bytes(found))
+    return found
+
+
+def read_kept(file: Path) -> Any:
+    """Return the result that a file keeps, None if there is no file; one that is damaged is named and set aside."""
+    try:
+        return result_from_bytes(file.read_bytes())
+    except FileNotFoundError:
+        return None
+    except ValueError as error:
+        set_aside(file, f"cannot be used ({error})")
+        return None
 
 
 def _encoded(value: Any, arrays: list[np.ndarray]) -> Any:

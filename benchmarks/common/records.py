@@ -6,36 +6,71 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gelgap.benchmarks.common.tables import plain
+from gelgap.assets.checksums import checksum_problem, file_sha256, write_checksums
+from gelgap.assets.damage import warn
+from gelgap.assets.json_file import CHECKSUM, parse_json, read_json, with_checksum, without_checksum
+from gelgap.benchmarks.common.tables import plain, write_json
 
 T = TypeVar("T")
 
 
 def append_record(path: Path, record: Any) -> None:
-    """Add a dataclass as one line; a line that a kill left unfinished is ended first."""
+    """Add a dataclass as one line with its checksum; a line that a kill left unfinished is ended first."""
+    content = with_checksum(json.loads(json.dumps(record, default=plain)))
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a+b") as file:
         if file.tell():
             file.seek(-1, 2)
             if file.read(1) != b"\n":
                 file.write(b"\n")
-        file.write((json.dumps(record, ensure_ascii=False, default=plain) + "\n").encode())
+        file.write((json.dumps(content, ensure_ascii=False) + "\n").encode())
 
 
 def read_records(path: Path, kind: type[T]) -> list[T]:
-    """Return the records of a file, none if it is not there; a line that a kill cut off is left out."""
+    """Return the records of a file, none if it is not there.
+
+    A line that a kill cut off is left out, and so is a damaged one, which is named: what it held is measured again.
+    """
     records = []
-    for line in path.read_bytes().splitlines() if path.is_file() else ():
-        try:
-            records.append(_typed(kind, json.loads(line)))
-        except json.JSONDecodeError:
+    lines = path.read_bytes().split(b"\n") if path.is_file() else []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
             continue
+        try:
+            content = parse_json(line)
+            if isinstance(content, dict) and CHECKSUM in content:
+                content = without_checksum(content)
+            records.append(_typed(kind, content))
+        except ValueError as error:
+            if number < len(lines):
+                warn(f"{path}, line {number}, is damaged ({_in_short(error)}): left out, and measured again")
     return records
 
 
-def read_json(path: Path, kind: type[T]) -> T:
-    """Return what `write_json` wrote, as dataclasses and tuples again."""
-    return _typed(kind, json.loads(path.read_text(encoding="utf-8")))
+def write_results(path: Path, results: Any) -> None:
+    """Write results as `write_json` does, and their checksum to the folder's list, for `read_results`."""
+    write_json(path, results)
+    write_checksums(path.parent, {path.name: file_sha256(path)})
+
+
+def read_results(path: Path, kind: type[T]) -> T:
+    """Return what `write_results` wrote, as dataclasses and tuples again.
+
+    Raises
+    ------
+    RuntimeError
+        If the file is damaged.
+    """
+    if not (problem := checksum_problem(path)):
+        try:
+            return _typed(kind, read_json(path))
+        except ValueError as error:
+            problem = f"is damaged ({_in_short(error)})"
+    raise RuntimeError(f"{path} {problem}; delete it and run the same benchmark again")
+
+
+def _in_short(error: ValueError) -> str:
+    return " ".join(str(error).split())[:120]
 
 
 def _typed(kind: type[T], content: Any) -> T:

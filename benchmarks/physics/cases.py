@@ -19,7 +19,7 @@ from typing import Any
 from gelgap import sim
 from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks import fem
-from gelgap.benchmarks.common.kept_results import result_bytes, result_from_bytes
+from gelgap.benchmarks.common.kept_results import read_kept, result_bytes, result_from_bytes
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -85,7 +85,7 @@ class Workers:
             pending = {
                 pool.submit(function, argument): file
                 for argument, file in files.items()
-                if not file.is_file()
+                if read_kept(file) is None
             }
             for future in as_completed(pending):
                 write_whole(pending[future], result_bytes(future.result()))

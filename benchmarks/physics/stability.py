@@ -5,18 +5,18 @@ stopped goes on where it was. `python -m gelgap.benchmarks.physics.stability --o
 """
 
 import argparse
-import json
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gelgap.benchmarks.common.limited_process import run_limited
+from gelgap.benchmarks.common.records import append_record, read_records
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.benchmarks.physics.cases import single_threaded
 from gelgap.benchmarks.physics.invariants import FORCE_ERROR, apart, solve_scene, violations
@@ -64,14 +64,13 @@ def judge_scenes(numbers: range, quality: str, out_dir: Path) -> list[Verdict]:
     """Judge the scenes that `out_dir` does not hold yet; write how to repeat those that failed."""
     record = out_dir / f"stability-physics-{quality}.jsonl"
     out_dir.mkdir(parents=True, exist_ok=True)
-    verdicts = {v.number: v for v in _read(record) if v.number in numbers}
+    verdicts = {v.number: v for v in read_records(record, Verdict) if v.number in numbers}
     missing = [numbered_scene(number, quality) for number in numbers if number not in verdicts]
     print(f"{len(verdicts)} scenes are in {record}, {len(missing)} to go")
-    with single_threaded(), ThreadPoolExecutor(os.cpu_count() or 1) as threads, record.open("a") as file:
+    with single_threaded(), ThreadPoolExecutor(os.cpu_count() or 1) as threads:
         for verdict in threads.map(judge_limited, missing):
             verdicts[verdict.number] = verdict
-            file.write(json.dumps(asdict(verdict)) + "\n")
-            file.flush()
+            append_record(record, verdict)
             found = " ".join((verdict.status, *verdict.violations))
             print(f"  {verdict.number}: {found} {verdict.seconds:.0f} s", flush=True)
     failing = [v for v in verdicts.values() if v.violations or v.status != "converged"]
@@ -166,13 +165,6 @@ def final_force_n(scene: Scene) -> np.ndarray | None:
     """Return the force of the scene's last pose, or None if it did not converge."""
     last = solve_scene(scene)[-1]
     return last.force_n if last.converged else None
-
-
-def _read(record: Path) -> Iterator[Verdict]:
-    if record.is_file():
-        for line in record.read_text().splitlines():
-            values = json.loads(line)
-            yield Verdict(**values | {"violations": tuple(values["violations"])})
 
 
 def _again(verdict: Verdict, quality: str) -> str:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.assets.whole_file import whole_file
+from gelgap.benchmarks.common.kept_results import kept_result
 from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, write_json
 from gelgap.benchmarks.render.baselines import StockPyrender, without_shadows
 from gelgap.benchmarks.render.path_tracer import stored_reference, trace
@@ -51,13 +51,13 @@ def path_traced(scene: RenderScene, seed: int, folder: Path) -> np.ndarray:
     """Return a scene's path-traced picture from a file named by all that it depends on, or trace it anew."""
     text = f"{scene.sensor()!r} {scene.light()!r} {SIZE_PX} {SAMPLES_PER_PIXEL} {seed}".encode()
     key = hashlib.sha256(text + b"".join(array.tobytes() for array in scene.membrane())).hexdigest()[:16]
-    file = folder / f"{key}.npy"
-    if not file.exists():
+
+    def make() -> np.ndarray:
         picture = trace(scene, SIZE_PX, SAMPLES_PER_PIXEL, seed)
         print(f"  path-traced {scene.name}", flush=True)
-        with whole_file(file) as temporary, temporary.open("wb") as opened:
-            np.save(opened, picture)
-    return np.load(file)
+        return picture
+
+    return kept_result(folder / f"{key}.result", make)
 
 
 def scene_errors(scene: RenderScene, reference: np.ndarray) -> tuple[dict[str, PictureError], np.ndarray]:

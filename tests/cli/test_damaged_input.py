@@ -1,0 +1,133 @@
+"""What the commands say of files that are not what they should be: one sentence, the file, and what to do."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelgap.cli.main import main
+from gelgap.domains import open_domain
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture) -> tuple[int, str]:
+    """Return the exit code and the one line of a command that fails."""
+    with pytest.raises(SystemExit) as stopped:
+        main(arguments)
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return stopped.value.code, lines[0]
+
+
+def test_a_text_is_not_rendered(tmp_path: Path, capsys) -> None:
+    (tmp_path / "text.npz").write_text("no arrays")
+    np.savez(
+        tmp_path / "pickles.npz", x_mm=np.array([{}]), y_mm=np.array([{}]), displacement_mm=np.array([{}])
+    )
+    for name, reason in {"text.npz": "not a zip file", "pickles.npz": "Python objects"}.items():
+        code, line = refused(["render", str(tmp_path / name), "-o", str(tmp_path / "x.png")], capsys)
+        assert (code, name in line, reason in line) == (2, True, True)
+        assert "allow_pickle" not in line
+
+
+def test_weights_that_are_no_checkpoint_are_refused(files: Path, capsys) -> None:
+    for name, content in {"text.pt": b"weights", "letter.pt": b"e", "empty.pt": b""}.items():
+        (files / name).write_bytes(content)
+        places = ["--source", str(files / "pictures"), "--target", str(files / "published")]
+        out = ["--weights", str(files / name), "--out", str(files / "out")]
+        code, line = refused(["adapt", *places, *out, "--method", "source-only"], capsys)
+        assert code == 2
+        assert f"{name} is not a checkpoint" in line
+
+
+@pytest.mark.parametrize("name", ["run.json", "predictions.npz"])
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", None])
+def test_a_report_of_a_broken_run_says_which_and_what_to_do(files: Path, capsys, name: str, content) -> None:
+    path = files / "runs" / "run" / name
+    if content is not None:
+        path.write_bytes(content)
+    elif name == "run.json":
+        changed = path.read_bytes().replace(b'"seed": 0', b'"seed": 1')
+        assert changed != path.read_bytes()
+        path.write_bytes(changed)
+    else:
+        path.unlink()
+    code, line = refused(["report", str(files / "runs")], capsys)
+    assert code == 1
+    assert str(path) in line
+    assert f"delete the folder {path.parent} and run the same `gelgap adapt` again" in line
+
+
+def test_real_data_that_cannot_be_used_is_told_without_advice_to_generate(files: Path, capsys) -> None:
+    folder = files / "pictures"
+    (folder / "3.png").write_bytes(b"no picture")
+    main(["inspect", str(folder)])
+    assert "3.png" in capsys.readouterr().out
+    code, line = refused(["inspect", str(folder), "--verify"], capsys)
+    assert code == 1
+    assert "pictures/3.png" in line
+    assert "generate" not in line
+
+
+def test_whole_real_data_is_verified(files: Path, capsys) -> None:
+    main(["inspect", str(files / "pictures"), "--verify"])
+    assert "every picture and force is readable" in capsys.readouterr().out
+
+
+def test_a_damaged_manifest_gets_one_advice(files: Path, capsys) -> None:
+    manifest = files / "data" / "mb0i0" / "manifest.json"
+    manifest.write_bytes(manifest.read_bytes().replace(b"mb0i0", b"mb0i1"))
+    code, line = refused(["inspect", str(files / "data" / "mb0i0"), "--verify"], capsys)
+    assert code == 1
+    assert line.count("generate") == 1
+    assert "--overwrite" in line
+
+
+def test_two_tables_are_named(files: Path, capsys) -> None:
+    (files / "pictures" / "old.csv").write_text("image,fx,fy,fz\n")
+    code, line = refused(["inspect", str(files / "pictures")], capsys)
+    assert (code, "old.csv, table.csv" in line) == (2, True)
+
+
+@pytest.mark.parametrize("command", ["adapt", "export"])
+def test_an_undecodable_picture_is_named_with_its_data_set_frame_and_how_to_find_others(
+    files: Path, capsys, command: str
+) -> None:
+    picture = files / "pictures" / "3.png"
+    picture.write_bytes(picture.read_bytes()[:-30])
+    arguments = {
+        "adapt": ["--source", str(files / "pictures"), "--target", str(files / "published")],
+        "export": [str(files / "pictures")],
+    }[command]
+    _, line = refused([command, *arguments, "--out", str(files / "out")], capsys)
+    assert "data set pictures: the picture of frame 3 (3.png)" in line
+    assert "--verify" in line
+
+
+@pytest.mark.parametrize("command", ["adapt", "export"])
+def test_a_flipped_bit_in_a_shard_stops_the_command_that_reads_it(files: Path, capsys, command: str) -> None:
+    folder = files / "data" / "mb0i0"
+    (shard,) = folder.glob("frames-*.parquet")
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 1
+    shard.write_bytes(data)
+    arguments = {"adapt": ["--source", str(folder), "--target", str(folder)], "export": [str(folder)]}[
+        command
+    ]
+    code, line = refused([command, *arguments, "--out", str(files / "out")], capsys)
+    assert code == 1
+    assert f"mb0i0/{shard.name} is damaged" in line
+    assert "--verify" in line
+
+
+def test_small_forces_leave_the_papers_range_as_it_is(files: Path) -> None:
+    frames = open_domain(files / "pictures")
+    assert frames.force_range_n.tolist() == [[-0.75, 0.75], [-0.75, 0.75], [-3.0, 0.0]]
+    assert not [note for note in frames.notes if "range" in note]
+
+
+def test_a_force_beyond_the_papers_range_widens_its_axis_alone(files: Path) -> None:
+    table = files / "pictures" / "table.csv"
+    rows = table.read_text().splitlines()
+    table.write_text("\n".join([*rows[:-1], "11.png,0.81,0.7,-0.2"]))
+    frames = open_domain(files / "pictures")
+    assert frames.force_range_n.tolist() == [[-0.75, 0.9], [-0.75, 0.75], [-3.0, 0.0]]

@@ -1,0 +1,220 @@
+"""Caches, checkpoints and checksums that someone planted: named, set aside and made again, and nothing in them runs."""
+
+import hashlib
+import io
+import json
+import os
+import pickle
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+
+from gelgap.adapt import write_report
+from gelgap.benchmarks.adaptation.jobs import RunRecord
+from gelgap.benchmarks.common.kept_results import result_from_bytes
+from gelgap.benchmarks.common.records import read_records
+from gelgap.benchmarks.data import file_kinds
+from gelgap.benchmarks.data.sound_files import DOMAIN
+from gelgap.domains import export, inspect_domain, open_domain, verify_domain
+from gelgap.domains.folder import DomainFolder, sha256
+from gelgap.sim.solution import solution_from_bytes
+
+
+class Bait:
+    """Unpickled, it makes a folder."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+def pickled(folder: Path) -> bytes:
+    return pickle.dumps(Bait(folder / "bait"))
+
+
+def torch_bait(folder: Path) -> bytes:
+    buffer = io.BytesIO()
+    torch.save({"format": 1, "state": Bait(folder / "bait")}, buffer)
+    return buffer.getvalue()
+
+
+def npz(**arrays: Any) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def npz_of_bait(folder: Path, *names: str) -> bytes:
+    return npz(**{name: np.array([Bait(folder / "bait")], dtype=object) for name in names})
+
+
+def signed(content: bytes) -> bytes:
+    return b"gelgap solution 1\n" + hashlib.sha256(content).digest() + content
+
+
+@pytest.mark.parametrize("content", ["pickles", "nothing", "another problem", "bare pickle"])
+def test_a_planted_solution_is_no_solution(files: Path, content: str) -> None:
+    planted = {
+        "pickles": npz_of_bait(files, "problem", "rest_mm"),
+        "nothing": npz(),
+        "another problem": npz(problem=np.frombuffer(b"{}", np.uint8), rest_mm=np.zeros((1, 2))),
+        "bare pickle": pickled(files),
+    }[content]
+    assert solution_from_bytes(signed(planted)) is None
+    assert not (files / "bait").exists()
+
+
+def test_a_planted_result_of_a_benchmark_is_refused(files: Path) -> None:
+    content = npz_of_bait(files, "tree")
+    for planted in (content, npz(tree=np.frombuffer(b'{"class": "os:system", "fields": {}}', np.uint8))):
+        with pytest.raises(ValueError, match=r"objects|no class of results"):
+            result_from_bytes(hashlib.sha256(planted).digest() + planted)
+    assert not (files / "bait").exists()
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [b"[" * 100_000, b"[[1, 2, 3]]", b'{"rgb": 3}', b"null", b"\xff", b'{"rgb": [["a", "b", "c"]]}'],
+)
+def test_planted_colours_are_named_and_made_again(files: Path, planted: bytes, monkeypatch, caplog) -> None:
+    monkeypatch.setenv("GELGAP_CACHE", str(files / "cache"))
+    expected = file_kinds._colours(files)
+    for file in (files / "cache").glob("*.led"):
+        file.write_bytes(planted)
+        assert np.array_equal(file_kinds._colours(files), expected)
+        assert file.name in caplog.text
+        assert file.with_name(f"{file.name}.damaged").read_bytes() == planted
+
+
+def test_a_planted_picture_cache_is_named_and_made_again(files: Path, caplog) -> None:
+    frames = open_domain(files / "pictures")
+    expected = np.array(frames.images())
+    (cache,) = (files / "pictures" / ".cache").glob("*.npy")
+    buffer = io.BytesIO()
+    np.save(buffer, np.array([Bait(files / "bait")] * 3000, dtype=object))
+    for planted in (buffer.getvalue(), cache.read_bytes()[:-5], b"", cache.read_bytes()[:-1] + b"\0"):
+        cache.write_bytes(planted)
+        caplog.clear()
+        assert np.array_equal(open_domain(files / "pictures").images(), expected)
+        assert cache.name in caplog.text
+    assert not (files / "bait").exists()
+
+
+def test_a_picture_cache_of_an_older_version_is_made_again_and_older_versions_read_the_new_one(
+    files: Path,
+) -> None:
+    frames = open_domain(files / "pictures")
+    expected = np.array(frames.images())
+    (cache,) = (files / "pictures" / ".cache").glob("*.npy")
+    assert np.array_equal(np.load(cache, mmap_mode="c"), expected)
+    changed = expected.copy()
+    changed[0] = 0
+    np.save(cache, changed)
+    assert np.array_equal(open_domain(files / "pictures").images(), expected)
+
+
+@pytest.mark.parametrize("change", ["texts for forces", "no pictures", "cells of null", "no Parquet"])
+def test_a_shard_whose_checksum_was_planted_too_is_refused(files: Path, change: str) -> None:
+    folder = DomainFolder(files / "data" / DOMAIN)
+    (shard,) = folder.path.glob("frames-*.parquet")
+    read = pq.read_table(shard)
+    image = read.schema.get_field_index("image")
+    changed = {
+        "texts for forces": lambda: read.set_column(
+            read.schema.get_field_index("fx_n"), "fx_n", pa.array(["x"] * len(read))
+        ),
+        "no pictures": lambda: read.remove_column(image),
+        "cells of null": lambda: read.set_column(
+            image, read.schema.field("image"), pa.nulls(len(read), read.schema.field("image").type)
+        ),
+        "no Parquet": lambda: None,
+    }[change]()
+    if changed is None:
+        shard.write_bytes(pickled(files))
+    else:
+        pq.write_table(changed, shard)
+    manifest = folder.read_manifest()
+    manifest["files"][shard.name] |= {"sha256": sha256(shard.read_bytes()), "bytes": shard.stat().st_size}
+    folder.write_manifest(manifest)
+    with pytest.raises(RuntimeError, match=f"{shard.name} is damaged.*--verify"):
+        open_domain(folder.path).picture(0)
+
+
+def test_a_planted_checkpoint_of_training_is_set_aside_and_training_begins_anew(files: Path, caplog) -> None:
+    expected = file_kinds._resumed(files_with_pictures(files))
+    for planted in (torch_bait(files), b"", (files / "runs" / "stage1.pt").read_bytes()):
+        (files / "runs" / "resume.pt").write_bytes(planted)
+        caplog.clear()
+        found = file_kinds._resumed(files / "runs")
+        assert all(np.array_equal(found[name], values) for name, values in expected.items())
+        assert "resume.pt" in caplog.text
+    assert not (files / "bait").exists()
+
+
+def files_with_pictures(files: Path) -> Path:
+    shutil.copytree(files / "pictures", files / "runs" / "pictures")
+    return files / "runs"
+
+
+def test_a_planted_line_among_records_is_left_out(files: Path, caplog) -> None:
+    path = files / "records" / "runs.jsonl"
+    written = read_records(path, RunRecord)
+    lines = path.read_bytes().splitlines()
+    planted = [b"[" * 200_000, b'{"job": 3}', b"null", b"\xff", lines[0].replace(b"0.1", b"0.0")]
+    path.write_bytes(b"\n".join([*planted, *lines]) + b"\n")
+    assert read_records(path, RunRecord) == written
+    assert caplog.text.count("runs.jsonl, line") == len(planted)
+
+
+def test_scripts_in_names_are_shown_and_not_run(files: Path) -> None:
+    folder = files / "runs" / "run"
+    (folder / "SHA256SUMS").unlink()
+    names = {"method": "<b>bold|${x}", "profile": {"name": "<img src=x onerror=alert(1)>"}}
+    record = json.loads((folder / "run.json").read_text()) | names
+    (folder / "run.json").write_text(json.dumps(record))
+    page = write_report(files / "runs", files / "report")
+    html, markdown, latex = (page.with_suffix(end).read_text() for end in (".html", ".md", ".tex"))
+    for text in (html, markdown):
+        assert "<b>" not in text
+        assert "<img src=x" not in text
+        assert "&lt;b>" in text or "&lt;b&gt;" in text
+    assert r"bold|\$\{x\}" in latex
+    assert {path.parent for path in (files / "report").rglob("*")} == {files / "report"}
+
+
+def test_no_export_leaves_its_folder(files: Path) -> None:
+    folder = DomainFolder(files / "data" / DOMAIN)
+    folder.write_manifest(folder.read_manifest() | {"domain": "../../stolen"})
+    with pytest.raises(RuntimeError, match=r"manifest\.json is damaged"):
+        export(files / "data", "webdataset", files / "out")
+    assert not list(files.parent.rglob("stolen*"))
+
+
+def test_real_data_is_inspected_picture_by_picture(files: Path) -> None:
+    folder = files / "pictures"
+    (folder / "2.png").write_bytes(b"no picture")
+    shutil.copy(files / "settings" / "0.png", folder / "5.png")
+    (folder / "4.png").write_bytes((folder / "4.png").read_bytes()[:-30])
+    assert cv2.imwrite(str(folder / "5.png"), np.zeros((9, 9, 3), np.uint8))
+    rows = (folder / "table.csv").read_text().splitlines()
+    rows[7] = "6.png,nan,0,0"
+    (folder / "table.csv").write_text("\n".join(rows))
+    assert [(damage.file, damage.problem.split(":")[0]) for damage in verify_domain(folder)] == [
+        ("2.png", "frame 2"),
+        ("4.png", "frame 4"),
+        ("5.png", "frame 5"),
+        ("6.png", "frame 6 has Fx = nan in the table"),
+    ]
+    facts = str(inspect_domain(folder))
+    assert "3 pictures cannot be used" in facts
+    assert "1 frames have a force that is not a number" in facts
+    assert "nan…" not in facts
