@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -14,6 +14,8 @@ class Export:
     For example:
       gelgap export data --format huggingface --out upload
     """
+
+    when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""

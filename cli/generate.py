@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -23,6 +23,8 @@ class Generate:
       gelgap generate --preset paper --out paper-data
       gelgap generate --preset paper --out paper-data --dry-run
     """
+
+    when_stopped: ClassVar[str] = "finished shards and solves are kept, run the same command again to go on"
 
     domains: Annotated[tyro.conf.Positional[tuple[str, ...]], optional("[DOMAIN ...]")] = ()
     """Names of domains; or leave them out and give --preset or --sweep."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -17,6 +17,8 @@ class Inspect:
       gelgap inspect data/mb0i0 --verify --html mb0i0.html
       gelgap inspect data/wmb1i1 --gap-to data/mb0i0
     """
+
+    when_stopped: ClassVar[str] = "nothing was changed; run the same command again to start over"
 
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""

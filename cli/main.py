@@ -22,6 +22,7 @@ from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
 from gelgap.cli.render import Render
 from gelgap.cli.report import Report
+from gelgap.cli.speaking import speaking
 
 EXIT_FAILED_RUN = 1
 EXIT_BAD_INPUT = 2
@@ -56,6 +57,9 @@ class Command(Protocol):
     """What the command line parses to."""
 
     def run(self, started: float) -> None: ...
+
+
+STARTED_OVER = "nothing is kept but solved physics; run the same command again to start over"
 
 
 def _one_of(commands: Mapping[str, type], *, summary: bool) -> Any:
@@ -113,10 +117,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
+    name = type(command).__name__.lower()
     try:
-        command.run(started)
+        with speaking(getattr(command, "doing", f"{name}: reading and preparing")):
+            command.run(started)
     except KeyboardInterrupt:
-        fail("interrupted; what was finished is kept, run the same command again to go on", EXIT_INTERRUPTED)
+        fail(f"interrupted; {getattr(command, 'when_stopped', STARTED_OVER)}", EXIT_INTERRUPTED)
     except BrokenPipeError:
         raise SystemExit(EXIT_FAILED_RUN) from None
     except Exception as error:

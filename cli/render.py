@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
@@ -22,6 +22,10 @@ class Render:
       gelgap press --depth-mm 0.6 --save state.npz
       gelgap render state.npz --illumination i1 --no-markers -o picture.png
     """
+
+    when_stopped: ClassVar[str] = (
+        "no finished picture is sure to be there; run the same command again to start over"
+    )
 
     state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""

@@ -4,7 +4,9 @@ import contextlib
 import hashlib
 import json
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
+from gelgap.assets.key_lock import key_lock
 from gelgap.assets.user_cache import cache_folder
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.spectrum import RgbSpectrum, Spectrum, camera_rgb
@@ -21,15 +23,16 @@ def cached_camera_rgb(
     """
     if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
         return camera_rgb(spectra, sensitivity, white_balance_cct_k)
-    path = cache_folder() / f"{_key(spectra, sensitivity, white_balance_cct_k)}.led"
-    with contextlib.suppress(OSError, ValueError, TypeError):
-        rows = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple((float(red), float(green), float(blue)) for red, green, blue in rows)
-        if len(found) == len(spectra):
-            return found
-    found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
-    with contextlib.suppress(RuntimeError):
-        write_whole(path, json.dumps(found).encode())
+    key = _key(spectra, sensitivity, white_balance_cct_k)
+    path = cache_folder() / f"{key}.led"
+    found = _read(path, len(spectra))
+    if found is None:
+        with key_lock(cache_folder(), key):
+            found = _read(path, len(spectra))
+            if found is None:
+                found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
+                with contextlib.suppress(RuntimeError):
+                    write_whole(path, json.dumps(found).encode())
     return found
 
 
@@ -37,6 +40,16 @@ def clear_led_cache() -> None:
     """Delete what `cached_camera_rgb` has kept."""
     for path in cache_folder().glob("*.led"):
         path.unlink(missing_ok=True)
+
+
+def _read(path: Path, count: int) -> tuple[Rgb, ...] | None:
+    """Return so many colours of a file; None if it is missing or damaged."""
+    with contextlib.suppress(OSError, ValueError, TypeError):
+        rows = json.loads(path.read_text(encoding="utf-8"))
+        found = tuple((float(red), float(green), float(blue)) for red, green, blue in rows)
+        if len(found) == count:
+            return found
+    return None
 
 
 def _key(spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None) -> str:
