@@ -111,9 +111,9 @@ def explain(error: Exception) -> str:
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; the entry point of the `gelgap` script."""
-    started = time.perf_counter()
+def main(arguments: Sequence[str] | None = None, started: float | None = None) -> None:
+    """Run the command line; `started` is when the process began, by `time.perf_counter`."""
+    started = time.perf_counter() if started is None else started
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])

@@ -91,7 +91,7 @@ class StoredFrames(LabelledFrames):
 
 
 def clear_picture_cache() -> int:
-    """Delete the shrunken pictures in the user's cache folder, not those beside data; return how many bytes they had."""
+    """Delete shrunken pictures in the user's cache folder, not those beside data; return how many bytes they had."""
     files = [*(cache_folder() / PICTURES).glob("*.npy"), *(cache_folder() / PICTURES).glob(".*.tmp")]
     size = sum(file.stat().st_size for file in files)
     for file in files:

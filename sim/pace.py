@@ -102,6 +102,8 @@ def timed_solve(problem: ContactProblem, progress: SolveProgress = silent) -> So
 
     def tell(done: int, total: int) -> None:
         progress(done, total)
+        if done == total:
+            return
         passed_s = time.perf_counter() - start
         left_s = time_left_s(done / total, expected_s, passed_s)
         LOG.info("solving (%s): %d of %d load steps, about %.0f s left", kind(problem), done, total, left_s)
