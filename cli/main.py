@@ -3,7 +3,9 @@
 import contextlib
 import io
 import re
+import signal
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Protocol, Union
@@ -111,6 +113,26 @@ def explain(error: Exception) -> str:
     )
 
 
+def _fail_interrupted(command: Command) -> None:
+    """Say what is kept of a command that was stopped, and exit."""
+    fail(f"interrupted; {getattr(command, 'when_stopped', STARTED_OVER)}", EXIT_INTERRUPTED)
+
+
+def _counted_stops() -> list[int]:
+    """Return a list that gets an entry for each Ctrl-C, which libraries sometimes turn into errors of their own."""
+    stops: list[int] = []
+
+    def stop(number: int, frame: object) -> None:
+        stops.append(number)
+        raise KeyboardInterrupt
+
+    # Where it is ignored, as in a background job, it stays ignored.
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, stop)
+    return stops
+
+
 def main(arguments: Sequence[str] | None = None, started: float | None = None) -> None:
     """Run the command line; `started` is when the process began, by `time.perf_counter`."""
     started = time.perf_counter() if started is None else started
@@ -118,14 +140,17 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
     debug = "--debug" in arguments
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
     name = type(command).__name__.lower()
+    stops = _counted_stops()
     try:
         with speaking(getattr(command, "doing", f"{name}: reading and preparing")):
             command.run(started)
     except KeyboardInterrupt:
-        fail(f"interrupted; {getattr(command, 'when_stopped', STARTED_OVER)}", EXIT_INTERRUPTED)
+        _fail_interrupted(command)
     except BrokenPipeError:
         raise SystemExit(EXIT_FAILED_RUN) from None
     except Exception as error:
+        if stops:
+            _fail_interrupted(command)
         if debug:
             raise
         fail(explain(error), EXIT_BAD_INPUT if isinstance(error, ValueError) else EXIT_FAILED_RUN)

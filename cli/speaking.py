@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import TextIO
 
 # What lasts no longer than the first is not worth a line; a line about the same work comes now and then.
-QUIET_S = 1.5
+QUIET_S = 1.6
 SECONDS_BETWEEN_LINES = 10.0
 _LOOK_S = 0.2
 

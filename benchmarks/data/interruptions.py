@@ -26,6 +26,19 @@ COLUMNS = (
     *("command", "stopped by", "times", "still at work", "sentences", "tracebacks", "left running"),
     *("finished parts kept", "done again", "reruns that failed", "files different"),
 )
+_ALL_DONE = "all is done"
+_CHILD = """
+import sys
+try:
+    from pathlib import Path
+    from gelgap.benchmarks.data.interruptions import COMMANDS
+    from gelgap.cli.start import start
+    sys.argv[1:] = COMMANDS[{name!r}].arguments(Path({folder!r}), Path({data!r}))
+except KeyboardInterrupt:
+    sys.exit("gelgap: interrupted before it began")
+start()
+print("all is done", flush=True)
+"""
 POINTS = """points_x_mm = [-1.0, 1.0]
 points_y_mm = [0.0]
 depths_mm = [0.15, 0.2]
@@ -38,9 +51,9 @@ angles_deg = [0.0, 60.0, 120.0, 180.0, 240.0, 300.0]
 class Interrupted:
     """What came of stopping one command by one signal so many times.
 
-    `still_at_work`: in how many the signal came before the end. `sentences`: ended with code 130 and one sentence that
-    says what is kept. `parts_kept`: finished parts that the second run left as they were; `parts_again`: that it made
-    again. `different`: files that differ from an undisturbed run's in the end.
+    `still_at_work`: in how many the signal came before the end. `sentences`: ended with one sentence that says what is
+    kept, or that nothing had begun. `parts_kept`: finished parts that the second run left as they were; `parts_again`:
+    that it made again. `different`: files that differ from an undisturbed run's in the end.
     """
 
     command: str
@@ -58,16 +71,18 @@ class Interrupted:
 
 @dataclass(frozen=True)
 class Stopped:
-    """A command that can be stopped: how it is run, and below its folder the files that are finished parts."""
+    """A command that can be stopped: its arguments, and below its folder the files that are finished parts.
+
+    `arguments` is called in the process of the command, which it makes small, with the folders of output and data.
+    """
 
     name: str
-    play: Callable[[Path, Path], None]
+    arguments: Callable[[Path, Path], list[str]]
     parts: str
 
 
-def play_generate(folder: Path, data: Path) -> None:
+def _arguments_of_generate(folder: Path, data: Path) -> list[str]:
     """Generate two domains of a few frames in shards of eight, their physics solved anew."""
-    from gelgap.cli.main import main
     from gelgap.domains import plan
 
     os.environ["GELGAP_CACHE"] = str(folder / "cache")
@@ -77,29 +92,25 @@ def play_generate(folder: Path, data: Path) -> None:
     if not path.is_file():
         path.write_text(POINTS)
     small = ("--path", str(path), "--quality", "draft", "--size", "80", "60", "--scheduler", "synchronous")
-    main(["generate", "mb0i0", "wmb0i0", *small, "--out", str(folder)])
+    return ["generate", "mb0i0", "wmb0i0", *small, "--out", str(folder)]
 
 
-def play_adapt(folder: Path, data: Path) -> None:
+def _arguments_of_adapt(folder: Path, data: Path) -> list[str]:
     """Adapt between these two domains, with three epochs a stage."""
     from gelgap.adapt import Profile
-    from gelgap.cli.main import main
 
     smoke = Profile.preset("smoke").replace(source_epochs=3, adapt_epochs=3, image_size_px=(64, 48))
     Profile.preset = classmethod(lambda cls, name: smoke)
     domains = ("--source", str(data / "mb0i0"), "--target", str(data / "wmb0i0"))
-    main(["adapt", *domains, "--method", "source-only", "coral", "--out", str(folder)])
+    return ["adapt", *domains, "--method", "source-only", "coral", "--out", str(folder)]
 
 
-def play_physics(folder: Path, data: Path) -> None:
+def _arguments_of_physics(folder: Path, data: Path) -> list[str]:
     """Solve what a small `benchmark physics --quick` would solve, and keep it as the benchmark does."""
-    from gelgap.benchmarks import registry
     from gelgap.benchmarks.physics import accuracy
-    from gelgap.cli.main import main
 
     accuracy.run = _solve_shallow_presses
-    assert registry.find_benchmarks("physics", None, True)
-    main(["benchmark", "physics", "--quick", "--out", str(folder)])
+    return ["benchmark", "physics", "--quick", "--out", str(folder)]
 
 
 def _solve_shallow_presses(quick: bool, out_dir: Path) -> None:
@@ -115,9 +126,9 @@ def _solve_shallow_presses(quick: bool, out_dir: Path) -> None:
 COMMANDS = {
     command.name: command
     for command in (
-        Stopped("generate", play_generate, "*/frames-*.parquet"),
-        Stopped("adapt", play_adapt, "*/run.json"),
-        Stopped("benchmark physics --quick", play_physics, "physics-solves/*.result"),
+        Stopped("generate", _arguments_of_generate, "*/frames-*.parquet"),
+        Stopped("adapt", _arguments_of_adapt, "*/run.json"),
+        Stopped("benchmark physics --quick", _arguments_of_physics, "physics-solves/*.result"),
     )
 }
 
@@ -177,13 +188,14 @@ def measure(
         child = begin(command, folder, data)
         with contextlib.suppress(subprocess.TimeoutExpired):
             child.wait(moments.uniform(0.0, duration_s))
-        stopped = child.poll() is None
-        if stopped:
+        if child.poll() is None:
             os.kill(child.pid, number)
         running += not _all_end(child)
         text = _said(folder)
+        # A process that was stopped when its work was over, and only it had to end, has nothing to say.
+        stopped = _ALL_DONE not in _file(folder, "stdout").read_text()
         at_work += stopped
-        said = child.returncode == 130 and text.count("gelgap: interrupted") == 1
+        said = child.returncode in (1, 130) and text.count("gelgap: interrupted") == 1
         if stopped and number == signal.SIGINT and not said:
             print(f"  ended with code {child.returncode}: {text[-200:].strip()!r}", flush=True)
         sentences += stopped and said
@@ -202,14 +214,11 @@ def measure(
 
 def begin(command: Stopped, folder: Path, data: Path) -> subprocess.Popen:
     """Start a command in a process and a session of its own; what it says goes beside its folder."""
-    code = (
-        "from pathlib import Path\nfrom gelgap.benchmarks.data.interruptions import COMMANDS\n"
-        f"COMMANDS[{command.name!r}].play(Path({str(folder)!r}), Path({str(data)!r}))"
-    )
+    code = _CHILD.format(name=command.name, folder=str(folder), data=str(data))
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with _said_file(folder).open("w") as said:
+    with _file(folder, "stderr").open("w") as said, _file(folder, "stdout").open("w") as printed:
         return subprocess.Popen(
-            [sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
+            [sys.executable, "-c", code], stdout=printed, stderr=said, start_new_session=True
         )
 
 
@@ -243,12 +252,12 @@ def _weights(checkpoint: Path) -> bytes:
     return b"".join(name.encode() + state[name].numpy().tobytes() for name in sorted(state))
 
 
-def _said_file(folder: Path) -> Path:
-    return folder.with_name(f"{folder.name}.stderr")
+def _file(folder: Path, stream: str) -> Path:
+    return folder.with_name(f"{folder.name}.{stream}")
 
 
 def _said(folder: Path) -> str:
-    return _said_file(folder).read_text(errors="replace")
+    return _file(folder, "stderr").read_text(errors="replace")
 
 
 def _all_end(child: subprocess.Popen) -> bool:
