@@ -36,12 +36,13 @@ class Estimate:
     disk_bytes: float
     workers: int
     longest_solve_s: float = 0.0
+    busy: float = 1.0
 
     @property
     def wall_s(self) -> float:
-        """Time from the start of the workers: one solve is not shared, frames are shared as shards."""
+        """Time on the machine as busy as it is now: one solve is not shared, frames are shared as shards."""
         solving_s = max(self.solve_core_s / self.workers, self.longest_solve_s)
-        return START_S + solving_s + self.frame_core_s / min(self.workers, self.shards or 1)
+        return self.busy * (START_S + solving_s + self.frame_core_s / min(self.workers, self.shards or 1))
 
     def __str__(self) -> str:
         ms, kilobytes = 1e3 * self.frame_core_s / self.frames, self.disk_bytes / self.frames / 1e3
@@ -63,7 +64,10 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     LOG.info("planning and rendering sample frames of %s", ", ".join(recipe.name for recipe in recipes))
     plan = plan_generation(recipes)
     solves_s = [size.core_s for size in solve_sizes(plan, measured=True).values()]
+    wall_start, core_start = time.perf_counter(), time.process_time()
     seconds, size = _frame_costs(plan)
+    # On a busy machine a second of a core takes longer; the sample frames have just shown by how much.
+    busy = (time.perf_counter() - wall_start) / max(time.process_time() - core_start, 1e-3)
     contacts = {
         (recipe.elastomer, pose)
         for recipe in recipes
@@ -79,6 +83,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         solves_cached=len(plan.solves) - len(solves_s),
         solve_core_s=sum(solves_s),
         longest_solve_s=max(solves_s, default=0.0),
+        busy=max(1.0, busy),
         frame_core_s=seconds,
         disk_bytes=size,
         workers=workers or len(os.sched_getaffinity(0)),

@@ -27,15 +27,16 @@ _LINES_COUNTED = 9
 # MuJoCo's factor of a mesh with n vertices takes about n^2.3.
 _VERTICES = 3000
 _EXPONENT = 2.3
-# Seconds per load step on a mesh of that many vertices, on two cores of a server of 2023.
-_SECONDS_BY_SHAPE = {"half disc": 1.0, "half pad": 0.95, "pad": 0.95}
+# Seconds of a core per load step on a mesh of that many vertices, on a server of 2023; more where friction slides.
+_SECONDS_PER_STEP = 1.0
+_TRAVEL_FACTOR = 1.3
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Seconds per load step on a mesh of 3000 vertices, by kind of problem, and the same of any other kind.
+    """How many times slower solves are than the built-in figures say, by kind of problem, and over all kinds.
 
-    `slowness` is how many times slower than where the built-in figures were measured; None: nothing is known.
+    `slowness` is None where nothing is known.
     """
 
     by_kind: dict[str, float]
@@ -43,8 +44,7 @@ class Pace:
 
     def solve_s(self, problem: ContactProblem) -> float:
         """Return the expected seconds of a solve, alone on its core."""
-        known = self.by_kind.get(kind(problem))
-        return work(problem) * (known or _SECONDS_BY_SHAPE[shape(problem)] * (self.slowness or 1.0))
+        return _built_in_s(problem) * self.by_kind.get(kind(problem), self.slowness or 1.0)
 
 
 def shape(problem: ContactProblem) -> str:
@@ -66,21 +66,22 @@ def work(problem: ContactProblem) -> float:
     return (problem.load_steps + first_contacts) * (vertices / _VERTICES) ** _EXPONENT
 
 
+def _built_in_s(problem: ContactProblem) -> float:
+    return work(problem) * _SECONDS_PER_STEP * (_TRAVEL_FACTOR if problem.travel_mm else 1.0)
+
+
 def known_pace() -> Pace:
     """Return the pace that the record of the user's cache folder says."""
     found: dict[str, list[float]] = {}
-    shapes: dict[str, str] = {}
     with contextlib.suppress(OSError):
         for line in (cache_folder() / RECORD).read_text(encoding="utf-8", errors="replace").splitlines():
             with contextlib.suppress(ValueError, TypeError, KeyError):
                 entry = json.loads(line)
-                seconds = float(entry["s"])
-                if entry["shape"] in _SECONDS_BY_SHAPE and 0 < seconds < float("inf"):
-                    found.setdefault(str(entry["kind"]), []).append(seconds)
-                    shapes[str(entry["kind"])] = entry["shape"]
+                slowness = float(entry["slowness"])
+                if 0 < slowness < float("inf"):
+                    found.setdefault(str(entry["kind"]), []).append(slowness)
     by_kind = {name: statistics.median(values[-_LINES_COUNTED:]) for name, values in found.items()}
-    ratios = [seconds / _SECONDS_BY_SHAPE[shapes[name]] for name, seconds in by_kind.items()]
-    return Pace(by_kind, statistics.median(ratios) if ratios else None)
+    return Pace(by_kind, statistics.median(by_kind.values()) if by_kind else None)
 
 
 def measured_pace() -> Pace:
@@ -98,7 +99,7 @@ def timed_solve(problem: ContactProblem, progress: SolveProgress = silent) -> So
     """Solve a problem and enter how long it took in the record."""
     import mujoco  # noqa: F401  its import is no part of the pace
 
-    expected_s, start = known_pace().solve_s(problem), time.perf_counter()
+    expected_s, start, start_core = known_pace().solve_s(problem), time.perf_counter(), time.thread_time()
 
     def tell(done: int, total: int) -> None:
         progress(done, total)
@@ -109,7 +110,7 @@ def timed_solve(problem: ContactProblem, progress: SolveProgress = silent) -> So
         LOG.info("solving (%s): %d of %d load steps, about %.0f s left", kind(problem), done, total, left_s)
 
     solution = solve(problem, tell)
-    _record(problem, time.perf_counter() - start)
+    _record(problem, time.thread_time() - start_core)
     return solution
 
 
@@ -120,10 +121,10 @@ def time_left_s(share_done: float, expected_s: float, passed_s: float) -> float:
     return passed_s * (1 - share_done) / share_done
 
 
-def _record(problem: ContactProblem, seconds: float) -> None:
+def _record(problem: ContactProblem, core_s: float) -> None:
     """Add a line; a record that cannot be written is done without."""
     folder = cache_folder()
-    entry = {"kind": kind(problem), "shape": shape(problem), "s": round(seconds / work(problem), 5)}
+    entry = {"kind": kind(problem), "slowness": round(core_s / _built_in_s(problem), 4)}
     with contextlib.suppress(OSError, RuntimeError), key_lock(folder, RECORD):
         path = folder / RECORD
         lines = path.read_bytes().splitlines() if path.is_file() else []
