@@ -9,8 +9,8 @@ LOCK = ".lock"
 
 
 @contextlib.contextmanager
-def sole_use(folder: Path) -> Iterator[None]:
-    """Hold the folder's lock, which says whose it is.
+def sole_use(folder: Path, name: str = LOCK) -> Iterator[None]:
+    """Hold the folder's lock, or one of the folder's several by its name, which says whose it is.
 
     Raises
     ------
@@ -20,8 +20,8 @@ def sole_use(folder: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     folder.mkdir(parents=True, exist_ok=True)
-    owner = folder / f"{LOCK}.owner"
-    lock = FileLock(folder / LOCK, timeout=0)
+    owner = folder / f"{name}.owner"
+    lock = FileLock(folder / name, timeout=0)
     try:
         lock.acquire()
     except Timeout:

@@ -24,6 +24,11 @@ class Benchmark:
     by_default: bool = True
     has_quick_form: bool = True
 
+    @property
+    def resumes(self) -> bool:
+        """Whether it goes on where it was stopped, when it is run again."""
+        return self.module not in _BEGINS_ANEW
+
     def load(self) -> ModuleType:
         """Import the benchmark's module."""
         return import_module(f"gelgap.benchmarks.{self.module}")
@@ -33,6 +38,13 @@ class Benchmark:
         self.load().run(quick=quick, out_dir=out_dir)
 
 
+_BEGINS_ANEW = (
+    "render.accuracy",
+    "physics.stability",
+    "render.stability",
+    "adaptation.losses",
+    "adaptation.speed",
+)
 BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
     Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
@@ -47,6 +59,9 @@ BENCHMARKS = (
     Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),
     Benchmark(
         "faults", "files", "what damage to each kind of file does", "data.file_faults", by_default=False
+    ),
+    Benchmark(
+        "faults", "interruptions", "commands stopped at random", "data.interruptions", by_default=False
     ),
     Benchmark("adaptation", "groups", "the paper's methods on its nine groups", "adaptation.groups"),
     Benchmark(

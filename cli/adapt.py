@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from gelgap.cli.arguments import optional
 from gelgap.cli.rules import SEED, DataSet, InputFile, OneOf, OutputFolder, Preset
@@ -36,6 +36,8 @@ class Adapt:
     For example:
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --out runs
     """
+
+    when_stopped: ClassVar[str] = "finished runs and epochs are kept, run the same command again to go on"
 
     source: Annotated[Path, DataSet()]
     """Folder of the source domain."""

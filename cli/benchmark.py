@@ -1,5 +1,6 @@
 """`gelgap benchmark`: run time against error, and numerical stress."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,6 +11,7 @@ from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, su
 from gelgap.cli.arguments import Flag, optional
 from gelgap.cli.rules import OutputFolder
 
+LOG = logging.getLogger(__name__)
 _PARTS = tuple(dict.fromkeys(benchmark.part for benchmark in BENCHMARKS if benchmark.part))
 
 
@@ -46,5 +48,17 @@ class Benchmark:
 
     def run(self, started: float) -> None:
         """Run the chosen benchmarks, one after the other."""
-        for benchmark in find_benchmarks(self.subject, self.what, self.quick):
-            benchmark.run(self.quick, self.out)
+        from gelgap.assets.sole_use import sole_use
+
+        chosen = find_benchmarks(self.subject, self.what, self.quick)
+        with sole_use(self.out, f".lock-{self.subject}"):
+            for benchmark in chosen:
+                LOG.info("measuring %s", benchmark.description)
+                benchmark.run(self.quick, self.out)
+
+    @property
+    def when_stopped(self) -> str:
+        """What is left of a benchmark that was interrupted, and what to do."""
+        if all(benchmark.resumes for benchmark in find_benchmarks(self.subject, self.what, self.quick)):
+            return "finished measurements are kept, run the same command again to go on"
+        return "measurements that were not finished are not kept; run the same command again to measure anew"

@@ -1,7 +1,7 @@
 """`gelgap cache`: what physics is kept on disk, and clearing it."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from gelgap.cli.arguments import Flag
 
@@ -20,17 +20,22 @@ class Cache:
       gelgap cache --clear
     """
 
+    when_stopped: ClassVar[str] = "what was deleted is gone, the rest is kept; run the same command again"
+
     clear: Flag = False
-    """Delete every cached solution, and the colours of LEDs."""
+    """Delete every cached solution, the colours of LEDs, and shrunken pictures that do not lie beside their data."""
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
         from gelgap.sim import cache_entries, cache_use, clear_cache
 
         if self.clear:
+            from gelgap.domains import clear_picture_cache
             from gelgap.render import clear_led_cache
 
             clear_led_cache()
+            if pictures := clear_picture_cache():
+                print(f"{pictures / 1e6:.1f} MB of shrunken pictures deleted")
             use, verb = clear_cache(), "deleted"
         else:
             for entry in cache_entries():

@@ -4,7 +4,7 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
@@ -36,6 +36,8 @@ class Calibrate:
     For example:
       gelgap calibrate presses.toml --reference ref.png --sensor start.toml -o fitted.toml
     """
+
+    when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
     presses: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PRESSES"), InputFile("a TOML file")]
     """TOML file that lists the pictures of pressed spheres."""

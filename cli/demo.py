@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from gelgap.cli.arguments import optional
 from gelgap.cli.rules import PICTURE_SIDES, OutputFolder, Preset, Scheduler
@@ -18,6 +18,10 @@ class Demo:
     For example:
       gelgap demo
     """
+
+    when_stopped: ClassVar[str] = (
+        "finished shards, solves, runs and epochs are kept, run the same command again to go on"
+    )
 
     out: Annotated[Path, OutputFolder()] = Path("demo")
     """Folder for domains, models and report.html."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
 
@@ -16,6 +16,8 @@ class Export:
     For example:
       gelgap export data --format huggingface --out upload
     """
+
+    when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
     folder: Annotated[tyro.conf.Positional[Path], DataSet(several=True)]
     """Folder of one domain, or of several."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
@@ -36,6 +36,8 @@ class Generate:
       gelgap generate --preset paper --out paper-data --dry-run
       gelgap generate mb0i0 --elastomer b1 --illumination i2 --name soft --out data --dry-run
     """
+
+    when_stopped: ClassVar[str] = "finished shards and solves are kept, run the same command again to go on"
 
     domains: Annotated[tyro.conf.Positional[tuple[str, ...]], optional("[DOMAIN ...]")] = ()
     """Names of domains; or leave them out and give --preset or --sweep."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
@@ -21,6 +21,8 @@ class Inspect:
       gelgap inspect data/mb0i0 --verify --html mb0i0.html
       gelgap inspect data/wmb1i1 --gap-to data/mb0i0
     """
+
+    when_stopped: ClassVar[str] = "nothing was changed; run the same command again to start over"
 
     folder: Annotated[tyro.conf.Positional[Path], DataSet(several=True)]
     """Folder of one domain, or of several."""

@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import signal
 import sys
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
@@ -26,6 +28,7 @@ from gelgap.cli.press import Press
 from gelgap.cli.render import Render
 from gelgap.cli.report import Report
 from gelgap.cli.rules import OutputFolder
+from gelgap.cli.speaking import speaking
 
 EXIT_FAILED_RUN = 1
 EXIT_BAD_INPUT = 2
@@ -61,6 +64,9 @@ class Command(Protocol):
     """What the command line parses to."""
 
     def run(self, started: float) -> None: ...
+
+
+STARTED_OVER = "nothing is kept but solved physics; run the same command again to start over"
 
 
 def _one_of(commands: Mapping[str, type], *, summary: bool) -> Any:
@@ -113,24 +119,49 @@ def check_cache(writes: bool) -> None:
         raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {problem}")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; the entry point of the `gelgap` script."""
-    started = time.perf_counter()
+def _fail_interrupted(command: Command) -> None:
+    """Say what is kept of a command that was stopped, and exit."""
+    fail(f"interrupted; {getattr(command, 'when_stopped', STARTED_OVER)}", EXIT_INTERRUPTED)
+
+
+def _counted_stops() -> list[int]:
+    """Return a list that gets an entry for each Ctrl-C, which libraries sometimes turn into errors of their own."""
+    stops: list[int] = []
+
+    def stop(number: int, frame: object) -> None:
+        stops.append(number)
+        raise KeyboardInterrupt
+
+    # Where it is ignored, as in a background job, it stays ignored.
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, stop)
+    return stops
+
+
+def main(arguments: Sequence[str] | None = None, started: float | None = None) -> None:
+    """Run the command line; `started` is when the process began, by `time.perf_counter`."""
+    started = time.perf_counter() if started is None else started
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     if arguments == ["--version"]:
         print(f"gelgap {version('gelgap')}")
         return
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
+    name = type(command).__name__.lower()
+    stops = _counted_stops()
     try:
         check_values(command)
         check_cache(writes=isinstance(command, Benchmark | Demo | Generate | Press))
-        command.run(started)
+        with speaking(getattr(command, "doing", f"{name}: reading and preparing")):
+            command.run(started)
     except KeyboardInterrupt:
-        fail("interrupted; what was finished is kept, run the same command again to go on", EXIT_INTERRUPTED)
+        _fail_interrupted(command)
     except BrokenPipeError:
         raise SystemExit(EXIT_FAILED_RUN) from None
     except Exception as error:
+        if stops:
+            _fail_interrupted(command)
         if debug:
             raise
         fail(explain(error), EXIT_BAD_INPUT if isinstance(error, ValueError) else EXIT_FAILED_RUN)

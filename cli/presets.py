@@ -1,7 +1,7 @@
 """`gelgap presets`: the presets that ship with gelgap."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -17,6 +17,8 @@ class Presets:
     For example:
       gelgap presets elastomers
     """
+
+    when_stopped: ClassVar[str] = "nothing was changed; run the same command again"
 
     kind: Annotated[
         tyro.conf.Positional[str | None], optional("[KIND]", "all"), OneOf(lambda: PRESET_KINDS)

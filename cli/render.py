@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
@@ -23,6 +23,10 @@ class Render:
       gelgap press --depth-mm 0.6 --save state.npz
       gelgap render state.npz --illumination i1 --no-markers -o picture.png
     """
+
+    when_stopped: ClassVar[str] = (
+        "no finished picture is sure to be there; run the same command again to start over"
+    )
 
     state: Annotated[
         tyro.conf.Positional[Path],

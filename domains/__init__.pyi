@@ -38,6 +38,7 @@ from .splits import DomainSplit as DomainSplit
 from .splits import split_domains as split_domains
 from .splits import split_frames as split_frames
 from .stored import StoredFrames as StoredFrames
+from .stored import clear_picture_cache as clear_picture_cache
 from .sweep import Factor as Factor
 from .sweep import Sweep as Sweep
 from .sweep import sweep_variants as sweep_variants

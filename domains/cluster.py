@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -21,11 +22,24 @@ SYNCHRONOUS = "synchronous"
 # A worker that dies takes its task with it; the task is tried this many times again before it gets the blame.
 _RETRIES_AFTER_WORKER_DEATH = 5
 CONNECTION_TIMEOUT_S = 20
+_STEPS = "gelgap-load-steps"
+_SECONDS_BETWEEN_STEPS = 0.5
 
 
-def solve(problem: Any) -> Any:
-    """Run one solve (a task's function must be importable by name)."""
-    return problem.run()
+def solve_in_worker(solve: Any) -> Any:
+    """Run one solve and tell the client, now and then, how many of its load steps are done."""
+    from distributed import get_worker
+
+    worker, told_at = get_worker(), 0.0
+
+    def tell(done: int, total: int) -> None:
+        nonlocal told_at
+        now = time.monotonic()
+        if now - told_at >= _SECONDS_BETWEEN_STEPS or done == total:
+            told_at = now
+            worker.log_event(_STEPS, {"solve": solve.key, "done": done})
+
+    return solve.run(tell)
 
 
 def render_in_worker(
@@ -47,8 +61,8 @@ def run_in_process(
     for batch in plan.batches:
         for key in batch.solve_keys:
             if key not in solutions:
-                solutions[key] = solve(plan.solves[key])
-                progress.solved()
+                solutions[key] = plan.solves[key].run(lambda done, _, key=key: progress.stepped(key, done))
+                progress.solved(key)
         yield render_batch(
             batch, _of_batch(batch, matrices), {key: solutions[key] for key in batch.solve_keys}
         )
@@ -73,8 +87,9 @@ def run_on_cluster(
     from distributed.scheduler import KilledWorker
 
     try:
+        client.subscribe_topic(_STEPS, lambda event: progress.stepped(event[1]["solve"], event[1]["done"]))
         solving = {
-            key: client.submit(solve, problem, key=f"solve-{key}", pure=True)
+            key: client.submit(solve_in_worker, problem, key=f"solve-{key}", pure=True)
             for key, problem in plan.solves.items()
         }
         rendering = [
@@ -88,7 +103,7 @@ def run_on_cluster(
             )
             for batch in plan.batches
         ]
-        solve_names = {future.key for future in solving.values()}
+        solve_names = {future.key: key for key, future in solving.items()}
         # Only batches are results: a solution stays where it was made, until no batch needs it.
         waiting = as_completed([*solving.values(), *rendering], loop=client.loop)
         solving.clear()
@@ -97,7 +112,7 @@ def run_on_cluster(
             if future.key in solve_names:
                 if future.status == "error":
                     future.result()
-                progress.solved()
+                progress.solved(solve_names[future.key])
             else:
                 shards = future.result()
                 future.release()

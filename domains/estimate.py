@@ -1,23 +1,24 @@
 """What a generation will take: solves, frames, time and disk, before any of it is done."""
 
+import logging
 import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelgap.domains.frame_pictures import group_by_picture, led_to_camera, picture_cells
+from gelgap.domains.generation_progress import SolveSize
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState, grid_axes
 
-if TYPE_CHECKING:
-    from gelgap.sim import Solve
-
-# Seconds of one core per load step, measured on the gel of the paper-like presets.
-SECONDS_PER_LOAD_STEP = {"draft": 0.7, "standard": 6.0, "fine": 20.0}
+LOG = logging.getLogger(__name__)
+# What a worker process needs before its first task, s, and what a frame takes besides its pictures: the membrane, its
+# table and Parquet, as shares of the pictures' own time.
+START_S = 4.0
+FRAME_SHARE = 1.5
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,14 @@ class Estimate:
     frame_core_s: float
     disk_bytes: float
     workers: int
+    longest_solve_s: float = 0.0
+    busy: float = 1.0
 
     @property
     def wall_s(self) -> float:
-        """Time if all workers are always busy."""
-        return (self.solve_core_s + self.frame_core_s) / self.workers
+        """Time on the machine as busy as it is now: one solve is not shared, frames are shared as shards."""
+        solving_s = max(self.solve_core_s / self.workers, self.longest_solve_s)
+        return self.busy * (START_S + solving_s + self.frame_core_s / min(self.workers, self.shards or 1))
 
     def __str__(self) -> str:
         ms, kilobytes = 1e3 * self.frame_core_s / self.frames, self.disk_bytes / self.frames / 1e3
@@ -65,10 +69,13 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     """
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: must be 1 or more")
-    from gelgap.sim import load_solution
-
+    LOG.info("planning and rendering sample frames of %s", ", ".join(recipe.name for recipe in recipes))
     plan = plan_generation(recipes)
+    solves_s = [size.core_s for size in solve_sizes(plan, measured=True).values()]
+    wall_start, core_start = time.perf_counter(), time.process_time()
     seconds, size = _frame_costs(plan)
+    # On a busy machine a second of a core takes longer; the sample frames have just shown by how much.
+    busy = (time.perf_counter() - wall_start) / max(time.process_time() - core_start, 1e-3)
     contacts = {
         (recipe.elastomer, pose)
         for recipe in recipes
@@ -81,18 +88,26 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         shards=sum(len(batch.recipes) for batch in plan.batches),
         contacts=len(contacts),
         solves=len(plan.solves),
-        solves_cached=sum(load_solution(key) is not None for key in plan.solves),
-        solve_core_s=sum(_solve_s(solve) for key, solve in plan.solves.items() if load_solution(key) is None),
+        solves_cached=len(plan.solves) - len(solves_s),
+        solve_core_s=sum(solves_s),
+        longest_solve_s=max(solves_s, default=0.0),
+        busy=max(1.0, busy),
         frame_core_s=seconds,
         disk_bytes=size,
         workers=workers or len(os.sched_getaffinity(0)),
     )
 
 
-def _solve_s(solve: "Solve") -> float:
-    """Return the expected seconds of a solve."""
-    problem = solve.problem
-    return SECONDS_PER_LOAD_STEP[problem.quality.name] * problem.load_steps
+def solve_sizes(plan: GenerationPlan, measured: bool = False) -> dict[str, SolveSize]:
+    """Return how large each solve is that the cache lacks, by its key, and how long it takes by this machine's record.
+
+    With `measured`, a machine that has no record yet solves one small press first.
+    """
+    from gelgap.sim import has_solution, known_pace, measured_pace
+
+    problems = {key: solve.problem for key, solve in plan.solves.items() if not has_solution(key)}
+    pace = measured_pace() if measured and problems else known_pace()
+    return {key: SolveSize(problem.load_steps, pace.solve_s(problem)) for key, problem in problems.items()}
 
 
 def _frame_costs(plan: GenerationPlan) -> tuple[float, float]:
@@ -107,7 +122,7 @@ def _frame_costs(plan: GenerationPlan) -> tuple[float, float]:
             samples[batch.recipes] = min(_frame_cost(batch.recipes, matrices, state) for _ in range(4))
         seconds += samples[batch.recipes][0] * len(batch)
         size += samples[batch.recipes][1] * len(batch)
-    return seconds, size
+    return FRAME_SHARE * seconds, size
 
 
 def _frame_cost(

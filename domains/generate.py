@@ -1,6 +1,8 @@
 """Generating domains: plan, run, write; finished work is neither repeated nor lost."""
 
 import itertools
+import logging
+import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ import numpy as np
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains.cluster import SYNCHRONOUS, dask_client, run_in_process, run_on_cluster
 from gelgap.domains.domain import Domain
+from gelgap.domains.estimate import solve_sizes
 from gelgap.domains.frame_pictures import led_to_camera
 from gelgap.domains.generation_progress import GenerationProgress
 from gelgap.domains.plan import GenerationPlan, plan_generation
@@ -20,6 +23,8 @@ from gelgap.domains.run_log import RUN_LOG, RunLog
 from gelgap.domains.shard import Shard
 from gelgap.domains.writer import DomainWriter
 from gelgap.sim import ContactPath, PosePath
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -130,16 +135,19 @@ def generate_recipes(
     with sole_use(out_dir):
         writers = _prepared_writers(recipes, out_dir, overwrite)
         skipped = tuple(name for name in names if writers[name].complete)
+        LOG.info("planning %s", ", ".join(names))
         plan = plan_generation(recipes, {name: writer.finished for name, writer in writers.items()})
-        progress.begin(len(plan.solves), plan.frames)
+        progress.begin(len(plan.solves), plan.frames, solve_sizes(plan), _worker_count(scheduler, workers))
         log = RunLog(out_dir)
         log.event("begin", domains=names, solves=len(plan.solves), frames=plan.frames, scheduler=scheduler)
         try:
+            LOG.info("rendering the reference pictures")
             matrices = {
                 name: led_to_camera(writer.recipe) for name, writer in writers.items() if not writer.complete
             }
             for name, matrix in matrices.items():
                 writers[name].write_reference(matrix)
+            LOG.info("starting workers")
             shards = _run(plan, matrices, progress, scheduler, workers)
             written, unrenderable = _write(shards, writers, log, progress)
             for writer in writers.values():
@@ -162,6 +170,13 @@ def generate_recipes(
         )
         log.event("end", wall_s=round(report.wall_s, 3), bytes=written)
         return report
+
+
+def _worker_count(scheduler: str | None, workers: int | None) -> int | None:
+    """Return how many processes share the solves; None where a cluster of others decides."""
+    if scheduler == SYNCHRONOUS:
+        return 1
+    return None if scheduler is not None else workers or len(os.sched_getaffinity(0))
 
 
 def _prepared_writers(

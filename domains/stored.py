@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import logging
 import os
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -11,12 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
+from gelgap.assets.key_lock import key_lock
 from gelgap.assets.user_cache import cache_folder
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.kept_pictures import open_kept_pictures, write_kept_pictures
 from gelgap.domains.picture_codec import as_colour, decode_picture, resized
 
+LOG = logging.getLogger(__name__)
 _CHUNK = 256
+PICTURES = "images"
 
 
 class StoredFrames(LabelledFrames):
@@ -46,8 +50,8 @@ class StoredFrames(LabelledFrames):
     def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
         """Return all pictures (n, h, w, 3) uint8, area-averaged to `size_px`, memory-mapped from a cache on disk.
 
-        The first call for a size builds the cache, beside the data, or in the user's cache folder where the data
-        cannot be written to. Changes to the array never reach the file.
+        The first call for a size builds the cache, in `.cache` beside the data, or in the user's cache folder where
+        $GELGAP_CACHE names one or the data cannot be written to. Changes to the array never reach the file.
         """
         size = self.image_size_px(size_px)
         resized(self.reference, size)
@@ -55,8 +59,12 @@ class StoredFrames(LabelledFrames):
         shape = (len(self), size[1], size[0], 3)
         pictures = open_kept_pictures(path, shape)
         if pictures is None:
-            write_kept_pictures(path, shape, self._decoded_chunks(size))
-            pictures = open_kept_pictures(path, shape)
+            with key_lock(path.parent, path.name):
+                pictures = open_kept_pictures(path, shape)
+                if pictures is None:
+                    LOG.info("decoding %d pictures of %s at %d×%d px, once", len(self), self.name, *size)
+                    write_kept_pictures(path, shape, self._decoded_chunks(size))
+                    pictures = open_kept_pictures(path, shape)
         if pictures is None:
             raise RuntimeError(
                 f"{path} is not what was written: the disk is faulty, or another program changed it"
@@ -83,9 +91,10 @@ class StoredFrames(LabelledFrames):
     def _cache_file(self, size_px: tuple[int, int]) -> Path:
         name = f"images-{size_px[0]}x{size_px[1]}-{self.digest[:16]}.npy"
         beside = self.folder / ".cache"
-        if (beside / name).exists() or os.access(self.folder, os.W_OK):
+        elsewhere = "GELGAP_CACHE" in os.environ or not os.access(self.folder, os.W_OK)
+        if (beside / name).exists() or not elsewhere:
             return beside / name
-        return cache_folder() / "images" / name
+        return cache_folder() / PICTURES / name
 
     def _decoded_chunks(self, size_px: tuple[int, int]) -> Iterator[bytes]:
         def shrunk(index: int, data: bytes) -> np.ndarray:
@@ -97,6 +106,15 @@ class StoredFrames(LabelledFrames):
                 indices = range(start, min(start + _CHUNK, len(self)))
                 encoded = [self.encoded_picture(index) for index in indices]
                 yield np.stack(list(threads.map(shrunk, indices, encoded))).tobytes()
+
+
+def clear_picture_cache() -> int:
+    """Delete shrunken pictures in the user's cache folder, not those beside data; return how many bytes they had."""
+    files = [*(cache_folder() / PICTURES).glob("*.npy"), *(cache_folder() / PICTURES).glob(".*.tmp")]
+    size = sum(file.stat().st_size for file in files)
+    for file in files:
+        file.unlink(missing_ok=True)
+    return size
 
 
 class PictureFiles(StoredFrames):

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
 from gelgap.assets.json_file import read_json, with_checksum, without_checksum
+from gelgap.assets.key_lock import key_lock
 from gelgap.assets.user_cache import cache_folder
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.spectrum import RgbSpectrum, Spectrum, camera_rgb
@@ -25,15 +26,16 @@ def cached_camera_rgb(
     """
     if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
         return camera_rgb(spectra, sensitivity, white_balance_cct_k)
-    path = cache_folder() / f"{_key(spectra, sensitivity, white_balance_cct_k)}.led"
-    if path.is_file():
-        try:
-            return _read(path, len(spectra))
-        except (OSError, ValueError, TypeError) as error:
-            set_aside(path, f"is damaged ({error})")
-    found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
-    with contextlib.suppress(RuntimeError):
-        write_whole(path, json.dumps(with_checksum({"rgb": found})).encode())
+    key = _key(spectra, sensitivity, white_balance_cct_k)
+    path = cache_folder() / f"{key}.led"
+    found = _kept(path, len(spectra))
+    if found is None:
+        with key_lock(cache_folder(), key):
+            found = _kept(path, len(spectra))
+            if found is None:
+                found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
+                with contextlib.suppress(RuntimeError):
+                    write_whole(path, json.dumps(with_checksum({"rgb": found})).encode())
     return found
 
 
@@ -42,6 +44,17 @@ def clear_led_cache() -> None:
     for pattern in ("*.led", f"*.led{DAMAGED_SUFFIX}"):
         for path in cache_folder().glob(pattern):
             path.unlink(missing_ok=True)
+
+
+def _kept(path: Path, count: int) -> tuple[Rgb, ...] | None:
+    """Return the colours of a file; None if there is none, or it was damaged and is now set aside."""
+    if not path.is_file():
+        return None
+    try:
+        return _read(path, count)
+    except (OSError, ValueError, TypeError) as error:
+        set_aside(path, f"is damaged ({error})")
+        return None
 
 
 def _read(path: Path, count: int) -> tuple[Rgb, ...]:

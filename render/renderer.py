@@ -5,7 +5,10 @@ from typing import Literal
 
 import numpy as np
 
-from gelgap.render import imaging
+from gelgap.render import (
+    first_use,  # noqa: F401  it says so when numba compiles
+    imaging,
+)
 from gelgap.render.displacement import Membrane
 from gelgap.render.gloss import gloss
 from gelgap.render.illumination import Illumination

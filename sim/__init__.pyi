@@ -2,6 +2,7 @@ from .cache import CacheEntry as CacheEntry
 from .cache import cache_entries as cache_entries
 from .cache import cache_use as cache_use
 from .cache import clear_cache as clear_cache
+from .cache import has_solution as has_solution
 from .cache import load_solution as load_solution
 from .elastomer import Elastomer as Elastomer
 from .indenters.base import Indenter as Indenter
@@ -10,6 +11,8 @@ from .indenters.sphere import Sphere as Sphere
 from .membrane import Diagnostics as Diagnostics
 from .membrane import MembraneState as MembraneState
 from .membrane import grid_axes as grid_axes
+from .pace import known_pace as known_pace
+from .pace import measured_pace as measured_pace
 from .path import CLASS_DEPTHS_MM as CLASS_DEPTHS_MM
 from .path import CLASS_RADII_MM as CLASS_RADII_MM
 from .path import ContactPath as ContactPath

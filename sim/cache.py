@@ -48,6 +48,11 @@ def load_solution(key: str) -> Solution | None:
     return None
 
 
+def has_solution(key: str) -> bool:
+    """Return whether there is a file for that key; only loading it says whether it is sound."""
+    return _path(key).is_file()
+
+
 def store_solution(solution: Solution) -> None:
     """Write a solution under its problem's key, or raise RuntimeError if the disk does not take it."""
     write_whole(_path(solution.problem.key), solution_bytes(solution))

@@ -1,5 +1,6 @@
 """Quasi-static solution of a contact problem: load steps, each solved by Newton iterations, which are MuJoCo steps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,13 @@ from gelgap.sim.mujoco_model import GelModel, build_gel_model
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.solution import Record, Solution
 from gelgap.sim.thresholds import THRESHOLDS
+
+SolveProgress = Callable[[int, int], None]
+"""Called at a solve's begin and after each load step with how many are done, of all."""
+
+
+def silent(done: int, total: int) -> None:
+    """Say nothing."""
 
 
 @dataclass(frozen=True)
@@ -150,8 +158,10 @@ class StaticNewton:
         return bool(away[self.contacts.loaded].any())
 
 
-def solve(problem: ContactProblem) -> Solution:
+def solve(problem: ContactProblem, progress: SolveProgress = silent) -> Solution:
     """Solve the problem from the undeformed gel."""
+    done, total = 0, problem.load_steps
+    progress(done, total)
     mesh = mesh_for(problem)
     gel = build_gel_model(problem, mesh, mesh_moduli(problem.moduli, problem.mesh_size.stiffness))
     newton = StaticNewton(gel, problem)
@@ -160,18 +170,28 @@ def solve(problem: ContactProblem) -> Solution:
     for index, (waypoint, parent) in enumerate(zip(problem.waypoints_mm, problem.parents, strict=True)):
         if parent != index - 1:
             newton.return_to(states[parent])
-        records.append(_move_to(newton, np.array(waypoint)))
+        steps = problem.quality.load_steps(np.array(waypoint) - newton.command_mm)
+        records.append(
+            _move_to(newton, np.array(waypoint), lambda left, to=done + steps: progress(to - left, total))
+        )
+        done += steps
         if index in problem.parents[index + 2 :]:
             states[index] = newton.state()
     return Solution(problem, mesh.vertices_mm[mesh.surface, :2], tuple(records))
 
 
-def _move_to(newton: StaticNewton, waypoint_mm: NDArray[np.float64]) -> Record:
+def _move_to(
+    newton: StaticNewton, waypoint_mm: NDArray[np.float64], steps_left: Callable[[int], None]
+) -> Record:
     """Lead the indenter to a waypoint in load steps along a straight line, and record the equilibrium there."""
     newton.iterations = 0
     settled = True
-    for command_mm in _commands(newton, waypoint_mm):
-        settled = _advance(newton, command_mm)
+    commands_mm = _commands(newton, waypoint_mm)
+    steps = newton.problem.quality.load_steps(waypoint_mm - newton.command_mm)
+    for left in reversed(range(len(commands_mm))):
+        settled = _advance(newton, commands_mm[-1 - left])
+        # The smaller steps at first contact are part of the first load step.
+        steps_left(min(left, steps))
     record = _record(newton, settled)
     for _ in range(THRESHOLDS.polishing_iterations):
         if not settled or record.diagnostics.coulomb_excess <= THRESHOLDS.largest_coulomb_excess:

@@ -1,5 +1,6 @@
 """Which physics problems a path needs, and which of their solutions serves each pose."""
 
+import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,18 +8,22 @@ from functools import cached_property
 
 import numpy as np
 
+from gelgap.assets.key_lock import key_lock
+from gelgap.assets.user_cache import cache_folder
 from gelgap.sim.cache import load_solution, store_solution
 from gelgap.sim.canonical_frame import CanonicalFrame, canonical_frame, placed_state
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenters.base import Indenter
 from gelgap.sim.membrane import MembraneState, flat_state
 from gelgap.sim.mesh.for_problem import mesh_scale
-from gelgap.sim.newton import solve
+from gelgap.sim.newton import SolveProgress, silent
+from gelgap.sim.pace import timed_solve
 from gelgap.sim.path import ContactPath, Pose, PosePath
 from gelgap.sim.problem import ContactProblem, Waypoint
 from gelgap.sim.scene import Scene, Sharing
 from gelgap.sim.solution import Solution
 
+LOG = logging.getLogger(__name__)
 # At most this many depths share a descent.
 _DEPTHS_PER_DESCENT = 3
 
@@ -34,12 +39,22 @@ class Solve:
     def key(self) -> str:
         return self.problem.key
 
-    def run(self) -> Solution:
-        """Return the solution from the cache, or solve and keep it."""
-        solution = load_solution(self.key) if self.cached else None
-        if solution is None:
-            solution = solve(self.problem)
-            if self.cached:
+    def run(self, progress: SolveProgress = silent) -> Solution:
+        """Return the solution from the cache, or solve and keep it.
+
+        A process that needs what another one is solving waits for it.
+        """
+        if not self.cached:
+            return timed_solve(self.problem, progress)
+        solution = load_solution(self.key)
+        if solution is not None:
+            return solution
+        with key_lock(
+            cache_folder(), self.key, lambda: LOG.info("waiting for another process that solves the same")
+        ):
+            solution = load_solution(self.key)
+            if solution is None:
+                solution = timed_solve(self.problem, progress)
                 store_solution(solution)
         return solution
 

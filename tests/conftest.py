@@ -11,6 +11,14 @@ from gelgap.benchmarks.data.sound_files import make_sound_files
 from gelgap.domains import ArrayFrames
 
 
+@pytest.fixture(scope="session", autouse=True)
+def patient_commands():
+    """Commands of a busy test machine do not say that they are still at it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gelgap.cli.speaking.QUIET_S", 600.0)
+        yield
+
+
 def draw_domain(
     name: str, n: int = 96, seed: int = 0, tint: tuple[float, float, float] = (1, 1, 1)
 ) -> ArrayFrames:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import resource
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -80,7 +81,10 @@ class Workers:
         spawn = multiprocessing.get_context("spawn")
         with (
             single_threaded(),
-            ProcessPoolExecutor(self.processes, mp_context=spawn, max_tasks_per_child=1) as pool,
+            ProcessPoolExecutor(
+                self.processes, mp_context=spawn, max_tasks_per_child=1, initializer=end_with_parent
+            ) as pool,
+            _no_wait_when_stopped(pool),
         ):
             pending = {
                 pool.submit(function, argument): file
@@ -98,6 +102,30 @@ class Workers:
     def _file(self, function: Callable[[Any], Any], argument: Any) -> Path:
         question = f"{_code_digest(inspect.getfile(function))} {function.__qualname__} {argument!r}"
         return self.folder / f"{hashlib.sha256(question.encode()).hexdigest()[:32]}.result"
+
+
+def end_with_parent() -> None:
+    """End this process as soon as the one that started it has ended, however that was."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def _no_wait_when_stopped(pool: ProcessPoolExecutor) -> Iterator[None]:
+    """End a pool's processes when the block is left by an error or an interruption, instead of waiting for them."""
+    try:
+        yield
+    except BaseException:
+        processes = list((pool._processes or {}).values())
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.kill()
+        raise
 
 
 def solve_case(case: Case) -> SolvedCase:

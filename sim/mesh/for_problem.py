@@ -28,16 +28,21 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
     """Mesh the gel finely where it will be touched, at the spacing that the largest contact needs."""
     from gelgap.sim.mesh.ordering import ordered_for_elimination
 
+    mesh = unordered_mesh(problem)
+    return ordered_for_elimination(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])
+
+
+def unordered_mesh(problem: ContactProblem) -> GelMesh:
+    """Return the mesh of `mesh_for` before its vertices are put in the order that suits MuJoCo's factor."""
     size, thickness = problem.mesh_size, problem.thickness_mm
     scale = mesh_scale(problem.indenter, thickness, problem.depth_mm)
     spacing = size.surface_mm * scale
     first_layer = min(size.layer_mm * scale, size.layer_growth * thickness / 6)
     fine_radius = _FINE_MARGIN * problem.penetration_radius_mm + problem.travel_mm + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
-    mesh = pad_mesh(
+    return pad_mesh(
         DiscGrid(radius, fine_radius, spacing, size.sectors, size.ring_growth),
         layer_heights_mm(thickness, first_layer, size.layer_growth),
         problem.pad_mm,
         symmetric=problem.symmetric,
     )
-    return ordered_for_elimination(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])

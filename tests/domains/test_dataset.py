@@ -238,3 +238,17 @@ def test_torch_batches_are_pairs_of_normalised_pictures(data: Path, pairing: str
     assert classes.dtype == torch.int64
     one, _, _ = pairs[0]
     assert torch.equal(one, inputs[0])
+
+
+def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    from gelgap.domains import clear_picture_cache
+
+    shutil.copytree(data / "mb0i1", tmp_path / "copy", ignore=shutil.ignore_patterns(".cache"))
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))
+    open_domain(tmp_path / "copy").images(32)
+    assert not (tmp_path / "copy" / ".cache").exists()
+    assert len(list((tmp_path / "cache" / "images").glob("*.npy"))) == 1
+    assert clear_picture_cache() > 0
+    assert not list((tmp_path / "cache" / "images").glob("*.npy"))

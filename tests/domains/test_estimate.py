@@ -17,3 +17,9 @@ def test_sharing_of_pictures_is_part_of_the_estimate():
     assert both.solves == alone[0].solves == alone[1].solves
     assert both.frames == sum(one.frames for one in alone)
     assert both.wall_s > 0
+
+
+def test_one_solve_is_not_shared_and_a_busy_machine_takes_longer():
+    plan = estimate(make_recipes(["mb0i0"], "smoke", size_px=(80, 60), render_quality="draft"), workers=50)
+    assert plan.wall_s >= plan.busy * plan.longest_solve_s
+    assert plan.busy >= 1

@@ -1,0 +1,288 @@
+"""Commands stopped at random moments: whether what they say is kept is, and a second run ends as an undisturbed one."""
+
+import contextlib
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+from gelgap.benchmarks.common.records import Ledger
+from gelgap.benchmarks.common.tables import print_table, write_json
+
+TIMES, QUICK_TIMES = 50, 2
+DEADLINE_S = 300.0
+END_S = 15.0
+"""A stopped command and its workers have ended after so long."""
+SIGNALS = {"kill -INT": signal.SIGINT, "kill -9": signal.SIGKILL}
+COLUMNS = (
+    *("command", "stopped by", "times", "still at work", "sentences", "tracebacks", "left running"),
+    *("finished parts kept", "done again", "reruns that failed", "files different"),
+)
+_ALL_DONE = "all is done"
+_CHILD = """
+import sys
+try:
+    from pathlib import Path
+    from gelgap.benchmarks.data.interruptions import COMMANDS
+    from gelgap.cli.start import start
+    sys.argv[1:] = COMMANDS[{name!r}].arguments(Path({folder!r}), Path({data!r}))
+except KeyboardInterrupt:
+    sys.exit("gelgap: interrupted before it began")
+start()
+print("all is done", flush=True)
+"""
+POINTS = """points_x_mm = [-1.0, 1.0]
+points_y_mm = [0.0]
+depths_mm = [0.15, 0.2]
+radii_mm = [0.1]
+angles_deg = [0.0, 60.0, 120.0, 180.0, 240.0, 300.0]
+"""
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """What came of stopping one command by one signal so many times.
+
+    `still_at_work`: in how many the signal came before the end. `sentences`: ended with one sentence that says what is
+    kept, or that nothing had begun. `parts_kept`: finished parts that the second run left as they were; `parts_again`:
+    that it made again. `different`: files that differ from an undisturbed run's in the end.
+    """
+
+    command: str
+    stopped_by: str
+    times: int
+    still_at_work: int
+    sentences: int
+    tracebacks: int
+    left_running: int
+    parts_kept: int
+    parts_again: int
+    failed: int
+    different: int
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """A command that can be stopped: its arguments, and below its folder the files that are finished parts.
+
+    `arguments` is called in the process of the command, which it makes small, with the folders of output and data.
+    """
+
+    name: str
+    arguments: Callable[[Path, Path], list[str]]
+    parts: str
+
+
+def _arguments_of_generate(folder: Path, data: Path) -> list[str]:
+    """Generate two domains of a few frames in shards of eight, their physics solved anew."""
+    from gelgap.domains import plan
+
+    os.environ["GELGAP_CACHE"] = str(folder / "cache")
+    plan.FRAMES_PER_SHARD = 8
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "path.toml"
+    if not path.is_file():
+        path.write_text(POINTS)
+    small = ("--path", str(path), "--quality", "draft", "--size", "80", "60", "--scheduler", "synchronous")
+    return ["generate", "mb0i0", "wmb0i0", *small, "--out", str(folder)]
+
+
+def _arguments_of_adapt(folder: Path, data: Path) -> list[str]:
+    """Adapt between these two domains, with three epochs a stage."""
+    from gelgap.adapt import Profile
+
+    smoke = Profile.preset("smoke").replace(source_epochs=3, adapt_epochs=3, image_size_px=(64, 48))
+    Profile.preset = classmethod(lambda cls, name: smoke)
+    domains = ("--source", str(data / "mb0i0"), "--target", str(data / "wmb0i0"))
+    return ["adapt", *domains, "--method", "source-only", "coral", "--out", str(folder)]
+
+
+def _arguments_of_physics(folder: Path, data: Path) -> list[str]:
+    """Solve what a small `benchmark physics --quick` would solve, and keep it as the benchmark does."""
+    from gelgap.benchmarks.physics import accuracy
+
+    accuracy.run = _solve_shallow_presses
+    return ["benchmark", "physics", "--quick", "--out", str(folder)]
+
+
+def _solve_shallow_presses(quick: bool, out_dir: Path) -> None:
+    from gelgap.benchmarks.physics.cases import Case, Workers
+    from gelgap.sim import Elastomer, Pose
+
+    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
+    cases = [Case(f"{d:g} mm", gel, (Pose(depth_mm=d),), "draft") for d in (0.05, 0.1, 0.15, 0.2)]
+    solved = Workers(2, out_dir / "physics-solves").solve(cases)
+    write_json(out_dir / "physics.json", [[state.force_n for state in one.states] for one in solved])
+
+
+COMMANDS = {
+    command.name: command
+    for command in (
+        Stopped("generate", _arguments_of_generate, "*/frames-*.parquet"),
+        Stopped("adapt", _arguments_of_adapt, "*/run.json"),
+        Stopped("benchmark physics --quick", _arguments_of_physics, "physics-solves/*.result"),
+    )
+}
+
+
+def run(quick: bool, out_dir: Path) -> None:
+    """Stop every command many times, run it again each time, compare; print the table, write `interruptions.json`."""
+    from gelgap.domains import package_versions
+
+    folder = out_dir / "interruptions"
+    ledger = Ledger(folder / "unfinished.jsonl", [quick, package_versions()])
+    results = measure_all(folder, QUICK_TIMES if quick else TIMES, ledger)
+    print_table("Commands stopped at random moments", COLUMNS, [astuple(result) for result in results])
+    write_json(out_dir / "interruptions.json", results)
+    ledger.close()
+
+
+def measure_all(folder: Path, times: int, ledger: Ledger) -> list[Interrupted]:
+    """Stop each command by each signal so many times; what the ledger has is not done again."""
+    data, results = folder / "generate-undisturbed", []
+    for command in COMMANDS.values():
+        undisturbed = folder / f"{command.name.split()[-1].strip('-')}-undisturbed"
+        undisturbed = data if command.name == "generate" else undisturbed
+        shutil.rmtree(undisturbed, ignore_errors=True)
+        start = time.monotonic()
+        child = begin(command, undisturbed, data)
+        if child.wait(DEADLINE_S):
+            raise RuntimeError(f"{command.name} fails undisturbed: {_said(undisturbed)[-300:]}")
+        duration_s = time.monotonic() - start
+        print(f"{command.name}: undisturbed {duration_s:.1f} s", flush=True)
+        for name, number in SIGNALS.items():
+            place = (command, undisturbed, folder / "stopped", data, duration_s)
+            label = f"{command.name}, {name}"
+            result = ledger.once(
+                label, Interrupted, lambda p=place, n=name, s=number: measure(*p, n, s, times)
+            )
+            print(f"{label}: {result.times} times, {result.different} files different", flush=True)
+            results.append(result)
+    return results
+
+
+def measure(
+    command: Stopped,
+    undisturbed: Path,
+    folder: Path,
+    data: Path,
+    duration_s: float,
+    stopped_by: str,
+    number: int,
+    times: int,
+) -> Interrupted:
+    """Stop one command by one signal at so many random moments of its run."""
+    moments = random.Random(f"{command.name} {stopped_by}")
+    expected = digests(undisturbed)
+    at_work = sentences = tracebacks = running = kept = again = failed = different = 0
+    for _ in range(times):
+        shutil.rmtree(folder, ignore_errors=True)
+        child = begin(command, folder, data)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(moments.uniform(0.0, duration_s))
+        if child.poll() is None:
+            os.kill(child.pid, number)
+        running += not _all_end(child)
+        text = _said(folder)
+        # A process that was stopped when its work was over, and only it had to end, has nothing to say.
+        stopped = _ALL_DONE not in _file(folder, "stdout").read_text()
+        at_work += stopped
+        said = child.returncode in (1, 130) and text.count("gelgap: interrupted") == 1
+        if stopped and number == signal.SIGINT and not said:
+            print(f"  ended with code {child.returncode}: {text[-200:].strip()!r}", flush=True)
+        sentences += stopped and said
+        tracebacks += "Traceback" in text
+        finished = {path: path.stat().st_mtime_ns for path in folder.glob(command.parts)}
+        failed += begin(command, folder, data).wait(DEADLINE_S) != 0
+        unchanged = sum(path.is_file() and path.stat().st_mtime_ns == old for path, old in finished.items())
+        kept, again = kept + unchanged, again + len(finished) - unchanged
+        found = digests(folder)
+        different += sum(found.get(name) != expected.get(name) for name in found.keys() | expected.keys())
+    return Interrupted(
+        *(command.name, stopped_by, times, at_work, sentences, tracebacks),
+        *(running, kept, again, failed, different),
+    )
+
+
+def begin(command: Stopped, folder: Path, data: Path) -> subprocess.Popen:
+    """Start a command in a process and a session of its own; what it says goes beside its folder."""
+    code = _CHILD.format(name=command.name, folder=str(folder), data=str(data))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with _file(folder, "stderr").open("w") as said, _file(folder, "stdout").open("w") as printed:
+        return subprocess.Popen(
+            [sys.executable, "-c", code], stdout=printed, stderr=said, start_new_session=True
+        )
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of what a command is for; times, logs, locks and caches are left out."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if (
+            hidden
+            or not path.is_file()
+            or name == "run.jsonl"
+            or name.startswith(("cache/", "physics-solves/"))
+        ):
+            continue
+        content = path.read_bytes()
+        if path.name == "run.json":
+            content = json.dumps({**json.loads(content), "wall_s": None, "history": None}).encode()
+        if path.suffix == ".pt":
+            content = _weights(path)
+        found[name] = hashlib.sha256(content).hexdigest()
+    return found
+
+
+def _weights(checkpoint: Path) -> bytes:
+    """Return the numbers of a checkpoint's network; the rest of the file has times of the epochs."""
+    import torch
+
+    state = torch.load(checkpoint, weights_only=True)["state"]
+    return b"".join(name.encode() + state[name].numpy().tobytes() for name in sorted(state))
+
+
+def _file(folder: Path, stream: str) -> Path:
+    return folder.with_name(f"{folder.name}.{stream}")
+
+
+def _said(folder: Path) -> str:
+    return _file(folder, "stderr").read_text(errors="replace")
+
+
+def _all_end(child: subprocess.Popen) -> bool:
+    """Wait until a stopped command and all that it started have ended; end by force what has not."""
+    deadline = time.monotonic() + END_S
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(END_S)
+    while _session(child.pid) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    left = _session(child.pid)
+    for process in left:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+    child.wait()
+    return not left
+
+
+def _session(leader: int) -> list[int]:
+    """Return the processes of a session that still run."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        with contextlib.suppress(OSError):
+            state, *rest = (entry / "stat").read_text().rpartition(")")[2].split()
+            if int(rest[2]) == leader and state != "Z":
+                found.append(int(entry.name))
+    return found

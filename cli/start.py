@@ -1,0 +1,21 @@
+"""The `gelgap` script: one that is stopped while it still loads its parts ends with a sentence as well."""
+
+import sys
+import time
+
+EXIT_INTERRUPTED = 130
+
+
+def start() -> None:
+    """Load the command line and run it."""
+    started = time.perf_counter()
+    try:
+        from gelgap.cli.main import main
+    except KeyboardInterrupt:
+        print("gelgap: interrupted before anything was done; run the same command again", file=sys.stderr)
+        raise SystemExit(EXIT_INTERRUPTED) from None
+    main(started=started)
+
+
+if __name__ == "__main__":
+    start()

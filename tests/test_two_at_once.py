@@ -1,0 +1,157 @@
+"""Real processes at the same time on one cache or one output: each thing is made once, and none of them fails."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SOLVE = """
+import sys
+from gelgap.sim import Elastomer, Pose, Sphere, solve_pose
+from gelgap.sim import pace
+solve, solved = pace.solve, []
+pace.solve = lambda problem, progress: (solved.append(1), solve(problem, progress))[1]
+gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
+state = solve_pose(gel, Sphere(), Pose(depth_mm=0.1), "draft")
+print(len(solved), float(state.force_n[2]))
+"""
+LED = """
+from gelgap.render import led_cache
+from gelgap.render.spectrum import PeakSpectrum
+made = []
+led_cache.camera_rgb = lambda *_: made.append(1) or ((0.1, 0.2, 0.3),)
+spectrum = PeakSpectrum(peak_nm=470.0, width_nm=20.0)
+print(len(made), led_cache.cached_camera_rgb((spectrum,), "test", None), len(made))
+"""
+PICTURES = """
+import sys
+from gelgap.domains import open_domain
+from gelgap.domains.stored import StoredFrames
+build, made = StoredFrames._build_cache, []
+StoredFrames._build_cache = lambda self, *rest: (made.append(1), build(self, *rest))[1]
+images = open_domain(sys.argv[1]).images(32)
+print(len(made), int(images.sum()))
+"""
+
+
+def ten_processes(code: str, cache: Path, *arguments: str) -> list[list[str]]:
+    """Run ten processes at the same time and return the words that each printed."""
+    children = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, *arguments],
+            env=os.environ | {"GELGAP_CACHE": str(cache)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(10)
+    ]
+    ended = [child.communicate(timeout=300) for child in children]
+    assert [child.returncode for child in children] == [0] * 10, ended
+    return [out.split() for out, _ in ended]
+
+
+def test_ten_processes_on_a_cold_cache_solve_once(tmp_path: Path) -> None:
+    printed = ten_processes(SOLVE, tmp_path)
+    assert sorted(count for count, _ in printed) == ["0"] * 9 + ["1"]
+    assert len({force for _, force in printed}) == 1
+    assert sorted(path.suffix or path.name for path in tmp_path.iterdir()) == [
+        ".jsonl",
+        ".locks",
+        ".solution",
+    ]
+
+
+def test_ten_processes_on_a_cold_cache_compute_the_colours_of_leds_once(tmp_path: Path) -> None:
+    printed = ten_processes(LED, tmp_path)
+    assert sorted(words[-1] for words in printed) == ["0"] * 9 + ["1"]
+    assert sorted(path.suffix or path.name for path in tmp_path.iterdir()) == [".led", ".locks"]
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """A folder of pictures with a table."""
+    import cv2
+    import numpy as np
+
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    rows = ["image,fx_n,fy_n,fz_n"]
+    for name in ("reference", *map(str, range(40))):
+        cv2.imwrite(str(folder / f"{name}.png"), rng.integers(0, 255, (96, 128, 3), dtype=np.uint8))
+        if name != "reference":
+            rows.append(f"{name}.png,0,0,-0.5")
+    (folder / "forces.csv").write_text("\n".join(rows))
+    return folder
+
+
+def test_ten_processes_shrink_the_pictures_of_a_data_set_once(pictures: Path, tmp_path: Path) -> None:
+    printed = ten_processes(PICTURES, tmp_path / "cache", str(pictures))
+    assert sorted(count for count, _ in printed) == ["0"] * 9 + ["1"]
+    assert len({total for _, total in printed}) == 1
+
+
+def held(folder: Path, name: str = ".lock") -> subprocess.Popen:
+    """Return a process that holds the lock of an output folder."""
+    code = (
+        "import sys, pathlib\nfrom gelgap.assets.sole_use import sole_use\n"
+        f"with sole_use(pathlib.Path({str(folder)!r}), {name!r}):\n    print('held', flush=True); sys.stdin.read()"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout.readline() == "held\n"
+    return child
+
+
+@pytest.mark.parametrize(
+    ("arguments", "folder", "lock"),
+    [
+        (["benchmark", "physics", "--quick", "--out", "OUT"], "", ".lock-physics"),
+        (["report", "OUT"], "", ".lock"),
+        (["export", "DATA", "--out", "OUT/export"], ".export.building", ".lock"),
+        (
+            [
+                "generate",
+                "mb0i0",
+                "--path",
+                "smoke",
+                "--quality",
+                "draft",
+                "--size",
+                "64",
+                "48",
+                "--out",
+                "OUT",
+            ],
+            "",
+            ".lock",
+        ),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_a_second_process_on_one_output_is_refused_and_says_by_whom(
+    arguments: list[str],
+    folder: str,
+    lock: str,
+    pictures: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    from gelgap.cli.main import main
+
+    out = tmp_path / "out"
+    first = held(out / folder, lock)
+    try:
+        places = {"OUT": str(out), "DATA": str(pictures), "OUT/export": str(out / "export")}
+        with pytest.raises(SystemExit) as stop:
+            main([places.get(argument, argument) for argument in arguments])
+    finally:
+        first.communicate("")
+    assert stop.value.code == 1
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert f"another process (pid {first.pid}) is writing to {out / folder}" in error, json.dumps(error)
