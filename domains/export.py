@@ -164,7 +164,7 @@ def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
         folder = out_dir / frames.name
         folder.mkdir()
         (folder / "reference.png").write_bytes(encode_png(frames.reference))
-        shards = sorted(frames.folder.glob("frames-*.parquet"))
+        shards = frames.shard_paths
         schema = pq.read_schema(shards[0])
         writers = {
             part: pq.ParquetWriter(folder / f"{part}-00000.parquet", schema, compression="zstd")

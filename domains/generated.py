@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
@@ -55,7 +56,7 @@ class GeneratedDomain(StoredFrames):
     def _check_bytes(self, files: DomainFolder) -> None:
         """Compare every file with the manifest: a changed label would train a model, and no one would see it."""
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
-            problems = threads.map(lambda item: files.problem(*item), self.manifest["files"].items())
+            problems = threads.map(lambda item: _problem(files, *item), self.manifest["files"].items())
             for name, problem in zip(self.manifest["files"], problems, strict=True):
                 if problem == MISSING:
                     raise FileNotFoundError(f"{self.folder / name} is missing; generate the domain again")
@@ -85,6 +86,11 @@ class GeneratedDomain(StoredFrames):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open_files": {}, "_group": (None, [])}
+
+    @property
+    def shard_paths(self) -> list[Path]:
+        """The Parquet files that the manifest names, in order."""
+        return [self.folder / name for name in self._shards]
 
     @cached_property
     def reference(self) -> np.ndarray:
@@ -181,6 +187,28 @@ def _check_columns(file: "ParquetFile") -> None:
     for column in (*LABELS, IMAGE):
         if column.name not in schema.names or schema.field(column.name).type != column.type:
             raise ValueError(f"column {column.name} is missing or not {column.type}")
+
+
+# What a process has compared, by path, time of change and entry: a page or an export opens a domain several times.
+_INTACT: set[tuple[Path, int, str]] = set()
+_SETTLED_NS = 2_000_000_000
+
+
+def _problem(files: DomainFolder, name: str, entry: dict[str, Any]) -> str | None:
+    """Return how a file differs from its manifest entry; a file that did not change since is not read again."""
+    path = files.path / name
+    try:
+        modified_ns = path.stat().st_mtime_ns
+    except OSError:
+        return MISSING
+    key = path.absolute(), modified_ns, entry["sha256"]
+    if key in _INTACT and path.stat().st_size == entry["bytes"]:
+        return None
+    problem = files.problem(name, entry)
+    # What was written a moment ago may be written again without a later time.
+    if problem is None and time.time_ns() - modified_ns > _SETTLED_NS:
+        _INTACT.add(key)
+    return problem
 
 
 def _damaged(path: Path, problem: str) -> RuntimeError:

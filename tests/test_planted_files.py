@@ -95,7 +95,8 @@ def test_planted_colours_are_named_and_made_again(files: Path, planted: bytes, m
         assert file.with_name(f"{file.name}.damaged").read_bytes() == planted
 
 
-def test_a_planted_picture_cache_is_named_and_made_again(files: Path, caplog) -> None:
+def test_a_planted_picture_cache_is_named_and_made_again(files: Path, caplog, monkeypatch) -> None:
+    monkeypatch.delenv("GELGAP_CACHE", raising=False)
     frames = open_domain(files / "pictures")
     expected = np.array(frames.images())
     (cache,) = (files / "pictures" / ".cache").glob("*.npy")
@@ -110,8 +111,9 @@ def test_a_planted_picture_cache_is_named_and_made_again(files: Path, caplog) ->
 
 
 def test_a_picture_cache_of_an_older_version_is_made_again_and_older_versions_read_the_new_one(
-    files: Path,
+    files: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv("GELGAP_CACHE", raising=False)
     frames = open_domain(files / "pictures")
     expected = np.array(frames.images())
     (cache,) = (files / "pictures" / ".cache").glob("*.npy")

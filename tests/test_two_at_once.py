@@ -29,9 +29,9 @@ print(len(made), led_cache.cached_camera_rgb((spectrum,), "test", None), len(mad
 PICTURES = """
 import sys
 from gelgap.domains import open_domain
-from gelgap.domains.stored import StoredFrames
-build, made = StoredFrames._build_cache, []
-StoredFrames._build_cache = lambda self, *rest: (made.append(1), build(self, *rest))[1]
+from gelgap.domains import stored
+write, made = stored.write_kept_pictures, []
+stored.write_kept_pictures = lambda *given: (made.append(1), write(*given))[1]
 images = open_domain(sys.argv[1]).images(32)
 print(len(made), int(images.sum()))
 """
@@ -145,6 +145,8 @@ def test_a_second_process_on_one_output_is_refused_and_says_by_whom(
     from gelgap.cli.main import main
 
     out = tmp_path / "out"
+    (out / "run").mkdir(parents=True)
+    (out / "run" / "run.json").write_text("{}")
     first = held(out / folder, lock)
     try:
         places = {"OUT": str(out), "DATA": str(pictures), "OUT/export": str(out / "export")}

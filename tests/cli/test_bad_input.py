@@ -106,7 +106,6 @@ ALLOWED: dict[tuple[str | Rule, str], str] = {
     ("generate --name", "unknown file"): ANY_NAME,
     ("generate --name", "folder"): ANY_NAME,
     ("generate --name", "file"): ANY_NAME,
-    ("adapt --weights", "file"): "only reading all of it tells; that comes before training",
 }
 """Values of the table above that are right after all, by option or by rule, and why."""
 
