@@ -88,6 +88,7 @@ def test_an_interrupted_command_says_what_is_true_of_it(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(COMMANDS[arguments[0]], "run", stop)
+    monkeypatch.setattr(command_line, "check_values", lambda command: None)
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == command_line.EXIT_INTERRUPTED

@@ -55,7 +55,7 @@ def test_led_colours_are_kept_on_disk_and_a_damaged_file_is_computed_anew(tmp_pa
     spectra = (PeakSpectrum(peak_nm=611, width_nm=17), WhiteSpectrum(cct_k=4321))
     truth = camera_rgb(spectra, NIKON, None)
     assert cached_camera_rgb(spectra, NIKON, None) == truth
-    (file,) = tmp_path.iterdir()
+    (file,) = tmp_path.glob("*.led")
     monkeypatch.setattr("gelgap.render.led_cache.camera_rgb", lambda *_: pytest.fail("computed again"))
     assert cached_camera_rgb(spectra, NIKON, None) == truth
     monkeypatch.setattr("gelgap.render.led_cache.camera_rgb", camera_rgb)

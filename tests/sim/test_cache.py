@@ -110,7 +110,9 @@ def test_a_solution_goes_between_processes(solution: Solution) -> None:
     assert solution_bytes(sent) == solution_bytes(solution)
 
 
-def test_a_disk_that_takes_no_file_is_a_clear_error(cache: Path, solution: Solution) -> None:
-    cache.write_text("a file where the folder should be")
+def test_a_disk_that_takes_no_file_is_a_clear_error(
+    solution: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GELGAP_CACHE", "/proc/takes-no-file")
     with pytest.raises(RuntimeError, match="cannot write"):
         store_solution(solution)
