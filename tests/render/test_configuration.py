@@ -64,7 +64,7 @@ def test_led_colours_are_kept_on_disk_and_a_damaged_file_is_computed_anew(tmp_pa
         file.write_text(damage)
         assert cached_camera_rgb(spectra, NIKON, None) == truth
     clear_led_cache()
-    assert not list(tmp_path.iterdir())
+    assert not list(tmp_path.glob("*.led*"))
     monkeypatch.setenv("GELGAP_CACHE", "/proc/nowhere")
     assert cached_camera_rgb(spectra, NIKON, None) == truth
 
