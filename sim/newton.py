@@ -153,7 +153,8 @@ class StaticNewton:
 def solve(problem: ContactProblem) -> Solution:
     """Solve the problem from the undeformed gel."""
     mesh = mesh_for(problem)
-    gel = build_gel_model(problem, mesh, mesh_moduli(problem.moduli, problem.mesh_size.stiffness))
+    moduli = mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
+    gel = build_gel_model(problem, mesh, moduli)
     newton = StaticNewton(gel, problem)
     states = {-1: newton.state()}
     records = []
