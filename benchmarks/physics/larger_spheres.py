@@ -1,4 +1,4 @@
-"""Spheres larger than those that a mesh was calibrated with: an outside table, and presses of the project's own solver."""
+"""Spheres larger than those that meshes are calibrated with: an outside table, and presses of the project's solver."""
 
 import csv
 import json
