@@ -1,5 +1,6 @@
 """The gel's elastic moduli, and those that MuJoCo's energy and a mesh need in order to act as the gel does."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -60,16 +61,17 @@ def equivalent_moduli(isochoric: Moduli) -> Moduli:
     )
 
 
-def mesh_moduli(gel: Moduli, stiffness: tuple[float, float]) -> Moduli:
+def mesh_moduli(gel: Moduli, stiffness: tuple[float, float], contact_width: float = 1.0) -> Moduli:
     """Return the moduli with which a mesh of that stiffness (a, b) acts as the gel; both in MuJoCo's energy.
 
     Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
     scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does:
     1 + a + b / (1 − 2ν). `python -m gelgap.benchmarks.calibration.mesh` derives a and b against locking-free solutions
-    of the same energy, and checks them on radii, thicknesses, ν and friction that it did not use.
+    of the same energy, and checks them on radii, thicknesses, ν and friction that it did not use. Under a contact that
+    is `contact_width` times as wide as the gel is thick, the excess is smaller by the root of that.
     """
     excess = max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
     poisson_ratio = gel.poisson_ratio - excess
-    a, b = stiffness
+    a, b = (coefficient / math.sqrt(contact_width) for coefficient in stiffness)
     factor = 1 + a + b / (1 - 2 * poisson_ratio)
     return Moduli(gel.young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * excess) / factor, poisson_ratio)

@@ -163,7 +163,8 @@ def solve(problem: ContactProblem, progress: SolveProgress = silent) -> Solution
     done, total = 0, problem.load_steps
     progress(done, total)
     mesh = mesh_for(problem)
-    gel = build_gel_model(problem, mesh, mesh_moduli(problem.moduli, problem.mesh_size.stiffness))
+    moduli = mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
+    gel = build_gel_model(problem, mesh, moduli)
     newton = StaticNewton(gel, problem)
     states = {-1: newton.state()}
     records = []

@@ -15,7 +15,7 @@ from gelgap.sim.canonical_frame import CanonicalFrame, canonical_frame, placed_s
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenters.base import Indenter
 from gelgap.sim.membrane import MembraneState, flat_state
-from gelgap.sim.mesh.for_problem import mesh_scale
+from gelgap.sim.mesh.scale import contact_width, mesh_scale
 from gelgap.sim.newton import SolveProgress, silent
 from gelgap.sim.pace import timed_solve
 from gelgap.sim.path import ContactPath, Pose, PosePath
@@ -132,7 +132,8 @@ def _descent_problems(scene: Scene, poses: Sequence[Pose]) -> list[_Served]:
         frame = frames[index] = canonical_frame(scene, pose)
         direction = np.round(frame.travel_mm(pose) / (pose.radius_mm or 1.0), 9) + 0.0
         drag = _Drag(pose.depth_mm, tuple(direction.tolist()), pose.radius_mm)
-        fineness = mesh_scale(scene.indenter, scene.elastomer.thickness_mm, pose.depth_mm)
+        contact = (scene.indenter, scene.elastomer.thickness_mm, pose.depth_mm)
+        fineness = (mesh_scale(*contact), contact_width(*contact))
         alone = None if scene.sharing.path else index
         group = groups.setdefault((frame.pad_mm, fineness, alone), {})
         group.setdefault(drag, []).append(index)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from gelgap.sim.indenters.base import Indenter, Symmetry
 from gelgap.sim.indenters.registry import AnyIndenter
 from gelgap.sim.material import Moduli
+from gelgap.sim.mesh.scale import contact_width
 from gelgap.sim.quality import MeshSize, Quality
 
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
 _METHOD_VERSION = 20
+_WIDE_CONTACT_VERSION = 21  # of contacts wider than the gel is thick
 
 Waypoint = tuple[float, float, float]
 PadEdges = tuple[float, float, float, float]
@@ -69,6 +71,11 @@ class ContactProblem:
         return self.indenter.penetration_radius_mm(self.depth_mm)
 
     @property
+    def contact_width(self) -> float:
+        """How wide the contact is, in thicknesses of the gel; 1 if it is narrower."""
+        return contact_width(self.indenter, self.thickness_mm, self.depth_mm)
+
+    @property
     def segments_mm(self) -> NDArray[np.float64]:
         """The straight segment (start, end) to each waypoint from its parent, (n, 2, 3)."""
         places = np.array([*self.waypoints_mm, (0.0, 0.0, 0.0)])
@@ -82,6 +89,7 @@ class ContactProblem:
     @property
     def key(self) -> str:
         """A hash of the physics and of the method that solves it."""
-        values = {"method": _METHOD_VERSION, "shape": self.indenter.shape, **asdict(self)}
+        version = _WIDE_CONTACT_VERSION if self.contact_width > 1 else _METHOD_VERSION
+        values = {"method": version, "shape": self.indenter.shape, **asdict(self)}
         text = json.dumps(values, sort_keys=True, default=Indenter.model_dump)
         return hashlib.sha256(text.encode()).hexdigest()

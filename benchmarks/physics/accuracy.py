@@ -16,6 +16,7 @@ from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, w
 from gelgap.benchmarks.physics import closed_forms, path, savings
 from gelgap.benchmarks.physics.cases import Case, Workers
 from gelgap.benchmarks.physics.drags import DragErrors, compare_drags, drag_case
+from gelgap.benchmarks.physics.larger_spheres import OWN, tabled_sphere
 from gelgap.benchmarks.physics.presses import (
     HELD_BACK,
     PressErrors,
@@ -93,17 +94,20 @@ def full_tables(workers: Workers) -> dict[str, Any]:
         if quality != "fine" or name == FINE_CASE
     }
     held_back = {press_case(r, "standard"): r for r in workers.map(held_back_reference, HELD_BACK)}
+    spheres = [tabled_sphere(), *workers.map(held_back_reference, OWN)]
+    larger = {press_case(r, quality): r for quality in ("draft", "standard") for r in spheres}
     drag_references = (*no_slip_drags(), *coulomb_drags())
     drags = {drag_case(r, quality): r for quality in ("draft", "standard") for r in drag_references}
     others = [closed_forms.shallow_case("standard"), closed_forms.PARTIAL_SLIP, *own_energy_cases()]
     saved = [*savings.cases(quick=False), *savings.edge_cases()]
-    solve_ahead(workers, [*presses, *held_back, *drags, *others, *saved])
+    solve_ahead(workers, [*presses, *held_back, *larger, *drags, *others, *saved])
     own = own_energy(workers)
     pressed = compare_presses(TITLE, presses, workers, picture_maker())
     return {
         "own_energy": own,
         "presses": pressed,
         "held_back": compare_presses("Held-back presses", held_back, workers),
+        "larger_spheres": compare_presses("Larger spheres", larger, workers),
         "partial_slip": closed_forms.partial_slip(workers),
         "theory": closed_forms.shallow_presses("standard", workers),
         "convergence": convergence(pressed),

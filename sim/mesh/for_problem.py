@@ -1,27 +1,16 @@
 """The mesh that a contact problem needs: fine where the gel will be touched, coarse elsewhere."""
 
-from gelgap.sim.indenters.base import Indenter
-from gelgap.sim.indenters.sphere import Sphere
 from gelgap.sim.mesh.pad import GelMesh, layer_heights_mm, pad_mesh
 from gelgap.sim.mesh.plane import DiscGrid
+from gelgap.sim.mesh.scale import mesh_scale
 from gelgap.sim.problem import ContactProblem
 
-# The lengths of the qualities' meshes are given for this sphere, pad and depth.
-_REFERENCE_INDENTER = Sphere(diameter_mm=3.0)
-_REFERENCE_THICKNESS_MM = 3.0
-_REFERENCE_DEPTH_MM = 1.0
 # Gel further from the contact than this does not matter, and is not meshed.
 _DISC_THICKNESSES = 3.3
+# What a contact wider than the gel is thick squeezes out bulges beside it, and matters as far as this beyond it.
+_BESIDE_WIDE_CONTACT_THICKNESSES = 4.0
 _SMALLEST_DISC = 1.5  # of the finely meshed radius
 _FINE_MARGIN = 1.15  # of the penetration radius
-
-
-def mesh_scale(indenter: Indenter, thickness_mm: float, depth_mm: float) -> float:
-    """Return how many times coarser a scene's mesh is than the one that a quality's lengths refer to."""
-    size = indenter.feature_size_mm / _REFERENCE_INDENTER.feature_size_mm
-    penetration_radius = indenter.penetration_radius_mm(depth_mm)
-    contact = penetration_radius / _REFERENCE_INDENTER.penetration_radius_mm(_REFERENCE_DEPTH_MM)
-    return max(min(size, thickness_mm / _REFERENCE_THICKNESS_MM), contact)
 
 
 def mesh_for(problem: ContactProblem) -> GelMesh:
@@ -40,6 +29,9 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
     first_layer = min(size.layer_mm * scale, size.layer_growth * thickness / 6)
     fine_radius = _FINE_MARGIN * problem.penetration_radius_mm + problem.travel_mm + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
+    if problem.contact_width > 1:
+        beside_mm = _BESIDE_WIDE_CONTACT_THICKNESSES * thickness
+        radius = max(radius, problem.penetration_radius_mm + problem.travel_mm + beside_mm)
     return pad_mesh(
         DiscGrid(radius, fine_radius, spacing, size.sectors, size.ring_growth),
         layer_heights_mm(thickness, first_layer, size.layer_growth),
