@@ -35,16 +35,17 @@ def make_sound_files(folder: Path) -> None:
     """Write the files below a folder; solves go to its own cache, decoded pictures beside the data."""
     from gelgap.domains import open_domain
 
-    _pictures(folder / "pictures")
-    os.environ.pop("GELGAP_CACHE", None)
-    open_domain(folder / "pictures").images()
     os.environ["GELGAP_CACHE"] = str(folder / "cache")
     _generated(folder / "data")
     _membrane(folder)
+    _pictures(folder / "pictures")
     _published(folder / "published")
     _runs(folder)
     _settings(folder / "settings")
     _records(folder / "records")
+    del os.environ["GELGAP_CACHE"]
+    open_domain(folder / "pictures").images()
+    os.environ["GELGAP_CACHE"] = str(folder / "cache")
 
 
 def picture(number: int) -> np.ndarray:
