@@ -14,7 +14,13 @@ from .inpainting import inpaint_telea as inpaint_telea
 from .led import Emitter as Emitter
 from .led import Led as Led
 from .led_cache import clear_led_cache as clear_led_cache
+from .light_calibration import HeldOut as HeldOut
+from .light_calibration import LightCalibration as LightCalibration
+from .light_calibration import calibrate_light as calibrate_light
+from .light_calibration import save_calibration as save_calibration
 from .markers import marker_rest_mm as marker_rest_mm
+from .press_profiles import PressProfiles as PressProfiles
+from .press_profiles import SolvedPress as SolvedPress
 from .renderer import MembraneRenderer as MembraneRenderer
 from .scattered import Scattered as Scattered
 from .sensor import Coating as Coating

@@ -349,7 +349,7 @@ def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> Non
 
 
 def take_pictures_to_calibrate_with(folder: Path) -> None:
-    """Write what `gelgap calibrate` needs: a sensor, its reference, and three presses at different points."""
+    """Write what `gelgap calibrate` needs: a sensor, its reference, and six presses at different points."""
     import cv2
 
     from gelgap.render import MembraneRenderer, Sensor, save_sensor
@@ -360,12 +360,14 @@ def take_pictures_to_calibrate_with(folder: Path) -> None:
     save_sensor(sensor, folder / "start.toml")
     cv2.imwrite(str(folder / "ref.png"), renderer.reference(markers=False)[..., ::-1])
     tables = []
-    for number, (x, y) in enumerate([(1.5, -0.8), (-2.0, 1.0), (0.5, 1.5)], start=1):
+    for number, (x, y) in enumerate(
+        [(1.5, -0.8), (-2, 1), (0.5, 1.5), (-1.5, -1.5), (2.5, 1), (0, -2)], start=1
+    ):
         picture = renderer.picture(state.x_mm + x, state.y_mm + y, state.displacement_mm, markers=False)
         cv2.imwrite(str(folder / f"press-{number}.png"), picture[..., ::-1])
         tables.append(
             f'[[presses]]\npicture = "press-{number}.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\n'
-            f"point_mm = [{x}, {y}]\n"
+            f"point_mm = [{float(x)}, {float(y)}]\n"
         )
     (folder / "presses.toml").write_text("".join(tables))
 
