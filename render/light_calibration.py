@@ -120,7 +120,7 @@ def calibrate_light(
         (3 if rich else 2) if order is None else order,
         (2 if rich else 1) if degree is None else degree,
     )
-    task = _Task(sensor, placed, order, degree, far, shadows)
+    task = LightTask(sensor, placed, order, degree, far, shadows)
     everything = np.arange(len(presses))
     fit, field = task.fit(everything)
     outliers = _outliers(fit, len(presses))
@@ -139,7 +139,7 @@ def calibrate_light(
     volumes = [placed.profiles[k].volume_mm3(pose[2]) for k, pose in zip(used, fit.presses, strict=True)]
     return LightCalibration(
         sensor=lit,
-        maps=_maps(lit, placed, field),
+        maps=flat_field_maps(lit, placed, field),
         gain=tuple(map(tuple, field.gain.T.tolist())),
         volume_mm3=float(np.median(volumes)),
         poses_mm=fit.presses,
@@ -153,7 +153,7 @@ def calibrate_light(
 
 
 @dataclass(frozen=True)
-class _Task:
+class LightTask:
     """What every fit has in common, of all presses or of a part of them."""
 
     sensor: Sensor
@@ -199,23 +199,21 @@ class _Task:
 
     def predicted(self, fit: LightFit, field: FarField, press: int) -> HeldOut:
         """Predict a press under a fitted light."""
-        placed, which = self.placed, np.array([press])
-        samples = placed.samples(which, field, self.scale_mm)
-        own = LightFit(
-            fit.options,
-            samples,
-            placed.poses_mm[which],
-            [placed.profiles[press]],
-            placed.sigma_mm[which],
-            fit.bars,
-            fit.camera_mm,
-        )
-        own.theta = fit.theta
-        marked = placed.picture_of(own.light, field, press, own.presses[0], self.scale_mm)
-        own.refine_presses(4)
-        refined = placed.picture_of(own.light, field, press, own.presses[0], self.scale_mm)
+        placed = self.placed
+        poses = placed.poses_mm[press], self.refined_pose(fit, field, press)
+        marked, refined = (placed.picture_of(fit.light, field, press, pose, self.scale_mm) for pose in poses)
         scores = [placed.scores(press, picture) for picture in (placed.reference, marked, refined)]
         return HeldOut(placed.names[press], *scores, picture=refined)
+
+    def refined_pose(self, fit: LightFit, field: FarField, press: int) -> np.ndarray:
+        """Return (3,): x, y and depth at which a fitted light explains a press's own picture best."""
+        placed, which = self.placed, np.array([press])
+        samples = placed.samples(which, field, self.scale_mm)
+        start, sigma, profiles = placed.poses_mm[which], placed.sigma_mm[which], [placed.profiles[press]]
+        own = LightFit(fit.options, samples, start, profiles, sigma, fit.bars, fit.camera_mm)
+        own.theta = fit.theta
+        own.refine_presses(4)
+        return own.presses[0]
 
     def lit_sensor(self, light: Light) -> Sensor:
         """Return the start sensor under a fitted light, matt and without lens losses, which the flat field holds."""
@@ -243,7 +241,7 @@ class _Task:
         return self.sensor.model_copy(update=update)
 
 
-def _maps(sensor: Sensor, placed: PlacedPresses, field: FarField) -> FlatFieldMaps:
+def flat_field_maps(sensor: Sensor, placed: PlacedPresses, field: FarField) -> FlatFieldMaps:
     """Return what the real reference is, in units of the rendered one."""
     renderer = MembraneRenderer(sensor, sensor.illumination, placed.size_px)
     real = srgb_decode(placed.clean_reference / 255)

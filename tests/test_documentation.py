@@ -123,6 +123,8 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
+    r"pip install --no-deps taxim": "installs a package",
+    r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
     r"from dask_": "needs a cluster of that kind",
 }
@@ -335,6 +337,8 @@ def test_the_readme_runs_in_an_empty_folder(after_the_readme: Path) -> None:
 @pytest.mark.parametrize("page", [page for page in OTHER_PAGES if snippets(page)])
 def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_readme, tmp_path / "page")
+    if any(snippet.text.startswith("gelgap calibrate") for snippet in snippets(page)):
+        take_pictures_to_calibrate_with(tmp_path / "page")
     run_all(snippets(page), tmp_path / "page")
 
 
