@@ -107,7 +107,7 @@ def calibrate_light(
     if len(presses) < FEWEST_PRESSES:
         raise ValueError(
             f"{len(presses)} presses are too few to fit a sensor's light: it takes {FEWEST_PRESSES}, better 24, spread "
-            "over the view"
+            "over the view; its LEDs alone can be fitted to three (--leds-only)"
         )
     check_presses(reference, presses)
     depths = [press.depth_mm for press in presses]
