@@ -48,6 +48,9 @@ _BEGINS_ANEW = (
 BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
     Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
+    Benchmark(
+        "sensors", None, "how well a real sensor's pictures are predicted from others of it", "render.sensors"
+    ),
     Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
     Benchmark(
         "stability", "render", "memory and time over many frames", "render.stability", by_default=False

@@ -1,20 +1,21 @@
-"""`gelgap calibrate`: fit a sensor's LEDs to pictures of a real one."""
+"""`gelgap calibrate`: fit a sensor's light to pictures of a real one."""
 
-import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.arguments import Flag, SensorName, load_sensor
-from gelgap.cli.rules import InputFile, OutputFile
+from gelgap.cli.arguments import Flag, load_sensor, optional
+from gelgap.cli.rules import Between, InputFile, OutputFile, OutputFolder, Preset, TaximPackage
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from gelgap.render import PressPicture
+    from gelgap.render import PressPicture, Sensor
+
+KNOWN_FIELDS = ("picture", "sphere_diameter_mm", "depth_mm", "radius_px", "point_mm", "center_px")
 
 FEWEST_PRESSES = 3
 # A fit from a right start leaves 1 to 2 code values, camera noise included; one from a wrong start ten times as much.
@@ -23,15 +24,17 @@ DOUBTFUL_RMS_CODE_VALUES = 5.0
 
 @dataclass(frozen=True)
 class Calibrate:
-    """Fit LED levels and positions, optionally the gloss, to a reference picture and pictures of pressed spheres.
+    """Fit LEDs, scattered light and flat field to a reference picture and pictures of pressed spheres.
 
-    PRESSES is a TOML file with one table per picture; give three or more presses, apart from each other:
+    PRESSES is a TOML file with one table per picture; give six presses or more, better 24, spread over the view:
 
       [[presses]]
       picture = "press-1.png"        # beside the TOML file
       sphere_diameter_mm = 3.0
-      depth_mm = 0.6
-      point_mm = [1.5, -0.8]         # optional: found in the picture otherwise
+      depth_mm = 0.6                 # or radius_px = 61: how large the imprint is
+      point_mm = [1.5, -0.8]         # or center_px = [200, 110]; optional: found in the picture otherwise
+
+    Prints how presses that a fit has not seen are predicted; one that is worse than the unchanged reference is refused.
 
     For example:
       gelgap calibrate presses.toml --reference ref.png --sensor start.toml -o fitted.toml
@@ -39,28 +42,64 @@ class Calibrate:
 
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
-    presses: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PRESSES"), InputFile("a TOML file")]
-    """TOML file that lists the pictures of pressed spheres."""
-    reference: Annotated[Path, InputFile("a picture")]
-    """Picture without contact."""
-    sensor: SensorName
-    """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 6 mm of its place."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), OutputFile((".toml",))]
-    """The sensor TOML to write."""
+    """The sensor TOML to write; its flat field comes to lie beside it."""
+    presses: Annotated[tyro.conf.Positional[Path | None], optional("PRESSES"), InputFile("a TOML file")] = (
+        None
+    )
+    """TOML file that lists the pictures of pressed spheres."""
+    reference: Annotated[Path | None, optional("PATH"), InputFile("a picture")] = None
+    """Picture without contact."""
+    sensor: Annotated[str | None, optional("NAME"), Preset("sensors")] = None
+    """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 30° of its direction."""
+    from_taxim: Annotated[str | None, optional("NAME"), TaximPackage()] = None
+    """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
+    pictures: Annotated[Path | None, optional("FOLDER"), OutputFolder()] = None
+    """Also write of each held-out press the real picture, the predicted one and four times their difference."""
+    held_out_parts: Annotated[int, Between(0, 24)] = 3
+    """Into how many parts the presses are divided, each predicted by a fit without it; 0: none is held out."""
+    parallel_camera: Flag = False
+    """Take the camera for a nearly parallel one, which often suits a lens behind thick plates better."""
+    membrane_quality: Literal["draft", "standard", "fine"] = "draft"
+    """How finely the membrane around the spheres is solved."""
+    leds_only: Flag = False
+    """Fit levels and positions of the LEDs alone, each within 6 mm of its place; three presses do."""
     fit_gloss: Flag = False
-    """Fit the weight of the coat's gloss as well."""
+    """With --leds-only, which it implies: fit the weight of the coat's gloss as well."""
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
+        if self.held_out_parts == 1:
+            raise ValueError("held_out_parts = 1: must be 0, or 2 to 24")
+        sensor, reference, presses = self._inputs()
+        if self.leds_only or self.fit_gloss:
+            self._fit_leds(sensor, reference, presses)
+        else:
+            self._fit_light(sensor, reference, presses)
+
+    def _inputs(self) -> "tuple[Sensor, np.ndarray, tuple[PressPicture, ...]]":
+        if self.from_taxim is not None:
+            from gelgap.domains import taxim_presses
+
+            if self.presses or self.reference:
+                raise ValueError(
+                    "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
+                )
+            found = taxim_presses(self.from_taxim)
+            return load_sensor(self.sensor) if self.sensor else found.start, found.reference, found.presses
+        if not (self.presses and self.reference and self.sensor):
+            raise ValueError("calibrate needs PRESSES, --reference and --sensor, or --from-taxim instead")
+        return load_sensor(self.sensor), read_picture(self.reference), read_presses(self.presses)
+
+    def _fit_leds(self, sensor, reference, presses) -> None:
         from gelgap.render import calibrate, save_sensor
 
-        sensor, presses = load_sensor(self.sensor), read_presses(self.presses)
         if len(presses) < FEWEST_PRESSES:
             raise ValueError(
                 f"{self.presses} lists {len(presses)} presses; LED positions need {FEWEST_PRESSES} or more, apart from "
                 "each other"
             )
-        fit = calibrate(sensor, read_picture(self.reference), presses, fit_gloss=self.fit_gloss)
+        fit = calibrate(sensor, reference, presses, fit_gloss=self.fit_gloss)
         save_sensor(fit.sensor, self.output)
         points = ", ".join(f"({x:.2f}, {y:.2f})" for x, y in fit.press_points_mm)
         print(
@@ -73,6 +112,27 @@ class Calibrate:
                 "place, and the depths and points of the presses",
                 file=sys.stderr,
             )
+
+    def _fit_light(self, sensor, reference, presses) -> None:
+        from gelgap.cli.workflows.calibration_report import print_calibration, write_comparisons
+        from gelgap.domains import sphere_profiles
+        from gelgap.render import calibrate_light, save_calibration
+
+        if self.parallel_camera:
+            size_px = reference.shape[1], reference.shape[0]
+            sensor = sensor.model_copy(update={"camera": sensor.camera.seen_from_afar(size_px)})
+        fit = calibrate_light(
+            sensor,
+            reference,
+            presses,
+            lambda diameters, deepest: sphere_profiles(diameters, deepest, self.membrane_quality),
+            folds=self.held_out_parts,
+        )
+        fitted = save_calibration(fit, self.output)
+        print(f"wrote {self.output} and {fitted.flat_field.file}")
+        print_calibration(fit)
+        if self.pictures is not None:
+            write_comparisons(fit, presses, self.pictures)
 
 
 def read_presses(path: Path) -> "tuple[PressPicture, ...]":
@@ -96,35 +156,36 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     for number, table in enumerate(tables, start=1):
         if not isinstance(table, dict):
             raise ValueError(f"{path}, press {number}: must be a table [[presses]]")
-        known = {"picture", "sphere_diameter_mm", "depth_mm", "point_mm"}
-        wrong = (known - {"point_mm"} - table.keys()) | (table.keys() - known)
+        needed = {"picture", "sphere_diameter_mm"} | (set() if "radius_px" in table else {"depth_mm"})
+        wrong = (needed - table.keys()) | (table.keys() - set(KNOWN_FIELDS))
         if wrong:
             raise ValueError(
                 f"{path}, press {number}: {', '.join(sorted(wrong))} missing or unknown; a press has picture, "
-                "sphere_diameter_mm, depth_mm and, if known, point_mm"
+                "sphere_diameter_mm, depth_mm or radius_px and, if known, point_mm or center_px"
             )
-        for field, length in {"sphere_diameter_mm": None, "depth_mm": None, "point_mm": 2}.items():
-            if field in table and not _is_numeric(table[field], length):
-                raise ValueError(
-                    f"{path}, press {number}: {field} = {table[field]!r}: must be a number of mm"
-                )
-        point = tuple(table["point_mm"]) if "point_mm" in table else None
         if not isinstance(table["picture"], str) or not stays_inside(table["picture"]):
             raise ValueError(
                 f"{path}, press {number}: picture = {table['picture']!r} must lie in the folder of the list"
             )
+        for field in set(table) - {"picture"}:
+            _check_numbers(
+                f"{path}, press {number}: {field}", table[field], 2 if field in KNOWN_FIELDS[4:] else 1
+            )
+        places = {field: tuple(table[field]) for field in ("point_mm", "center_px") if field in table}
+        sizes = {field: table[field] for field in ("depth_mm", "radius_px") if field in table}
         picture = read_picture(path.parent / table["picture"])
-        presses.append(PressPicture(picture, table["sphere_diameter_mm"], table["depth_mm"], point))
+        name = f"press {number} ({table['picture']})"
+        presses.append(PressPicture(picture, table["sphere_diameter_mm"], name=name, **sizes, **places))
     return tuple(presses)
 
 
-def _is_numeric(value: object, length: int | None) -> bool:
-    """Return whether a value is a finite number, or a list of `length` of them."""
-    if length is not None:
-        return (
-            isinstance(value, list) and len(value) == length and all(_is_numeric(one, None) for one in value)
+def _check_numbers(what: str, value: object, count: int) -> None:
+    values = value if isinstance(value, list) else [value]
+    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in values)
+    if not numbers or len(values) != count or isinstance(value, list) != (count > 1):
+        raise ValueError(
+            f"{what} is {value!r}; it must be {'a finite number' if count == 1 else 'two finite numbers'}"
         )
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def read_picture(path: Path) -> "np.ndarray":

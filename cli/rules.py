@@ -100,6 +100,16 @@ class InputFolder:
 
 
 @dataclass(frozen=True)
+class TaximPackage:
+    """Presses of the package taxim, by name, or a folder with such files."""
+
+    def problem(self, value: str) -> str | None:
+        if value in ("gelsight", "gelsight_mini") or Path(value).is_dir():
+            return None
+        return "must be gelsight, gelsight_mini, or a folder with a dataPack.npz"
+
+
+@dataclass(frozen=True)
 class DataSet:
     """The folder of a domain, or of several if `several`, in a layout that is known."""
 

@@ -34,6 +34,8 @@ from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
+from .solved_profiles import CALIBRATION_GEL as CALIBRATION_GEL
+from .solved_profiles import sphere_profiles as sphere_profiles
 from .splits import DomainSplit as DomainSplit
 from .splits import split_domains as split_domains
 from .splits import split_frames as split_frames
@@ -43,4 +45,6 @@ from .sweep import Factor as Factor
 from .sweep import Sweep as Sweep
 from .sweep import sweep_variants as sweep_variants
 from .sweep import write_sweep as write_sweep
+from .taxim_package import PressSet as PressSet
+from .taxim_package import taxim_presses as taxim_presses
 from .writer import package_versions as package_versions

@@ -4,6 +4,7 @@ from .colour_difference import picture_gap as picture_gap
 from .colour_difference import reference_gap as reference_gap
 from .contact_pixels import PressPicture as PressPicture
 from .contact_pixels import find_contact_mm as find_contact_mm
+from .flat_field import FlatField as FlatField
 from .illumination import Illumination as Illumination
 from .imaging import encode as encode
 from .imaging import sensor_noise as sensor_noise
@@ -13,8 +14,15 @@ from .inpainting import inpaint_telea as inpaint_telea
 from .led import Emitter as Emitter
 from .led import Led as Led
 from .led_cache import clear_led_cache as clear_led_cache
+from .light_calibration import HeldOut as HeldOut
+from .light_calibration import LightCalibration as LightCalibration
+from .light_calibration import calibrate_light as calibrate_light
+from .light_calibration import save_calibration as save_calibration
 from .markers import marker_rest_mm as marker_rest_mm
+from .press_profiles import PressProfiles as PressProfiles
+from .press_profiles import SolvedPress as SolvedPress
 from .renderer import MembraneRenderer as MembraneRenderer
+from .scattered import Scattered as Scattered
 from .sensor import Coating as Coating
 from .sensor import Markers as Markers
 from .sensor import Sensor as Sensor

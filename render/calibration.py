@@ -94,6 +94,10 @@ def _check(sensor: Sensor, reference: np.ndarray, presses: tuple[PressPicture, .
             raise ValueError(
                 f"a press picture has shape {press.picture.shape}, and the reference {reference.shape}"
             )
+        if press.depth_mm is None:
+            raise ValueError(
+                "a press has no depth_mm; the fit of LEDs alone asks for the depth of each press"
+            )
         if not 0 < press.depth_mm < press.sphere_diameter_mm / 2:
             raise ValueError(
                 f"depth_mm is {press.depth_mm}; it must lie between 0 and the sphere's radius, "

@@ -1,6 +1,6 @@
 """The camera inside the sensor: pinhole, lens, and what its pixels do to light."""
 
-from math import radians, tan
+from math import atan, degrees, radians, tan
 from typing import Annotated
 
 import numpy as np
@@ -9,12 +9,13 @@ from pydantic import Field
 from gelgap.assets.settings import Settings
 
 Point = tuple[float, float, float]
+FARTHEST_MM = 500.0
 
 
 class Camera(Settings):
     """A camera that looks along +z at the membrane; its optical axis meets the picture's centre."""
 
-    position_mm: tuple[float, float, Annotated[float, Field(lt=-2.5, ge=-500)]] = Field(
+    position_mm: tuple[float, float, Annotated[float, Field(lt=-2.5, ge=-FARTHEST_MM)]] = Field(
         (0.0, 0.0, -25.0), description="pinhole in the sensor frame; z < -2.5 mm, inside the sensor"
     )
     horizontal_field_of_view_deg: float = Field(
@@ -54,6 +55,20 @@ class Camera(Settings):
         """Return the width and height in mm that the picture shows of the undeformed membrane, without distortion."""
         width_mm = -2 * self.position_mm[2] * tan(radians(0.5 * self.horizontal_field_of_view_deg))
         return width_mm, width_mm * size_px[1] / size_px[0]
+
+    def seen_from_afar(self, size_px: tuple[int, int]) -> "Camera":
+        """Return a nearly parallel camera that shows the same of the undeformed membrane.
+
+        It is 500 mm away, or so far that a small view still fills 1.2°.
+        """
+        half_mm = self.footprint_mm(size_px)[0] / 2
+        distance_mm = min(FARTHEST_MM, half_mm / tan(radians(0.6)))
+        return self.model_copy(
+            update={
+                "position_mm": (*self.position_mm[:2], -distance_mm),
+                "horizontal_field_of_view_deg": 2 * degrees(atan(half_mm / distance_mm)),
+            }
+        )
 
     def project_px(self, points_mm: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
         """Return (…, 2) picture coordinates of (…, 3) points; pixel (column, row) has its centre at +0.5."""

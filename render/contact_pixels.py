@@ -21,13 +21,17 @@ DARK = 4
 class PressPicture:
     """A picture of a pressed sphere. Depth is that of the sphere's lowest point below the undeformed membrane.
 
-    `point_mm` is where the sphere was pressed; without it, it is found in the picture and refined by the fit.
+    `point_mm` is where the sphere was pressed, or `center_px` (column, row) where its imprint's centre is; without
+    either it is found in the picture. Instead of the depth, `radius_px` may say how large the imprint is.
     """
 
     picture: np.ndarray  # uint8 (h, w, 3)
     sphere_diameter_mm: float
-    depth_mm: float
+    depth_mm: float | None = None
     point_mm: tuple[float, float] | None = None
+    radius_px: float | None = None
+    center_px: tuple[float, float] | None = None
+    name: str = ""
 
 
 class KnownPoints(NamedTuple):
@@ -42,7 +46,7 @@ class KnownPoints(NamedTuple):
     weight: np.ndarray  # (n, 3)
 
 
-def _rays(camera: Camera, columns: np.ndarray, rows: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+def pixel_rays(camera: Camera, columns: np.ndarray, rows: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     """Return (n, 3) directions with z = 1 of pixel coordinates, with the lens distortion undone."""
     distorted = (np.stack([columns, rows], axis=1) - np.asarray(size_px) / 2) / camera.focal_length_px(
         size_px[0]
@@ -81,7 +85,7 @@ def flat_points(camera: Camera, reference: np.ndarray) -> KnownPoints:
     columns, rows = columns.ravel(), rows.ravel()
     clear = _without_dots(reference, columns, rows)
     columns, rows = columns[clear], rows[clear]
-    rays = _rays(camera, columns + 0.5, rows + 0.5, (width, height))
+    rays = pixel_rays(camera, columns + 0.5, rows + 0.5, (width, height))
     positions = np.asarray(camera.position_mm) - camera.position_mm[2] * rays
     normals = np.broadcast_to([0.0, 0.0, -1.0], positions.shape).copy()
     return KnownPoints(positions, normals, *_read(camera, reference, columns, rows))
@@ -107,7 +111,7 @@ def contact_pixels(camera: Camera, press: PressPicture, point_mm: tuple[float, f
 def contact_points(camera: Camera, press: PressPicture, point_mm: tuple[float, float], pixels) -> KnownPoints:
     columns, rows = pixels
     height, width, _ = press.picture.shape
-    rays = _rays(camera, columns + 0.5, rows + 0.5, (width, height))
+    rays = pixel_rays(camera, columns + 0.5, rows + 0.5, (width, height))
     radius_mm = press.sphere_diameter_mm / 2
     center = np.array([*point_mm, radius_mm - press.depth_mm])
     offset = np.asarray(camera.position_mm) - center
@@ -137,5 +141,12 @@ def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) 
     rows, columns = np.indices(strong.shape)
     column, row = (strong * columns).sum() / strong.sum(), (strong * rows).sum() / strong.sum()
     height, width = strong.shape
-    ray = _rays(camera, np.array([column + 0.5]), np.array([row + 0.5]), (width, height))[0]
-    return tuple((np.asarray(camera.position_mm[:2]) - camera.position_mm[2] * ray[:2]).tolist())
+    return tuple(plane_points_mm(camera, np.array([column]), np.array([row]), (width, height))[0].tolist())
+
+
+def plane_points_mm(
+    camera: Camera, columns: np.ndarray, rows: np.ndarray, size_px: tuple[int, int]
+) -> np.ndarray:
+    """Return (n, 2): where the rays through pixels' centres meet the plane of the undeformed membrane."""
+    rays = pixel_rays(camera, columns + 0.5, rows + 0.5, size_px)
+    return np.asarray(camera.position_mm[:2]) - camera.position_mm[2] * rays[:, :2]

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings
@@ -11,6 +11,7 @@ from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.render.camera import Camera
 from gelgap.render.led import Emitter, Led
 from gelgap.render.led_cache import cached_camera_rgb
+from gelgap.render.scattered import Scattered
 
 
 class Illumination(Settings):
@@ -21,6 +22,12 @@ class Illumination(Settings):
     known: str = Field("", description="what public data say of the sensor that this is like")
     assumed: str = Field("", description="what is assumed")
     leds: tuple[Led, ...] = Field(min_length=1, max_length=64)
+    scattered: Scattered | None = Field(None, description="light that comes from no LED directly; none: none")
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_off(self, as_dict: SerializerFunctionWrapHandler) -> dict:
+        """Leave out scattered light that is not there, so that recipes without it keep their hashes."""
+        return {key: value for key, value in as_dict(self).items() if key != "scattered" or value is not None}
 
     @classmethod
     def preset(cls, name: str) -> "Illumination":

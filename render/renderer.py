@@ -10,6 +10,7 @@ from gelgap.render import (
     imaging,
 )
 from gelgap.render.displacement import Membrane
+from gelgap.render.flat_field import FlatFieldFilter
 from gelgap.render.gloss import gloss
 from gelgap.render.illumination import Illumination
 from gelgap.render.irradiance import Light, direct_light
@@ -17,6 +18,7 @@ from gelgap.render.lattice import Lattice
 from gelgap.render.led_samples import ShadowDetail, led_samples
 from gelgap.render.markers import marker_rest_mm
 from gelgap.render.rasterizer import rasterizer_for
+from gelgap.render.scattered import ScatteredTable
 from gelgap.render.sensor import Sensor
 from gelgap.render.shaded_surface import Surface, shared_surface
 
@@ -104,6 +106,11 @@ class MembraneRenderer:
         self._gain = (
             imaging.vignetting_gain(sensor.camera, self.size_px) if sensor.camera.vignetting > 0 else None
         )
+        scattered, exposure = illumination.scattered, sensor.camera.exposure
+        self._scattered = None if scattered is None else ScatteredTable(scattered, self.lattice, exposure)
+        self._flat_field = (
+            None if sensor.flat_field is None else FlatFieldFilter(sensor.flat_field, self.size_px)
+        )
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
         flat = self._surface_on_lattice(self._flat, "reference")
         light = direct_light(flat, self._leds, self._shadows, None)
@@ -121,6 +128,8 @@ class MembraneRenderer:
         if self._reference_gloss is not None:
             by_led = self._gloss(surface, light, self._reference_gloss)
             linear += by_led[..., 0] @ self._base_to_linear + by_led[..., 1] @ self._highlight_to_linear
+        if self._scattered is not None:
+            self._scattered.add_to(linear, surface)
         return linear
 
     def _surface_on_lattice(self, displacement_mm: np.ndarray, name: str) -> Surface:
@@ -154,6 +163,8 @@ class MembraneRenderer:
             linear *= self._gain
         if self.sensor.camera.point_spread_px > 0:
             linear = imaging.point_spread(linear, self.sensor.camera)
+        if self._flat_field is not None:
+            self._flat_field.apply(linear, surface)
         return linear
 
     def _encoded(self, linear: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:

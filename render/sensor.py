@@ -3,13 +3,14 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from gelgap.assets import load_preset
+from gelgap.assets import asset_path, load_preset
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml, toml_text
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
+from gelgap.render.flat_field import FlatField
 from gelgap.render.illumination import Illumination
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
@@ -49,28 +50,49 @@ class Sensor(Settings):
     coating: Coating = Coating()
     markers: Markers = Markers()
     illumination: Illumination | None = Field(None, description="the sensor's own LEDs")
+    flat_field: FlatField | None = Field(None, description="what the real reference shows beyond the model")
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_off(self, as_dict: SerializerFunctionWrapHandler) -> dict:
+        """Leave out a flat field that is not there, so that recipes without it keep their hashes."""
+        return {
+            key: value for key, value in as_dict(self).items() if key != "flat_field" or value is not None
+        }
 
     @classmethod
     def preset(cls, name: str) -> "Sensor":
         """Return a preset of `assets/sensors`; ValueError lists the known ones."""
-        return cls(**{"name": name, **load_preset("sensors", name)})
+        return cls(**{"name": name, **load_preset("sensors", name)})._found_in(asset_path("sensors"))
 
     @classmethod
     def load(cls, path: str | Path) -> "Sensor":
         """Read a sensor TOML file."""
         with named_in_errors(path):
-            return cls(**{"name": Path(path).stem, **read_toml(path)})
+            return cls(**{"name": Path(path).stem, **read_toml(path)})._found_in(Path(path).parent)
+
+    def _found_in(self, folder: Path) -> "Sensor":
+        """Return the sensor with the full path of the flat field that lies beside its file."""
+        if self.flat_field is None:
+            return self
+        return self.model_copy(update={"flat_field": self.flat_field.found_in(folder)})
 
 
 def save_sensor(sensor: Sensor, path: str | Path) -> None:
-    """Write a sensor TOML that `Sensor.load` reads back, numbers to 9 decimals.
+    """Write a sensor TOML that `Sensor.load` reads back, numbers to 9 decimals; its flat field comes to lie beside it.
 
     Raises
     ------
     RuntimeError
         If the file cannot be written.
     """
-    write_whole(Path(path), toml_text(_rounded(sensor.model_dump(exclude_none=True))).encode())
+    values = _rounded(sensor.model_dump(exclude_none=True))
+    if sensor.flat_field is not None:
+        source = Path(sensor.flat_field.file)
+        beside = Path(path).resolve().parent / source.name
+        if source.resolve() != beside:
+            write_whole(beside, source.read_bytes())
+        values["flat_field"]["file"] = source.name
+    write_whole(Path(path), toml_text(values).encode())
 
 
 def _rounded(value: object) -> object:

@@ -125,6 +125,8 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
+    r"pip install --no-deps taxim": "installs a package",
+    r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
     r"from dask_": "needs a cluster of that kind",
 }
@@ -337,6 +339,8 @@ def test_the_readme_runs_in_an_empty_folder(after_the_readme: Path) -> None:
 @pytest.mark.parametrize("page", [page for page in OTHER_PAGES if snippets(page)])
 def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_readme, tmp_path / "page")
+    if any(snippet.text.startswith("gelgap calibrate") for snippet in snippets(page)):
+        take_pictures_to_calibrate_with(tmp_path / "page")
     run_all(snippets(page), tmp_path / "page")
 
 
@@ -351,7 +355,7 @@ def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> Non
 
 
 def take_pictures_to_calibrate_with(folder: Path) -> None:
-    """Write what `gelgap calibrate` needs: a sensor, its reference, and three presses at different points."""
+    """Write what `gelgap calibrate` needs: a sensor, its reference, and six presses at different points."""
     import cv2
 
     from gelgap.render import MembraneRenderer, Sensor, save_sensor
@@ -362,12 +366,14 @@ def take_pictures_to_calibrate_with(folder: Path) -> None:
     save_sensor(sensor, folder / "start.toml")
     cv2.imwrite(str(folder / "ref.png"), renderer.reference(markers=False)[..., ::-1])
     tables = []
-    for number, (x, y) in enumerate([(1.5, -0.8), (-2.0, 1.0), (0.5, 1.5)], start=1):
+    for number, (x, y) in enumerate(
+        [(1.5, -0.8), (-2, 1), (0.5, 1.5), (-1.5, -1.5), (2.5, 1), (0, -2)], start=1
+    ):
         picture = renderer.picture(state.x_mm + x, state.y_mm + y, state.displacement_mm, markers=False)
         cv2.imwrite(str(folder / f"press-{number}.png"), picture[..., ::-1])
         tables.append(
             f'[[presses]]\npicture = "press-{number}.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\n'
-            f"point_mm = [{x}, {y}]\n"
+            f"point_mm = [{float(x)}, {float(y)}]\n"
         )
     (folder / "presses.toml").write_text("".join(tables))
 

@@ -50,7 +50,7 @@ def calibrate_with(presses: int, folder: Path) -> None:
     table = '[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\n'
     (folder / "presses.toml").write_text(presses * table)
     files = f"{folder}/presses.toml --reference {folder}/p.png -o {folder}/fitted.toml"
-    main(f"calibrate {files} --sensor digit-like".split())
+    main(f"calibrate {files} --sensor digit-like --leds-only".split())
 
 
 def test_fewer_than_three_presses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,3 +77,36 @@ def test_a_fit_that_explains_little_is_told(
     said = capsys.readouterr()
     assert f"residual {residual:.2f}" in said.out
     assert ("warning: a residual of 17.00" in said.err) == doubtful
+
+
+def listed(folder: Path, text: str) -> Path:
+    cv2.imwrite(str(folder / "p.png"), np.zeros((24, 32, 3), np.uint8))
+    path = folder / "presses.toml"
+    path.write_text(f'[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\n{text}\n')
+    return path
+
+
+def test_a_marked_circle_is_read(tmp_path: Path) -> None:
+    (press,) = read_presses(listed(tmp_path, "radius_px = 61\ncenter_px = [20, 11.5]"))
+    assert (press.depth_mm, press.radius_px, press.center_px) == (None, 61, (20, 11.5))
+
+
+@pytest.mark.parametrize("text", ['depth_mm = "deep"', "depth_mm = nan", "radius_px = 5\ncenter_px = [1]"])
+def test_values_that_are_no_numbers_are_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ValueError, match="finite number"):
+        read_presses(listed(tmp_path, text))
+
+
+def test_too_few_presses_write_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    presses = listed(tmp_path, "depth_mm = 0.6")
+    given = [str(presses), "--reference", str(tmp_path / "p.png"), "--sensor", "digit-like"]
+    with pytest.raises(SystemExit, match="2"):
+        main(["calibrate", *given, "-o", str(tmp_path / "fitted.toml")])
+    assert "1 presses are too few" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["p.png", "presses.toml"]
+
+
+def test_without_presses_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["calibrate", "-o", str(tmp_path / "fitted.toml")])
+    assert "needs PRESSES" in capsys.readouterr().err

@@ -1,0 +1,54 @@
+"""What a calibration says of itself: held-out error, the LEDs' directions with their uncertainty, and pictures."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelgap.render import HeldOut, LightCalibration, PressPicture
+
+DIFFERENCE_GAIN = 4
+
+
+def print_calibration(fit: LightCalibration) -> None:
+    """Print how well the fit predicts presses that it has not seen, and what it found."""
+    print(f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses")
+    if fit.left_out:
+        print(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
+    if fit.held_out:
+        print(
+            f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
+        )
+        print(f"  {'unchanged reference':32s} {_scores(fit.held_out, 'unchanged')}")
+        print(f"  {'predicted, press as marked':32s} {_scores(fit.held_out, 'marked')}")
+        print(f"  {'predicted, press refined':32s} {_scores(fit.held_out, 'refined')}")
+    leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg, fit.led_elevations_deg, strict=True)
+    for led, azimuth, elevation in leds:
+        print(f"LED {led.name or '?'}: azimuth {_with_error(azimuth)}°, elevation {_with_error(elevation)}°")
+    depths = fit.poses_mm[:, 2]
+    print(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
+
+
+def _scores(held_out: Sequence[HeldOut], kind: str) -> str:
+    values = np.array([getattr(press, kind) for press in held_out])
+    inside, ring = (f"{np.median(v):.1f} ({v.min():.1f})" for v in values.T)
+    return f"inside the contact {inside}, from one to two radii {ring}"
+
+
+def _with_error(value: np.ndarray) -> str:
+    return f"{value[0]:.0f}" if np.isnan(value[1]) else f"{value[0]:.0f} ± {value[1]:.0f}"
+
+
+def write_comparisons(fit: LightCalibration, presses: Sequence[PressPicture], folder: Path) -> None:
+    """Write a picture of each held-out press: real, predicted, and 128 plus four times the difference."""
+    folder.mkdir(parents=True, exist_ok=True)
+    by_name = {press.name or f"press {number}": press for number, press in enumerate(presses, start=1)}
+    for number, held_out in enumerate(fit.held_out, start=1):
+        real = by_name[held_out.name].picture
+        difference = 128 + DIFFERENCE_GAIN * (held_out.picture.astype(float) - real)
+        row = np.hstack([real, held_out.picture, np.clip(difference, 0, 255).astype(np.uint8)])
+        path = folder / f"held-out-{number:02d}.png"
+        if not cv2.imwrite(str(path), row[..., ::-1]):
+            raise RuntimeError(f"{path} could not be written")
+    print(f"wrote {len(fit.held_out)} comparisons to {folder}")

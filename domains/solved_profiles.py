@@ -1,0 +1,62 @@
+"""The membrane around a pressed sphere, from gelgap's own solves, as a calibration from pictures asks for it."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from gelgap.render import PressProfiles, SolvedPress
+from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
+
+# Depths that are solved, in radii of the sphere.
+DEPTHS_IN_RADII = (0.075, 0.15, 0.225, 0.3, 0.375, 0.45, 0.525, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
+_DEEPEST_IN_THICKNESSES = 0.6
+_BEYOND = 1.3
+CALIBRATION_GEL = Elastomer(
+    young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5, thickness_mm=4.0, pad_size_mm=(40.0, 40.0)
+)
+"""What a gel is taken for; from 4 mm on, pictures of presses hardly depend on it."""
+
+
+def sphere_profiles(
+    diameters_mm: Iterable[float],
+    deepest_mm: float | None = None,
+    quality: str = "draft",
+    elastomer: Elastomer = CALIBRATION_GEL,
+) -> dict[float, PressProfiles]:
+    """Return the membrane around spheres of some diameters, by diameter, down to a depth or as deep as can be.
+
+    Raises
+    ------
+    ValueError
+        If a diameter is not one that can be pressed.
+    RuntimeError
+        If too few depths were solved.
+    """
+    return {diameter: _profiles(diameter, deepest_mm, quality, elastomer) for diameter in set(diameters_mm)}
+
+
+def _profiles(
+    diameter_mm: float, deepest_mm: float | None, quality: str, elastomer: Elastomer
+) -> PressProfiles:
+    radius_mm = diameter_mm / 2
+    limit_mm = _DEEPEST_IN_THICKNESSES * elastomer.thickness_mm
+    depths = [share * radius_mm for share in DEPTHS_IN_RADII if share * radius_mm <= limit_mm]
+    if deepest_mm is not None:
+        needed = sum(depth < _BEYOND * deepest_mm for depth in depths) + 1
+        depths = depths[: max(needed, 3)]
+    poses = tuple(Pose(depth_mm=depth) for depth in depths)
+    states = solve_poses(elastomer, Sphere(diameter_mm=diameter_mm), poses, quality)
+    solves = []
+    for depth, state in zip(depths, states, strict=True):
+        if not state.converged:
+            continue
+        row, first = len(state.y_mm) // 2, len(state.x_mm) // 2
+        along = np.asarray(state.displacement_mm[row, first:], float)
+        solves.append(
+            SolvedPress(depth, state.x_mm[first:] + along[:, 0], along[:, 2], state.contact_radius_mm)
+        )
+    if len(solves) < 3:
+        raise RuntimeError(
+            f"only {len(solves)} of {len(depths)} depths of a {diameter_mm} mm sphere converged"
+        )
+    return PressProfiles.from_solves(radius_mm, solves)

@@ -1,0 +1,111 @@
+"""Reading calibration sets as the package `taxim` (MIT) ships them: a reference and presses of a ball, marked by hand.
+
+A folder holds `dataPack.npz` with f0 (h, w, 3), imgs (n, h, w, 3), touch_center (n, 2) as x and y in pixels, and
+touch_radius (n,). Their channels are blue, green, red: the package's own renderer turns them over.
+"""
+
+import zipfile
+from dataclasses import dataclass
+from importlib.util import find_spec
+from math import atan, degrees
+from pathlib import Path
+
+import numpy as np
+
+from gelgap.render import Camera, Coating, Illumination, Led, Markers, PressPicture, Sensor
+
+NAMES = ("gelsight", "gelsight_mini")
+MM_PER_PX = 0.0295
+BALL_DIAMETER_MM = 4.0
+INSTALL = "pip install --no-deps taxim==1.4.1"
+_DISTANCE_MM = 25.0
+# Where the light of the package's sensors comes from: its first guess, in degrees from +x towards +y.
+_AZIMUTHS_DEG = {"red": 0.0, "green": -120.0, "blue": 120.0}
+
+
+@dataclass(frozen=True)
+class PressSet:
+    """A reference picture (h, w, 3) uint8 RGB, presses of one ball, and a sensor to start a calibration from."""
+
+    reference: np.ndarray
+    presses: tuple[PressPicture, ...]
+    start: Sensor
+
+
+def taxim_presses(name: str) -> PressSet:
+    """Read a set by its name in the installed package, or by its folder.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the package is not installed, or there is no such folder.
+    ValueError
+        If `dataPack.npz` is not what it should be; nothing in it is executed.
+    """
+    path = _folder(name) / "dataPack.npz"
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist; give {' or '.join(NAMES)}, or a folder with a dataPack.npz"
+        )
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            f0, pictures = file["f0"], file["imgs"]
+            centers, radii = file["touch_center"].astype(float), file["touch_radius"].astype(float)
+    except (KeyError, ValueError, OSError, EOFError, TypeError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is no calibration set: {error}") from None
+    n = len(pictures)
+    shapes = f0.ndim == 3 and f0.shape[2] == 3 and pictures.shape == (n, *f0.shape)
+    if not shapes or centers.shape != (n, 2) or radii.shape != (n,) or f0.dtype != np.uint8:
+        raise ValueError(
+            f"{path} is no calibration set: f0 {f0.shape}, imgs {pictures.shape}, touch_center {centers.shape} and "
+            f"touch_radius {radii.shape} do not belong together"
+        )
+    presses = tuple(
+        PressPicture(
+            picture[..., ::-1].copy(),
+            BALL_DIAMETER_MM,
+            radius_px=float(radius),
+            center_px=(float(x), float(y)),
+            name=f"press {number}",
+        )
+        for number, (picture, (x, y), radius) in enumerate(zip(pictures, centers, radii, strict=True))
+    )
+    return PressSet(f0[..., ::-1].copy(), presses, start_sensor(f0.shape[1]))
+
+
+def _folder(name: str) -> Path:
+    if name not in NAMES:
+        return Path(name)
+    found = find_spec("taxim")  # looks it up without running any of it
+    if found is None or not found.submodule_search_locations:
+        raise FileNotFoundError(
+            f"the package taxim, which holds {name}, is not installed; install it: {INSTALL}"
+        )
+    return Path(next(iter(found.submodule_search_locations))) / "calib" / name
+
+
+def start_sensor(width_px: int) -> Sensor:
+    """Return what a calibration of these sets starts from: a parallel camera, three bars, no dots."""
+    fov_deg = 2 * degrees(atan(width_px * MM_PER_PX / 2 / _DISTANCE_MM))
+    near = Camera(position_mm=(0.0, 0.0, -_DISTANCE_MM), horizontal_field_of_view_deg=fov_deg)
+    camera = near.seen_from_afar((width_px, width_px))
+    leds = []
+    for name, azimuth in _AZIMUTHS_DEG.items():
+        x, y = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))
+        leds.append(
+            Led(
+                name=name,
+                position_mm=(14 * x, 14 * y, -4.0),
+                facing=(-x, -y, 0.0),
+                length_mm=14.0,
+                height_mm=2.5,
+                spectrum={"rgb": tuple(float(name == own) for own in _AZIMUTHS_DEG)},
+            )
+        )
+    return Sensor(
+        name="taxim",
+        camera=camera,
+        coating=Coating(),
+        markers=Markers(layout="none"),
+        illumination=Illumination(leds=tuple(leds)),
+    )

@@ -1,0 +1,337 @@
+"""The fit of a real sensor's light: variable projection over bars, scattered light and where each press is.
+
+The intensities of bars, ambient and scattered light enter linearly and are solved for exactly; the bars' geometry is
+searched, with the linear part solved inside every step, and each press's centre and depth follow by Gauss-Newton.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
+from gelgap.render.press_light import Bars, bar_light, points_seen
+from gelgap.render.press_profiles import PressProfiles
+from gelgap.render.scattered import HARMONICS, PLACES, harmonics, monomials
+
+DARK, SATURATED = 4, 250
+REFERENCE_WEIGHT = 0.3
+RIDGE = 0.3
+PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
+PRIOR_WEIGHT = 30.0
+ALL_FIELDS = tuple(PRIOR)
+_ORDERS = np.array([1] * 3 + [2] * 5 + [3] * 7)
+_DEGREES = np.array([0, 1, 1, 2, 2, 2])
+_MOST_STEP_MM = 0.06
+_LEAST_SHARE = 0.2  # of the reference that the modelled reference may be
+
+
+@dataclass(frozen=True)
+class LightOptions:
+    """What the light consists of, and where its place is measured."""
+
+    order: int
+    degree: int
+    ambient: bool
+    shadows: bool
+    scale_mm: float
+    span_mm: tuple[float, float, float, float]
+    nearest_mm: float
+
+    def penalty(self, leds: int) -> np.ndarray:
+        """Return the square roots of the ridge's weights by column."""
+        parts = [np.full(leds, 1e-3), np.full(self.ambient_columns, 0.3)]
+        if self.order:
+            orders, degrees = _ORDERS[: HARMONICS[self.order]], _DEGREES[: PLACES[self.degree]]
+            parts.append((orders[:, None] * (1.0 + degrees)).ravel())
+        return np.concatenate(parts)
+
+    @property
+    def ambient_columns(self) -> int:
+        if not self.ambient:
+            return 0
+        return PLACES[1] if self.order else 1
+
+    def fixed_columns(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Return (n, columns) of ambient and scattered light."""
+        x0, x1, y0, y1 = self.span_mm
+        place = monomials(
+            np.clip(positions[:, 0], x0, x1) / self.scale_mm,
+            np.clip(positions[:, 1], y0, y1) / self.scale_mm,
+            2,
+        )
+        parts = [place[:, : self.ambient_columns]]
+        if self.order:
+            by_normal = harmonics(normals, self.order)[:, :, None]
+            parts.append((by_normal * place[:, None, : PLACES[self.degree]]).reshape(len(positions), -1))
+        return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Pixels of press pictures: which press, where on the plane of the flat membrane, and what the camera read."""
+
+    index: np.ndarray  # (n,)
+    rows: np.ndarray
+    columns: np.ndarray
+    plane_mm: np.ndarray  # (n, 2)
+    code: np.ndarray  # (n, 3)
+    base: np.ndarray  # (n, 3) linear: the untouched gel's light there while the press lasts
+
+    @property
+    def usable(self) -> np.ndarray:
+        base_code = 255 * srgb_encode(self.base)
+        return (
+            (self.code > DARK) & (self.code < SATURATED) & (base_code > DARK) & (base_code < SATURATED)
+        ).astype(float)
+
+
+@dataclass(frozen=True)
+class Light:
+    """A fitted light: bars, and by column and channel what multiplies each, bars first."""
+
+    options: LightOptions
+    bars: Bars
+    theta: np.ndarray  # (columns, 3)
+
+
+class Geometry:
+    """Points that pixels see, for presses (k, 3) at (x, y, depth), each with its sphere's profiles."""
+
+    def __init__(
+        self, samples: Samples, presses: np.ndarray, profiles: list[PressProfiles], camera_mm: np.ndarray
+    ):
+        tables = [own.at(press[2]) for own, press in zip(profiles, presses, strict=True)]
+        width = max(len(z) for z, _ in tables)
+        self.z = np.array([np.pad(z, (0, width - len(z))) for z, _ in tables])
+        slopes = np.array([np.pad(slope, (0, width - len(slope))) for _, slope in tables])
+        self.index, self.presses = samples.index, np.ascontiguousarray(presses, float)
+        self.positions = np.empty((len(samples.index), 3))
+        self.normals = np.empty_like(self.positions)
+        points_seen(
+            samples.plane_mm,
+            self.index,
+            self.presses,
+            self.z,
+            slopes,
+            camera_mm,
+            self.positions,
+            self.normals,
+        )
+
+    def bar_columns(
+        self, bars: Bars, shadows: bool, kept: dict[bytes, np.ndarray] | None = None
+    ) -> np.ndarray:
+        """Return (n, bars) irradiance; `kept` holds the columns of bars already seen."""
+        out = np.empty((len(self.index), len(bars.azimuth)))
+        for k, strips in enumerate(bars.strips()):
+            key = strips.tobytes()
+            if kept is None or key not in kept:
+                column = np.empty(len(self.index))
+                bar_light(
+                    self.positions, self.normals, self.index, self.presses, self.z, strips, shadows, column
+                )
+                if kept is None:
+                    out[:, k] = column
+                    continue
+                if len(kept) > 60:
+                    kept.clear()
+                kept[key] = column
+            out[:, k] = kept[key]
+        return out
+
+    def columns(self, light: Light | LightOptions, bars: Bars) -> np.ndarray:
+        """Return all columns of the light."""
+        return np.concatenate(
+            [self.bar_columns(bars, light.shadows), light.fixed_columns(self.positions, self.normals)], axis=1
+        )
+
+
+def flat_geometry(samples: Samples) -> Geometry:
+    """Return the geometry of the same pixels on the flat membrane."""
+    flat = Geometry.__new__(Geometry)
+    flat.index, flat.presses, flat.z = np.zeros(len(samples.index), int), np.zeros((1, 3)), np.zeros((1, 4))
+    flat.positions = np.column_stack([samples.plane_mm, np.zeros(len(samples.index))])
+    flat.normals = np.broadcast_to([0.0, 0.0, -1.0], flat.positions.shape).copy()
+    return flat
+
+
+def predicted_codes(light: Light, samples: Samples, pressed: Geometry, flat: Geometry) -> np.ndarray:
+    """Return (n, 3) unrounded codes: the untouched gel's light times modelled pressed over modelled flat light."""
+    lit = np.maximum(pressed.columns(light.options, light.bars) @ light.theta, 0)
+    unpressed = flat.columns(replace(light.options, shadows=False), light.bars) @ light.theta
+    ratio = lit / np.maximum(unpressed, _LEAST_SHARE * samples.base)
+    return 255 * srgb_encode(samples.base * ratio)
+
+
+def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
+    """Solve normal equations with the first `count` unknowns at 0 or above, by dropping negative ones."""
+    free = np.ones(len(right), bool)
+    while True:
+        theta = np.zeros(len(right))
+        theta[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free])
+        if (theta[:count] >= 0).all():
+            return theta
+        free[np.argmin(theta[:count])] = False
+
+
+class LightFit:
+    """Fits a light to samples of presses; start with `run`."""
+
+    def __init__(
+        self,
+        options: LightOptions,
+        samples: Samples,
+        presses: np.ndarray,
+        profiles: list[PressProfiles],
+        sigma_mm: np.ndarray,
+        bars: Bars,
+        camera_mm: np.ndarray,
+    ) -> None:
+        self.options, self.samples, self.profiles, self.sigma_mm = options, samples, profiles, sigma_mm
+        self.start_presses, self.presses = presses, presses.copy()
+        self.bars = self.anchor = bars
+        self.camera_mm = np.asarray(camera_mm, float)
+        self.linear, self.usable = srgb_decode(samples.code / 255), samples.usable
+        self.flat = flat_geometry(samples)
+        self.modelled = samples.base.copy()
+        self.theta = np.zeros((0, 3))
+        self.residual = np.zeros_like(samples.base)
+        self._pressed: Geometry | None = None
+
+    @property
+    def light(self) -> Light:
+        return Light(self.options, self.bars, self.theta)
+
+    @property
+    def rms_code_values(self) -> float:
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    def run(self, rounds: int = 3) -> None:
+        """Fit bars alone first, so that scattered light does not take their place, then everything in turn."""
+        if self.options.order > 0:
+            whole = self.options
+            self.options = replace(whole, order=0, ambient=True)
+            self._solve()
+            self._search(("azimuth", "height"), 6)
+            self._solve()
+            self.refine_presses()
+            self._search(("azimuth", "height", "distance"), 4)
+            self.anchor, self.options = self.bars, whole
+        self._solve()
+        for _ in range(rounds):
+            self._search(ALL_FIELDS, 5)
+            self._solve()
+            self.refine_presses()
+            self._solve()
+
+    def pressed(self) -> Geometry:
+        """Return the geometry of the presses where they now are."""
+        if self._pressed is None:
+            self._pressed = Geometry(self.samples, self.presses, self.profiles, self.camera_mm)
+        return self._pressed
+
+    def _ridge(self) -> np.ndarray:
+        return RIDGE * len(self.samples.index) * self.options.penalty(len(self.bars.azimuth)) ** 2
+
+    def _weights(self, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return weights of pressed and flat columns in the picture's error, and of flat ones in the reference's."""
+        base, linear = self.samples.base[:, channel], self.linear[:, channel]
+        usable, modelled = self.usable[:, channel], self.modelled[:, channel]
+        picture = 255 * usable * srgb_slope(linear) / modelled
+        return picture * base, picture * linear, 255 * REFERENCE_WEIGHT * usable * srgb_slope(base)
+
+    def _solve(self) -> None:
+        """Solve for all intensities: base × (A θ)/(B θ) shall be the picture, and B θ near the reference."""
+        pressed = self.pressed().columns(self.options, self.bars)
+        flat = self.flat.columns(replace(self.options, shadows=False), self.bars)
+        base, ridge = self.samples.base, self._ridge()
+        self.theta = np.empty((pressed.shape[1], 3))
+        for channel in range(3):
+            for _ in range(2):
+                of_pressed, of_flat, of_reference = self._weights(channel)
+                rows = pressed * of_pressed[:, None] - flat * of_flat[:, None]
+                reference = flat * of_reference[:, None]
+                normal = rows.T @ rows + reference.T @ reference
+                normal[np.diag_indices_from(normal)] += ridge
+                right = reference.T @ (of_reference * base[:, channel])
+                theta = nonnegative_least_squares(normal, right, len(self.bars.azimuth))
+                self.modelled[:, channel] = np.maximum(flat @ theta, _LEAST_SHARE * base[:, channel])
+            self.theta[:, channel] = theta
+        codes = 255 * srgb_encode(base * np.maximum(pressed @ self.theta, 0) / self.modelled)
+        self.residual = (codes - self.samples.code) * self.usable
+
+    def _search(self, fields: tuple[str, ...], evaluations: int) -> None:
+        """Search the bars' geometry; the modelled reference is held, so most normal equations are formed once."""
+        from scipy.optimize import least_squares
+
+        leds, ridge = len(self.bars.azimuth), self._ridge()
+        pressed, flat, options = self.pressed(), self.flat, self.options
+        of_pressed_fixed = options.fixed_columns(pressed.positions, pressed.normals)
+        of_flat_fixed = options.fixed_columns(flat.positions, flat.normals)
+        held = []
+        for channel in range(3):
+            a, b, r = self._weights(channel)
+            rows = of_pressed_fixed * a[:, None] - of_flat_fixed * b[:, None]
+            reference = of_flat_fixed * r[:, None]
+            target = r * self.samples.base[:, channel]
+            held.append((a, b, r, rows, reference, rows.T @ rows + reference.T @ reference, target))
+        prior = np.concatenate([np.full(leds, PRIOR[field]) for field in fields])
+        anchor, nearest = self.anchor.packed(fields), options.nearest_mm
+        kept_pressed: dict[bytes, np.ndarray] = {}
+        kept_flat: dict[bytes, np.ndarray] = {}
+
+        def unexplained(vector: np.ndarray) -> np.ndarray:
+            bars = self.bars.unpacked(vector, fields, nearest)
+            lit = pressed.bar_columns(bars, options.shadows, kept_pressed)
+            unpressed = flat.bar_columns(bars, False, kept_flat)
+            errors = []
+            for a, b, r, rows, reference, fixed, target in held:
+                of_bars, bars_reference = lit * a[:, None] - unpressed * b[:, None], unpressed * r[:, None]
+                normal = np.empty((leds + len(fixed),) * 2)
+                normal[:leds, :leds] = of_bars.T @ of_bars + bars_reference.T @ bars_reference
+                normal[:leds, leds:] = of_bars.T @ rows + bars_reference.T @ reference
+                normal[leds:, :leds] = normal[:leds, leds:].T
+                normal[leds:, leds:] = fixed
+                normal[np.diag_indices_from(normal)] += ridge
+                right = np.concatenate([bars_reference.T @ target, reference.T @ target])
+                theta = nonnegative_least_squares(normal, right, leds)
+                errors += [
+                    of_bars @ theta[:leds] + rows @ theta[leds:],
+                    bars_reference @ theta[:leds] + reference @ theta[leds:] - target,
+                    np.sqrt(ridge) * theta,
+                ]
+            return np.concatenate([*errors, PRIOR_WEIGHT * (vector - anchor) / prior])
+
+        start = self.bars.packed(fields)
+        found = least_squares(unexplained, start, max_nfev=evaluations, diff_step=3e-3, x_scale=prior)
+        self.bars = self.bars.unpacked(found.x, fields, nearest)
+
+    def refine_presses(self, rounds: int = 2) -> None:
+        """Move each press's centre and depth by Gauss-Newton under the light as it is, all presses at once."""
+        light, index = self.light, self.samples.index
+
+        def errors(presses: np.ndarray) -> np.ndarray:
+            geometry = Geometry(self.samples, presses, self.profiles, self.camera_mm)
+            return (
+                predicted_codes(light, self.samples, geometry, self.flat) - self.samples.code
+            ) * self.usable
+
+        for _ in range(rounds):
+            now = errors(self.presses)
+            slopes = []
+            for axis, step_mm in enumerate((0.015, 0.015, 0.01)):
+                moved = self.presses.copy()
+                moved[:, axis] += step_mm
+                slopes.append((errors(moved) - now) / step_mm)
+            for k, profiles in enumerate(self.profiles):
+                own = index == k
+                jacobian, error = np.stack([s[own].ravel() for s in slopes], axis=1), now[own].ravel()
+                weighted = (jacobian / np.sqrt(1 + (error / 10) ** 2)[:, None]).T
+                stiffness = 100 / self.sigma_mm[k] ** 2
+                off = self.presses[k] - self.start_presses[k]
+                step = -np.linalg.solve(
+                    weighted @ jacobian + np.diag(stiffness), weighted @ error + stiffness * off
+                )
+                self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
+                self.presses[k, 2] = np.clip(self.presses[k, 2], 0.02, profiles.deepest_mm)
+        self._pressed = None

@@ -1,0 +1,227 @@
+"""Presses of real spheres as a fit starts from them: where each is, how deep, and which of its pixels are looked at."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from gelgap.render.camera import Camera
+from gelgap.render.contact_pixels import PressPicture, find_contact_mm, plane_points_mm
+from gelgap.render.far_field import FarField, plain_field
+from gelgap.render.imaging import srgb_encode
+from gelgap.render.inpainting import detect_markers, inpaint_telea
+from gelgap.render.light_fit import Geometry, Light, Samples, flat_geometry, predicted_codes
+from gelgap.render.press_profiles import PressProfiles
+
+# Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
+SAMPLES = (220, 260, 120)
+REACH = 4.5
+MODELLED_MM = 5.5
+_FOUND_SIGMA_MM, _MARKED_SIGMA_PX = 0.5, 3.0
+_KNOWN_DEPTH_SIGMA_MM, _MARKED_DEPTH_SIGMA = 0.05, 0.1  # the latter per radius of the sphere
+_LEAST_CHANGE = 2.0  # code values
+
+
+@dataclass(frozen=True)
+class PlacedPresses:
+    """Presses and their pictures with a start for each one's pose."""
+
+    camera: Camera
+    reference: np.ndarray  # uint8 (h, w, 3)
+    pictures: list[np.ndarray]
+    names: tuple[str, ...]
+    poses_mm: np.ndarray  # (n, 3): x, y, depth
+    sigma_mm: np.ndarray  # (n, 3): how far each may be off
+    centers_px: np.ndarray  # (n, 2)
+    radii_px: np.ndarray  # (n,)
+    profiles: list[PressProfiles]
+    has_dots: bool
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self.reference.shape[1], self.reference.shape[0]
+
+    @cached_property
+    def clean_reference(self) -> np.ndarray:
+        """The reference without dots, which the renderer draws itself."""
+        if not self.has_dots:
+            return self.reference
+        return inpaint_telea(self.reference, detect_markers(self.reference))
+
+    @cached_property
+    def untouched(self) -> FarField:
+        return plain_field(self.clean_reference)
+
+    def samples(self, which: np.ndarray, field: FarField, scale_mm: float) -> Samples:
+        """Draw pixels of presses, the same for a press each time; those on dots are not taken."""
+        parts = [self._pixels(int(press)) for press in which]
+        index = np.repeat(np.arange(len(which)), [len(rows) for rows, _ in parts])
+        rows, columns = (np.concatenate(values) for values in zip(*parts, strict=True))
+        code = np.concatenate([self.pictures[k][own] for k, own in zip(which, parts, strict=True)]).astype(
+            float
+        )
+        base = np.concatenate(
+            [field.base(*own, self.poses_mm[k, :2] / scale_mm) for k, own in zip(which, parts, strict=True)]
+        )
+        return Samples(
+            index, rows, columns, plane_points_mm(self.camera, columns, rows, self.size_px), code, base
+        )
+
+    def _pixels(self, press: int) -> tuple[np.ndarray, np.ndarray]:
+        rng = np.random.default_rng([7, press])
+        (x, y), radius = self.centers_px[press], self.radii_px[press]
+        bounds = zip((0, 1, 2), (1, 2, REACH), SAMPLES, strict=True)
+        r = np.concatenate([radius * np.sqrt(rng.uniform(low**2, high**2, n)) for low, high, n in bounds])
+        angle = rng.uniform(0, 2 * np.pi, len(r))
+        columns = np.round(x + r * np.cos(angle)).astype(int)
+        rows = np.round(y + r * np.sin(angle)).astype(int)
+        width, height = self.size_px
+        seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+        rows, columns = rows[seen], columns[seen]
+        if self.has_dots:
+            clear = ~(self._dots(press)[rows, columns] | self._dots(None)[rows, columns])
+            rows, columns = rows[clear], columns[clear]
+        return rows, columns
+
+    def _dots(self, press: int | None) -> np.ndarray:
+        return detect_markers(self.reference if press is None else self.pictures[press])
+
+    def picture_of(
+        self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, scale_mm: float
+    ) -> np.ndarray:
+        """Return the uint8 picture of a press: modelled around it, the untouched gel's beyond."""
+        width, height = self.size_px
+        rows, columns = (values.ravel() for values in np.indices((height, width)))
+        base = field.base(rows, columns, pose_mm[:2] / scale_mm)
+        codes = 255 * srgb_encode(base)
+        plane = plane_points_mm(self.camera, columns, rows, self.size_px)
+        near = np.hypot(*(plane - pose_mm[:2]).T) < MODELLED_MM
+        index = np.zeros(near.sum(), int)
+        samples = Samples(index, rows[near], columns[near], plane[near], codes[near], base[near])
+        pressed = Geometry(samples, pose_mm[None], [self.profiles[press]], np.array(self.camera.position_mm))
+        codes[near] = predicted_codes(light, samples, pressed, flat_geometry(samples))
+        return np.clip(np.round(codes), 0, 255).astype(np.uint8).reshape(height, width, 3)
+
+    def scores(self, press: int, predicted: np.ndarray) -> tuple[float, float]:
+        """Return PSNR in dB inside the contact, and from one to two radii."""
+        rows, columns = np.indices(predicted.shape[:2])
+        distance = np.hypot(columns - self.centers_px[press, 0], rows - self.centers_px[press, 1])
+        share = distance / self.radii_px[press]
+        square = (predicted.astype(float) - self.pictures[press]) ** 2
+        inside, ring = (np.mean(square[where]) for where in (share < 1, (share >= 1) & (share < 2)))
+        return tuple(float(10 * np.log10(255**2 / max(value, 1e-9))) for value in (inside, ring))
+
+
+def place_presses(
+    camera: Camera,
+    reference: np.ndarray,
+    presses: Sequence[PressPicture],
+    profiles: Mapping[float, PressProfiles],
+) -> PlacedPresses:
+    """Find where each press, already checked, is and how deep.
+
+    Raises
+    ------
+    ValueError
+        If no contact is found, or a sphere cannot reach its marked radius.
+    """
+    size_px = reference.shape[1], reference.shape[0]
+    mm_per_px = camera.footprint_mm(size_px)[0] / size_px[0]
+    names = _names(presses)
+    poses, sigmas, centers, radii = [], [], [], []
+    for name, press in zip(names, presses, strict=True):
+        try:
+            pose, radius_px = _start(camera, reference, press, profiles[press.sphere_diameter_mm], mm_per_px)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        rim = np.array([*pose[:2], -pose[2]])
+        center = np.array(press.center_px) if press.center_px else camera.project_px(rim, size_px) - 0.5
+        centers.append(center)
+        poses.append(pose)
+        radii.append(radius_px)
+        found = press.center_px is None and press.point_mm is None
+        aside = _FOUND_SIGMA_MM if found else _MARKED_SIGMA_PX * mm_per_px
+        marked_depth = _MARKED_DEPTH_SIGMA * press.sphere_diameter_mm / 2
+        sigmas.append([aside, aside, _KNOWN_DEPTH_SIGMA_MM if press.depth_mm is not None else marked_depth])
+    placed = PlacedPresses(
+        camera,
+        reference,
+        [press.picture for press in presses],
+        names,
+        np.array(poses),
+        np.array(sigmas),
+        np.array(centers),
+        np.array(radii),
+        [profiles[press.sphere_diameter_mm] for press in presses],
+        has_dots=False,
+    )
+    _check_contacts(placed)
+    # Few dark specks are dirt; dots are many.
+    return replace(placed, has_dots=bool(detect_markers(reference).mean() > 0.01))
+
+
+def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> None:
+    """Raise ValueError for presses whose pictures have another size, or whose depth or radius cannot be."""
+    for name, press in zip(_names(presses), presses, strict=True):
+        _check(name, press, reference)
+
+
+def _names(presses: Sequence[PressPicture]) -> tuple[str, ...]:
+    return tuple(press.name or f"press {number}" for number, press in enumerate(presses, start=1))
+
+
+def _check(name: str, press: PressPicture, reference: np.ndarray) -> None:
+    if press.picture.shape != reference.shape:
+        raise ValueError(
+            f"{name} is a picture of {press.picture.shape[1]}×{press.picture.shape[0]} px, and the reference of "
+            f"{reference.shape[1]}×{reference.shape[0]} px; they must come from the same camera"
+        )
+    if (press.depth_mm is None) == (press.radius_px is None):
+        raise ValueError(f"{name} must have either depth_mm or radius_px")
+    if press.depth_mm is not None and not 0 < press.depth_mm < press.sphere_diameter_mm / 2:
+        raise ValueError(
+            f"{name}: depth_mm is {press.depth_mm}; it must lie between 0 and the sphere's radius, "
+            f"{press.sphere_diameter_mm / 2}"
+        )
+    if press.radius_px is not None and not 2 <= press.radius_px <= max(reference.shape):
+        raise ValueError(f"{name}: radius_px is {press.radius_px}; it must lie in 2…{max(reference.shape)}")
+
+
+def _start(
+    camera: Camera, reference: np.ndarray, press: PressPicture, profiles: PressProfiles, mm_per_px: float
+) -> tuple[np.ndarray, float]:
+    """Return (x, y, depth) in mm and the contact's radius in pixels."""
+    size_px = reference.shape[1], reference.shape[0]
+    depth, nearer = press.depth_mm, 1.0
+    if depth is None:
+        for _ in range(3):
+            # The marked circle is the contact's edge, which stands nearer to the camera than the flat membrane.
+            contact_mm = press.radius_px * mm_per_px * nearer
+            depth = profiles.depth_mm(contact_mm)
+            radius = profiles.sphere_radius_mm
+            edge = depth - radius + np.sqrt(max(radius**2 - min(contact_mm, 0.99 * radius) ** 2, 0))
+            nearer = 1 + edge / camera.position_mm[2]
+    radius_px = press.radius_px or profiles.contact_radius_mm(depth) / mm_per_px
+    if press.point_mm is not None:
+        point = np.array(press.point_mm, float)
+    elif press.center_px is not None:
+        columns, rows = (np.array([value], float) for value in press.center_px)
+        axis = np.array(camera.position_mm[:2])
+        point = axis + nearer * (plane_points_mm(camera, columns, rows, size_px)[0] - axis)
+    else:
+        point = np.array(find_contact_mm(press.picture, reference, camera))
+    return np.array([*point, min(depth, profiles.deepest_mm)]), float(radius_px)
+
+
+def _check_contacts(placed: PlacedPresses) -> None:
+    rows, columns = np.indices(placed.reference.shape[:2])
+    for name, picture, (x, y), radius in zip(
+        placed.names, placed.pictures, placed.centers_px, placed.radii_px, strict=True
+    ):
+        inside = np.hypot(columns - x, rows - y) < radius
+        if not inside.any():
+            raise ValueError(f"{name}: its centre lies outside of the picture; no contact was found in it")
+        change = np.abs(picture[inside].astype(float) - placed.reference[inside]).mean()
+        if change < _LEAST_CHANGE:
+            raise ValueError(f"{name} hardly differs from the reference; no contact was found in it")

@@ -1,0 +1,145 @@
+"""The membrane around a pressed sphere as a calibration needs it: height over distance from the axis, for any depth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+STEP_MM = 0.02
+GRID_MM = 0.1
+_DEPTHS = 64
+_TOUCHING_MM = 0.004
+_FADE_MM = 1.5
+
+
+@dataclass(frozen=True)
+class SolvedPress:
+    """One straight press by a sphere: the membrane's points (n,) along a radius, deformed, and its contact's radius."""
+
+    depth_mm: float
+    radius_mm: np.ndarray
+    z_mm: np.ndarray
+    contact_radius_mm: float
+
+
+@dataclass(frozen=True)
+class PressProfiles:
+    """z over the distance from the axis, every `STEP_MM`, for a row of depths in equal steps from 0.
+
+    Inside the contact it is the sphere exactly, outside a monotone cubic through solved points.
+    """
+
+    sphere_radius_mm: float
+    depths_mm: np.ndarray  # (depths,)
+    z_mm: np.ndarray  # (depths, radii)
+    edges_mm: np.ndarray  # (solves + 1, 2): depth, distance within which the membrane is the sphere
+    contact_radii_mm: np.ndarray  # (solves + 1, 2): depth, radius of the contact
+
+    @classmethod
+    def from_solves(cls, sphere_radius_mm: float, solves: Sequence[SolvedPress]) -> "PressProfiles":
+        """Return the profiles through straight presses of growing depth, two or more."""
+        from scipy.interpolate import PchipInterpolator
+
+        reach_mm = min(press.radius_mm.max() for press in solves)
+        radii = np.arange(0, reach_mm + STEP_MM / 2, STEP_MM)
+        rows, edges = [np.zeros(len(radii))], [0.0]
+        for press in solves:
+            row, edge = _profile(press, sphere_radius_mm, radii, reach_mm)
+            rows.append(row)
+            edges.append(edge)
+        depths = np.array([0.0, *(press.depth_mm for press in solves)])
+        even = np.linspace(0, depths[-1], _DEPTHS)
+        # A cubic over depth would overshoot where the contact's edge passes; the monotone one does not.
+        z_mm = PchipInterpolator(depths, np.array(rows), axis=0)(even)
+        contact = np.maximum.accumulate([0.0, *(press.contact_radius_mm for press in solves)])
+        return cls(
+            sphere_radius_mm, even, z_mm, np.column_stack([depths, edges]), np.column_stack([depths, contact])
+        )
+
+    @property
+    def deepest_mm(self) -> float:
+        return float(self.depths_mm[-1]) - 0.01
+
+    def at(self, depth_mm: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return z in mm and its slope over the distance from the axis."""
+        at = np.clip(depth_mm / self.depths_mm[1], 0, len(self.depths_mm) - 1.001)
+        lower = int(at)
+        share = at - lower
+        solved = (1 - share) * self.z_mm[lower] + share * self.z_mm[lower + 1]
+        r = STEP_MM * np.arange(len(solved))
+        inside = r < np.interp(depth_mm, *self.edges_mm.T) - STEP_MM
+        height = np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
+        sphere = -depth_mm + self.sphere_radius_mm - height
+        z = np.where(inside, sphere, np.minimum(solved, 0.1 * self.sphere_radius_mm))
+        z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
+        return z, np.where(inside, r / height, np.gradient(z, STEP_MM))
+
+    def contact_radius_mm(self, depth_mm: float) -> float:
+        """Return the contact's radius at a depth: a smooth curve through the solves'."""
+        return float(np.interp(depth_mm, *self._smooth_radii()))
+
+    def depth_mm(self, contact_radius_mm: float) -> float:
+        """Return the depth at which the contact has a radius.
+
+        Raises
+        ------
+        ValueError
+            If the sphere's cap cannot reach that radius.
+        """
+        depths, radii = self._smooth_radii()
+        if contact_radius_mm > 1.08 * radii[-1]:
+            raise ValueError(
+                f"a contact of radius {contact_radius_mm:.2f} mm is marked, and a sphere of radius "
+                f"{self.sphere_radius_mm:g} mm reaches {radii[-1]:.2f} mm at most; check sphere_diameter_mm, radius_px "
+                "and the camera's field of view"
+            )
+        return float(np.interp(contact_radius_mm, radii, depths))
+
+    def _smooth_radii(self) -> tuple[np.ndarray, np.ndarray]:
+        depths, radii = self.contact_radii_mm[1:].T
+        degree = min(3, len(depths) - 1)
+        fine = np.linspace(depths[0], depths[-1], 400)
+        smooth = np.polyval(np.polyfit(np.sqrt(depths), radii, degree), np.sqrt(fine))
+        return np.r_[0, fine], np.r_[0, np.maximum.accumulate(smooth)]
+
+    def volume_mm3(self, depth_mm: float) -> float:
+        """Return the volume of what stands above the flat membrane."""
+        z, _ = self.at(depth_mm)
+        r = STEP_MM * np.arange(len(z))
+        return float(np.sum(np.maximum(-z, 0) * 2 * np.pi * r) * STEP_MM)
+
+    def membrane(
+        self, point_mm: tuple[float, float], depth_mm: float, half_extent_mm: tuple[float, float]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x_mm, y_mm and displacement_mm of a press as renderers take it; every point moves straight."""
+        x, y = (
+            GRID_MM * np.arange(-round(half / GRID_MM), round(half / GRID_MM) + 1) for half in half_extent_mm
+        )
+        z, _ = self.at(depth_mm)
+        r = np.hypot(*np.meshgrid(x - point_mm[0], y - point_mm[1]))
+        height = np.interp(r, STEP_MM * np.arange(len(z)), z, right=0.0)
+        return x, y, np.stack([np.zeros_like(height), np.zeros_like(height), height], axis=-1)
+
+
+def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, reach_mm: float):
+    """Return z at the radii, and where the membrane leaves the sphere."""
+    from scipy.interpolate import PchipInterpolator
+
+    r, z = press.radius_mm, press.z_mm
+
+    def sphere(at: np.ndarray) -> np.ndarray:
+        height = np.sqrt(np.maximum(sphere_radius_mm**2 - at**2, 1e-9))
+        return -press.depth_mm + sphere_radius_mm - height
+
+    gap = np.hypot(r, z - (sphere_radius_mm - press.depth_mm)) - sphere_radius_mm
+    touching = np.flatnonzero(gap < _TOUCHING_MM)
+    edge = float(r[touching.max()]) if touching.size else 0.0
+    outside = r > edge + 0.03
+    fade = np.clip((reach_mm - r) / _FADE_MM, 0, 1)
+    inner = edge * np.array([0.9, 0.97, 1.0]) if edge > 0 else np.array([0.0])
+    known_r = np.concatenate([inner, r[outside], [reach_mm + 1]])
+    known_z = np.concatenate([sphere(inner), (z * fade)[outside], [0.0]])
+    order = np.argsort(known_r)
+    known_r, first = np.unique(known_r[order], return_index=True)
+    beyond = PchipInterpolator(known_r, known_z[order][first])
+    return np.where(radii < edge, sphere(radii), beyond(radii)), edge

@@ -1,0 +1,60 @@
+"""The benchmark of real sensors, on a set that gelgap itself rendered in place of the package's."""
+
+import json
+
+import numpy as np
+
+from gelgap.benchmarks.render import sensors
+from gelgap.benchmarks.render.scenes import sphere_dent
+from gelgap.domains import PressSet
+from gelgap.domains.taxim_package import start_sensor
+from gelgap.render import MembraneRenderer, PressPicture, PressProfiles, Sensor, SolvedPress
+
+RADIUS_MM, DEPTH_MM, SIZE_PX = 2.0, 1.0, (160, 120)
+
+
+def profiles(*_):
+    solves = []
+    for depth in (0.2, 0.5, 0.8, 1.1, 1.4):
+        x, y, displacement = sphere_dent(depth, half_extent_mm=(10.5, 8.2), radius_mm=RADIUS_MM)
+        along = displacement[len(y) // 2, len(x) // 2 :, 2]
+        solves.append(SolvedPress(depth, x[len(x) // 2 :], along, min((depth * RADIUS_MM) ** 0.5, 1.8)))
+    return {2 * RADIUS_MM: PressProfiles.from_solves(RADIUS_MM, solves)}
+
+
+def rendered_set():
+    sensor = Sensor.preset("gelsight-r1-fitted")
+    renderer = MembraneRenderer(sensor, sensor.illumination, SIZE_PX)
+    own, mm_per_px = profiles()[2 * RADIUS_MM], 18.88 / SIZE_PX[0]
+    rng = np.random.default_rng(0)
+    presses = []
+    for point in rng.uniform((-5, -3), (5, 3), (14, 2)):
+        picture = renderer.picture(*own.membrane(tuple(point), DEPTH_MM, (10.5, 8.2)))
+        center = sensor.camera.project_px((*point, 0.0), SIZE_PX) - 0.5
+        radius = own.contact_radius_mm(DEPTH_MM) / mm_per_px
+        presses.append(PressPicture(picture, 2 * RADIUS_MM, center_px=tuple(center), radius_px=radius))
+    start = start_sensor(640)
+    return PressSet(renderer.reference(), tuple(presses), start)
+
+
+def test_odd_presses_are_predicted_better_than_by_the_reference(tmp_path, monkeypatch, capsys):
+    found = rendered_set()
+    monkeypatch.setattr(sensors, "taxim_presses", lambda name: found)
+    monkeypatch.setattr(sensors, "sphere_profiles", profiles)
+    sensors.run(quick=True, out_dir=tmp_path)
+    assert "even presses fitted, 2 odd ones predicted" in capsys.readouterr().out
+    results = json.loads((tmp_path / "sensors.json").read_text())
+    predicted = np.median(results["variants"][0]["scores"]["marked"], axis=0)
+    unchanged = np.median(results["unchanged"], axis=0)
+    assert (predicted[:4] > unchanged[:4] + 8).all()
+
+
+def test_shadows_can_be_dropped():
+    found = Sensor.preset("gelsight-r1-fitted")
+    renderer = MembraneRenderer(found, found.illumination, SIZE_PX)
+    membrane = profiles()[2 * RADIUS_MM].membrane((0.0, 0.0), 1.3, (10.5, 8.2))
+    shadowed = renderer.linear(*membrane)
+    sensors.drop_shadows(renderer)
+    difference = renderer.linear(*membrane) - shadowed
+    assert difference.min() > -0.01  # light in full view is integrated by other nodes
+    assert difference.max() > 0.02

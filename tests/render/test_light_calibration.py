@@ -1,0 +1,150 @@
+"""The fit of a whole light predicts a synthetic sensor with scattered light and a flat field; bad input is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelgap.benchmarks.render.scenes import sphere_dent
+from gelgap.render.contact_pixels import PressPicture
+from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
+from gelgap.render.illumination import Illumination
+from gelgap.render.light_calibration import calibrate_light, save_calibration
+from gelgap.render.press_profiles import PressProfiles, SolvedPress
+from gelgap.render.renderer import MembraneRenderer
+from gelgap.render.scattered import Scattered
+from gelgap.render.sensor import Markers, Sensor
+
+SIZE_PX = (320, 240)
+POINTS = [(0.0, 0.0), (2.6, 1.6), (-2.6, -1.6), (2.6, -1.6), (-2.6, 1.6), (0.3, 2.0), (-0.4, -2.0)]
+NEW_POINT = (1.4, 0.3)
+DEPTHS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
+
+
+def profiles(diameters, deepest):
+    solves = []
+    for depth in DEPTHS:
+        x, _, displacement = sphere_dent(depth)
+        along = displacement[displacement.shape[0] // 2, len(x) // 2 :]
+        contact = min(np.sqrt(depth * 1.5), 1.35)
+        solves.append(SolvedPress(depth, x[len(x) // 2 :], along[:, 2], contact))
+    return {3.0: PressProfiles.from_solves(1.5, solves)}
+
+
+def truth(folder):
+    rng = np.random.default_rng(0)
+    low_order = tuple(tuple(row) for row in 0.03 * rng.standard_normal((3, 8)))
+    light = Illumination.preset("i0").model_copy(
+        update={"scattered": Scattered(order=2, coefficients=low_order)}
+    )
+    seams = 1 + 0.1 * (np.indices((240, 320)).sum(0) // 9 % 2)[..., None] * np.ones(3)
+    folder.mkdir()
+    save_maps(FlatFieldMaps(seams.astype(np.float32)), folder / "seams.npz")
+    update = {
+        "illumination": light,
+        "flat_field": FlatField(file="seams.npz").found_in(folder),
+        "markers": Markers(layout="none"),
+    }
+    return Sensor.preset("paper").model_copy(update=update)
+
+
+def psnr(picture, real):
+    return 10 * np.log10(255**2 / max(np.mean((picture.astype(float) - real) ** 2), 1e-9))
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory):
+    sensor = truth(tmp_path_factory.mktemp("truth") / "sensor")
+    renderer = MembraneRenderer(sensor, sensor.illumination, SIZE_PX)
+    rng = np.random.default_rng(1)
+    shots = [renderer.picture(*sphere_dent(0.6, point_mm=p), rng=rng) for p in (*POINTS, NEW_POINT)]
+    start = sensor.model_copy(update={"illumination": Illumination.preset("i0"), "flat_field": None})
+    return start, renderer.reference(rng=rng), shots
+
+
+def pressed(shots, **depth):
+    return tuple(
+        PressPicture(shot, 3.0, point_mm=point, **depth) for shot, point in zip(shots, POINTS, strict=False)
+    )
+
+
+@pytest.fixture(scope="module")
+def calibration(pictures):
+    start, reference, shots = pictures
+    return calibrate_light(start, reference, pressed(shots[:-1], depth_mm=0.6), profiles, folds=2)
+
+
+def test_a_new_press_is_predicted(pictures, calibration, tmp_path):
+    _, reference, shots = pictures
+    save_calibration(calibration, tmp_path / "fitted.toml")
+    sensor = Sensor.load(tmp_path / "fitted.toml")
+    renderer = MembraneRenderer(sensor, sensor.illumination, SIZE_PX)
+    assert psnr(renderer.reference(), reference) > 45  # with the seams, which no light has
+    predicted = renderer.picture(*sphere_dent(0.6, point_mm=NEW_POINT))
+    assert psnr(predicted, shots[-1]) > max(32, psnr(reference, shots[-1]) + 6)
+
+
+def test_held_out_presses_are_reported(calibration):
+    assert sorted(press.name for press in calibration.held_out) == [f"press {k}" for k in range(1, 8)]
+    fitted, unchanged = (
+        np.median([getattr(press, kind) for press in calibration.held_out], axis=0)
+        for kind in ("refined", "unchanged")
+    )
+    assert (fitted > unchanged + 3).all()
+    assert np.isfinite(calibration.led_azimuths_deg).all()
+
+
+def test_marked_circles_are_refined(pictures):
+    start, reference, shots = pictures
+    mm_per_px = 12 / 320
+    true_radius = profiles({3.0}, None)[3.0].contact_radius_mm(0.6)
+    presses = tuple(
+        replace(press, point_mm=(press.point_mm[0] + 0.1, press.point_mm[1] - 0.08))
+        for press in pressed(shots[:-1], radius_px=true_radius / mm_per_px)
+    )
+    fit = calibrate_light(start, reference, presses, profiles, folds=0)
+    np.testing.assert_allclose(fit.poses_mm[:, :2], POINTS, atol=0.06)
+    np.testing.assert_allclose(fit.poses_mm[:, 2], 0.6, atol=0.1)
+
+
+def changed(presses, **update):
+    return (replace(presses[0], **update), *presses[1:])
+
+
+def test_bad_presses_are_refused_before_anything_is_solved(pictures):
+    start, reference, shots = pictures
+    presses = pressed(shots[:-1], depth_mm=0.6)
+
+    def unsolved(diameters, deepest):
+        raise AssertionError
+
+    for bad, said in (
+        (presses[:5], "5 presses are too few .* takes 6"),
+        (changed(presses, picture=shots[0][:-2]), "press 1 is a picture of 320×238"),
+        (changed(presses, depth_mm=2.0), "sphere's radius"),
+        (changed(presses, depth_mm=None), "either depth_mm or radius_px"),
+        (changed(presses, depth_mm=None, radius_px=-3), "radius_px is -3"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            calibrate_light(start, reference, bad, unsolved)
+
+
+def test_presses_that_cannot_be_are_refused(pictures):
+    start, reference, shots = pictures
+    presses = pressed(shots[:-1], depth_mm=0.6)
+    for bad, said in (
+        (changed(presses, depth_mm=None, radius_px=90.0), "reaches .* mm at most"),
+        (changed(presses, picture=reference), "no contact was found"),
+        (changed(presses, picture=reference, point_mm=None), "no contact was found"),
+        (changed(presses, point_mm=(90.0, 0.0)), "no contact was found"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            calibrate_light(start, reference, bad, profiles)
+
+
+def test_a_fit_that_predicts_worse_than_the_reference_is_refused(pictures):
+    start, reference, _ = pictures
+    rng = np.random.default_rng(2)
+    noise = [np.clip(reference + rng.normal(0, 60, reference.shape), 0, 255).astype(np.uint8) for _ in POINTS]
+    with pytest.raises(ValueError, match="worse than the unchanged reference"):
+        calibrate_light(start, reference, pressed(noise, depth_mm=0.6), profiles, folds=2)
