@@ -104,9 +104,11 @@ class TaximPackage:
     """Presses of the package taxim, by name, or a folder with such files."""
 
     def problem(self, value: str) -> str | None:
-        if value in ("gelsight", "gelsight_mini") or Path(value).is_dir():
-            return None
-        return "must be gelsight, gelsight_mini, or a folder with a dataPack.npz"
+        try:
+            known = value in ("gelsight", "gelsight_mini") or (Path(value) / "dataPack.npz").is_file()
+        except OSError:
+            known = False
+        return None if known else "must be gelsight, gelsight_mini, or a folder with a dataPack.npz"
 
 
 @dataclass(frozen=True)

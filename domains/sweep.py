@@ -156,8 +156,14 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
         for field, value in values.items():
             _change(configuration, field.split("."), value, changes[field], field)
         drawn_as = {"draw": number} if sweep.variation is not None else {}
-        variants.append(Variant(DomainRecipe(**configuration), drawn_as | values))
+        variants.append(Variant(_with_flat_field_of(base, DomainRecipe(**configuration)), drawn_as | values))
     return tuple(variants)
+
+
+def _with_flat_field_of(base: DomainRecipe, recipe: DomainRecipe) -> DomainRecipe:
+    """Return the recipe with the flat field of its base, of which a configuration does not say where its file lies."""
+    sensor = recipe.sensor.model_copy(update={"flat_field": base.sensor.flat_field})
+    return recipe.model_copy(update={"sensor": sensor}) if base.sensor.flat_field else recipe
 
 
 def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:

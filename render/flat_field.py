@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numba
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_serializer, model_validator
 
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
@@ -42,6 +42,11 @@ class FlatField(Settings):
         (-100.0, 100.0, -100.0, 100.0), description="x from, to, y from, to: the place is held at its edges"
     )
     scale_mm: float = Field(10.0, gt=0.1, le=1000, description="length that x and y are divided by")
+
+    @field_serializer("file", when_used="json")
+    def _name(self, file: str) -> str:
+        """Leave out the folder: a recipe depends on the file's content, wherever it lies."""
+        return Path(file).name
 
     @model_validator(mode="after")
     def _check(self) -> "FlatField":
