@@ -181,8 +181,8 @@ def test_own_method(stage1, source, target):
         def transfer_loss(self, source, target):
             return (source.features.mean(dim=0) - target.features.mean(dim=0)).square().sum()
 
-    register("mean-matching", MeanMatching)
-    model = adapt(stage1, source, target, "mean-matching")
+    register("mean-matching-in-a-test", MeanMatching)
+    model = adapt(stage1, source, target, "mean-matching-in-a-test")
     assert "transfer" in model.history[-1]["losses"]
     with pytest.raises(ValueError, match="is taken"):
         register("dsan", MeanMatching)

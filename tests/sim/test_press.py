@@ -138,8 +138,8 @@ def test_friction_survives_a_slide_over_the_rim() -> None:
     poses = tuple(Pose(depth_mm=2.4, point_x_mm=12.0, shear_x_mm=travel) for travel in (0.0, 0.5, 1.0, 1.5))
     states = solve_poses(gel, Sphere(diameter_mm=10.0), poses, "draft", ALONE)
     assert all(state.converged for state in states)
-    # Load steps a fifth as long give 0.0222 N.
-    assert states[-1].force_n[0] == pytest.approx(0.0222, rel=0.03)
+    # Load steps a fifth as long give 0.0209 N.
+    assert states[-1].force_n[0] == pytest.approx(0.0209, rel=0.03)
 
 
 def test_a_drag_to_the_brink_of_sliding_bears_what_it_should_and_slides_beyond_it() -> None:
