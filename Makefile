@@ -2,8 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Test processes, one per core.
-WORKERS ?= $(shell nproc)
+# Test processes, one per core; nproc would obey a thread count that the user has set.
+WORKERS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 # One thread a process: parallel work runs one process a core.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1

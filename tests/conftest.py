@@ -79,13 +79,13 @@ def profile() -> Profile:
 
 
 @pytest.fixture(scope="session")
-def sound_files(tmp_path_factory: pytest.TempPathFactory):
-    """One sound file of every kind."""
+def sound_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One sound file of every kind; the cache among them is not that of other tests."""
     folder = tmp_path_factory.mktemp("sound") / "files"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GELGAP_CACHE", str(folder / "cache"))
         make_sound_files(folder)
-        yield folder
+    return folder
 
 
 @pytest.fixture
