@@ -206,8 +206,8 @@ def test_domain_loss_is_ln_2_when_domains_cannot_be_told_apart():
 
 def test_gradient_reversal():
     x = features().requires_grad_(True)
-    reverse_gradient(x).sum().backward()
-    torch.testing.assert_close(x.grad, -torch.ones_like(x))
+    reverse_gradient(x, 0.25).sum().backward()
+    torch.testing.assert_close(x.grad, -0.25 * torch.ones_like(x))
 
 
 def test_rsd_is_the_sum_of_squared_sines():
