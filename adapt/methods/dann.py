@@ -1,5 +1,8 @@
 """DANN: train a domain discriminator on the features and reverse its gradient [1].
 
+The loss and its reversal are tllib's. Deviations: the discriminator is narrower (128, not 1024) and standardises its
+input instead of its hidden layers; λ_t ends at the method's weight, not at 1.
+
 [1] Ganin et al., "Domain-adversarial training of neural networks", JMLR 17, 2016.
 """
 
