@@ -44,9 +44,6 @@ class JointStage(Stage):
     def companion(self) -> Method:
         return self.method
 
-    def diagnostics(self) -> dict[str, float]:
-        return dict(self.method.diagnostics)
-
     @cached_property
     def steps_per_epoch(self) -> int:
         return steps_per_epoch(len(self.source), self.profile.batch_size)
@@ -73,11 +70,12 @@ class JointStage(Stage):
         if method.uses_classifier:
             parts["classification"] = functional.cross_entropy(source.logits, source.contact_class)
             loss = loss + profile.classification_weight * parts["classification"]
-        weight = self._transfer_weight(number)
-        if weight > 0:
+        method.weight = self._transfer_weight(number)
+        method.diagnostics.clear()
+        if method.weight > 0 or method.weighs_gradient:
             parts["transfer"] = method.transfer_loss(source, target)
-            loss = loss + weight * parts["transfer"]
-        return StepResult(loss, parts, source)
+            loss = loss + (1.0 if method.weighs_gradient else method.weight) * parts["transfer"]
+        return StepResult(loss, parts, source, dict(method.diagnostics))
 
     def _transfer_weight(self, number: int) -> float:
         if not self.method.scheduled:

@@ -71,10 +71,6 @@ class Stage(ABC):
     def step(self, number: int, batch: Any) -> StepResult:
         """Return the loss of a batch; `number` counts the steps over all epochs."""
 
-    def diagnostics(self) -> dict[str, float]:
-        """Return what else is worth recording of an epoch."""
-        return {}
-
     @property
     def modules(self) -> tuple[nn.Module, ...]:
         """All modules that are trained."""
@@ -156,7 +152,7 @@ class _Training:
                 self._skip(result, norm)
             log.add(result, norm, skipped=not finite)
             self.steps += 1
-        self.records.append(log.record(stage.title, epoch + 1, stage.diagnostics()))
+        self.records.append(log.record(stage.title, epoch + 1))
         return self.records[-1]
 
     def _skip(self, result: StepResult, norm: float) -> None:

@@ -63,10 +63,15 @@ class Method(nn.Module):
         Whether target labels reach its loss; then it is no method for domain adaptation.
     scheduled
         Whether λ_t and its ramp apply; otherwise λ_t = 1 throughout.
+    weighs_gradient
+        Whether λ_t scales only the gradient that reaches the features, which is then the method's own work; the loss
+        itself counts fully, also while λ_t is 0, so that a discriminator learns at the heads' rate.
+    weight
+        λ_t of the current step.
     needs_stage_1
         Whether it starts from the network that stage 1 trained, or from any.
     diagnostics
-        Numbers that it wants recorded after each epoch.
+        Numbers of the current step that it wants recorded, as means over each epoch.
     """
 
     Settings: ClassVar[type[MethodSettings]] = MethodSettings
@@ -74,6 +79,7 @@ class Method(nn.Module):
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
     scheduled: ClassVar[bool] = True
+    weighs_gradient: ClassVar[bool] = False
     needs_stage_1: ClassVar[bool] = True
 
     def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int) -> None:
@@ -81,6 +87,7 @@ class Method(nn.Module):
         self.settings = settings
         self.feature_dim = feature_dim
         self.n_classes = n_classes
+        self.weight = 1.0
         self.diagnostics: dict[str, float] = {}
 
     def adapt(self, adaptation: Adaptation) -> None:
@@ -88,5 +95,5 @@ class Method(nn.Module):
         adaptation.train(self)
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        """Return the scalar loss, in float32, that stage 2 weighs with λ_t."""
+        """Return the scalar loss, in float32, that stage 2 weighs with λ_t (see `weighs_gradient`)."""
         raise NotImplementedError

@@ -1,5 +1,8 @@
 """DANN: train a domain discriminator on the features and reverse its gradient [1].
 
+The loss and its reversal are tllib's. Deviations: the discriminator is narrower (128, not 1024) and standardises its
+input instead of its hidden layers; λ_t ends at the method's weight, not at 1.
+
 [1] Ganin et al., "Domain-adversarial training of neural networks", JMLR 17, 2016.
 """
 
@@ -14,17 +17,18 @@ from gelgap.adapt.network import Activations
 
 class _Reverse(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, features: Tensor) -> Tensor:
+    def forward(ctx, features: Tensor, weight: float) -> Tensor:
+        ctx.weight = weight
         return features.view_as(features)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor) -> Tensor:
-        return -gradient
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
+        return -ctx.weight * gradient, None
 
 
-def reverse_gradient(features: Tensor) -> Tensor:
-    """Return the features unchanged; the gradient that flows back changes sign ([1], section 4.2)."""
-    return _Reverse.apply(features)
+def reverse_gradient(features: Tensor, weight: float) -> Tensor:
+    """Return the features unchanged; the gradient that flows back is multiplied by −weight ([1], section 4.2)."""
+    return _Reverse.apply(features, weight)
 
 
 def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
@@ -40,9 +44,12 @@ def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
 class DANN(Method):
     """Regression with a domain-adversarial loss on the transfer feature.
 
-    The discriminator sees source and target as one batch, whose statistics standardise its input: a batch normalisation
-    of each domain by itself would remove the very shift that it should see.
+    λ_t scales the reversed gradient alone: the discriminator learns at the heads' rate, from the first step on. It sees
+    source and target as one batch, whose statistics standardise its input: a batch normalisation of each domain by
+    itself would remove the very shift that it should see.
     """
+
+    weighs_gradient = True
 
     class Settings(MethodSettings):
         hidden: int = Field(128, ge=1, description="width of the discriminator's two hidden layers")
@@ -61,7 +68,7 @@ class DANN(Method):
             )
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        features = reverse_gradient(torch.cat([source.features, target.features]))
+        features = reverse_gradient(torch.cat([source.features, target.features]), self.weight)
         logits = self.discriminator(features)[:, 0]
         n = len(source.features)
         right = torch.cat([logits[:n] > 0, logits[n:] <= 0]).float().mean()

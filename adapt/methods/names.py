@@ -24,9 +24,11 @@ METHODS = {
     "daregram-published": "daregram.PublishedDAREGRAM",
     "daregram-tikhonov": "daregram.TikhonovDAREGRAM",
     "dsan": "dsan.DSAN",
+    "dsan-unmasked": "dsan.UnmaskedDSAN",
     "dsan-coarse": "dsan.CoarseDSAN",
     "dsan-soft": "dsan.SoftDSAN",
     "cod": "cod.COD",
+    "conditional-mmd": "conditional_mmd.ConditionalMMD",
     "ssa": "ssa.SSA",
     "supervised": "supervised.Supervised",
 }
