@@ -18,6 +18,7 @@ from .methods.registry import transfer_weight as transfer_weight
 from .model import ForceModel as ForceModel
 from .network import Activations as Activations
 from .network import make_network as make_network
+from .normalisation import as_judged_on_source as as_judged_on_source
 from .normalisation import with_statistics_of as with_statistics_of
 from .oracles import Presses as Presses
 from .oracles import gap_closed as gap_closed

@@ -85,8 +85,8 @@ def _check_frames(method: Method, name: str, source: LabelledFrames, target: Lab
 
 def _as_if_stopped(model: ForceModel, target: LabelledFrames) -> ForceModel:
     """Return a copy of a model in training, with the statistics that the end of stage 2 would give it."""
-    per_domain = model.profile.batch_statistics == "per_domain"
-    stopped = with_statistics_of(model, target) if per_domain else copy.deepcopy(model)
+    own = model.profile.judges_by_own_statistics
+    stopped = with_statistics_of(model, target) if own else copy.deepcopy(model)
     stopped.network.eval()
     return stopped
 
@@ -129,7 +129,7 @@ class _Workbench(Adaptation):
             target=target(self.target, self.profile, self.device),
         )
         self.records += train(stage, self.progress, self.resume_file, self.watch)
-        if self.profile.batch_statistics == "per_domain":
+        if self.profile.judges_by_own_statistics:
             self.estimate_target_statistics()
 
     def estimate_target_statistics(self) -> None:

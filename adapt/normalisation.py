@@ -7,6 +7,7 @@ import torch
 from torch import nn
 
 from gelgap.adapt.batches import Draw, epoch_order, network_inputs
+from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel
 from gelgap.domains import LabelledFrames, PairedFrames
 
@@ -18,6 +19,15 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     network = copy.deepcopy(model.network)
     estimate_statistics(network, network_inputs(frames, model.profile, model.device), model.seed)
     return replace(model, network=network)
+
+
+def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
+    """Return an adapted model as it is judged on the source: under its statistics, where each domain has its own.
+
+    source_train holds the source's training frames.
+    """
+    own = model.profile.judges_by_own_statistics and find_method(model.method).uses_target
+    return with_statistics_of(model, source_train) if own else model
 
 
 @torch.no_grad()
