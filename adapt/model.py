@@ -13,7 +13,7 @@ from gelgap.adapt.network import ForceNetwork, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import LabelledFrames
+from gelgap.domains import ChannelStatistics, LabelledFrames
 
 _FORMAT = 1
 _INFERENCE_BATCH = 256
@@ -24,7 +24,8 @@ class ForceModel:
     """A network with what is needed to use it: `predict_n` maps frames to forces in newtons.
 
     force_range_n (3, 2) is the source's declared range; source, target and method say how it was trained;
-    history holds the `EpochRecord` of every epoch of both stages as a dictionary.
+    history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_statistics are those of the
+    domain it is for, where the profile standardises the input.
     """
 
     network: ForceNetwork
@@ -36,6 +37,7 @@ class ForceModel:
     target: str | None = None
     method: str = "source-only"
     history: tuple[dict[str, Any], ...] = field(default=())
+    input_statistics: ChannelStatistics | None = None
 
     @property
     def device(self) -> torch.device:
@@ -53,7 +55,7 @@ class ForceModel:
     @torch.inference_mode()
     def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
         self.network.eval()
-        pictures = network_inputs(frames, self.profile, self.device)
+        pictures = network_inputs(frames, self.profile, self.device, self.input_statistics)
         features, predictions = [], []
         for start in range(0, len(frames), _INFERENCE_BATCH):
             rows = np.arange(start, min(start + _INFERENCE_BATCH, len(frames)))
@@ -77,6 +79,7 @@ class ForceModel:
             "target": self.target,
             "method": self.method,
             "history": list(self.history),
+            "input_statistics": self.input_statistics and [list(values) for values in self.input_statistics],
         }
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
             torch.save(content, file)
@@ -127,4 +130,14 @@ def _fields(content: dict[str, Any]) -> dict[str, Any]:
         "target": content["target"],
         "method": content["method"],
         "history": tuple(content["history"]),
+        "input_statistics": _statistics(content.get("input_statistics"), profile),
     }
+
+
+def _statistics(content: list[list[float]] | None, profile: Profile) -> ChannelStatistics | None:
+    if content is None:
+        return None
+    values = np.array(content, dtype=float)
+    if values.shape != (2, profile.in_channels) or not np.isfinite(values).all() or (values[1] <= 0).any():
+        raise ValueError(f"input_statistics = {content!r}")
+    return ChannelStatistics(*(tuple(row) for row in values.tolist()))
