@@ -23,6 +23,8 @@ class Draw(IntEnum):
     TARGET_PASS = 6
     COLOURS = 7
     MARKERS = 8
+    LABELLED = 9
+    FINE_TUNING = 10
 
 
 def generator(*key: int) -> np.random.Generator:
