@@ -18,7 +18,7 @@ from gelgap.adapt.methods.base import Adaptation, Method
 from gelgap.adapt.methods.registry import make_method
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import ForceNetwork
-from gelgap.adapt.normalisation import estimate_statistics, with_statistics_of
+from gelgap.adapt.normalisation import estimate_statistics, input_statistics, with_statistics_of
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.splits import check_same_size
@@ -63,7 +63,15 @@ def adapt(
     chosen = make_method(method, profile, model.n_classes)
     _check_frames(chosen, method, source, target)
     network = copy.deepcopy(model.network)
-    adapted = replace(model, network=network, profile=profile, seed=seed, target=target.name, method=method)
+    adapted = replace(
+        model,
+        network=network,
+        profile=profile,
+        seed=seed,
+        target=target.name,
+        method=method,
+        input_statistics=input_statistics(target, profile, model.device),
+    )
     workbench = _Workbench(network, profile, method, source, target, seed, resume_file, progress)
     if watch is not None:
         workbench.watch = lambda epoch: watch(epoch, _as_if_stopped(adapted, target))
@@ -85,8 +93,8 @@ def _check_frames(method: Method, name: str, source: LabelledFrames, target: Lab
 
 def _as_if_stopped(model: ForceModel, target: LabelledFrames) -> ForceModel:
     """Return a copy of a model in training, with the statistics that the end of stage 2 would give it."""
-    per_domain = model.profile.batch_statistics == "per_domain"
-    stopped = with_statistics_of(model, target) if per_domain else copy.deepcopy(model)
+    own = model.profile.judges_by_own_statistics
+    stopped = with_statistics_of(model, target) if own else copy.deepcopy(model)
     stopped.network.eval()
     return stopped
 
@@ -129,7 +137,7 @@ class _Workbench(Adaptation):
             target=target(self.target, self.profile, self.device),
         )
         self.records += train(stage, self.progress, self.resume_file, self.watch)
-        if self.profile.batch_statistics == "per_domain":
+        if self.profile.judges_by_own_statistics:
             self.estimate_target_statistics()
 
     def estimate_target_statistics(self) -> None:

@@ -62,10 +62,21 @@ class Profile(Settings):
         le=1,
         description="share of source frames whose colours are turned at random, a stand-in for other lights",
     )
-    batch_statistics: Literal["joint", "per_domain"] = Field(
+    marker_hiding: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="share of training batches shown with their markers inpainted, in stage 2 the target's too",
+    )
+    input_standardisation: Literal["none", "domain"] = Field(
+        "none",
+        description="standardise each channel of the network's input by mean and standard deviation over the "
+        "training pictures of its domain",
+    )
+    batch_statistics: Literal["joint", "mixed", "per_domain"] = Field(
         "joint",
-        description="stage 2 normalises source and target as one batch, or each by itself (then the final "
-        "statistics are the target's)",
+        description="stage 2 normalises source and target as one batch, or each by itself; then both are judged under "
+        "the running statistics of the two (mixed), or each under its own (per_domain)",
     )
     source_holdout: float = Field(
         0.1, ge=0, lt=1, description="share of the source kept out of training to measure source risk"
@@ -103,6 +114,11 @@ class Profile(Settings):
     def in_channels(self) -> int:
         """Channels of the network's input."""
         return 6 if self.pairing == "channels" else 3
+
+    @property
+    def judges_by_own_statistics(self) -> bool:
+        """Whether stage 2 ends with batch statistics estimated on the domain that is judged, not the running ones."""
+        return self.batch_statistics == "per_domain"
 
     def replace(self, **changes: Any) -> "Profile":
         """Return a checked copy with some fields changed."""

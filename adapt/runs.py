@@ -15,7 +15,7 @@ from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_predictions
 from gelgap.adapt.methods.names import method_names
 from gelgap.adapt.methods.registry import find_method, method_settings, use_method
 from gelgap.adapt.model import ForceModel
-from gelgap.adapt.normalisation import with_statistics_of
+from gelgap.adapt.normalisation import as_judged_on_source
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.run_key import run_key, stage1_key
@@ -230,7 +230,7 @@ class _Experiment:
             progress=stage1.progress,
         )
         wall_s = wall_s | {"stage2": time.perf_counter() - start}
-        on_source = _on_source(adapted, frames.source_train)
+        on_source = as_judged_on_source(adapted, frames.source_train)
         run, arrays = self._evaluated(planned, adapted, on_source, wall_s)
         if planned.folder is not None:
             kept = frames.source_held_out if len(frames.source_held_out) else frames.source_train
@@ -275,12 +275,6 @@ class _Experiment:
                 source_constant_mean=evaluate_constant_mean(frames.source_train, held_out),
             )
         return replace(run, wall_s=wall_s | {"evaluate": time.perf_counter() - start}), arrays
-
-
-def _on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
-    """Return the model as it is judged on the source: under the source's statistics where domains have their own."""
-    per_domain = model.profile.batch_statistics == "per_domain" and find_method(model.method).uses_target
-    return with_statistics_of(model, source_train) if per_domain else model
 
 
 def _predictions(domain: str, frames: LabelledFrames, predicted_n: np.ndarray) -> dict[str, np.ndarray]:

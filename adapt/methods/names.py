@@ -15,6 +15,7 @@ METHODS = {
     "source-only": "source_only.SourceOnly",
     "adabn": "adabn.AdaBN",
     "no-transfer": "no_transfer.NoTransfer",
+    "classifier-only": "classifier_only.ClassifierOnly",
     "coral": "coral.DeepCORAL",
     "dan": "dan.DAN",
     "jan": "jan.JAN",

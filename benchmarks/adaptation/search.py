@@ -99,11 +99,10 @@ def search_job(bench: Bench, job: TrainingJob) -> SearchRecord:
 
 
 def candidate_of(model, frames):
-    """Return what selectors may see of a model: source frames under the source's normalisation, if it has its own."""
-    from gelgap.adapt import Candidate, with_statistics_of
+    """Return what selectors may see of a model: source frames as the model is judged on them."""
+    from gelgap.adapt import Candidate, as_judged_on_source
 
-    per_domain = model.profile.batch_statistics == "per_domain"
-    on_source = with_statistics_of(model, frames.source_train) if per_domain else model
+    on_source = as_judged_on_source(model, frames.source_train)
     return Candidate(
         source_features=on_source.features(frames.source_held_out),
         source_force_n=frames.source_held_out.force_n,

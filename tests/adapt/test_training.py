@@ -1,12 +1,15 @@
 """Two-stage training: it learns, is deterministic, resumes, keeps target pictures apart, names its errors."""
 
+import copy
 import platform
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from gelgap.adapt.adaptation import adapt
+from gelgap.adapt.batches import Draw, epoch_order, network_inputs
 from gelgap.adapt.colour_mixing import mix_colours
 from gelgap.adapt.evaluation import evaluate, evaluate_constant_mean
 from gelgap.adapt.loop import FeatureCollapse
@@ -14,6 +17,7 @@ from gelgap.adapt.machine import keep_freed_memory
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
 from gelgap.adapt.model import ForceModel
+from gelgap.adapt.normalisation import as_judged_on_source
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.run_key import run_key, stage1_key, stage1_profile
 from gelgap.adapt.run_record import load_predictions, load_runs
@@ -71,7 +75,45 @@ def test_no_transfer_takes_only_normalisation_from_the_target(stage1, source, ta
     assert np.abs(weights(first) - weights(stage1)).max() > 1e-3
 
 
-@pytest.mark.parametrize("statistics", ["joint", "per_domain"])
+def test_mixed_statistics_are_those_of_both_domains_in_turn(stage1, source, target):
+    still = stage1.profile.replace(batch_statistics="mixed", adapt_learning_rate=1e-12, adapt_epochs=1)
+    adapted = adapt(stage1, source, target, "no-transfer", still)
+    network = copy.deepcopy(stage1.network).train()
+    pictures = [network_inputs(frames, still, "cpu") for frames in (source, target)]
+    keys = (0, Draw.STAGE_2, 0), (0, Draw.STAGE_2_TARGET, 0)
+    orders = [epoch_order(len(source), still.batch_size, *key) for key in keys]
+    with torch.no_grad():
+        for rows in zip(*orders, strict=True):
+            for domain, of_domain in zip(pictures, rows, strict=True):
+                network(domain.inputs(of_domain))
+    expected, found = network.state_dict(), adapted.network.state_dict()
+    statistics = [name for name in expected if name.endswith(("running_mean", "running_var"))]
+    assert statistics
+    for name in statistics:
+        torch.testing.assert_close(found[name], expected[name], rtol=1e-4, atol=1e-6)
+
+
+def test_with_mixed_statistics_both_domains_are_judged_by_one_model(stage1, source, target):
+    mixed = stage1.profile.replace(batch_statistics="mixed")
+    adapted = adapt(stage1, source, target, "no-transfer", mixed)
+    assert as_judged_on_source(adapted, source) is adapted
+    own = replace(adapted, profile=mixed.replace(batch_statistics="per_domain"))
+    assert np.abs(as_judged_on_source(own, source).predict_n(source) - adapted.predict_n(source)).max() > 1e-3
+
+
+def test_the_paper_profile_has_the_published_statistics():
+    assert Profile.preset("paper").batch_statistics == "mixed"
+
+
+def test_classifier_only_trains_what_dsan_trains_without_its_loss(stage1, source, target):
+    weightless = stage1.profile.replace(transfer_weight=0.0)
+    without, dsan = (adapt(stage1, source, target, m, weightless) for m in ("classifier-only", "dsan"))
+    np.testing.assert_array_equal(weights(without), weights(dsan))
+    plain = adapt(stage1, source, target, "no-transfer", weightless)
+    assert np.abs(weights(without) - weights(plain)).max() > 1e-4
+
+
+@pytest.mark.parametrize("statistics", ["joint", "mixed", "per_domain"])
 def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, target, statistics):
     profile = stage1.profile.replace(batch_statistics=statistics)
     seen = {}
