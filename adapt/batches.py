@@ -25,6 +25,7 @@ class Draw(IntEnum):
     MARKERS = 8
     LABELLED = 9
     FINE_TUNING = 10
+    METHOD = 11
 
 
 def generator(*key: int) -> np.random.Generator:

@@ -10,7 +10,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, hidden_batches, steps_per_epoch
+from gelgap.adapt.batches import (
+    Draw,
+    TrainingDomain,
+    epoch_order,
+    generator,
+    hidden_batches,
+    steps_per_epoch,
+)
 from gelgap.adapt.colour_mixing import mix_batch
 from gelgap.adapt.diagnosis import StepResult
 from gelgap.adapt.loop import Stage
@@ -44,6 +51,9 @@ class JointStage(Stage):
     def companion(self) -> Method:
         return self.method
 
+    def after_step(self) -> None:
+        self.method.after_step(self.network)
+
     @cached_property
     def steps_per_epoch(self) -> int:
         return steps_per_epoch(len(self.source), self.profile.batch_size)
@@ -73,17 +83,17 @@ class JointStage(Stage):
 
     def step(self, number: int, batch: tuple[_Batch, _Batch]) -> StepResult:
         profile, method = self.profile, self.method
+        method.weight, method.rng = self._transfer_weight(number), generator(self.seed, Draw.METHOD, number)
+        method.diagnostics.clear()
         source, target = self._activations(number, *batch)
         parts = {"regression": regression_loss(source)}
         loss = profile.regression_weight * parts["regression"]
         if method.uses_classifier:
             parts["classification"] = functional.cross_entropy(source.logits, source.contact_class)
             loss = loss + profile.classification_weight * parts["classification"]
-        method.weight = self._transfer_weight(number)
-        method.diagnostics.clear()
-        if method.weight > 0 or method.weighs_gradient:
+        if method.weight > 0 or method.applies_weight:
             parts["transfer"] = method.transfer_loss(source, target)
-            loss = loss + (1.0 if method.weighs_gradient else method.weight) * parts["transfer"]
+            loss = loss + (1.0 if method.applies_weight else method.weight) * parts["transfer"]
         return StepResult(loss, parts, source, dict(method.diagnostics))
 
     def _transfer_weight(self, number: int) -> float:
@@ -95,18 +105,19 @@ class JointStage(Stage):
     def _activations(self, number: int, source: _Batch, target: _Batch) -> tuple[Activations, Activations]:
         network = self.network
         inputs = mix_batch(source.inputs, self.profile, self.seed, Draw.STAGE_2, number)
+        shown = self.method.perturb(target.inputs)
         with autocast(self.profile, inputs.device):
             if self.profile.batch_statistics == "joint":
-                together = network.features(torch.cat([inputs, target.inputs]))
+                together = network.features(torch.cat([inputs, shown]))
                 of_source, of_target = together[: len(inputs)], together[len(inputs) :]
             else:
-                of_source, of_target = network.features(inputs), network.features(target.inputs)
+                of_source, of_target = network.features(inputs), network.features(shown)
         return (
-            self._heads(self.source, of_source.float(), source.rows),
-            self._heads(self.target, of_target.float(), target.rows),
+            self._heads(self.source, of_source.float(), source),
+            self._heads(self.target, of_target.float(), target),
         )
 
-    def _heads(self, domain: TrainingDomain, features: Tensor, rows: Tensor) -> Activations:
+    def _heads(self, domain: TrainingDomain, features: Tensor, batch: _Batch) -> Activations:
         share = self.profile.classification_feedback
         logits = None
         if self.method.uses_classifier:
@@ -115,8 +126,9 @@ class JointStage(Stage):
             features=features,
             prediction=self.network.regressor(features),
             logits=logits,
-            force=None if domain.force is None else domain.force[rows],
-            contact_class=None if domain.contact_class is None else domain.contact_class[rows],
+            force=None if domain.force is None else domain.force[batch.rows],
+            contact_class=None if domain.contact_class is None else domain.contact_class[batch.rows],
+            inputs=batch.inputs,
         )
 
 

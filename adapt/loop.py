@@ -71,6 +71,9 @@ class Stage(ABC):
     def step(self, number: int, batch: Any) -> StepResult:
         """Return the loss of a batch; `number` counts the steps over all epochs."""
 
+    def after_step(self) -> None:  # noqa: B027
+        """Follow a step that was taken; by default nothing."""
+
     @property
     def modules(self) -> tuple[nn.Module, ...]:
         """All modules that are trained."""
@@ -147,6 +150,7 @@ class _Training:
             finite = math.isfinite(norm) and bool(torch.isfinite(result.loss))
             if finite:
                 self.optimizer.step()
+                stage.after_step()
                 self.skipped_in_a_row = 0
             else:
                 self._skip(result, norm)

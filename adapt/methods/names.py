@@ -20,6 +20,7 @@ METHODS = {
     "dan": "dan.DAN",
     "jan": "jan.JAN",
     "dann": "dann.DANN",
+    "cdan": "cdan.CDAN",
     "rsd": "rsd.RSD",
     "daregram": "daregram.DAREGRAM",
     "daregram-published": "daregram.PublishedDAREGRAM",
@@ -31,6 +32,10 @@ METHODS = {
     "cod": "cod.COD",
     "conditional-mmd": "conditional_mmd.ConditionalMMD",
     "ssa": "ssa.SSA",
+    "tasfar": "tasfar.TASFAR",
+    "mean-teacher": "mean_teacher.MeanTeacher",
+    "uga": "uga.UGA",
+    "importance-weighting": "importance_weighting.ImportanceWeighting",
     "supervised": "supervised.Supervised",
 }
 EXTRA: "dict[str, type[Method]]" = {}

@@ -13,10 +13,12 @@ from torch import Tensor
 
 from gelgap.adapt import ResultTable
 from gelgap.adapt.kernels import multi_gaussian, squared_distances
+from gelgap.adapt.methods.cdan import multilinear_map
 from gelgap.adapt.methods.dan import mmd_of_kernel
 from gelgap.adapt.methods.dann import DANN, domain_loss, reverse_gradient
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.ssa import subspace_loss
+from gelgap.adapt.methods.uga import Evidence, evidential_loss
 from gelgap.adapt.network import Activations
 from gelgap.assets import asset_path
 from gelgap.assets.array_file import read_arrays
@@ -123,9 +125,14 @@ class _Discriminator(torch.nn.Module):
 
 def _conditional_adversarial(x: Inputs) -> Tensor:
     features = torch.cat([x["source"], x["target"]])
-    joint = x["conditioning_logits"].softmax(dim=1)[:, :, None] * features[:, None, :]
-    logits = reverse_gradient(joint.flatten(1), REVERSAL) @ x["conditional_output"]
+    joint = multilinear_map(features, x["conditioning_logits"].softmax(dim=1))
+    logits = reverse_gradient(joint, REVERSAL) @ x["conditional_output"]
     return domain_loss(*logits.split(len(x["source"])))
+
+
+def _evidential(x: Inputs) -> Tensor:
+    nu, alpha, beta = (x["evidence"] + torch.tensor([0.0, 1.0, 0.0]) + 1e-5).unbind(dim=2)
+    return evidential_loss(x["source_force"], x["source_prediction"], Evidence(nu, alpha, beta))
 
 
 def _subspace(x: Inputs) -> Tensor:
@@ -169,7 +176,7 @@ COMPARISONS = (
         "a quarter of it, without its distance of the means",
     ),
     Comparison("dann", "tllib", "dann", _adversarial),
-    Comparison("dann on the outer product", "tllib, CDAN", "cdan", _conditional_adversarial),
+    Comparison("cdan, given class probabilities", "tllib", "cdan", _conditional_adversarial),
     Comparison(
         "rsd, as published", "RSD's authors", "rsd", lambda x: rsd_published(x["source"], x["target"])
     ),
@@ -192,6 +199,7 @@ COMPARISONS = (
         "ridge for the cut",
     ),
     Comparison("cod, conditional part", "COD's authors", "cod", method_loss("cod", marginal=0.0)),
+    Comparison("uga, evidential part", "UGA's authors", "uga", _evidential),
     Comparison("ssa", "SSA's authors", "ssa", _subspace),
 )
 
