@@ -3,6 +3,9 @@ from .evaluation import Evaluation as Evaluation
 from .evaluation import evaluate as evaluate
 from .evaluation import evaluate_constant_mean as evaluate_constant_mean
 from .evaluation import evaluate_predictions as evaluate_predictions
+from .few_labels import affine_correction as affine_correction
+from .few_labels import draw_labelled as draw_labelled
+from .few_labels import fine_tune as fine_tune
 from .figures import feature_tsne as feature_tsne
 from .figures import force_scatter as force_scatter
 from .loop import FeatureCollapse as FeatureCollapse
@@ -15,6 +18,7 @@ from .methods.registry import find_method as find_method
 from .methods.registry import make_method as make_method
 from .methods.registry import register as register
 from .methods.registry import transfer_weight as transfer_weight
+from .model import AffineCorrection as AffineCorrection
 from .model import ForceModel as ForceModel
 from .network import Activations as Activations
 from .network import make_network as make_network

@@ -18,7 +18,7 @@ from gelgap.adapt.methods.base import Adaptation, Method
 from gelgap.adapt.methods.registry import make_method
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import ForceNetwork
-from gelgap.adapt.normalisation import estimate_statistics, with_statistics_of
+from gelgap.adapt.normalisation import estimate_statistics, input_statistics, with_statistics_of
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.splits import check_same_size
@@ -63,7 +63,15 @@ def adapt(
     chosen = make_method(method, profile, model.n_classes)
     _check_frames(chosen, method, source, target)
     network = copy.deepcopy(model.network)
-    adapted = replace(model, network=network, profile=profile, seed=seed, target=target.name, method=method)
+    adapted = replace(
+        model,
+        network=network,
+        profile=profile,
+        seed=seed,
+        target=target.name,
+        method=method,
+        input_statistics=input_statistics(target, profile, model.device),
+    )
     workbench = _Workbench(network, profile, method, source, target, seed, resume_file, progress)
     if watch is not None:
         workbench.watch = lambda epoch: watch(epoch, _as_if_stopped(adapted, target))

@@ -1,7 +1,7 @@
 """Batches of one domain on the training device, and the order in which an epoch takes its frames."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from gelgap.adapt.profile import Profile
-from gelgap.domains import LabelledFrames, PairedFrames
+from gelgap.domains import ChannelStatistics, LabelledFrames, PairedFrames
 
 
 class Draw(IntEnum):
@@ -22,6 +22,9 @@ class Draw(IntEnum):
     SOURCE_PASS = 5
     TARGET_PASS = 6
     COLOURS = 7
+    MARKERS = 8
+    LABELLED = 9
+    FINE_TUNING = 10
 
 
 def generator(*key: int) -> np.random.Generator:
@@ -43,9 +46,29 @@ def epoch_order(n: int, batch_size: int, *key: int) -> np.ndarray:
     return generator(*key).permutation(n)[: steps * size].reshape(steps, size)
 
 
-def network_inputs(frames: LabelledFrames, profile: Profile, device: torch.device) -> PairedFrames:
-    """Return the frames' pictures on the device, in the size and pairing of the profile."""
-    return frames.torch(profile.image_size_px, profile.pairing, device)
+def hidden_frames(shape: tuple[int, ...], share: float, *key: int) -> np.ndarray:
+    """Return which frames of batches are shown without markers, bool of this shape, drawn by the key."""
+    if share == 0:
+        return np.zeros(shape, bool)
+    return generator(Draw.MARKERS, *key).random(shape) < share
+
+
+def network_inputs(
+    frames: LabelledFrames,
+    profile: Profile,
+    device: torch.device,
+    statistics: ChannelStatistics | None = None,
+    markers: bool = True,
+) -> PairedFrames:
+    """Return the frames' pictures on the device, in the size and pairing of the profile.
+
+    Where the profile standardises inputs, it is by the given statistics, or else by those of these frames. Without
+    `markers` the dots are inpainted.
+    """
+    pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
+    if profile.input_standardisation == "none":
+        return pictures
+    return pictures.standardised(statistics or pictures.channel_statistics())
 
 
 def one_pass(frames: LabelledFrames, profile: Profile, device: torch.device, *key: int) -> Iterator[Tensor]:
@@ -65,23 +88,38 @@ def normalised_force(frames: LabelledFrames) -> np.ndarray:
 class TrainingDomain:
     """One domain on the device: pictures always, labels only where training may use them.
 
-    force is (n, 3), normalised to [0, 1]; contact_class (n,).
+    force is (n, 3), normalised to [0, 1]; contact_class (n,); without_markers the same pictures with their dots
+    inpainted, where training shows them.
     """
 
     pictures: PairedFrames
     force: Tensor | None = None
     contact_class: Tensor | None = None
+    without_markers: PairedFrames | None = None
 
     @classmethod
     def labelled(cls, frames: LabelledFrames, profile: Profile, device: torch.device) -> "TrainingDomain":
         """Return the frames with their labels."""
-        pictures = network_inputs(frames, profile, device)
-        return cls(pictures, torch.from_numpy(normalised_force(frames)).to(device), pictures.contact_class)
+        domain = cls.unlabelled(frames, profile, device)
+        force = torch.from_numpy(normalised_force(frames)).to(device)
+        return replace(domain, force=force, contact_class=domain.pictures.contact_class)
 
     @classmethod
     def unlabelled(cls, frames: LabelledFrames, profile: Profile, device: torch.device) -> "TrainingDomain":
         """Return the frames' pictures alone."""
-        return cls(network_inputs(frames, profile, device))
+        pictures = network_inputs(frames, profile, device)
+        if profile.marker_hiding == 0:
+            return cls(pictures)
+        hidden = network_inputs(frames, profile, device, pictures.statistics, markers=False)
+        return cls(pictures, without_markers=hidden)
+
+    def inputs(self, rows: Tensor, hidden: np.ndarray) -> Tensor:
+        """Return the network's inputs for these frames, those that `hidden` (B,) marks without their markers."""
+        inputs = self.pictures.inputs(rows)
+        if hidden.any():
+            chosen = torch.from_numpy(hidden).to(rows.device)
+            inputs[chosen] = self.without_markers.inputs(rows[chosen])
+        return inputs
 
     def __len__(self) -> int:
         return len(self.pictures)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, steps_per_epoch
+from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, hidden_frames, steps_per_epoch
 from gelgap.adapt.colour_mixing import mix_batch
 from gelgap.adapt.diagnosis import StepResult
 from gelgap.adapt.loop import Stage
@@ -54,15 +54,24 @@ class JointStage(Stage):
     def batches(self, epoch: int) -> Iterator[tuple[_Batch, _Batch]]:
         size = self.profile.batch_size
         of_target = self._cycled_target(epoch * self.steps_per_epoch)
-        for of_source in epoch_order(len(self.source), size, self.seed, Draw.STAGE_2, epoch):
-            yield _batch(self.source, of_source), _batch(self.target, next(of_target))
+        key = self.seed, Draw.STAGE_2, epoch
+        order = epoch_order(len(self.source), size, *key)
+        hidden = hidden_frames(order.shape, self.profile.marker_hiding, *key)
+        for of_source in zip(order, hidden, strict=True):
+            yield _batch(self.source, *of_source), _batch(self.target, *next(of_target))
 
-    def _cycled_target(self, first_step: int) -> Iterator[np.ndarray]:
-        """Yield the indices of target batches from a step on, permutation after permutation, without end."""
+    def _cycled_target(self, first_step: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the frames of target batches from a step on, permutation after permutation, without end.
+
+        Each comes with which of them are shown without markers.
+        """
         n, size = len(self.target), self.profile.batch_size
         cycle, offset = divmod(first_step, steps_per_epoch(n, size))
         while True:
-            yield from epoch_order(n, size, self.seed, Draw.STAGE_2_TARGET, cycle)[offset:]
+            key = self.seed, Draw.STAGE_2_TARGET, cycle
+            order = epoch_order(n, size, *key)
+            hidden = hidden_frames(order.shape, self.profile.marker_hiding, *key)
+            yield from zip(order[offset:], hidden[offset:], strict=True)
             cycle, offset = cycle + 1, 0
 
     def step(self, number: int, batch: tuple[_Batch, _Batch]) -> StepResult:
@@ -113,6 +122,6 @@ class JointStage(Stage):
         )
 
 
-def _batch(domain: TrainingDomain, indices: np.ndarray) -> _Batch:
+def _batch(domain: TrainingDomain, indices: np.ndarray, hidden: np.ndarray) -> _Batch:
     rows = torch.from_numpy(indices).to(domain.pictures.images.device)
-    return _Batch(domain.pictures.inputs(rows), rows)
+    return _Batch(domain.inputs(rows, hidden), rows)

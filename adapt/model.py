@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,10 +13,26 @@ from gelgap.adapt.network import ForceNetwork, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import LabelledFrames
+from gelgap.domains import ChannelStatistics, LabelledFrames
 
 _FORMAT = 1
 _INFERENCE_BATCH = 256
+
+
+class AffineCorrection(NamedTuple):
+    """A correction of each axis of predicted forces, F' = gain·F + offset_n."""
+
+    gain: tuple[float, float, float]
+    offset_n: tuple[float, float, float]
+
+    def __call__(self, force_n: np.ndarray) -> np.ndarray:
+        """Return corrected forces (n, 3), N."""
+        return np.multiply(force_n, self.gain) + self.offset_n
+
+    def after(self, first: "AffineCorrection") -> "AffineCorrection":
+        """Return the correction that applies `first`, then this one."""
+        gain, offset_n = np.multiply(self.gain, first.gain), self(np.array(first.offset_n))
+        return AffineCorrection(tuple(gain.tolist()), tuple(offset_n.tolist()))
 
 
 @dataclass(frozen=True)
@@ -24,7 +40,8 @@ class ForceModel:
     """A network with what is needed to use it: `predict_n` maps frames to forces in newtons.
 
     force_range_n (3, 2) is the source's declared range; source, target and method say how it was trained;
-    history holds the `EpochRecord` of every epoch of both stages as a dictionary.
+    history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_statistics are those of the
+    domain it is for, where the profile standardises the input; correction is what a few labels added.
     """
 
     network: ForceNetwork
@@ -36,6 +53,8 @@ class ForceModel:
     target: str | None = None
     method: str = "source-only"
     history: tuple[dict[str, Any], ...] = field(default=())
+    input_statistics: ChannelStatistics | None = None
+    correction: AffineCorrection | None = None
 
     @property
     def device(self) -> torch.device:
@@ -48,12 +67,13 @@ class ForceModel:
     def predict_n(self, frames: LabelledFrames) -> np.ndarray:
         """Return the predicted forces (n, 3), N."""
         low, high = np.asarray(self.force_range_n, float).T
-        return low + self._infer(frames)[1].astype(float) * (high - low)
+        force_n = low + self._infer(frames)[1].astype(float) * (high - low)
+        return force_n if self.correction is None else self.correction(force_n)
 
     @torch.inference_mode()
     def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
         self.network.eval()
-        pictures = network_inputs(frames, self.profile, self.device)
+        pictures = network_inputs(frames, self.profile, self.device, self.input_statistics)
         features, predictions = [], []
         for start in range(0, len(frames), _INFERENCE_BATCH):
             rows = np.arange(start, min(start + _INFERENCE_BATCH, len(frames)))
@@ -77,6 +97,8 @@ class ForceModel:
             "target": self.target,
             "method": self.method,
             "history": list(self.history),
+            "input_statistics": self.input_statistics and [list(values) for values in self.input_statistics],
+            "correction": self.correction and [list(values) for values in self.correction],
         }
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
             torch.save(content, file)
@@ -127,4 +149,26 @@ def _fields(content: dict[str, Any]) -> dict[str, Any]:
         "target": content["target"],
         "method": content["method"],
         "history": tuple(content["history"]),
+        "input_statistics": _statistics(content.get("input_statistics"), profile),
+        "correction": _correction(content.get("correction")),
     }
+
+
+def _statistics(content: list[list[float]] | None, profile: Profile) -> ChannelStatistics | None:
+    if content is None:
+        return None
+    mean, std = _two_rows("input_statistics", content, profile.in_channels)
+    if min(std) <= 0:
+        raise ValueError(f"input_statistics = {content!r}")
+    return ChannelStatistics(mean, std)
+
+
+def _correction(content: list[list[float]] | None) -> AffineCorrection | None:
+    return None if content is None else AffineCorrection(*_two_rows("correction", content, 3))
+
+
+def _two_rows(name: str, content: list[list[float]], columns: int) -> tuple[tuple[float, ...], ...]:
+    values = np.array(content, dtype=float)
+    if values.shape != (2, columns) or not np.isfinite(values).all():
+        raise ValueError(f"{name} = {content!r}")
+    return tuple(tuple(row) for row in values.tolist())

@@ -1,4 +1,4 @@
-"""The statistics of the batch normalisations, estimated again on the pictures of a domain."""
+"""The statistics of a domain's pictures: of the network's input, and of its batch normalisations estimated again."""
 
 import copy
 from dataclasses import replace
@@ -9,16 +9,18 @@ from torch import nn
 from gelgap.adapt.batches import Draw, epoch_order, network_inputs
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel
-from gelgap.domains import LabelledFrames, PairedFrames
+from gelgap.adapt.profile import Profile
+from gelgap.domains import ChannelStatistics, LabelledFrames, PairedFrames
 
 _BATCH = 64
 
 
 def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
-    """Return a copy of a model whose batch normalisations have the statistics of these frames' pictures."""
+    """Return a copy of a model whose input and batch normalisations have the statistics of these frames' pictures."""
     network = copy.deepcopy(model.network)
-    estimate_statistics(network, network_inputs(frames, model.profile, model.device), model.seed)
-    return replace(model, network=network)
+    pictures = network_inputs(frames, model.profile, model.device)
+    estimate_statistics(network, pictures, model.seed)
+    return replace(model, network=network, input_statistics=pictures.statistics)
 
 
 def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
@@ -26,8 +28,20 @@ def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> Forc
 
     source_train holds the source's training frames.
     """
-    own = model.profile.judges_by_own_statistics and find_method(model.method).uses_target
-    return with_statistics_of(model, source_train) if own else model
+    if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
+        return with_statistics_of(model, source_train)
+    if model.profile.input_standardisation == "none":
+        return model
+    return replace(model, input_statistics=input_statistics(source_train, model.profile, model.device))
+
+
+def input_statistics(
+    frames: LabelledFrames, profile: Profile, device: torch.device
+) -> ChannelStatistics | None:
+    """Return the statistics by which the profile standardises a domain's inputs, None where it does not."""
+    if profile.input_standardisation == "none":
+        return None
+    return network_inputs(frames, profile, device).statistics
 
 
 @torch.no_grad()

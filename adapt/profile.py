@@ -62,6 +62,17 @@ class Profile(Settings):
         le=1,
         description="share of source frames whose colours are turned at random, a stand-in for other lights",
     )
+    marker_hiding: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="share of training frames shown with their markers inpainted, in stage 2 the target's too",
+    )
+    input_standardisation: Literal["none", "domain"] = Field(
+        "none",
+        description="standardise each channel of the network's input by mean and standard deviation over the "
+        "training pictures of its domain",
+    )
     batch_statistics: Literal["joint", "mixed", "per_domain"] = Field(
         "joint",
         description="stage 2 normalises source and target as one batch, or each by itself; then both are judged under "

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order
+from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, hidden_frames
 from gelgap.adapt.checkpoint import load_checkpoint
 from gelgap.adapt.colour_mixing import mix_batch
 from gelgap.adapt.diagnosis import StepResult
@@ -21,7 +21,7 @@ from gelgap.adapt.normalisation import estimate_statistics
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.resnet import load_imagenet_weights
-from gelgap.domains import LabelledFrames
+from gelgap.domains import ChannelStatistics, LabelledFrames
 
 
 def train_source(
@@ -68,19 +68,25 @@ def train_source(
             source=domain,
         )
         records = train(stage, progress, resume_file)
-        if profile.colour_mixing:
+        if profile.colour_mixing or profile.marker_hiding:
             estimate_statistics(network, domain.pictures, seed)
-    return _model(network, source, profile, seed, tuple(asdict(record) for record in records))
+    history = tuple(asdict(record) for record in records)
+    return _model(network, source, profile, seed, history, domain.pictures.statistics)
 
 
 def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
     """Return the network as stage 1 begins with it, for methods that do not need its training."""
     network = make_network(profile, source.n_classes, seed).to(best_device())
-    return _model(network, source, profile, seed, ())
+    return _model(network, source, profile, seed, (), None)
 
 
 def _model(
-    network: ForceNetwork, source: LabelledFrames, profile: Profile, seed: int, history: tuple[dict, ...]
+    network: ForceNetwork,
+    source: LabelledFrames,
+    profile: Profile,
+    seed: int,
+    history: tuple[dict, ...],
+    input_statistics: ChannelStatistics | None,
 ) -> ForceModel:
     return ForceModel(
         network=network.eval(),
@@ -90,6 +96,7 @@ def _model(
         seed=seed,
         source=source.name,
         history=history,
+        input_statistics=input_statistics,
     )
 
 
@@ -101,9 +108,10 @@ class SourceStage(Stage):
 
     def batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
         order = epoch_order(len(self.source), self.profile.batch_size, self.seed, Draw.STAGE_1, epoch)
-        for indices in order:
+        hidden = hidden_frames(order.shape, self.profile.marker_hiding, self.seed, Draw.STAGE_1, epoch)
+        for indices, without_markers in zip(order, hidden, strict=True):
             rows = torch.from_numpy(indices).to(self.source.force.device)
-            yield self.source.pictures.inputs(rows), self.source.force[rows]
+            yield self.source.inputs(rows, without_markers), self.source.force[rows]
 
     def step(self, number: int, batch: tuple[Tensor, Tensor]) -> StepResult:
         inputs, force = batch

@@ -27,6 +27,7 @@ from .inspection import verify_domain as verify_domain
 from .opening import layout_problem as layout_problem
 from .opening import open_domain as open_domain
 from .overview import write_overview as write_overview
+from .paired_frames import ChannelStatistics as ChannelStatistics
 from .paired_frames import PairedFrames as PairedFrames
 from .paired_frames import Pairing as Pairing
 from .plan import plan_generation as plan_generation

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gelgap.domains.hidden_markers import without_markers
 from gelgap.domains.picture_codec import resized
 
 if TYPE_CHECKING:
@@ -77,6 +78,12 @@ class LabelledFrames(ABC):
     @abstractmethod
     def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
         """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`)."""
+
+    def images_without_markers(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        """Return what `images` does, of pictures whose markers are found and inpainted at the stored size."""
+        size = self.image_size_px(size_px)
+        pictures = (without_markers(self.picture(index)) for index in range(len(self)))
+        return np.stack([resized(picture, size) for picture in pictures])
 
     def take(self, indices: np.ndarray) -> "LabelledFrames":
         """Return the frames with these indices, in this order."""
@@ -167,13 +174,18 @@ class LabelledFrames(ABC):
         size_px: int | tuple[int, int] | None = 64,
         pairing: "Pairing" = "channels",
         device: "Device | str" = "cpu",
+        markers: bool = True,
     ) -> "PairedFrames":
-        """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference."""
+        """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference.
+
+        Without `markers`, pictures and reference have their dots inpainted.
+        """
         from gelgap.domains.paired_frames import PairedFrames
 
+        reference = self.reference if markers else without_markers(self.reference)
         return PairedFrames(
-            self.images(size_px),
-            self.reference_at(size_px),
+            self.images(size_px) if markers else self.images_without_markers(size_px),
+            resized(reference, self.image_size_px(size_px)),
             self.force_n,
             self.contact_class,
             pairing,
@@ -273,6 +285,7 @@ class FrameSubset(LabelledFrames):
         self.notes = whole.notes
         self.columns = {name: values[self.indices] for name, values in whole.columns.items()}
         self._images: dict[tuple[int, int], np.ndarray] = {}
+        self._without_markers: dict[tuple[int, int], np.ndarray] = {}
 
     @property
     def reference(self) -> np.ndarray:
@@ -290,3 +303,9 @@ class FrameSubset(LabelledFrames):
         if size not in self._images:
             self._images[size] = self.whole.images(size)[self.indices]
         return self._images[size]
+
+    def images_without_markers(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        size = self.image_size_px(size_px)
+        if size not in self._without_markers:
+            self._without_markers[size] = self.whole.images_without_markers(size)[self.indices]
+        return self._without_markers[size]

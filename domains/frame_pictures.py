@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.domains.columns import OPTIONAL, View, ViewColumn, picture_cell
+from gelgap.domains.hidden_markers import without_markers
 from gelgap.domains.picture_codec import encode_png
 from gelgap.domains.random_streams import random_stream
 from gelgap.domains.recipe import DomainRecipe
@@ -93,8 +94,4 @@ def _shows_markers(recipe: DomainRecipe) -> bool:
 
 def _as_shown(recipe: DomainRecipe, picture: np.ndarray) -> np.ndarray:
     """Return the picture, without its markers if the recipe has them inpainted."""
-    if recipe.inpainted_from is None:
-        return picture
-    from gelgap.render import detect_markers, inpaint_telea
-
-    return inpaint_telea(picture, detect_markers(picture))
+    return picture if recipe.inpainted_from is None else without_markers(picture)

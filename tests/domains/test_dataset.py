@@ -108,6 +108,42 @@ def test_a_folder_that_cannot_be_written_to_is_cached_for_the_user(
     assert len(list((tmp_path / "user").rglob("images-16x12-*.npy"))) == 1
 
 
+def test_pictures_without_markers_are_made_once_and_only_when_asked_for(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.delenv("GELGAP_CACHE")
+    shutil.copytree(data / "mb0i0", tmp_path / "mb0i0", ignore=shutil.ignore_patterns(".cache"))
+    frames = open_domain(tmp_path / "mb0i0")
+    shown = frames.images(80)
+    assert [path.name.split("-")[0] for path in (tmp_path / "mb0i0" / ".cache").glob("*.npy")] == ["images"]
+    hidden = frames.images_without_markers(80)
+    # The generated domain with inpainted markers has been made in the same way.
+    np.testing.assert_array_equal(hidden, open_domain(data / "wmb0i0").images(80))
+    assert (shown.max(axis=3) < 60).sum() > 1000
+    assert not (hidden.max(axis=3) < 60).any()
+    some = frames.take(np.array([5, 2]))
+    monkeypatch.setattr("gelgap.domains.stored.write_kept_pictures", pytest.fail)
+    np.testing.assert_array_equal(some.images_without_markers(80), hidden[[5, 2]])
+    held = ArrayFrames("held", frames.images(), frames.reference, frames.force_n)
+    np.testing.assert_array_equal(held.images_without_markers((40, 30))[3], resized(hidden[3], (40, 30)))
+
+
+def test_pictures_in_which_no_marker_is_found_stay(data: Path):
+    frames = open_domain(data / "wmb0i0")
+    np.testing.assert_array_equal(frames.images_without_markers(40), frames.images(40))
+
+
+@pytest.mark.parametrize("pairing", ["channels", "difference"])
+def test_standardised_inputs_have_unit_statistics(data: Path, pairing: str):
+    pytest.importorskip("torch")
+    pairs = open_domain(data / "mb0i1").torch((40, 30), pairing)
+    statistics = pairs.channel_statistics()
+    inputs = pairs.standardised(statistics).inputs(np.arange(len(pairs))).double()
+    assert inputs.mean(dim=(0, 2, 3)).abs().max() < 1e-4
+    assert (inputs.std(dim=(0, 2, 3)) - 1).abs().max() < 1e-3
+    assert pairs.statistics is None
+
+
 def arrays(n: int = 6, **changes) -> ArrayFrames:
     rng = np.random.default_rng(0)
     force = np.stack([np.zeros(n), np.zeros(n), -np.arange(n) / n], axis=1)
