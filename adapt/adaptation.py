@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gelgap.adapt.batches import Draw, TrainingDomain, network_inputs, normalised_force, one_pass
+from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, network_inputs, normalised_force, one_pass
 from gelgap.adapt.diagnosis import EpochRecord
 from gelgap.adapt.joint_stage import JointStage
 from gelgap.adapt.loop import train
@@ -74,7 +74,7 @@ def adapt(
     )
     workbench = _Workbench(network, profile, method, source, target, seed, resume_file, progress)
     if watch is not None:
-        workbench.watch = lambda epoch: watch(epoch, _as_if_stopped(adapted, target))
+        workbench.watch = lambda epoch: watch(epoch, _as_if_stopped(adapted, target, chosen))
     with torch_threads(profile.threads):
         chosen.adapt(workbench)
     network.eval()
@@ -91,10 +91,12 @@ def _check_frames(method: Method, name: str, source: LabelledFrames, target: Lab
         raise ValueError(f"method {name} needs contact classes; source {source.name} has frames without one")
 
 
-def _as_if_stopped(model: ForceModel, target: LabelledFrames) -> ForceModel:
-    """Return a copy of a model in training, with the statistics that the end of stage 2 would give it."""
-    own = model.profile.judges_by_own_statistics
-    stopped = with_statistics_of(model, target) if own else copy.deepcopy(model)
+def _as_if_stopped(model: ForceModel, target: LabelledFrames, method: Method) -> ForceModel:
+    """Return a copy of a model in training, as the end of stage 2 would leave it."""
+    stopped = replace(model, network=copy.deepcopy(model.network))
+    method.finish(stopped.network)
+    if model.profile.judges_by_own_statistics:
+        stopped = with_statistics_of(stopped, target)
     stopped.network.eval()
     return stopped
 
@@ -136,7 +138,9 @@ class _Workbench(Adaptation):
             source=TrainingDomain.labelled(self.source, self.profile, self.device),
             target=target(self.target, self.profile, self.device),
         )
+        method.begin(self.network)
         self.records += train(stage, self.progress, self.resume_file, self.watch)
+        method.finish(self.network)
         if self.profile.judges_by_own_statistics:
             self.estimate_target_statistics()
 
@@ -149,6 +153,13 @@ class _Workbench(Adaptation):
 
     def source_batches(self, epoch: int) -> Iterator[Tensor]:
         return one_pass(self.source, self.profile, self.device, self.seed, Draw.SOURCE_PASS, epoch)
+
+    def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
+        force = torch.from_numpy(normalised_force(self.source)).to(self.device)
+        pictures = network_inputs(self.source, self.profile, self.device)
+        order = epoch_order(len(self.source), self.profile.batch_size, self.seed, Draw.SOURCE_PASS, epoch)
+        for rows in order:
+            yield pictures.inputs(rows), force[torch.from_numpy(rows)]
 
     def target_batches(self, epoch: int) -> Iterator[Tensor]:
         return one_pass(self.target, self.profile, self.device, self.seed, Draw.TARGET_PASS, epoch)

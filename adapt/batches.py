@@ -25,6 +25,7 @@ class Draw(IntEnum):
     MARKERS = 8
     LABELLED = 9
     FINE_TUNING = 10
+    METHOD = 11
 
 
 def generator(*key: int) -> np.random.Generator:
@@ -46,11 +47,12 @@ def epoch_order(n: int, batch_size: int, *key: int) -> np.ndarray:
     return generator(*key).permutation(n)[: steps * size].reshape(steps, size)
 
 
-def hidden_frames(shape: tuple[int, ...], share: float, *key: int) -> np.ndarray:
-    """Return which frames of batches are shown without markers, bool of this shape, drawn by the key."""
-    if share == 0:
-        return np.zeros(shape, bool)
-    return generator(Draw.MARKERS, *key).random(shape) < share
+def hidden_batches(n: int, share: float, *key: int) -> np.ndarray:
+    """Return which of n batches are shown without markers, (n,) bool, drawn by the key.
+
+    Whole batches, so that frames without markers are normalised by their like, as a target without markers will be.
+    """
+    return generator(Draw.MARKERS, *key).random(n) < share
 
 
 def network_inputs(
@@ -113,13 +115,9 @@ class TrainingDomain:
         hidden = network_inputs(frames, profile, device, pictures.statistics, markers=False)
         return cls(pictures, without_markers=hidden)
 
-    def inputs(self, rows: Tensor, hidden: np.ndarray) -> Tensor:
-        """Return the network's inputs for these frames, those that `hidden` (B,) marks without their markers."""
-        inputs = self.pictures.inputs(rows)
-        if hidden.any():
-            chosen = torch.from_numpy(hidden).to(rows.device)
-            inputs[chosen] = self.without_markers.inputs(rows[chosen])
-        return inputs
+    def inputs(self, rows: Tensor, hidden: bool) -> Tensor:
+        """Return the network's inputs (B, C, h, w) for these frames, their markers `hidden` or not."""
+        return (self.without_markers if hidden else self.pictures).inputs(rows)
 
     def __len__(self) -> int:
         return len(self.pictures)

@@ -13,11 +13,12 @@ from gelgap.adapt.network import Activations
 
 @dataclass(frozen=True)
 class StepResult:
-    """A step's loss, its parts by name (not weighted), and the network's output for the source batch."""
+    """A step's loss, its parts by name (not weighted), the source batch's activations, and the method's diagnostics."""
 
     loss: Tensor
     parts: dict[str, Tensor]
     source: Activations
+    diagnostics: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class EpochRecord:
     wall_s, wait_s
         Time of the epoch, and the part of it spent on making batches.
     diagnostics
-        What the method reports.
+        Mean of each number that the method reports, over the steps that were not skipped.
     """
 
     stage: str
@@ -62,6 +63,7 @@ class EpochLog:
         self._start = self._step_end = time.perf_counter()
         self._wait_s = 0.0
         self._losses: dict[str, list[float]] = {}
+        self._diagnostics: dict[str, list[float]] = {}
         self._norms: list[float] = []
         self._predictions: list[Tensor] = []
         self._labels: list[Tensor] = []
@@ -72,32 +74,38 @@ class EpochLog:
         self._wait_s += time.perf_counter() - self._step_end
 
     def add(self, result: StepResult, gradient_norm: float, skipped: bool) -> None:
-        """Note a step; losses and gradient of a skipped one are left out."""
+        """Note a step; losses, gradient and diagnostics of a skipped one are left out."""
         if skipped:
             self.skipped_steps += 1
         else:
             self._norms.append(gradient_norm)
             for name, value in result.parts.items():
                 self._losses.setdefault(name, []).append(float(value.detach()))
+            for name, value in result.diagnostics.items():
+                self._diagnostics.setdefault(name, []).append(value)
         self._predictions.append(result.source.prediction.detach().float())
         self._labels.append(result.source.force.detach().float())
         self._features = result.source.features.detach().float()
         self._step_end = time.perf_counter()
 
-    def record(self, stage: str, epoch: int, diagnostics: dict[str, float]) -> EpochRecord:
+    def record(self, stage: str, epoch: int) -> EpochRecord:
         """Return what the epoch did."""
         return EpochRecord(
             stage=stage,
             epoch=epoch,
-            losses={name: float(np.mean(values)) for name, values in self._losses.items()},
+            losses=_means(self._losses),
             gradient_norm=float(np.median(self._norms)) if self._norms else math.nan,
             prediction_spread=prediction_spread(torch.cat(self._predictions), torch.cat(self._labels)),
             feature_rank=effective_rank(self._features),
             skipped_steps=self.skipped_steps,
             wall_s=time.perf_counter() - self._start,
             wait_s=self._wait_s,
-            diagnostics=diagnostics,
+            diagnostics=_means(self._diagnostics),
         )
+
+
+def _means(values: dict[str, list[float]]) -> dict[str, float]:
+    return {name: float(np.mean(some)) for name, some in values.items()}
 
 
 def effective_rank(features: Tensor) -> float:

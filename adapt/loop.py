@@ -71,9 +71,8 @@ class Stage(ABC):
     def step(self, number: int, batch: Any) -> StepResult:
         """Return the loss of a batch; `number` counts the steps over all epochs."""
 
-    def diagnostics(self) -> dict[str, float]:
-        """Return what else is worth recording of an epoch."""
-        return {}
+    def after_step(self) -> None:  # noqa: B027
+        """Follow a step that was taken; by default nothing."""
 
     @property
     def modules(self) -> tuple[nn.Module, ...]:
@@ -151,12 +150,13 @@ class _Training:
             finite = math.isfinite(norm) and bool(torch.isfinite(result.loss))
             if finite:
                 self.optimizer.step()
+                stage.after_step()
                 self.skipped_in_a_row = 0
             else:
                 self._skip(result, norm)
             log.add(result, norm, skipped=not finite)
             self.steps += 1
-        self.records.append(log.record(stage.title, epoch + 1, stage.diagnostics()))
+        self.records.append(log.record(stage.title, epoch + 1))
         return self.records[-1]
 
     def _skip(self, result: StepResult, norm: float) -> None:

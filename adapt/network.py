@@ -13,8 +13,9 @@ from gelgap.adapt.resnet import make_resnet
 class Activations:
     """The network's output for a batch of B frames of one domain, and their known labels.
 
-    features (B, D) after the bottleneck's ReLU, prediction (B, 3) in [0, 1], logits (B, C) where the method
-    uses the classifier; force (B, 3) in [0, 1] and contact_class (B,) only where labels may be used.
+    inputs (B, channels, h, w) before a method perturbed them; features (B, D) after the bottleneck's ReLU, prediction
+    (B, 3) in [0, 1], logits (B, C) where the method uses the classifier; force (B, 3) in [0, 1] and contact_class
+    (B,) only where labels may be used.
     """
 
     features: Tensor
@@ -22,6 +23,7 @@ class Activations:
     logits: Tensor | None = None
     force: Tensor | None = None
     contact_class: Tensor | None = None
+    inputs: Tensor | None = None
 
 
 class ForceNetwork(nn.Module):

@@ -66,7 +66,7 @@ class Profile(Settings):
         0.0,
         ge=0,
         le=1,
-        description="share of training frames shown with their markers inpainted, in stage 2 the target's too",
+        description="share of training batches shown with their markers inpainted, in stage 2 the target's too",
     )
     input_standardisation: Literal["none", "domain"] = Field(
         "none",

@@ -10,6 +10,8 @@ from gelgap.adapt.splits import SplitFrames
 from gelgap.assets.checksums import file_sha256
 from gelgap.domains import LabelledFrames
 
+_METHODS_VERSION = 2
+"""Raised whenever the same method, profile and seed give another result than before."""
 _STAGE_2_FIELDS = frozenset(
     name
     for name in Profile.model_fields
@@ -54,6 +56,7 @@ def _key(
     content = {
         "frames": [[frames.name, frames.digest, len(frames)] for frames in parts],
         "method": method,
+        "methods_version": _METHODS_VERSION,
         "profile": profile.model_dump(mode="json", exclude={"name"}, exclude_defaults=True),
         "seed": seed,
         "weights": None if weights is None else _weights_digest(Path(weights)),

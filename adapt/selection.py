@@ -69,11 +69,16 @@ def feature_mmd(candidate: Candidate) -> float:
 
 
 def proxy_a_distance(candidate: Candidate) -> float:
-    """Return 2(1 − 2ε) with ε the cross-validated error of a linear domain classifier [3]; 0 when it can only guess."""
+    """Return 2(1 − 2ε) with ε the cross-validated error of a linear domain classifier [3]; 0 when it can only guess.
+
+    ε is the mean of both domains' errors and the domains weigh the same in the fit, so that unequal numbers of frames
+    tell nothing.
+    """
     from sklearn.model_selection import cross_val_score
 
     features, domain = _features_and_domain(candidate)
-    accuracy = cross_val_score(_classifier(), features, domain, cv=3).mean()
+    classifier = _classifier(class_weight="balanced")
+    accuracy = cross_val_score(classifier, features, domain, cv=3, scoring="balanced_accuracy").mean()
     return float(2 * (1 - 2 * min(1 - accuracy, 0.5)))
 
 
@@ -167,12 +172,12 @@ def _features_and_domain(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
     return features, domain
 
 
-def _classifier():
+def _classifier(class_weight: str | None = None):
     from sklearn.linear_model import LogisticRegression
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    return make_pipeline(StandardScaler(), LogisticRegression(C=0.1, max_iter=300))
+    return make_pipeline(StandardScaler(), LogisticRegression(C=0.1, max_iter=300, class_weight=class_weight))
 
 
 def _density_ratio(candidate: Candidate) -> np.ndarray:

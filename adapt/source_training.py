@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, hidden_frames
+from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, hidden_batches
 from gelgap.adapt.checkpoint import load_checkpoint
 from gelgap.adapt.colour_mixing import mix_batch
 from gelgap.adapt.diagnosis import StepResult
@@ -107,11 +107,12 @@ class SourceStage(Stage):
     source: TrainingDomain
 
     def batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
-        order = epoch_order(len(self.source), self.profile.batch_size, self.seed, Draw.STAGE_1, epoch)
-        hidden = hidden_frames(order.shape, self.profile.marker_hiding, self.seed, Draw.STAGE_1, epoch)
-        for indices, without_markers in zip(order, hidden, strict=True):
+        key = self.seed, Draw.STAGE_1, epoch
+        order = epoch_order(len(self.source), self.profile.batch_size, *key)
+        hidden = hidden_batches(len(order), self.profile.marker_hiding, *key)
+        for indices, is_hidden in zip(order, hidden, strict=True):
             rows = torch.from_numpy(indices).to(self.source.force.device)
-            yield self.source.inputs(rows, without_markers), self.source.force[rows]
+            yield self.source.inputs(rows, is_hidden), self.source.force[rows]
 
     def step(self, number: int, batch: tuple[Tensor, Tensor]) -> StepResult:
         inputs, force = batch

@@ -43,6 +43,7 @@ _BEGINS_ANEW = (
     "physics.stability",
     "render.stability",
     "adaptation.losses",
+    "adaptation.published_losses",
     "adaptation.speed",
 )
 BENCHMARKS = (
@@ -57,6 +58,13 @@ BENCHMARKS = (
     ),
     Benchmark(
         "stability", "losses", "adaptation losses in every known trap", "adaptation.losses", by_default=False
+    ),
+    Benchmark(
+        "stability",
+        "published",
+        "adaptation losses beside public code",
+        "adaptation.published_losses",
+        by_default=False,
     ),
     Benchmark("throughput", None, "time to generate and to read domains", "data.throughput"),
     Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),

@@ -61,6 +61,12 @@ def target() -> ArrayFrames:
 
 
 @pytest.fixture(scope="session")
+def tinted() -> ArrayFrames:
+    """A domain whose pictures anyone can tell from the source's."""
+    return draw_domain("tinted", seed=1, tint=(0.3, 1.9, 1.0))
+
+
+@pytest.fixture(scope="session")
 def profile() -> Profile:
     return Profile(
         name="test",

@@ -41,6 +41,9 @@ class Adaptation(Protocol):
     def source_batches(self, epoch: int) -> Iterator[Tensor]:
         """Yield the network's inputs for the source's frames in shuffled batches, one pass."""
 
+    def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield the same with their normalised forces (B, 3)."""
+
     def target_batches(self, epoch: int) -> Iterator[Tensor]:
         """Yield the network's inputs for the target's frames in shuffled batches, one pass."""
 
@@ -63,10 +66,17 @@ class Method(nn.Module):
         Whether target labels reach its loss; then it is no method for domain adaptation.
     scheduled
         Whether λ_t and its ramp apply; otherwise λ_t = 1 throughout.
+    applies_weight
+        Whether `transfer_loss` itself applies λ_t, to a part of the loss or to the gradient that reaches the features;
+        it then counts fully, also while λ_t is 0, so that a discriminator learns at the heads' rate.
+    weight
+        λ_t of the current step.
+    rng
+        Random numbers of the current step; the same step of a run always has the same.
     needs_stage_1
         Whether it starts from the network that stage 1 trained, or from any.
     diagnostics
-        Numbers that it wants recorded after each epoch.
+        Numbers of the current step that it wants recorded, as means over each epoch.
     """
 
     Settings: ClassVar[type[MethodSettings]] = MethodSettings
@@ -74,6 +84,7 @@ class Method(nn.Module):
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
     scheduled: ClassVar[bool] = True
+    applies_weight: ClassVar[bool] = False
     needs_stage_1: ClassVar[bool] = True
 
     def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int) -> None:
@@ -81,12 +92,27 @@ class Method(nn.Module):
         self.settings = settings
         self.feature_dim = feature_dim
         self.n_classes = n_classes
+        self.weight = 1.0
+        self.rng = np.random.default_rng(0)
         self.diagnostics: dict[str, float] = {}
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Adapt the network; by default stage 2 with this method's transfer loss."""
         adaptation.train(self)
 
+    def begin(self, network: ForceNetwork) -> None:
+        """Prepare for stage 2 of a network; by default nothing."""
+
+    def perturb(self, inputs: Tensor) -> Tensor:
+        """Return what the network is shown of the target's inputs (B, channels, h, w); by default all as it is."""
+        return inputs
+
+    def after_step(self, network: ForceNetwork) -> None:
+        """Follow a step of the network in training; by default nothing."""
+
+    def finish(self, network: ForceNetwork) -> None:
+        """Turn the network as trained into the result; by default it is the result."""
+
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        """Return the scalar loss, in float32, that stage 2 weighs with λ_t."""
+        """Return the scalar loss, in float32, that stage 2 weighs with λ_t (see `applies_weight`)."""
         raise NotImplementedError

@@ -1,8 +1,13 @@
-"""COD: match the distributions of the features given the force, by conditional mean embeddings [1].
+"""COD: match mean and covariance of the features given the force, by operators between kernel spaces [1].
 
-The conditional mean embedding of a domain maps a force y to μ(y) = Σ_i β_i(y) φ(f_i), β(y) = (K_y + nεI)⁻¹ k_y(y). The
-discrepancy is the squared distance between the two domains' embeddings, averaged over the forces of both batches.
-Target forces are the network's own predictions. The marginal part of [1] may be any discrepancy; here it is MK-MMD.
+With the kernels K of features and G of forces, the conditional mean operator of a domain is U = Φ (G² + εI)⁻¹ G Ψᵀ and
+its conditional covariance C = Φ H B H Φᵀ/n, B = nε (HGH + nεI)⁻¹, H the centring matrix. The loss is the authors'
+modified form, −‖U_s + U_t‖_HS plus the squared Bures distance of the covariances, so that it may be negative. Both
+kernels are sums of five Gaussians. Target forces are the network's own predictions.
+
+Deviations from the authors' code: the marginal part, which may be any discrepancy, is MK-MMD and not DARE-GRAM; both
+parts share the ramp of λ_t, where theirs adds the conditional part after a warm-up of its own; no random columns are
+appended to the forces; the operators are computed in float64.
 
 [1] Yang, Ren, Luo, "COD: learning conditional invariant representation for domain adaptation regression", ECCV 2024.
 """
@@ -16,53 +21,76 @@ from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.methods.dan import mmd_of_kernel
 from gelgap.adapt.network import Activations
 
+_EIGENVALUE_SHIFT = 1e-4
+"""Added by the authors to the eigenvalues of B before their root is taken."""
 
-def conditional_discrepancy(
-    feature_kernel: Tensor, force_s: Tensor, force_t: Tensor, width: float, ridge: float
+
+def conditional_operator_discrepancy(
+    feature_kernel: Tensor, force_s: Tensor, force_t: Tensor, ridge: float
 ) -> Tensor:
-    """Return mean_y ‖μ_s(y) − μ_t(y)‖² over the forces y of both batches.
+    """Return COD in the authors' modified form, from a pooled kernel of the features.
 
     Parameters
     ----------
     feature_kernel
-        (n + m, n + m) kernel of the pooled features, source first.
+        (n + m, n + m), source first.
     force_s, force_t
         (n, 3) and (m, 3) normalised forces; no gradient flows through them.
-    width
-        Width of the Gaussian kernel on forces.
     ridge
-        ε of the embeddings.
+        ε of the operators.
     """
-    force_s, force_t = force_s.detach().double(), force_t.detach().double()
-    where = torch.cat([force_s, force_t])
-
-    def weights(force: Tensor) -> Tensor:
-        gram = _gaussian(force, force, width)
-        eye = torch.eye(len(force), dtype=gram.dtype, device=gram.device)
-        return torch.linalg.solve(gram + ridge * len(force) * eye, _gaussian(force, where, width))
-
-    difference = torch.cat([weights(force_s), -weights(force_t)])
-    kernel = feature_kernel.double()
-    value = (difference * (kernel @ difference)).sum() / len(where)
+    distances = squared_distances(torch.cat([force_s, force_t]).detach().double())
+    force_kernel = multi_gaussian(distances, bandwidth(distances, robust=False))
+    kernel, n = feature_kernel.double(), len(force_s)
+    value = mean_part(kernel, force_kernel, n, ridge) + covariance_part(kernel, force_kernel, n, ridge)
     return value.to(feature_kernel.dtype)
 
 
-def _gaussian(x: Tensor, y: Tensor, width: float) -> Tensor:
-    squares = (x[:, None, :] - y[None, :, :]).square().sum(dim=2)
-    return torch.exp(-squares / (2 * width**2))
+def mean_part(kernel: Tensor, force_kernel: Tensor, n: int, ridge: float) -> Tensor:
+    """Return −‖U_s + U_t‖ of pooled kernels (n + m, n + m) of features and forces."""
+    weights = torch.block_diag(*(_mean_weights(g, ridge) for g in _own(force_kernel, n)))
+    return -(kernel * (weights @ force_kernel @ weights)).sum().sqrt()
+
+
+def covariance_part(kernel: Tensor, force_kernel: Tensor, n: int, ridge: float) -> Tensor:
+    """Return tr C_s + tr C_t − 2 tr(C_s^½ C_t C_s^½)^½, the squared Bures distance of the conditional covariances.
+
+    The centred cross kernel always has a singular value 0; it is left out, since its gradient is arbitrary.
+    """
+    own = 0
+    roots = []
+    for k, g in zip(_own(kernel, n), _own(force_kernel, n), strict=True):
+        size = len(g)
+        centre = torch.eye(size, dtype=g.dtype, device=g.device) - 1 / size
+        regularised = centre @ g @ centre + ridge * size * torch.eye(size, dtype=g.dtype, device=g.device)
+        b = ridge * size * torch.linalg.inv(regularised)
+        own = own + (k * (centre @ b @ centre)).sum() / size
+        values, vectors = torch.linalg.eigh((b + b.T) / 2)
+        roots.append(centre @ vectors * (values.clamp_min(0) + _EIGENVALUE_SHIFT).sqrt())
+    cross = torch.linalg.svdvals(roots[0].T @ kernel[:n, n:] @ roots[1])[:-1].sum()
+    return own - 2 * cross / (n * (len(kernel) - n)) ** 0.5
+
+
+def _own(kernel: Tensor, n: int) -> tuple[Tensor, Tensor]:
+    return kernel[:n, :n], kernel[n:, n:]
+
+
+def _mean_weights(force_kernel: Tensor, ridge: float) -> Tensor:
+    """Return (G² + εI)⁻¹ G."""
+    eye = torch.eye(len(force_kernel), dtype=force_kernel.dtype, device=force_kernel.device)
+    return torch.linalg.solve(force_kernel @ force_kernel + ridge * eye, force_kernel)
 
 
 class COD(Method):
-    """Regression with the conditional discrepancy and MK-MMD on the transfer feature."""
+    """Regression with the conditional operator discrepancy and MK-MMD on the transfer feature."""
 
     class Settings(MethodSettings):
-        force_width: float = Field(0.1, gt=0, description="width of the kernel on normalised forces")
-        ridge: float = Field(0.01, gt=0, description="regularisation of the conditional embeddings")
+        ridge: float = Field(0.05, gt=0, description="regularisation of the conditional operators")
         marginal: float = Field(1.0, ge=0, description="weight of the marginal MK-MMD")
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings
         distances = squared_distances(torch.cat([source.features, target.features]))
         kernel = multi_gaussian(distances, bandwidth(distances, robust=False))
-        conditional = conditional_discrepancy(kernel, source.force, target.prediction, s.force_width, s.ridge)
+        conditional = conditional_operator_discrepancy(kernel, source.force, target.prediction, s.ridge)
         return conditional + s.marginal * mmd_of_kernel(kernel, len(source.features))

@@ -1,5 +1,7 @@
 """Deep CORAL: match the covariances of the features [1].
 
+tllib's loss is four times this one, plus the mean squared distance of the features' means.
+
 [1] Sun, Saenko, "Deep CORAL: correlation alignment for deep domain adaptation", ECCV workshops 2016.
 """
 

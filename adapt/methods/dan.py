@@ -1,5 +1,8 @@
 """DAN: match the feature distributions by the multi-kernel maximum mean discrepancy (MK-MMD) [1, 2].
 
+This is the form of the DSAN authors' code. tllib takes the U-statistic, adds 2/(n − 1), and its mean squared distance
+counts every frame with itself.
+
 [1] Long, Cao, Wang, Jordan, "Learning transferable features with deep adaptation networks", ICML 2015.
 [2] Gretton et al., "A kernel two-sample test", JMLR 13, 2012.
 """

@@ -1,5 +1,8 @@
 """DANN: train a domain discriminator on the features and reverse its gradient [1].
 
+The loss and its reversal are tllib's. Deviations: the discriminator is narrower (128, not 1024) and standardises its
+input instead of its hidden layers; λ_t ends at the method's weight, not at 1.
+
 [1] Ganin et al., "Domain-adversarial training of neural networks", JMLR 17, 2016.
 """
 
@@ -14,17 +17,18 @@ from gelgap.adapt.network import Activations
 
 class _Reverse(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, features: Tensor) -> Tensor:
+    def forward(ctx, features: Tensor, weight: float) -> Tensor:
+        ctx.weight = weight
         return features.view_as(features)
 
     @staticmethod
-    def backward(ctx, gradient: Tensor) -> Tensor:
-        return -gradient
+    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
+        return -ctx.weight * gradient, None
 
 
-def reverse_gradient(features: Tensor) -> Tensor:
-    """Return the features unchanged; the gradient that flows back changes sign ([1], section 4.2)."""
-    return _Reverse.apply(features)
+def reverse_gradient(features: Tensor, weight: float) -> Tensor:
+    """Return the features unchanged; the gradient that flows back is multiplied by −weight ([1], section 4.2)."""
+    return _Reverse.apply(features, weight)
 
 
 def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
@@ -37,32 +41,51 @@ def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
     return (source + target) / 2
 
 
+def make_discriminator(inputs: int, hidden: int) -> nn.Module:
+    """Return a discriminator with two hidden layers that gives a logit of "source" (B, 1).
+
+    It begins the same in every run. Source and target come as one batch, whose statistics standardise its input: a
+    batch normalisation of each domain by itself would remove the very shift that it should see.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        return nn.Sequential(
+            nn.BatchNorm1d(inputs, affine=False),
+            nn.Linear(inputs, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, 1),
+        )
+
+
 class DANN(Method):
     """Regression with a domain-adversarial loss on the transfer feature.
 
-    The discriminator sees source and target as one batch, whose statistics standardise its input: a batch normalisation
-    of each domain by itself would remove the very shift that it should see.
+    λ_t scales the reversed gradient alone: the discriminator learns at the heads' rate, from the first step on.
     """
+
+    applies_weight = True
 
     class Settings(MethodSettings):
         hidden: int = Field(128, ge=1, description="width of the discriminator's two hidden layers")
 
     def __init__(self, settings: Settings, feature_dim: int, n_classes: int) -> None:
         super().__init__(settings, feature_dim, n_classes)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(0)
-            self.discriminator = nn.Sequential(
-                nn.BatchNorm1d(feature_dim, affine=False),
-                nn.Linear(feature_dim, settings.hidden),
-                nn.ReLU(),
-                nn.Linear(settings.hidden, settings.hidden),
-                nn.ReLU(),
-                nn.Linear(settings.hidden, 1),
-            )
+        self.discriminator = make_discriminator(self.discriminator_inputs(feature_dim), settings.hidden)
+
+    @classmethod
+    def discriminator_inputs(cls, feature_dim: int) -> int:
+        """Return how many numbers per frame the discriminator sees."""
+        return feature_dim
+
+    def conditioned(self, features: Tensor, activations: Activations) -> Tensor:
+        """Return what the discriminator sees of frames: here their features (B, D) themselves."""
+        return features
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        features = reverse_gradient(torch.cat([source.features, target.features]))
-        logits = self.discriminator(features)[:, 0]
+        shown = [self.conditioned(reverse_gradient(a.features, self.weight), a) for a in (source, target)]
+        logits = self.discriminator(torch.cat(shown))[:, 0]
         n = len(source.features)
         right = torch.cat([logits[:n] > 0, logits[n:] <= 0]).float().mean()
         self.diagnostics["discriminator_accuracy"] = float(right)

@@ -4,6 +4,9 @@
 the authors' form, which inverts a (D+1)×(D+1) matrix and cuts exactly on a singular value; it is kept for comparison.
 `daregram_tikhonov` has a ridge in place of the cut.
 
+Deviations of `daregram` from the authors' code: the cut is moved by at most two to a gap of both spectra and never lies
+below rounding; the gradient of the inverse is exact; a column that is zero in both domains counts as aligned; float64.
+
 [1] Nejjar, Wang, Fink, "DARE-GRAM: unsupervised domain adaptation regression by aligning inverse Gram matrices", CVPR
 2023.
 """

@@ -2,7 +2,9 @@
 
 Subdomains are the contact classes, groups of neighbouring classes (two batches of 32 frames have only 2.6 of 361
 classes in common), or soft: every source force of the batch is the centre of a subdomain, to which frames belong by a
-Gaussian of their (predicted) force.
+Gaussian of their (predicted) force. As in the authors' code, a class is aligned
+only if some source frame has it and it is the likeliest of some target frame. Soft subdomains are unaffected: each has
+its centre in the source batch.
 
 [1] Zhu et al., "Deep subdomain adaptation network for image classification", IEEE TNNLS 2020.
 """
@@ -22,29 +24,51 @@ _ANGLES = 12
 
 
 def lmmd(
-    source: Tensor, target: Tensor, source_weights: Tensor, target_weights: Tensor, robust: bool = False
+    source: Tensor,
+    target: Tensor,
+    source_weights: Tensor,
+    target_weights: Tensor,
+    classes: Tensor | None = None,
+    robust: bool = False,
 ) -> Tensor:
-    """Return the local MMD between features (n_s, D) and (n_t, D), averaged over the classes present in both.
+    """Return the local MMD between features (n_s, D) and (n_t, D), averaged over the classes.
 
     Parameters
     ----------
     source_weights, target_weights
-        (n, C) non-negative memberships. Every column is normalised to sum 1 and detached ([1], equation 6);
-        a class without weight in either domain is left out, and without any common class the loss is
-        exactly 0.
+        (n, C) non-negative memberships. Every column is normalised to sum 1 and detached ([1], equation 6).
+    classes
+        (C,) which classes count, all with weight in both domains; by default every such class. Without any, the loss
+        is exactly 0.
     robust
         Take the median instead of the mean squared distance as bandwidth.
 
     The sum over classes is one matrix product, Σ_c w_ic w_jc, so that its cost hardly depends on C.
     """
-    mass_s, mass_t = source_weights.detach().sum(dim=0), target_weights.detach().sum(dim=0)
-    common = (mass_s > 0) & (mass_t > 0)
-    weights_s = source_weights.detach()[:, common] / mass_s[common]
-    weights_t = target_weights.detach()[:, common] / mass_t[common]
+    source_weights, target_weights = source_weights.detach(), target_weights.detach()
+    common = weighted_classes(source_weights, target_weights) if classes is None else classes
+    weights_s, weights_t = source_weights[:, common], target_weights[:, common]
+    weights_s, weights_t = weights_s / weights_s.sum(dim=0), weights_t / weights_t.sum(dim=0)
     signed = torch.cat([weights_s, -weights_t])
     distances = squared_distances(torch.cat([source, target]))
     kernel = multi_gaussian(distances, bandwidth(distances, robust))
     return ((signed @ signed.T) * kernel).sum() / max(int(common.sum()), 1)
+
+
+def weighted_classes(source_weights: Tensor, target_weights: Tensor) -> Tensor:
+    """Return which classes (C,) have weight in both domains; memberships are (n, C).
+
+    A softmax is positive everywhere: in the target every class has.
+    """
+    return (source_weights.sum(dim=0) > 0) & (target_weights.sum(dim=0) > 0)
+
+
+def common_classes(source_weights: Tensor, target_weights: Tensor) -> Tensor:
+    """Return which classes (C,) are the likeliest of some source frame and of some target frame (the authors' mask)."""
+    common = torch.zeros(2, source_weights.shape[1], dtype=torch.bool, device=source_weights.device)
+    common[0, source_weights.argmax(dim=1)] = True
+    common[1, target_weights.argmax(dim=1)] = True
+    return common.all(dim=0)
 
 
 def coarse_classes(n_classes: int, radius_groups: int, angle_groups: int) -> np.ndarray:
@@ -72,7 +96,11 @@ class DSANSettings(MethodSettings):
 
 
 class DSAN(Method):
-    """Regression with LMMD; every contact class is a subdomain (the paper)."""
+    """Regression with LMMD; every contact class is a subdomain (the paper).
+
+    Its records have `common_classes`, the number of classes that the loss aligns, and `no_common_class`, the share of
+    steps with none, whose loss is 0; both are means over an epoch.
+    """
 
     Settings = DSANSettings
     uses_classifier = True
@@ -86,17 +114,33 @@ class DSAN(Method):
         """Return the subdomain (n_classes,) of each contact class."""
         return np.arange(self.n_classes)
 
+    def aligned(self, source_weights: Tensor, target_weights: Tensor) -> Tensor:
+        """Return which subdomains (C,) the loss aligns, of memberships (n, C)."""
+        return common_classes(source_weights, target_weights)
+
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         source_weights = self.membership[source.contact_class]
         target_weights = target.logits.detach().float().softmax(dim=1) @ self.membership
-        guessed = target_weights.argmax(dim=1)
-        present = set(source_weights.argmax(dim=1).tolist()) & set(guessed.tolist())
-        self.diagnostics["common_classes"] = float(len(present))
-        return lmmd(source.features, target.features, source_weights, target_weights, self.settings.robust)
+        classes = self.aligned(source_weights, target_weights)
+        count = int(classes.sum())
+        self.diagnostics["common_classes"] = float(count)
+        self.diagnostics["no_common_class"] = float(count == 0)
+        robust = self.settings.robust
+        return lmmd(source.features, target.features, source_weights, target_weights, classes, robust)
+
+
+class UnmaskedDSAN(DSAN):
+    """Regression with LMMD on all classes of the source batch, also those that no target frame is taken for."""
+
+    def aligned(self, source_weights: Tensor, target_weights: Tensor) -> Tensor:
+        return weighted_classes(source_weights, target_weights)
 
 
 class CoarseDSAN(DSAN):
-    """Regression with LMMD on groups of neighbouring contact classes; the classifier knows all classes."""
+    """Regression with LMMD on groups of neighbouring contact classes; the classifier knows all classes.
+
+    The mask is that of groups: a target frame's likeliest group has the largest sum of its classes' probabilities.
+    """
 
     def groups(self) -> np.ndarray:
         return coarse_classes(self.n_classes, self.settings.radius_groups, self.settings.angle_groups)
@@ -112,4 +156,5 @@ class SoftDSAN(Method):
         centres = source.force
         source_weights = torch.exp(scale * torch.cdist(source.force, centres).square())
         target_weights = torch.exp(scale * torch.cdist(target.prediction.detach(), centres).square())
-        return lmmd(source.features, target.features, source_weights, target_weights, self.settings.robust)
+        robust = self.settings.robust
+        return lmmd(source.features, target.features, source_weights, target_weights, robust=robust)

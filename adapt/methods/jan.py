@@ -1,5 +1,8 @@
 """JAN: match the joint distribution of feature and prediction by the joint MMD [1].
 
+Deviations from public code (tllib): those of MK-MMD, and five kernels on the prediction, whose bandwidth follows its
+distances, where tllib has one of σ = 0.92, chosen for class probabilities.
+
 [1] Long, Zhu, Wang, Jordan, "Deep transfer learning with joint adaptation networks", ICML 2017.
 """
 

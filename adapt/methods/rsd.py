@@ -1,5 +1,9 @@
 """RSD: align the subspaces that the two batches of features span [1].
 
+Deviations from the authors' code: Σ sin²θ of regularised projectors for Σ sin θ of singular vectors (see
+`projection_distance`), and no penalty on the mismatch of the bases, which depends on the signs that the SVD happens to
+return.
+
 [1] Chen, Wang, Wang, Long, "Representation subspace distance for domain adaptation regression", ICML 2021.
 """
 

@@ -4,6 +4,10 @@ Of the source only the features' mean and leading principal directions are used.
 normalisations are trained on unlabelled target pictures so that the target's features, projected on these directions,
 have the source's mean and variance.
 
+Deviations from the authors' code: K is 20, not 100; three passes over the target, not one that
+predicts each batch as it comes; the weight α of a direction sums over the three outputs; at the end the running
+statistics are estimated anew on the target.
+
 [1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR 2025.
 """
 
@@ -19,7 +23,7 @@ from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings
 def subspace_loss(
     features: Tensor, mean: Tensor, directions: Tensor, variances: Tensor, weights: Tensor
 ) -> Tensor:
-    """Return Σ_d α_d·½(KL(target‖source) + KL(source‖target)) of one Gaussian per direction and domain.
+    """Return Σ_d α_d (KL(target‖source) + KL(source‖target)) of one Gaussian per direction and domain [1].
 
     Parameters
     ----------
@@ -28,13 +32,13 @@ def subspace_loss(
     mean, directions, variances
         The source's mean (D,), K orthonormal principal directions (D, K) and variances along them (K,).
     weights
-        α (K,) ([1], equation 6).
+        α (K,).
     """
     projected = (features.double() - mean) @ directions
     shift = projected.mean(dim=0).square()
     variance = projected.var(dim=0) + 1e-6 * variances
     both = (shift + variances) / variance + (shift + variance) / variances - 2
-    return (weights * both / 4).sum().to(features.dtype)
+    return (weights * both / 2).sum().to(features.dtype)
 
 
 class _Subspace(NamedTuple):

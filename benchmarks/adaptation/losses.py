@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
-from gelgap.adapt.methods.cod import conditional_discrepancy
+from gelgap.adapt.methods.cod import conditional_operator_discrepancy
+from gelgap.adapt.methods.conditional_mmd import conditional_mmd
 from gelgap.adapt.methods.coral import coral
 from gelgap.adapt.methods.dan import mk_mmd
 from gelgap.adapt.methods.dann import DANN, domain_loss
@@ -62,14 +63,17 @@ def _subdomains(source: Tensor, target: Tensor, common: bool, robust: bool = Fal
     rows = torch.arange(max(len(source), len(target)))
     of_source[rows[: len(source)], rows[: len(source)] % 20] = 1
     of_target[rows[: len(target)], rows[: len(target)] % 20 + (0 if common else 100)] = 1
-    return lmmd(source, target, of_source.to(source), of_target.to(target), robust)
+    return lmmd(source, target, of_source.to(source), of_target.to(target), robust=robust)
 
 
-def _conditional(source: Tensor, target: Tensor, common: bool) -> Tensor:
+def _conditional(source: Tensor, target: Tensor, operators: bool) -> Tensor:
     force = torch.from_numpy(np.random.default_rng(3).random((len(source) + len(target), 3)))
     distances = squared_distances(torch.cat([source, target]))
     kernel = multi_gaussian(distances, bandwidth(distances, robust=False))
-    return conditional_discrepancy(kernel, force[: len(source)], force[len(source) :], 0.1, 0.01)
+    of_source, of_target = force[: len(source)], force[len(source) :]
+    if operators:
+        return conditional_operator_discrepancy(kernel, of_source, of_target, 0.05)
+    return conditional_mmd(kernel, of_source, of_target, 0.1, 0.01)
 
 
 def rsd_published(source: Tensor, target: Tensor) -> Tensor:
@@ -89,7 +93,8 @@ LOSSES: dict[str, Loss] = {
     "jan": lambda s, t, common: joint_mmd((s, s[:, :3]), (t, t[:, :3])),
     "dsan (lmmd)": _subdomains,
     "dsan, median": lambda s, t, common: _subdomains(s, t, common, robust=True),
-    "cod": _conditional,
+    "cod": lambda s, t, common: _conditional(s, t, operators=True),
+    "conditional-mmd": lambda s, t, common: _conditional(s, t, operators=False),
     "rsd": lambda s, t, common: projection_distance(s, t),
     "rsd published": lambda s, t, common: rsd_published(s, t),
     "daregram": lambda s, t, common: daregram(s, t, 0.5, 0.003, 0.9),
@@ -100,7 +105,9 @@ NO_GAP = """where all singular values are equal, no cut of the spectrum lies in 
 matter of rounding; the published form fails alike, and daregram-tikhonov cuts nothing"""
 KNOWN_LIMITS = {("daregram", "repeated singular values"): NO_GAP}
 """Failures that are in a loss's definition, and why: loss, trap."""
-KERNEL_LOSSES = ("dan", "dan, median", "jan", "dsan (lmmd)", "dsan, median", "cod")
+CONDITIONAL = ("cod", "conditional-mmd")
+"""Losses of features and forces, which are drawn apart for both domains: they are not 0 for equal features."""
+KERNEL_LOSSES = ("dan", "dan, median", "jan", "dsan (lmmd)", "dsan, median", *CONDITIONAL)
 
 
 def traps() -> list[Trap]:
@@ -114,8 +121,8 @@ def traps() -> list[Trap]:
     wide = torch.rand(2 * FEATURES, FEATURES, generator=generator)
     # The discriminator's loss is ln 2 where it cannot tell the domains apart, never 0.
     everything = tuple(name for name in LOSSES if name != "dann")
-    not_conditional = tuple(name for name in everything if name != "cod")
-    unpaired = tuple(name for name in everything if name not in ("dsan (lmmd)", "dsan, median", "cod"))
+    not_conditional = tuple(name for name in everything if name not in CONDITIONAL)
+    unpaired = tuple(name for name in everything if name not in ("dsan (lmmd)", "dsan, median", *CONDITIONAL))
     # A constant batch has no covariance; its multiple spans the same line.
     constant = ("coral", "rsd", "rsd published")
     units = torch.arange(FEATURES)

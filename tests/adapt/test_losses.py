@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 import pytest
+import scipy.linalg
 import torch
 
 from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
-from gelgap.adapt.methods.cod import conditional_discrepancy
+from gelgap.adapt.methods.cod import conditional_operator_discrepancy, covariance_part, mean_part
+from gelgap.adapt.methods.conditional_mmd import conditional_mmd
 from gelgap.adapt.methods.coral import coral
 from gelgap.adapt.methods.dan import mk_mmd
 from gelgap.adapt.methods.dann import domain_loss, reverse_gradient
@@ -32,13 +34,10 @@ def class_lmmd(s, t):
     return lmmd(s, t, weights[: len(s)], weights[len(s) :])
 
 
-def cod(s, t):
-    rng = np.random.default_rng(3)
-    force = torch.from_numpy(rng.random((len(s) + len(t), 3)))
+def kernel_and_forces(s, t):
+    force = torch.from_numpy(np.random.default_rng(3).random((len(s) + len(t), 3)))
     distances = squared_distances(torch.cat([s, t]))
-    return conditional_discrepancy(
-        multi_gaussian(distances, bandwidth(distances, False)), force[: len(s)], force[len(s) :], 0.2, 0.01
-    )
+    return multi_gaussian(distances, bandwidth(distances, False)), force[: len(s)], force[len(s) :]
 
 
 LOSSES = {
@@ -46,12 +45,13 @@ LOSSES = {
     "dan": mk_mmd,
     "jan": lambda s, t: joint_mmd((s, s[:, :3]), (t, t[:, :3])),
     "lmmd": class_lmmd,
-    "cod": cod,
+    "cod": lambda s, t: conditional_operator_discrepancy(*kernel_and_forces(s, t), 0.05),
+    "conditional-mmd": lambda s, t: conditional_mmd(*kernel_and_forces(s, t), 0.2, 0.01),
     "rsd": projection_distance,
     "daregram": lambda s, t: daregram(s, t, 0.5, 0.003, 0.9),
     "daregram-tikhonov": lambda s, t: daregram_tikhonov(s, t, 0.5, 0.003, 0.1),
 }
-KERNEL_LOSSES = ("dan", "jan", "lmmd", "cod")
+KERNEL_LOSSES = ("dan", "jan", "lmmd", "cod", "conditional-mmd")
 SHIFT_INVARIANT = ("coral", "dan", "lmmd")
 
 
@@ -86,7 +86,7 @@ def test_value_and_gradient_are_finite_over_scales(name, scale):
     assert torch.isfinite(s.grad).all()
 
 
-@pytest.mark.parametrize("name", [name for name in LOSSES if name not in ("lmmd", "cod")])
+@pytest.mark.parametrize("name", [name for name in LOSSES if name not in ("lmmd", "cod", "conditional-mmd")])
 @pytest.mark.parametrize("case", ["identical", "permuted"])
 def test_same_sample_has_no_discrepancy(name, case):
     s = features().requires_grad_(True)
@@ -158,6 +158,37 @@ def test_lmmd_without_a_common_class_is_exactly_zero():
     assert torch.equal(s.grad, torch.zeros_like(s))
 
 
+def linear_kernels(n, m, d):
+    """Features, forces and their pooled linear kernels: the operators are then small matrices."""
+    rng = np.random.default_rng(4)
+    x, y = rng.standard_normal((n + m, d)), rng.random((n + m, 3))
+    return x, y, torch.from_numpy(x @ x.T), torch.from_numpy(y @ y.T)
+
+
+def test_the_covariance_part_is_the_bures_distance_of_conditional_covariances():
+    n, m, d, ridge = 30, 20, 4, 0.05
+    x, y, kernel, force_kernel = linear_kernels(n, m, d)
+    covariances = []
+    for part in (slice(0, n), slice(n, n + m)):
+        f, g = (a[part] - a[part].mean(axis=0) for a in (x, y))
+        residual = np.eye(len(f)) - g @ np.linalg.solve(g.T @ g + ridge * len(f) * np.eye(3), g.T)
+        covariances.append(f.T @ residual @ f / len(f))
+    c_s, c_t = covariances
+    root = scipy.linalg.sqrtm(c_s)
+    expected = np.trace(c_s + c_t - 2 * scipy.linalg.sqrtm(root @ c_t @ root)).real
+    assert float(covariance_part(kernel, force_kernel, n, ridge)) == pytest.approx(expected, rel=5e-3)
+
+
+def test_the_mean_part_is_the_norm_of_the_operators_sum():
+    n, m, ridge = 9, 7, 0.05
+    x, y, kernel, force_kernel = linear_kernels(n, m, 4)
+    total = 0
+    for part in (slice(0, n), slice(n, n + m)):
+        g = y[part] @ y[part].T
+        total = total + x[part].T @ np.linalg.solve(g @ g + ridge * np.eye(len(g)), g) @ y[part]
+    assert float(mean_part(kernel, force_kernel, n, ridge)) == pytest.approx(-np.linalg.norm(total), rel=1e-9)
+
+
 def test_single_kernel_mmd_against_its_closed_form():
     # N(0, s²I) against N(μ, s²I), k = exp(−d²/b): 2 (1 + 4s²/b)^(−D/2) (1 − exp(−‖μ‖²/(b + 4s²))).
     d, s, b, n = 4, 0.7, 3.0, 3000
@@ -206,8 +237,8 @@ def test_domain_loss_is_ln_2_when_domains_cannot_be_told_apart():
 
 def test_gradient_reversal():
     x = features().requires_grad_(True)
-    reverse_gradient(x).sum().backward()
-    torch.testing.assert_close(x.grad, -torch.ones_like(x))
+    reverse_gradient(x, 0.25).sum().backward()
+    torch.testing.assert_close(x.grad, -0.25 * torch.ones_like(x))
 
 
 def test_rsd_is_the_sum_of_squared_sines():

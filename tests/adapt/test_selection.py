@@ -69,6 +69,15 @@ def test_discrepancies_see_a_shift():
     assert proxy_a_distance(candidate(0)) < 0.5
 
 
+def test_a_discriminator_that_guesses_has_no_a_distance_at_unequal_sizes():
+    same = candidate(0)
+    few = replace(same, target_features=same.target_features[:15])
+    assert proxy_a_distance(few) < 0.5
+    assert proxy_a_distance(replace(few, target_features=few.target_features + 3)) > 1.5
+    blind = replace(few, source_features=np.ones((150, 5)), target_features=np.ones((15, 5)))
+    assert proxy_a_distance(blind) == 0
+
+
 def test_reverse_validation_knows_features_that_lead_back():
     rng = np.random.default_rng(1)
     source, target = rng.standard_normal((200, 3)), rng.standard_normal((400, 3))

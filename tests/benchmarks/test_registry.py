@@ -28,6 +28,7 @@ def test_every_subject_has_something_to_measure_in_both_forms():
         (["physics"], ["physics.accuracy"]),
         (["stability"], ["physics.stability"]),
         (["stability", "--what", "losses"], ["adaptation.losses"]),
+        (["stability", "--what", "published"], ["adaptation.published_losses"]),
         (["adaptation", "--what", "gaps"], ["adaptation.gaps"]),
         (["adaptation", "--quick"], ["adaptation.groups", "adaptation.speed"]),
         (["adaptation"], [f"adaptation.{part.part}" for part in parts_of("adaptation")]),

@@ -1,0 +1,82 @@
+"""DSAN aligns the classes that the published mask keeps, no others, and reports how many."""
+
+import numpy as np
+import pytest
+import torch
+
+from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
+from gelgap.adapt.methods.registry import find_method
+from gelgap.adapt.network import Activations
+
+
+def brute_force_lmmd(s, t, source_group, target_probability):
+    """LMMD by loops over classes and frames; a class counts that both batches have, by label and by argmax."""
+    distances = squared_distances(torch.cat([s, t]))
+    kernel = multi_gaussian(distances, bandwidth(distances, False)).tolist()
+    of_source, of_target = source_group.tolist(), target_probability.tolist()
+    guessed = [row.index(max(row)) for row in of_target]
+    common, n = sorted(set(of_source) & set(guessed)), len(of_source)
+    total = 0.0
+    for c in common:
+        w_s = [float(group == c) / of_source.count(c) for group in of_source]
+        mass = sum(row[c] for row in of_target)
+        signed = w_s + [-row[c] / mass for row in of_target]
+        total += sum(signed[i] * signed[j] * kernel[i][j] for i in range(2 * n) for j in range(2 * n))
+    return total / max(len(common), 1), common
+
+
+def dsan_batches(n_classes, classes, seed=0):
+    """Activations of 8 frames each, source frames of the classes given, targets with softmax labels."""
+    rng = np.random.default_rng(seed)
+    s, t = (torch.from_numpy(rng.standard_normal((8, 12)) + shift).float() for shift in (0.0, 0.3))
+    logits = torch.from_numpy(2 * rng.standard_normal((8, n_classes))).float()
+    prediction = torch.full((8, 3), 0.5)
+    source = Activations(s, prediction, contact_class=torch.tensor(classes))
+    return source, Activations(t, prediction, logits=logits)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_dsan_aligns_the_classes_of_the_source_that_are_argmax_in_the_target(seed):
+    rng = np.random.default_rng(seed)
+    source, target = dsan_batches(12, rng.integers(0, 12, 8).tolist(), seed)
+    dsan = make_dsan("dsan", 12)
+    expected, common = brute_force_lmmd(
+        source.features, target.features, source.contact_class, target.logits.softmax(dim=1)
+    )
+    present = len(set(source.contact_class.tolist()))
+    assert 0 < len(common) < present
+    assert float(dsan.transfer_loss(source, target)) == pytest.approx(expected, rel=1e-4)
+    assert dsan.diagnostics == {"common_classes": len(common), "no_common_class": 0}
+    unmasked = make_dsan("dsan-unmasked", 12)
+    assert float(unmasked.transfer_loss(source, target)) != pytest.approx(expected, rel=1e-2)
+    assert unmasked.diagnostics["common_classes"] == present
+
+
+def make_dsan(name, n_classes):
+    kind = find_method(name)
+    return kind(kind.Settings(), 12, n_classes)
+
+
+def test_coarse_groups_are_masked_as_groups():
+    coarse = make_dsan("dsan-coarse", 361)
+    group = torch.from_numpy(coarse.groups())
+    source, target = dsan_batches(361, [1, 2, 40, 80, 81, 150, 200, 360])
+    probability = torch.zeros(8, int(group.max()) + 1).index_add(1, group, target.logits.softmax(dim=1))
+    expected, common = brute_force_lmmd(
+        source.features, target.features, group[source.contact_class], probability
+    )
+    assert 0 < len(common) < len(set(group[source.contact_class].tolist()))
+    assert float(coarse.transfer_loss(source, target)) == pytest.approx(expected, rel=1e-4)
+    assert coarse.diagnostics["common_classes"] == len(common)
+
+
+def test_dsan_without_a_common_class_has_no_loss_and_says_so():
+    source, target = dsan_batches(6, 8 * [5])
+    target.logits[:, 5] = -9.0
+    source.features.requires_grad_(True)
+    dsan = make_dsan("dsan", 6)
+    loss = dsan.transfer_loss(source, target)
+    loss.backward()
+    assert loss.item() == 0
+    assert not source.features.grad.any()
+    assert dsan.diagnostics == {"common_classes": 0, "no_common_class": 1}
