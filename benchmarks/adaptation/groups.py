@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from gelgap.adapt import NamedFigure, ResultTable
-from gelgap.benchmarks.adaptation.compared import MAIN_METHODS, METHODS, known_methods
+from gelgap.benchmarks.adaptation.compared import MAIN_METHODS, METHODS
 from gelgap.benchmarks.adaptation.data_sets import DESIGNS, quick_recipes
 from gelgap.benchmarks.adaptation.figures import (
     SHOWN_GROUPS,
@@ -43,7 +43,7 @@ def measure(bench: Bench) -> None:
         bench.generate_set(data)
     seeds = bench.seeds or SEEDS
     write_oracles(bench.out, group_oracles(bench.data / "paired", GROUPS))
-    jobs = headline_jobs(GROUPS, chosen or known_methods(METHODS), seeds)
+    jobs = headline_jobs(GROUPS, chosen or METHODS, seeds)
     jobs += jobs_of("paired", GROUPS, chosen or MAIN_METHODS, seeds, AT_RANDOM)
     run_missing(bench, jobs, RUNS, adapt_job)
     if not bench.is_over():
