@@ -14,10 +14,3 @@ MAIN_METHODS = ("source-only", "adabn", "no-transfer", "classifier-only", *PAPER
 
 SOURCE_FREE = ("ssa", "tasfar")
 """Methods that adapt without source frames: AdaBN is what they must beat."""
-
-
-def known_methods(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the names that are methods here."""
-    from gelgap.adapt import method_names
-
-    return tuple(name for name in names if name in method_names())

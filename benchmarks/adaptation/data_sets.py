@@ -22,14 +22,30 @@ def design_of(data: str) -> str:
     return data.removeprefix(_TUNING)
 
 
-def recipes_of(data: str, path: str) -> "tuple[DomainRecipe, ...]":
-    """Return the domains of a data set on the contact path `cpu`, or on `smoke` at draft quality."""
+def recipes_of(data: str) -> "tuple[DomainRecipe, ...]":
+    """Return the domains of a data set."""
     from gelgap.domains import make_recipes, preset_recipes
 
     design = design_of(data)
-    settings = {"contacts": design, "quality": "draft" if path == "smoke" else "standard", "seed": 0}
+    settings = {"contacts": design, "quality": "standard", "seed": 0}
     if design == "independent":
         settings["inpainted"] = ()  # inpainting a domain's pictures would keep its contacts
     if data == design:
-        return preset_recipes(path, **settings)
-    return make_recipes(TUNING_DOMAINS, path, **{"inpainted": ("wmb3i3",), **settings})
+        return preset_recipes("cpu", **settings)
+    return make_recipes(TUNING_DOMAINS, "cpu", **{"inpainted": ("wmb3i3",), **settings})
+
+
+def quick_recipes(group: tuple[str, str]) -> "tuple[DomainRecipe, ...]":
+    """Return a group's domains at their least: nine points of five poses at draft quality, to see everything run."""
+    from gelgap.domains import make_recipes
+    from gelgap.sim import ContactPath
+
+    path = ContactPath(
+        name="quick",
+        points_x_mm=(-2.25, 0.0, 2.25),
+        points_y_mm=(-1.3, 0.0, 1.3),
+        depths_mm=(0.6,),
+        radii_mm=(0.4,),
+        angles_deg=(0, 90, 180, 270),
+    )
+    return make_recipes(group, path, quality="draft", render_quality="draft", size_px=(160, 120), seed=0)

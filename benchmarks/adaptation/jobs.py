@@ -131,7 +131,7 @@ class Bench:
 
     @property
     def is_quick(self) -> bool:
-        """Whether only one small group is wanted."""
+        """Whether one small group is enough, to see everything run."""
         return self.profile == "smoke"
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> "GenerationReport":
@@ -145,7 +145,7 @@ class Bench:
 
     def generate_set(self, data: str) -> None:
         """Generate what is missing of one of the benchmark's data sets."""
-        self.generate(recipes_of(data, self.profile), data)
+        self.generate(recipes_of(data), data)
 
     def is_over(self) -> bool:
         """Return whether no further run is to be begun."""

@@ -28,12 +28,11 @@ class Grid:
 
 GRIDS = {
     **dict.fromkeys(
-        (
-            *("coral", "dan", "jan", "dann", "cdan", "rsd", "daregram", "cod", "dsan", "dsan-soft"),
-            *("mean-teacher", "uga", "importance-weighting", "tasfar"),
-        ),
-        Grid(),
+        ("coral", "dan", "jan", "dann", "cdan", "rsd", "daregram", "cod", "dsan", "dsan-soft"), Grid()
     ),
+    **dict.fromkeys(("mean-teacher", "uga"), Grid()),
+    "importance-weighting": Grid(values=(0.01, 0.03, 0.1, 0.3, 1.0)),  # 1 is the whole weight
+    "tasfar": Grid("learning_rate", (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)),
     "ssa": Grid("learning_rate", (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)),
 }
 """What is tuned of each method: as many candidates for one as for another."""
@@ -70,13 +69,12 @@ def tuned_methods(chosen: Sequence[str] | None = None) -> list[str]:
     ValueError
         If a chosen method has no grid.
     """
-    from gelgap.adapt import method_names
     from gelgap.assets.names import unknown_name
 
     for method in chosen or ():
         if method not in GRIDS:
             raise ValueError(unknown_name("method", method, GRIDS, "methods with a grid"))
-    return [method for method in chosen or GRIDS if method in method_names()]
+    return list(chosen or GRIDS)
 
 
 def candidates_of(records: Iterable[RunRecord], method: str) -> Candidates:

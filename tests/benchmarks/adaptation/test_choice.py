@@ -62,7 +62,9 @@ def test_regret_is_the_error_over_the_best():
     assert found.regret_n(found.choice()) == pytest.approx([0.2])
     assert found.own_regret_n() == pytest.approx([0.2])
     assert found.own_regret_n("IWCV") == pytest.approx([0.4])
-    with pytest.raises(ValueError, match=r"selector 'reverse' is unknown; known selectors: source risk, IWCV"):
+    with pytest.raises(
+        ValueError, match=r"selector 'reverse' is unknown; known selectors: source risk, IWCV"
+    ):
         found.choice("reverse")
 
 
@@ -81,19 +83,20 @@ def test_every_method_has_the_same_budget_and_a_setting_that_it_has():
     assert {m: sum(job.method == m for job in jobs) for m in methods} == dict.fromkeys(methods, 20)
     assert all(tuning.GRIDS[m].setting in find_method(m).Settings.model_fields for m in methods)
     assert all(list(grid.values) == sorted(grid.values) for grid in tuning.GRIDS.values())
-    with pytest.raises(ValueError, match=r"method 'dsam' is unknown; methods with a grid: .* did you mean dsan\?"):
+    with pytest.raises(
+        ValueError, match=r"method 'dsam' is unknown; methods with a grid: .* did you mean dsan\?"
+    ):
         tuning.tuned_methods(["dsam"])
 
 
 def test_nothing_is_tuned_on_what_is_compared():
-    compared = {recipe for data in ("paired", "independent") for recipe in recipes_of(data, "cpu")}
-    own = {recipe for data in TUNING_SETS for recipe in recipes_of(data, "cpu")}
+    compared = {recipe for data in ("paired", "independent") for recipe in recipes_of(data)}
+    own = {recipe for data in TUNING_SETS for recipe in recipes_of(data)}
     assert {recipe.name for recipe in own} == set(TUNING_DOMAINS)
     for part in ("elastomer", "illumination"):
         assert not {getattr(r, part) for r in own} & {getattr(r, part) for r in compared}
-    assert {recipe.contacts for recipe in recipes_of("tune-independent", "cpu")} == {"independent"}
-    assert {recipe.inpainted_from for recipe in recipes_of("tune-paired", "cpu")} == {None, "mb3i3"}
-    assert {recipe.quality for recipe in recipes_of("paired", "smoke")} == {"draft"}
+    assert {recipe.contacts for recipe in recipes_of("tune-independent")} == {"independent"}
+    assert {recipe.inpainted_from for recipe in recipes_of("tune-paired")} == {None, "mb3i3"}
 
 
 def test_tables_of_the_choice_and_of_its_transfer(tmp_path):
