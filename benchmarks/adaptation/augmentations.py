@@ -7,7 +7,7 @@ import numpy as np
 
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.choice import Candidates, case_of
-from gelgap.benchmarks.adaptation.data_sets import TUNING_GROUPS, TUNING_SETS
+from gelgap.benchmarks.adaptation.data_sets import TUNING_CASES, TUNING_SETS
 from gelgap.benchmarks.adaptation.jobs import BY_POINT, Bench, Changes, RunRecord, TrainingJob
 from gelgap.benchmarks.adaptation.paper import GROUPS
 from gelgap.benchmarks.adaptation.parts import Part
@@ -39,14 +39,14 @@ VARIANTS = {**CANDIDATES, **CONTROLS}
 
 
 def variant_jobs(
-    data: str, groups: Iterable[tuple[str, str]], methods: Iterable[str], seeds: Iterable[int]
+    cases: Sequence[tuple[str, tuple[str, str]]], methods: Iterable[str], seeds: Iterable[int]
 ) -> list[TrainingJob]:
-    """Return the runs of every variant on a data set."""
+    """Return the runs of every variant on data sets and groups."""
     return [
         TrainingJob(source, target, method, seed, data, changes)
         for seed in seeds
         for changes in VARIANTS.values()
-        for source, target in groups
+        for data, (source, target) in cases
         for method in methods
     ]
 
@@ -56,11 +56,12 @@ def measure(bench: Bench) -> None:
     for data in TUNING_SETS:
         bench.generate_set(data)
     seeds = bench.seeds or SEEDS
-    jobs = [job for data in TUNING_SETS for job in variant_jobs(data, TUNING_GROUPS, [METHOD], seeds)]
-    records = run_missing(bench, jobs, RECORD, scored_job)
+    records = run_missing(bench, variant_jobs(TUNING_CASES, [METHOD], seeds), RECORD, scored_job)
     print(augmentation_toml(records))
     bench.generate_set("paired")
-    run_missing(bench, variant_jobs("paired", GROUPS, SHOWN_METHODS, seeds), RECORD, scored_job)
+    run_missing(
+        bench, variant_jobs([("paired", group) for group in GROUPS], SHOWN_METHODS, seeds), RECORD, scored_job
+    )
 
 
 def candidates_of(records: Iterable[RunRecord]) -> Candidates:

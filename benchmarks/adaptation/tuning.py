@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.choice import Candidates, case_of
-from gelgap.benchmarks.adaptation.data_sets import TUNING_GROUPS, TUNING_SETS
+from gelgap.benchmarks.adaptation.data_sets import TUNING_CASES, TUNING_SETS
 from gelgap.benchmarks.adaptation.jobs import BY_POINT, Bench, RunRecord, TrainingJob
 from gelgap.benchmarks.adaptation.parts import Part
 from gelgap.benchmarks.adaptation.running import run_missing
@@ -39,13 +39,13 @@ GRIDS = {
 
 
 def grid_jobs(
-    data: str, groups: Iterable[tuple[str, str]], methods: Iterable[str], seeds: Iterable[int]
+    cases: Iterable[tuple[str, tuple[str, str]]], methods: Iterable[str], seeds: Iterable[int]
 ) -> list[TrainingJob]:
-    """Return the grid's runs of a data set, one group after the other."""
+    """Return the grid's runs on data sets and groups, one after the other."""
     return [
         TrainingJob(source, target, method, seed, data, BY_POINT, ((GRIDS[method].setting, value),))
         for seed in seeds
-        for source, target in groups
+        for data, (source, target) in cases
         for method in methods
         for value in GRIDS[method].values
     ]
@@ -56,8 +56,7 @@ def measure(bench: Bench) -> None:
     for data in TUNING_SETS:
         bench.generate_set(data)
     methods, seeds = tuned_methods(bench.methods), bench.seeds or SEEDS
-    jobs = [job for data in TUNING_SETS for job in grid_jobs(data, TUNING_GROUPS, methods, seeds)]
-    records = run_missing(bench, jobs, RECORD, scored_job)
+    records = run_missing(bench, grid_jobs(TUNING_CASES, methods, seeds), RECORD, scored_job)
     print(settings_toml(records))
 
 

@@ -8,12 +8,13 @@ import pytest
 from gelgap.adapt import SELECTORS, Profile
 from gelgap.benchmarks.adaptation import augmentations, transfer, tuning
 from gelgap.benchmarks.adaptation.choice import SELECTOR
-from gelgap.benchmarks.adaptation.data_sets import TUNING_DOMAINS, TUNING_GROUPS, TUNING_SETS, recipes_of
+from gelgap.benchmarks.adaptation.data_sets import TUNING_CASES, TUNING_DOMAINS, TUNING_SETS, recipes_of
 from gelgap.benchmarks.adaptation.jobs import BY_POINT, RunRecord, TrainingJob
 from gelgap.benchmarks.adaptation.paper import GROUPS
 from gelgap.benchmarks.common.records import append_record
 
 WEIGHTS = tuning.Grid().values
+TUNING_GROUPS = [group for _, group in TUNING_CASES]
 
 
 def candidate(
@@ -79,7 +80,7 @@ def test_every_method_has_the_same_budget_and_a_setting_that_it_has():
     from gelgap.adapt import find_method
 
     methods = tuning.tuned_methods()
-    jobs = tuning.grid_jobs("tune-paired", TUNING_GROUPS, methods, [0])
+    jobs = tuning.grid_jobs(TUNING_CASES, methods, [0])
     assert {m: sum(job.method == m for job in jobs) for m in methods} == dict.fromkeys(methods, 20)
     assert all(tuning.GRIDS[m].setting in find_method(m).Settings.model_fields for m in methods)
     assert all(list(grid.values) == sorted(grid.values) for grid in tuning.GRIDS.values())
