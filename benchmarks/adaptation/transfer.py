@@ -31,12 +31,8 @@ def measure(bench: Bench) -> None:
     """Do the grid's missing runs on the nine groups, by default of one seed."""
     bench.generate_set("paired")
     methods = tuned_methods(bench.methods or PAPER_METHODS)
-    run_missing(
-        bench,
-        grid_jobs(((("paired", group) for group in GROUPS)), methods, bench.seeds or SEEDS),
-        RECORD,
-        scored_job,
-    )
+    cases = [("paired", group) for group in GROUPS]
+    run_missing(bench, grid_jobs(cases, methods, bench.seeds or SEEDS), RECORD, scored_job)
 
 
 def tables(folder: Path) -> list[ResultTable]:
