@@ -1,5 +1,6 @@
 """The benchmark's data: paired and independent contacts, of the compared domains and of those for tuning."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -23,26 +24,36 @@ TUNING_CASES = (
 """Data set and group of each case of a choice: markers, gel and light, all three; half of them with paired contacts."""
 
 
+_NEARER = 0.8
+
+
 def design_of(data: str) -> str:
     """Return the design of a data set."""
     return data.removeprefix("tune-")
 
 
 def recipes_of(data: str) -> "tuple[DomainRecipe, ...]":
-    """Return the domains of a data set.
-
-    Independent contacts share few solves, some twenty times as many as paired ones: they are solved at draft quality.
-    """
+    """Return the domains of a data set."""
     from gelgap.domains import make_recipes, preset_recipes
 
     design = design_of(data)
     settings = {"contacts": design, "quality": "standard", "seed": 0}
     if design == "independent":
-        # Inpainting a domain's pictures would keep its contacts.
-        settings |= {"quality": "draft", "inpainted": ()}
+        settings["inpainted"] = ()  # inpainting a domain's pictures would keep its contacts
     if data == design:
-        return preset_recipes("cpu", **settings)
-    return make_recipes(TUNING_DOMAINS, "cpu", **{"inpainted": ("wmb3i3",), **settings})
+        recipes = preset_recipes("cpu", **settings)
+    else:
+        recipes = make_recipes(TUNING_DOMAINS, "cpu", **{"inpainted": ("wmb3i3",), **settings})
+    return tuple(map(_away_from_edges, recipes)) if design == "independent" else recipes
+
+
+def _away_from_edges(recipe: "DomainRecipe") -> "DomainRecipe":
+    """Return a recipe whose points lie nearer together along y.
+
+    Points that are moved, each in its cell, would else come so near to the pad's edge that each needs its own solve.
+    """
+    path = replace(recipe.path, points_y_mm=tuple(_NEARER * y for y in recipe.path.points_y_mm))
+    return recipe.model_copy(update={"path": path})
 
 
 def quick_recipes(group: tuple[str, str]) -> "tuple[DomainRecipe, ...]":
