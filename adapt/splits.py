@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from gelgap.adapt.methods.base import Method
 from gelgap.adapt.profile import Profile
 from gelgap.domains import LabelledFrames, split_domains
 
@@ -45,4 +46,13 @@ def check_same_size(source: LabelledFrames, target: LabelledFrames) -> None:
         raise ValueError(
             f"source {source.name} has {source.size_px[0]}×{source.size_px[1]} px pictures, target {target.name} "
             f"has {target.size_px[0]}×{target.size_px[1]} px; both domains must have one picture size"
+        )
+
+
+def check_classes(name: str, method: Method | type[Method], source: LabelledFrames) -> None:
+    """Raise a ValueError if a method needs contact classes, and a frame of the source has none."""
+    if method.uses_classifier and not source.has_classes:
+        raise ValueError(
+            f"method {name} needs contact classes, and source {source.name} has frames without one: choose another "
+            "method, or a source whose frames all have a class, as `gelgap generate` writes them on the paper's path"
         )

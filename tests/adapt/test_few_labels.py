@@ -94,6 +94,15 @@ def test_labels_lower_the_error_of_any_adapted_model(stage1, source, halves, met
             assert torch.equal(value, better.network.state_dict()[name])
 
 
+def test_labels_that_do_not_agree_change_little(stage1, halves):
+    train, test = halves
+    noise_n = np.random.default_rng(0).normal(0, 0.1, train.force_n.shape)
+    noisy_n = (stage1.predict_n(train) + noise_n).clip(*np.array(train.force_range_n).T)
+    corrected = affine_correction(stage1, draw_labelled(labelled(train, noisy_n), 5, 0))
+    change_n = np.abs(corrected.predict_n(test) - stage1.predict_n(test)).mean()
+    assert change_n < 0.4 * np.abs(noise_n).mean() / np.sqrt(5)
+
+
 def test_fine_tuning_is_deterministic(stage1, target):
     first, second = (
         fine_tune(stage1, target.take(np.arange(5)), steps=5).predict_n(target) for _ in range(2)
