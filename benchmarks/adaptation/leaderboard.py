@@ -26,7 +26,6 @@ from gelgap.benchmarks.adaptation.paper import GROUPS
 from gelgap.benchmarks.adaptation.results import CEILING, Results, load_results
 from gelgap.benchmarks.adaptation.statistics import bootstrap_interval, ranks
 from gelgap.benchmarks.adaptation.tables import AXES, by_column, interval, number, numbers
-from gelgap.benchmarks.common.tables import write_json
 
 PLAIN = "source-only"
 _BAD_INPUT = 2
@@ -105,7 +104,7 @@ def _entry(records: Sequence[RunRecord], design: str, who: str) -> Entry:
 def write_entries(entries: Sequence[Entry], folder: Path) -> None:
     """Write each entry to its file of a folder."""
     for entry in entries:
-        write_json(folder / f"{entry.method}-{entry.design}.json", entry.model_dump(mode="json"))
+        write_whole(folder / f"{entry.method}-{entry.design}.json", f"{entry.model_dump_json()}\n".encode())
 
 
 def read_entries(folder: Path) -> list[Entry]:
