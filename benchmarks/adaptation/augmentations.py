@@ -53,11 +53,12 @@ def variant_jobs(
 
 def measure(bench: Bench) -> None:
     """Do the missing runs on the tuning groups, print what the profile's file needs, then those on the nine groups."""
+    seeds = bench.seeds or SEEDS
+    records: list[RunRecord] = []
     for data in TUNING_SETS:
         bench.generate_set(data)
-    seeds = bench.seeds or SEEDS
-    jobs = [job for data in TUNING_SETS for job in variant_jobs(data, TUNING_GROUPS, [METHOD], seeds)]
-    records = run_missing(bench, jobs, RECORD, scored_job)
+        jobs = variant_jobs(data, TUNING_GROUPS, [METHOD], seeds)
+        records += run_missing(bench, jobs, RECORD, scored_job)
     print(augmentation_toml(records))
     bench.generate_set("paired")
     run_missing(bench, variant_jobs("paired", GROUPS, SHOWN_METHODS, seeds), RECORD, scored_job)

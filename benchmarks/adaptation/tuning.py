@@ -53,11 +53,11 @@ def grid_jobs(
 
 def measure(bench: Bench) -> None:
     """Do the grid's missing runs on the tuning groups, and print what the profile's file needs."""
+    methods, seeds = tuned_methods(bench.methods), bench.seeds or SEEDS
+    records: list[RunRecord] = []
     for data in TUNING_SETS:
         bench.generate_set(data)
-    methods, seeds = tuned_methods(bench.methods), bench.seeds or SEEDS
-    jobs = [job for data in TUNING_SETS for job in grid_jobs(data, TUNING_GROUPS, methods, seeds)]
-    records = run_missing(bench, jobs, RECORD, scored_job)
+        records += run_missing(bench, grid_jobs(data, TUNING_GROUPS, methods, seeds), RECORD, scored_job)
     print(settings_toml(records))
 
 
