@@ -21,7 +21,7 @@ from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.normalisation import estimate_statistics, input_statistics, with_statistics_of
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
-from gelgap.adapt.splits import check_same_size
+from gelgap.adapt.splits import check_classes, check_same_size
 from gelgap.domains import LabelledFrames
 
 
@@ -87,8 +87,7 @@ def _check_frames(method: Method, name: str, source: LabelledFrames, target: Lab
     source.check_labels()
     if method.uses_target_labels:
         target.check_labels()
-    if method.uses_classifier and not source.has_classes:
-        raise ValueError(f"method {name} needs contact classes; source {source.name} has frames without one")
+    check_classes(name, method, source)
 
 
 def _as_if_stopped(model: ForceModel, target: LabelledFrames, method: Method) -> ForceModel:

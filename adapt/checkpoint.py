@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-# A checkpoint stores its tensors as they are: more than this over the file's size is no checkpoint.
+# A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
 _MOST_GROWTH = 2
 # What Python's zipfile and zlib raise on bytes that are not theirs.
 _UNREADABLE = (

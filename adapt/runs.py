@@ -21,7 +21,7 @@ from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.run_key import run_key, stage1_key
 from gelgap.adapt.run_record import Run, is_finished, load_run, run_folder, versions, write_run
 from gelgap.adapt.source_training import train_source, untrained
-from gelgap.adapt.splits import SplitFrames, check_same_size, split_for_training
+from gelgap.adapt.splits import SplitFrames, check_classes, check_same_size, split_for_training
 from gelgap.assets.damage import set_aside
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains import LabelledFrames, open_domain
@@ -57,7 +57,8 @@ def adapt_folders(
     Raises
     ------
     ValueError
-        If a method or the profile is unknown, picture sizes differ, or a label is outside the declared range.
+        If a method or the profile is unknown, picture sizes differ, a method needs contact classes that the source
+        has not, or a label is outside the declared range.
     RuntimeError
         If another process is writing one of these runs.
     """
@@ -84,6 +85,8 @@ def adapt_frames(
         load_checkpoint(Path(weights))  # refused before any picture is read
     check_same_size(source, target)
     frames = split_for_training(source, target, profile, seed)
+    for method in methods:
+        check_classes(method, find_method(method), frames.source_train)
     out = None if out_dir is None else Path(out_dir)
     stage1 = Stage1(frames.source_train, profile, seed, weights, out, progress)
     return _Experiment(frames, stage1).runs(methods)

@@ -99,6 +99,13 @@ BENCHMARKS = (
     Benchmark(
         "adaptation", "gaps", "error against the size of a gap", "adaptation.gaps", has_quick_form=False
     ),
+    Benchmark(
+        "adaptation",
+        "labels",
+        "how many target labels close a gap",
+        "adaptation.labels",
+        has_quick_form=False,
+    ),
     Benchmark("adaptation", "speed", "training steps beside a plain loop", "adaptation.speed"),
 )
 

@@ -107,7 +107,7 @@ class Calibrate:
         )
         if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
             print(
-                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is no good fit (above "
+                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
                 f"{DOUBTFUL_RMS_CODE_VALUES:g}): check where the LEDs of {self.sensor} start, each within 6 mm of its "
                 "place, and the depths and points of the presses",
                 file=sys.stderr,

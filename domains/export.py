@@ -21,6 +21,7 @@ from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import domain_folders, inspect_domain
 from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_codec import encode_jpeg, encode_png
+from gelgap.domains.shard_file import ShardFile
 from gelgap.domains.splits import PARTS
 from gelgap.domains.stored import StoredFrames
 
@@ -164,14 +165,14 @@ def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
         folder = out_dir / frames.name
         folder.mkdir()
         (folder / "reference.png").write_bytes(encode_png(frames.reference))
-        shards = frames.shard_paths
-        schema = pq.read_schema(shards[0])
+        shards = [ShardFile(path) for path in frames.shard_paths]
+        schema = shards[0].schema
         writers = {
             part: pq.ParquetWriter(folder / f"{part}-00000.parquet", schema, compression="zstd")
             for part in _by_split(frames)
         }
         for shard in shards:
-            table = pq.read_table(shard)
+            table = shard.table()
             for part, writer in writers.items():
                 rows = table.filter(
                     pa.compute.and_(table["converged"], pa.compute.equal(table["split"], part))

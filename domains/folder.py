@@ -133,7 +133,7 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 def _check_manifest(manifest: dict[str, Any]) -> None:
     """Raise ValueError if a manifest, whose checksum is right, states what no generation writes."""
     if not is_plain_name(manifest.get("domain")):
-        raise ValueError(f"it states domain = {manifest.get('domain')!r}, which is no name")
+        raise ValueError(f"it states domain = {manifest.get('domain')!r}, which is not a plain name")
     kinds = {"files": dict, "configuration": dict, "versions": dict, "complete": bool, "schema_version": int}
     for field, kind in kinds.items():
         if not isinstance(manifest.get(field), kind):

@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.domains.columns import IMAGE, LABELS
 from gelgap.domains.folder import MISSING, REFERENCE, DomainFolder
 from gelgap.domains.picture_codec import decode_picture
+from gelgap.domains.shard_file import ShardFile, damaged
 from gelgap.domains.stored import StoredFrames
 
 if TYPE_CHECKING:
-    from pyarrow.parquet import ParquetFile
-
     from gelgap.domains.recipe import DomainRecipe
 
 
@@ -41,6 +39,9 @@ class GeneratedDomain(StoredFrames):
             )
         self._check_bytes(files)
         tables, places = zip(*(self._read_labels(number) for number in range(len(self._shards))), strict=True)
+        for number, table in enumerate(tables):
+            if table.keys() != tables[0].keys():
+                raise damaged(self.shard_paths[number], f"its columns are not those of {self._shards[0]}")
         joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
         kept = np.flatnonzero(joined["converged"])
         self.columns = {name: values[kept] for name, values in joined.items()}
@@ -50,7 +51,7 @@ class GeneratedDomain(StoredFrames):
                 f"{self.unconverged} of {len(joined['converged'])} frames did not converge: left out",
             )
         self._places = np.concatenate(places)[kept]
-        self._open_files: dict[int, ParquetFile] = {}
+        self._open_shards: dict[int, ShardFile] = {}
         self._group: tuple[tuple[int, int, str] | None, list[bytes | None]] = (None, [])
 
     def _check_bytes(self, files: DomainFolder) -> None:
@@ -61,31 +62,19 @@ class GeneratedDomain(StoredFrames):
                 if problem == MISSING:
                     raise FileNotFoundError(f"{self.folder / name} is missing; generate the domain again")
                 if problem:
-                    raise _damaged(self.folder / name, problem)
+                    raise damaged(self.folder / name, problem)
 
     def _read_labels(self, number: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the plain columns of one shard, and where its rows are: shard, row group, row (n, 3)."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        path = self.folder / self._shards[number]
-        try:
-            file = pq.ParquetFile(path)
-            names = [field.name for field in file.schema_arrow if not pa.types.is_nested(field.type)]
-            _check_columns(file)
-            table = file.read(columns=names)
-        except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
-            raise _damaged(path, str(error)) from None
+        shard = ShardFile(self.folder / self._shards[number])
+        labels = shard.labels()
         places = [
-            (number, group, row)
-            for group in range(file.num_row_groups)
-            for row in range(file.metadata.row_group(group).num_rows)
+            (number, group, row) for group, rows in enumerate(shard.rows_per_group) for row in range(rows)
         ]
-        columns = {name: table[name].to_numpy() for name in names}
-        return columns, np.array(places, dtype=np.int64).reshape(-1, 3)
+        return labels, np.array(places, dtype=np.int64).reshape(-1, 3)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open_files": {}, "_group": (None, [])}
+        return {**self.__dict__, "_open_shards": {}, "_group": (None, [])}
 
     @property
     def shard_paths(self) -> list[Path]:
@@ -104,7 +93,7 @@ class GeneratedDomain(StoredFrames):
     def encoded_picture(self, index: int) -> bytes:
         picture = self._cell(index, "image")
         if not isinstance(picture, bytes):
-            raise _damaged(self.folder / self.place_of(index), f"frame {index} has no picture")
+            raise damaged(self.folder / self.place_of(index), f"frame {index} has no picture")
         return picture
 
     def place_of(self, index: int) -> str:
@@ -161,32 +150,9 @@ class GeneratedDomain(StoredFrames):
         return self._group[1][row]
 
     def _read_group(self, shard: int, group: int, column: str) -> list[Any]:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        if shard not in self._open_files:
-            self._open_files[shard] = pq.ParquetFile(self.folder / self._shards[shard], memory_map=True)
-        try:
-            cells = self._open_files[shard].read_row_group(group, columns=[column]).column(column)
-        except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
-            raise _damaged(self.folder / self._shards[shard], str(error)) from None
-        if pa.types.is_struct(cells.type):
-            return [cell for chunk in cells.chunks for cell in chunk.field("bytes").to_pylist()]
-        return cells.to_pylist()
-
-
-# More rows than any shard has; a few bytes of Parquet can claim billions.
-_MOST_ROWS = 100_000
-
-
-def _check_columns(file: "ParquetFile") -> None:
-    """Raise ValueError if a shard has not the rows and columns that generation writes."""
-    if file.metadata.num_rows > _MOST_ROWS:
-        raise ValueError(f"it states {file.metadata.num_rows} rows")
-    schema = file.schema_arrow
-    for column in (*LABELS, IMAGE):
-        if column.name not in schema.names or schema.field(column.name).type != column.type:
-            raise ValueError(f"column {column.name} is missing or not {column.type}")
+        if shard not in self._open_shards:
+            self._open_shards[shard] = ShardFile(self.folder / self._shards[shard])
+        return self._open_shards[shard].cells(group, column)
 
 
 # What a process has compared, by path, time of change and entry: a page or an export opens a domain several times.
@@ -209,11 +175,3 @@ def _problem(files: DomainFolder, name: str, entry: dict[str, Any]) -> str | Non
     if problem is None and time.time_ns() - modified_ns > _SETTLED_NS:
         _INTACT.add(key)
     return problem
-
-
-def _damaged(path: Path, problem: str) -> RuntimeError:
-    problem = " ".join(problem.split())
-    return RuntimeError(
-        f"{path} is damaged ({problem}): run the same `gelgap generate` again to repair it; "
-        f"`gelgap inspect {path.parent} --verify` names all damage"
-    )

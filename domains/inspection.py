@@ -104,7 +104,7 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     Raises
     ------
     FileNotFoundError
-        If there is no data set of a known layout.
+        If it is not a data set of a known layout.
     """
     if DomainFolder(folder).exists() or not Path(folder).is_dir():
         return tuple(DomainFolder(folder).damages())

@@ -15,7 +15,7 @@ def open_domain(folder: Path | str) -> StoredFrames:
     Raises
     ------
     FileNotFoundError
-        If there is no data set of a known layout; the message says what was looked for.
+        If it is not a data set of a known layout; the message says what was looked for.
     RuntimeError
         If the data set is damaged or not finished.
     ValueError
@@ -31,7 +31,7 @@ def open_domain(folder: Path | str) -> StoredFrames:
 
 
 def layout_problem(folder: Path) -> str | None:
-    """Return why a folder is no data set, and what was looked for; None if it has a known layout."""
+    """Return why a folder is not a data set, and what was looked for; None if it has a known layout."""
     known = (folder / MANIFEST).exists()
     if known or any(layout.recognises(folder) for layout in (PublishedDomain, PictureFolder)):
         return None

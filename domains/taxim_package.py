@@ -52,12 +52,12 @@ def taxim_presses(name: str) -> PressSet:
             f0, pictures = file["f0"], file["imgs"]
             centers, radii = file["touch_center"].astype(float), file["touch_radius"].astype(float)
     except (KeyError, ValueError, OSError, EOFError, TypeError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is no calibration set: {error}") from None
+        raise ValueError(f"{path} is not a calibration set: {error}") from None
     n = len(pictures)
     shapes = f0.ndim == 3 and f0.shape[2] == 3 and pictures.shape == (n, *f0.shape)
     if not shapes or centers.shape != (n, 2) or radii.shape != (n,) or f0.dtype != np.uint8:
         raise ValueError(
-            f"{path} is no calibration set: f0 {f0.shape}, imgs {pictures.shape}, touch_center {centers.shape} and "
+            f"{path} is not a calibration set: f0 {f0.shape}, imgs {pictures.shape}, touch_center {centers.shape} and "
             f"touch_radius {radii.shape} do not belong together"
         )
     presses = tuple(

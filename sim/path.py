@@ -237,7 +237,7 @@ def _path(name: str, values: dict[str, Any]) -> ContactPath | PosePath:
     fields = ("points_x_mm", "points_y_mm", "depths_mm", "radii_mm", "angles_deg")
     if values.keys() != set(fields):
         raise ValueError(
-            f"path {name} holds {', '.join(values) or 'nothing'}: must hold {', '.join(fields)}, or [[trajectories]], "
+            f"{', '.join(values) or 'nothing'} in path {name!r}: must be {', '.join(fields)}, or [[trajectories]], "
             "or [random]"
         )
     numbers = {field: _numbers(values[field], None, f"{field} of path {name}") for field in fields}

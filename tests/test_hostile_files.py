@@ -2,8 +2,6 @@
 
 import io
 import json
-import os
-import pickle
 import struct
 import zipfile
 import zlib
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from hostile_bytes import npz, npz_of_bait, pickled, torch_bait
 
 from gelgap.adapt import ForceModel, load_predictions, load_run
 from gelgap.adapt.resnet import load_imagenet_weights
@@ -30,36 +29,6 @@ from gelgap.sim import MembraneState, load_path
 
 SCRIPT = "<script>alert(1)</script>"
 DEEP = "[" * 200_000
-
-
-class Bait:
-    """Unpickled, it makes a folder."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.path),)
-
-
-def pickled(folder: Path) -> bytes:
-    return pickle.dumps(Bait(folder / "bait"))
-
-
-def torch_bait(folder: Path) -> bytes:
-    buffer = io.BytesIO()
-    torch.save({"format": 1, "state": Bait(folder / "bait")}, buffer)
-    return buffer.getvalue()
-
-
-def npz(**arrays: Any) -> bytes:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
-
-
-def npz_of_bait(folder: Path, *names: str) -> bytes:
-    return npz(**{name: np.array([Bait(folder / "bait")], dtype=object) for name in names})
 
 
 def npz_that_claims(shape: tuple[int, ...], *names: str) -> bytes:

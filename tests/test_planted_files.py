@@ -3,18 +3,15 @@
 import hashlib
 import io
 import json
-import os
-import pickle
 import shutil
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import torch
+from hostile_bytes import Bait, npz, npz_of_bait, pickled, torch_bait
 
 from gelgap.adapt import write_report
 from gelgap.benchmarks.adaptation.jobs import RunRecord
@@ -25,36 +22,6 @@ from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.domains import export, inspect_domain, open_domain, verify_domain
 from gelgap.domains.folder import DomainFolder, sha256
 from gelgap.sim.solution import solution_from_bytes
-
-
-class Bait:
-    """Unpickled, it makes a folder."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.path),)
-
-
-def pickled(folder: Path) -> bytes:
-    return pickle.dumps(Bait(folder / "bait"))
-
-
-def torch_bait(folder: Path) -> bytes:
-    buffer = io.BytesIO()
-    torch.save({"format": 1, "state": Bait(folder / "bait")}, buffer)
-    return buffer.getvalue()
-
-
-def npz(**arrays: Any) -> bytes:
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **arrays)
-    return buffer.getvalue()
-
-
-def npz_of_bait(folder: Path, *names: str) -> bytes:
-    return npz(**{name: np.array([Bait(folder / "bait")], dtype=object) for name in names})
 
 
 def signed(content: bytes) -> bytes:

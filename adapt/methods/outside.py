@@ -33,7 +33,7 @@ def load_method(place: str) -> tuple[str, type[Method]]:
     if not (isinstance(method, type) and issubclass(method, Method)):
         methods = [name for name, thing in vars(module).items() if _is_own_method(thing, module)]
         raise ValueError(
-            f"method {place!r}: {class_name or 'nothing'} is no class of {module_name} that extends "
+            f"method {place!r}: {class_name or 'nothing'} is not a class of {module_name} that extends "
             f"gelgap.adapt.Method; it has {', '.join(methods) or 'none'}"
         )
     return f"{Path(module_name).stem if module_name.endswith('.py') else module_name}.{class_name}", method

@@ -251,8 +251,7 @@ def gap_table(results: GapResults) -> ResultTable:
         sizes | results.columns([gap.domain for gap in gaps]),
         f"Mean over {results.seeds} seed(s). Size: "
         + "; ".join(f"{panel.name}: {panel.label}" for panel in PANELS)
-        + ". Contacts are paired; "
-        "without a gap the target is the source itself, most of whose frames were trained on.",
+        + ". Contacts are paired, frames split at random; without a gap the target is the source itself.",
     )
 
 

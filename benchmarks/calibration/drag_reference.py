@@ -16,7 +16,6 @@ from gelgap.benchmarks.physics.cases import Workers
 
 COLUMNS = (
     "poisson_ratio", "young_modulus_mpa", "friction", "depth_mm", "element_mm", "shear_x_mm", "fx_n", "fz_n",
-    "sticking_fraction",
 )  # fmt: skip
 TRAVELS_MM = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 DEPTHS_MM = (0.6, 1.0, 0.2)
@@ -51,7 +50,7 @@ def main() -> None:
         scene = (drag.poisson_ratio, drag.young_modulus_mpa, drag.friction, drag.depth_mm, drag.element_mm)
         for state in states:
             forces = (f"{state.force_n[0]:.5f}", f"{state.force_n[2]:.5f}")
-            writer.writerow([*scene, f"{state.travel_mm:.9g}", *forces, f"{state.sticking_fraction:.3f}"])
+            writer.writerow([*scene, f"{state.travel_mm:.9g}", *forces])
     workers.forget()
 
 

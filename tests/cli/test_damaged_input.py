@@ -39,6 +39,15 @@ def test_weights_that_are_no_checkpoint_are_refused(files: Path, capsys) -> None
         assert f"{name} is not a checkpoint" in line
 
 
+def test_a_method_that_needs_classes_is_refused_before_work_on_data_without(files: Path, capsys) -> None:
+    places = ["--source", str(files / "pictures"), "--target", str(files / "published")]
+    out = ["--method", "source-only", "--method", "dsan", "--out", str(files / "out")]
+    code, line = refused(["adapt", *places, *out], capsys)
+    assert code == 2
+    assert "method dsan needs contact classes, and source pictures has frames without one: choose" in line
+    assert not list(files.glob("out/**/*.pt"))
+
+
 @pytest.mark.parametrize("name", ["run.json", "predictions.npz"])
 @pytest.mark.parametrize("content", [b"", b"{", b"[1]", None])
 def test_a_report_of_a_broken_run_says_which_and_what_to_do(files: Path, capsys, name: str, content) -> None:
@@ -95,7 +104,10 @@ def test_an_undecodable_picture_is_named_with_its_data_set_frame_and_how_to_find
     picture = files / "pictures" / "3.png"
     picture.write_bytes(picture.read_bytes()[:-30])
     arguments = {
-        "adapt": ["--source", str(files / "pictures"), "--target", str(files / "published")],
+        "adapt": [
+            *("--source", str(files / "pictures"), "--target", str(files / "published")),
+            *("--method", "source-only"),
+        ],
         "export": [str(files / "pictures")],
     }[command]
     _, line = refused([command, *arguments, "--out", str(files / "out")], capsys)

@@ -144,8 +144,8 @@ def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyP
     ("method", "words"),
     [
         ("absent.py:Half", "absent.py does not exist"),
-        ("own.py:Third", "Third is no class of own.py that extends gelgap.adapt.Method; it has Half"),
-        ("own.py:number", "number is no class"),
+        ("own.py:Third", "Third is not a class of own.py that extends gelgap.adapt.Method; it has Half"),
+        ("own.py:number", "number is not a class"),
         ("own.py:", "it has Half"),
         ("no_such_module:Half", "no_such_module could not be imported"),
     ],

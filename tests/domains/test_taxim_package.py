@@ -41,7 +41,7 @@ def test_channels_are_turned_to_rgb_and_marks_kept(tmp_path):
 )
 def test_other_files_are_refused(tmp_path, change):
     np.savez(tmp_path / "dataPack.npz", **parts() | change)
-    with pytest.raises(ValueError, match="is no calibration set"):
+    with pytest.raises(ValueError, match="is not a calibration set"):
         taxim_presses(str(tmp_path))
 
 

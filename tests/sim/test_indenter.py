@@ -7,7 +7,7 @@ import pytest
 
 from gelgap.sim.canonical_frame import canonical_frame
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.base import Floats, Indenter, Projection, Symmetry
+from gelgap.sim.indenters.base import Floats, Projection, Symmetry
 from gelgap.sim.indenters.sphere import Sphere
 from gelgap.sim.path import Pose
 from gelgap.sim.press import solve_pose, solve_poses
@@ -17,26 +17,17 @@ GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.47, friction=0.5)
 ALONE = Sharing(cache=False)
 
 
-class Capsule(Indenter):
-    """A cylinder with round ends that lies along x."""
+class Capsule(Sphere):
+    """A sphere drawn out along x: a cylinder with round ends."""
 
     shape: ClassVar[str] = "capsule"
     symmetry: ClassVar[Symmetry] = Symmetry.MIRROR
 
-    radius_mm: float = 1.5
     length_mm: float = 1.0
 
     @property
     def label(self) -> str:
-        return f"capsule {self.radius_mm:g} × {self.length_mm:g} mm"
-
-    @property
-    def origin_height_mm(self) -> float:
-        return self.radius_mm
-
-    @property
-    def feature_size_mm(self) -> float:
-        return self.radius_mm
+        return f"capsule {self.diameter_mm:g} × {self.length_mm:g} mm"
 
     @property
     def mujoco_geom(self) -> str:
@@ -44,12 +35,12 @@ class Capsule(Indenter):
         return f'type="capsule" size="{self.radius_mm:.12g}" fromto="{-half:.12g} 0 0 {half:.12g} 0 0"'
 
     def penetration_radius_mm(self, depth_mm: float) -> float:
-        return self.length_mm / 2 + Sphere(diameter_mm=2 * self.radius_mm).penetration_radius_mm(depth_mm)
+        return self.length_mm / 2 + super().penetration_radius_mm(depth_mm)
 
     def project(self, points_mm: Floats) -> Projection:
         axis = np.zeros_like(points_mm)
         axis[..., 0] = np.clip(points_mm[..., 0], -self.length_mm / 2, self.length_mm / 2)
-        from_axis = Sphere(diameter_mm=2 * self.radius_mm).project(points_mm - axis)
+        from_axis = super().project(points_mm - axis)
         return from_axis._replace(points_mm=axis + from_axis.points_mm)
 
 
@@ -82,7 +73,7 @@ def test_problems_of_different_shapes_have_different_keys() -> None:
 @pytest.mark.parametrize(
     ("indenter", "to_sensor"), [(Sphere(), [[0, 1], [-1, 0]]), (Capsule(), [[1, 0], [0, -1]])]
 )
-def test_only_a_body_of_revolution_is_turned(indenter: Indenter, to_sensor: list[list[float]]) -> None:
+def test_only_a_body_of_revolution_is_turned(indenter: Sphere, to_sensor: list[list[float]]) -> None:
     pose = Pose(depth_mm=0.2, shear_y_mm=-0.1, point_x_mm=0.5)
     frame = canonical_frame(Scene(GEL, indenter, "draft", ALONE), pose)
     assert frame.pad_mm is None

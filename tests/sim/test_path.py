@@ -111,3 +111,12 @@ def test_a_bad_path_file_is_refused(text: str, words: str, tmp_path: Path) -> No
 def test_a_missing_path_file_is_named() -> None:
     with pytest.raises(FileNotFoundError, match="nowhere"):
         load_path("nowhere.toml")
+
+
+def test_what_is_wrong_with_a_path_is_told_in_words_that_fit_any_name(tmp_path: Path) -> None:
+    file = tmp_path / "path.toml"
+    file.write_text("speed = 3\n")
+    with pytest.raises(
+        ValueError, match=r"path\.toml: speed in path 'path': must be points_x_mm, .* or \[random\]"
+    ):
+        load_path(str(file))

@@ -1,0 +1,172 @@
+"""Shards that someone planted with their checksums: refused in one sentence, without the memory they ask for."""
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from gelgap.benchmarks.data.sound_files import DOMAIN
+from gelgap.domains import export
+from gelgap.domains.columns import PICTURE, POINTS
+from gelgap.domains.folder import DomainFolder, sha256
+from gelgap.domains.page_headers import plain_pages
+
+# Reads a sound domain, then the others with little more memory than that took, and prints what became of each.
+READER = """
+import json, resource, sys
+from gelgap.domains import open_domain
+
+def read(folder):
+    frames = open_domain(folder)
+    frames.picture(0)
+    for column in frames.optional_columns:
+        frames.optional(column, 0)
+
+def peak_mib():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+read(sys.argv[1])
+before = peak_mib()
+with open("/proc/self/status") as status:
+    data_kib = int(next(line for line in status if line.startswith("VmData")).split()[1])
+resource.setrlimit(resource.RLIMIT_DATA, (1024 * data_kib + 2**28,) * 2)
+found = []
+for folder in sys.argv[2:]:
+    try:
+        read(folder)
+        found.append(None)
+    except RuntimeError as error:
+        found.append(str(error))
+print(json.dumps([found, peak_mib() - before]))
+"""
+
+
+def with_column(table: pa.Table, name: str, cells: pa.Array) -> pa.Table:
+    index = table.schema.get_field_index(name)
+    return table.set_column(index, name, cells) if index >= 0 else table.append_column(name, cells)
+
+
+def strings(table: pa.Table) -> pa.Table:
+    """Return 4000 rows that repeat a word of a megabyte."""
+    rows = table.take(pa.array([0] * 4000))
+    word = pa.DictionaryArray.from_arrays(pa.array([0] * len(rows), pa.int32()), ["x" * 2**20])
+    return with_column(rows, "split", word)
+
+
+def pictures(table: pa.Table) -> pa.Table:
+    """Return pictures of 16 MiB each, all zeros."""
+    cells = [pa.array([bytes(2**24)] * len(table)), pa.nulls(len(table), pa.string())]
+    return with_column(table, "image", pa.StructArray.from_arrays(cells, fields=list(PICTURE)))
+
+
+def points(table: pa.Table) -> pa.Table:
+    """Return a frame with ten million markers, none of which is anywhere."""
+    number = 10**7
+    offsets = pa.array([0] + [number] * len(table), pa.int32())
+    return with_column(
+        table,
+        "marker_px",
+        pa.ListArray.from_arrays(offsets, pa.nulls(number, POINTS.value_type), type=POINTS),
+    )
+
+
+def rows(table: pa.Table) -> pa.Table:
+    """Return a quarter of a million rows of nothing."""
+    return pa.table([pa.nulls(250_000, field.type) for field in table.schema], schema=table.schema)
+
+
+def nested(table: pa.Table) -> pa.Table:
+    kind = pa.string()
+    for _ in range(90):
+        kind = pa.list_(kind)
+    return with_column(table, "split", pa.nulls(len(table), kind))
+
+
+def unknown(table: pa.Table) -> pa.Table:
+    return with_column(table, "more", pa.array(["x" * 2**20] * len(table)))
+
+
+PLANTED: dict[str, tuple[Callable[[pa.Table], pa.Table], str]] = {
+    "strings": (strings, "column split has a dictionary"),
+    "pictures": (pictures, "column image would take "),
+    "points": (points, "column marker_px states "),
+    "rows": (rows, "it states 250000 rows"),
+    "nested": (nested, ""),
+    "unknown": (unknown, "column 'more' is unknown"),
+}
+
+
+def plant(folder: Path, change: Callable[[pa.Table], pa.Table]) -> Path:
+    """Change the shard of a domain, and its manifest to it; return the shard."""
+    domain = DomainFolder(folder)
+    (shard,) = folder.glob("frames-*.parquet")
+    changed = change(pq.read_table(shard))
+    named = [name for name in changed.column_names if name == "split"] if change is strings else False
+    pq.write_table(
+        changed,
+        shard,
+        compression="zstd",
+        use_dictionary=named,
+        store_schema=change is points,
+        dictionary_pagesize_limit=2**30,
+    )
+    manifest = domain.read_manifest()
+    manifest["files"][shard.name] |= {"sha256": sha256(shard.read_bytes()), "bytes": shard.stat().st_size}
+    if change is points:
+        manifest["configuration"]["columns"] = ["marker_px"]
+    domain.write_manifest(manifest)
+    return shard
+
+
+def test_hostile_shards_are_refused_within_the_memory_of_sound_ones(files: Path, tmp_path: Path) -> None:
+    sound = files / "data" / DOMAIN
+    folders = [Path(shutil.copytree(sound, tmp_path / name)) for name in PLANTED]
+    shards = [plant(folder, change) for folder, (change, _) in zip(folders, PLANTED.values(), strict=True)]
+    assert all(shard.stat().st_size < 2**21 for shard in shards)
+    command = [sys.executable, "-c", READER, str(sound), *map(str, folders)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    sentences, more_mib = json.loads(done.stdout)
+    for shard, sentence, (_, reason) in zip(shards, sentences, PLANTED.values(), strict=True):
+        assert f"{shard} is damaged (" in sentence
+        assert reason in sentence
+        assert "generate" in sentence
+        assert "\n" not in sentence
+
+    assert more_mib < 64
+
+
+@pytest.mark.parametrize("change", [pictures, unknown])
+def test_no_hostile_shard_is_exported(files: Path, tmp_path: Path, change: Callable) -> None:
+    shard = plant(files / "data" / DOMAIN, change)
+    with pytest.raises(RuntimeError, match=f"{shard.name} is damaged"):
+        export(files / "data" / DOMAIN, "huggingface", tmp_path / "out")
+
+
+def test_pages_say_what_they_hold(files: Path) -> None:
+    (shard,) = (files / "data" / DOMAIN).glob("frames-*.parquet")
+    data = shard.read_bytes()
+    group = pq.read_metadata(shard).row_group(0)
+    for chunk in map(group.column, range(group.num_columns)):
+        stop = chunk.data_page_offset + chunk.total_compressed_size
+        pages = list(plain_pages(memoryview(data)[chunk.data_page_offset : stop]))
+        assert sum(page.values for page in pages) == chunk.num_values == group.num_rows
+        # The footer counts headers too.
+        assert 0 < sum(page.plain_bytes for page in pages) < chunk.total_uncompressed_size
+        with pytest.raises(ValueError, match="page"):
+            list(plain_pages(memoryview(data)[chunk.data_page_offset : stop - 1]))
+
+
+def test_headers_of_pages_that_no_one_wrote_are_refused() -> None:
+    dictionary = bytes([0x15, 4, 0x15, 2, 0x15, 2, 0])  # kind 2, a byte in a byte
+    endless = bytes([0x15, *[255] * 20])
+    deep = bytes([0x1C] * 1000)
+    negative = bytes([0x15, 0, 0x15, 2, 0x15, 3, 0x2C, 0x15, 2, 0x15, 0, 0, 0])
+    for header in (dictionary, endless, deep, negative, b"\x15", b"\x1d\0"):
+        with pytest.raises(ValueError, match="page"):
+            list(plain_pages(memoryview(header + bytes(2))))
