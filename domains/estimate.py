@@ -39,6 +39,11 @@ class Estimate:
     busy: float = 1.0
 
     @property
+    def core_s(self) -> float:
+        """Processor time of all processes together."""
+        return START_S * self.workers + self.solve_core_s + self.frame_core_s
+
+    @property
     def wall_s(self) -> float:
         """Time on the machine as busy as it is now: one solve is not shared, frames are shared as shards."""
         solving_s = max(self.solve_core_s / self.workers, self.longest_solve_s)

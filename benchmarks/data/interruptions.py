@@ -8,17 +8,17 @@ import random
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 from gelgap.assets.checksums import SUMS, checksum_problem
+from gelgap.benchmarks.common.python_process import start_python
 from gelgap.benchmarks.common.records import Ledger
 from gelgap.benchmarks.common.tables import print_table, write_json
 
-TIMES, QUICK_TIMES = 50, 2
+TIMES = 50
 DEADLINE_S = 300.0
 END_S = 15.0
 """Time in which a stopped command and its workers must have ended."""
@@ -158,46 +158,61 @@ COMMANDS = {
         Stopped("benchmark physics --quick", _arguments_of_physics, "physics-solves/*.result"),
     )
 }
+Cells = Sequence[tuple[str, str]]
+"""Names of commands, each with that of the signal that stops it."""
+CELLS = [(name, stopped_by) for name in COMMANDS for stopped_by in SIGNALS]
+QUICK_CELLS = [("generate", "kill -INT"), ("benchmark physics --quick", "kill -9")]
 
 
 def run(quick: bool, out_dir: Path) -> None:
     """Stop every command many times, run it again each time, compare; print the table, write `interruptions.json`.
 
+    The quick form stops `generate` and `benchmark physics --quick` once each, by kill -INT and kill -9.
     Each stop is noted: a benchmark that was stopped itself goes on with the next one.
     """
     from gelgap.domains import package_versions
 
     folder = out_dir / "interruptions"
     ledger = Ledger(folder / "unfinished.jsonl", package_versions())
-    results = measure_all(folder, QUICK_TIMES if quick else TIMES, ledger)
+    results = (
+        measure_all(folder, QUICK_CELLS, 1, ledger) if quick else measure_all(folder, CELLS, TIMES, ledger)
+    )
     title = "Commands stopped at random moments, and run again"
     print_table(title, COLUMNS, [astuple(result) for result in results], NOTE)
     write_json(out_dir / "interruptions.json", results)
     ledger.close()
 
 
-def measure_all(folder: Path, times: int, ledger: Ledger) -> list[Interrupted]:
-    """Stop each command by each signal as often as asked for, less what the ledger has."""
-    data, results = folder / "generate-undisturbed", []
-    for command in COMMANDS.values():
-        undisturbed = folder / f"{command.name.split()[-1].strip('-')}-undisturbed"
-        undisturbed = data if command.name == "generate" else undisturbed
-        shutil.rmtree(undisturbed, ignore_errors=True)
-        start = time.monotonic()
-        if not _ends_well(begin(command, undisturbed, data)):
-            raise RuntimeError(f"{command.name} fails undisturbed: {_said(undisturbed)[-300:]}")
-        duration_s = time.monotonic() - start
-        print(f"{command.name}: undisturbed {duration_s:.1f} s", flush=True)
-        for stopped_by, number in SIGNALS.items():
-            label, moments = f"{command.name}, {stopped_by}", random.Random(f"{command.name} {stopped_by}")
-            shares = [moments.random() for _ in range(times)]
-            for share in shares[len(ledger.values(label, Stop)) :]:
-                place = (command, undisturbed, folder / "stopped", data)
-                ledger.note(label, stop(*place, number, lambda child, s=share * duration_s: _pass(child, s)))
-            result = counted(command.name, stopped_by, ledger.values(label, Stop)[:times])
-            print(f"{label}: {result.times} times, {result.different} files different", flush=True)
-            results.append(result)
-    return results
+def measure_all(folder: Path, cells: Cells, times: int, ledger: Ledger) -> list[Interrupted]:
+    """Stop the commands by their signals as often as asked for, in turn, less what the ledger has."""
+    data = _undisturbed(folder, "generate")
+    names = dict.fromkeys(name for name, _ in cells)
+    durations_s = {name: undisturbed_s(COMMANDS[name], folder, data) for name in names}
+    shares = {cell: random.Random(", ".join(cell)) for cell in cells}
+    for number in range(times):
+        for name, stopped_by in cells:
+            moment_s, label = durations_s[name] * shares[name, stopped_by].random(), f"{name}, {stopped_by}"
+            if number < len(ledger.values(label, Stop)):
+                continue
+            place = (COMMANDS[name], _undisturbed(folder, name), folder / "stopped", data)
+            ledger.note(label, stop(*place, SIGNALS[stopped_by], lambda child, s=moment_s: _pass(child, s)))
+        print(f"each stopped {number + 1} of {times} times", flush=True)
+    return [counted(*cell, ledger.values(", ".join(cell), Stop)[:times]) for cell in cells]
+
+
+def undisturbed_s(command: Stopped, folder: Path, data: Path) -> float:
+    """Run a command undisturbed and return how long it took."""
+    undisturbed, start = _undisturbed(folder, command.name), time.monotonic()
+    shutil.rmtree(undisturbed, ignore_errors=True)
+    if not _ends_well(begin(command, undisturbed, data)):
+        raise RuntimeError(f"{command.name} fails undisturbed: {_said(undisturbed)[-300:]}")
+    duration_s = time.monotonic() - start
+    print(f"{command.name}: undisturbed {duration_s:.1f} s", flush=True)
+    return duration_s
+
+
+def _undisturbed(folder: Path, name: str) -> Path:
+    return folder / f"{name.split()[-1].strip('-')}-undisturbed"
 
 
 def counted(command: str, stopped_by: str, stops: Sequence[Stop]) -> Interrupted:
@@ -276,14 +291,7 @@ def begin(command: Stopped, folder: Path, data: Path) -> subprocess.Popen:
     code = _CHILD.format(name=command.name, folder=str(folder), data=str(data))
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _file(folder, "stderr").open("w") as said, _file(folder, "stdout").open("w") as printed:
-        return subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdout=printed,
-            stderr=said,
-            start_new_session=True,
-            # A shell's background jobs ignore kill -INT, and so would their children.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-        )
+        return start_python(code, printed, said)
 
 
 def digests(folder: Path) -> dict[str, str]:

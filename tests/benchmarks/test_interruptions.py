@@ -67,12 +67,13 @@ def test_a_benchmark_that_was_stopped_goes_on_with_the_next_stop(
         return interruptions.Stop("at work", True, False, False, 1, 0, False, 0)
 
     monkeypatch.setattr(interruptions, "stop", stop)
+    cells = [("it", "kill -INT"), ("it", "kill -9")]
     with pytest.raises(KeyboardInterrupt):
-        interruptions.measure_all(tmp_path, 2, Ledger(tmp_path / "notes.jsonl", "plan"))
+        interruptions.measure_all(tmp_path, cells, 2, Ledger(tmp_path / "notes.jsonl", "plan"))
     again = iter(range(9))
     monkeypatch.setattr(interruptions, "stop", lambda *_: made.append(next(again)) or made_again)
     made_again = interruptions.Stop("at work", False, False, False, 0, 1, False, 0)
-    results = interruptions.measure_all(tmp_path, 2, Ledger(tmp_path / "notes.jsonl", "plan"))
+    results = interruptions.measure_all(tmp_path, cells, 2, Ledger(tmp_path / "notes.jsonl", "plan"))
     assert [(r.times, r.sentences, r.parts_again) for r in results] == [(2, 2, 0), (2, 1, 1)]
 
 
