@@ -77,5 +77,7 @@ def test_digests_tell_arrays_and_texts_apart() -> None:
         ("", False),
     ],
 )
-def test_a_command_on_a_slow_machine_may_say_what_it_does_before_its_sentence(said: str, is_one: bool) -> None:
+def test_a_command_on_a_slow_machine_may_say_what_it_does_before_its_sentence(
+    said: str, is_one: bool
+) -> None:
     assert is_one_sentence(said, "run.json") == is_one
