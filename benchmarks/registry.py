@@ -39,6 +39,7 @@ class Benchmark:
 
 
 _BEGINS_ANEW = (
+    "data.estimates",
     "render.accuracy",
     "physics.stability",
     "render.stability",
@@ -66,7 +67,8 @@ BENCHMARKS = (
         "adaptation.published_losses",
         by_default=False,
     ),
-    Benchmark("throughput", None, "time to generate and to read domains", "data.throughput"),
+    Benchmark("throughput", "generation", "time to generate and to read domains", "data.throughput"),
+    Benchmark("throughput", "estimates", "estimated beside taken time", "data.estimates", by_default=False),
     Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),
     Benchmark(
         "faults", "files", "what damage to each kind of file does", "data.file_faults", by_default=False

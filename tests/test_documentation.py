@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -189,8 +190,12 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
             lambda recipes, out, workers, progress: real(recipes, out, workers=1, progress=progress)
         ),
     },
+    "gelgap benchmark throughput --what estimates --quick": {
+        "data.estimates.presses": lambda real: lambda quick: islice(real(quick), 1),
+        "data.estimates.generations": lambda real: lambda folder, quick: islice(real(folder, quick), 1),
+    },
     "gelgap benchmark stability --what physics --quick": {
-        "physics.stability.QUICK_SCENES": lambda real: 1,
+        "physics.stability.QUICK_SCENES": lambda real: real[:1],
     },
     "gelgap benchmark stability --what render --quick": {
         "render.stability.QUICK_FRAMES": lambda real: 20,
