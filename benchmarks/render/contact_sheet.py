@@ -1,6 +1,6 @@
 """The contact sheet of a real sensor's predictions: best, median and worst press, real, predicted and difference."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +17,18 @@ REACH, SIDE_PX, CONTRAST = (
 WITHIN = 2  # the metric that ranks presses: PSNR within two radii
 
 
-def draw_contact_sheet(path: Path, presses: Sequence[PressPicture], shown: Sequence[Prediction]) -> None:
-    """Write the sheet; presses are ranked by the first of the predictions."""
+def draw_contact_sheet(path: Path, presses: Sequence[PressPicture], shown: Mapping[str, Prediction]) -> None:
+    """Write the sheet of predictions by their titles; presses are ranked by the first of them."""
     import cv2
 
-    level = [values[WITHIN] for values in score_presses(shown[0], presses)]
+    first = next(iter(shown.values()))
+    level = [values[WITHIN] for values in score_presses(first, presses)]
     ranked = np.argsort(level)[::-1]
     rows = []
     for rank, label in ((0, "best"), (len(ranked) // 2, "median"), (-1, "worst")):
         press = presses[ranked[rank]]
         squares = [_square(press.picture, press)]
-        for prediction in shown:
+        for prediction in shown.values():
             picture = prediction.pictures[ranked[rank]]
             difference = np.clip(128 + CONTRAST * (picture.astype(int) - press.picture), 0, 255)
             squares += [_square(picture, press), _square(difference.astype(np.uint8), press)]
@@ -35,8 +36,8 @@ def draw_contact_sheet(path: Path, presses: Sequence[PressPicture], shown: Seque
         cv2.putText(row, f"{label}, {level[ranked[rank]]:.1f} dB", (6, 16), *_FONT)
         rows.append(row)
     names = ["real"]
-    for prediction in shown:
-        names += [prediction.name.partition(":")[0].partition(",")[0], f"128 + {CONTRAST} x difference"]
+    for name in shown:
+        names += [name, f"128 + {CONTRAST} x difference"]
     header = np.full((22, rows[0].shape[1], 3), 40, np.uint8)
     for column, name in enumerate(names):
         cv2.putText(header, name, (column * SIDE_PX + 6, 16), *_FONT)

@@ -182,14 +182,14 @@ def run(quick: bool, out_dir: Path) -> None:
     depths_mm = whole.placed.poses_mm[:, 2]
     reference = rivals.unchanged(found, predicted)
     unchanged = score_presses(reference, presses)
-    rows, of_rivals, of_variants, shown = [table_row(reference, unchanged)], [], [], []
+    rows, of_rivals, of_variants, shown = [table_row(reference, unchanged)], [], [], {}
     for model in rival_models(found, depths_mm, (rivals.REFITTED,) if quick else rivals.TAXIM_FORMS):
         prediction = model(even, predicted)
         values = score_presses(prediction, presses)
         rows.append(table_row(prediction, values))
         of_rivals.append({**asdict(replace(prediction, pictures=[])), "scores": values})
         if prediction.name == rivals.REFITTED.name:
-            shown.append(prediction)
+            shown["Taxim, refitted"] = prediction
     for variant in (WHOLE,) if quick else VARIANTS:
         task = whole if variant is WHOLE else fitting_task(found, variant)
         both = predict(task, variant, even, predicted)
@@ -198,7 +198,7 @@ def run(quick: bool, out_dir: Path) -> None:
         times = {"fit_s": both[0].fit_s, "frame_ms": both[0].frame_ms}
         of_variants.append({"variant": variant, **times, "scores": metrics})
         if variant is WHOLE:
-            shown.insert(0, both[0])
+            shown = {"gelgap": both[0], **shown}
     without = f" Taxim's own pipeline is left out; install it: {INSTALL}." if missing_packages() else ""
     print_table(
         f"{SET}: even presses fitted, {len(predicted)} odd ones predicted; PSNR in dB, median (worst)",
