@@ -28,7 +28,7 @@ from gelgap.render.press_poses import place_presses
 SET = "gelsight"
 NEAR_MM = 24.0
 EXTENT_MM = (10.5, 8.2)
-HELD_SIGMA_MM = 1e-4
+HELD_SIGMA_MM = 1e-4  # so little does a fit move a press that is held where it was marked
 
 
 @dataclass(frozen=True)
