@@ -45,7 +45,7 @@ def measure_other_presses(
             rows.append([name, *table_row(prediction, values)[:1], *table_row(prediction, values)[2:8]])
     shallow, deep = np.percentile(fit.presses[:, 2], (0, 100))
     print_table(
-        "presses unlike the fitted ones, as marked; PSNR in dB, median (worst)",
+        "presses unlike the fitted ones; PSNR in dB, median (worst)",
         ["predicted", "model", *METRICS],
         rows,
         note=f"depths by a fit of all presses: {shallow:.2f} to {deep:.2f} mm",

@@ -1,8 +1,9 @@
 """A real sensor predicted: even presses of a published calibration set fitted, odd ones rendered and compared.
 
-gelgap's predictions are its own renderer's pictures. `marked` takes a press where it was marked by hand and uses
-nothing of its picture; `refined` moves its centre and depth in its own picture. Beside them: what else predicts
-(`rivals`), and presses unlike the fitted ones (`other_presses`).
+gelgap's predictions are its own renderer's pictures. `marked` takes a press where it was marked by hand, `corrected`
+moves it as the marks of the fitted presses were moved on average; both use nothing of its picture. `refined` moves its
+centre and depth in its own picture. Beside them: what else predicts (`rivals`), and presses unlike the fitted ones
+(`other_presses`).
 """
 
 import tempfile
@@ -62,6 +63,9 @@ VARIANTS = (
 )
 
 
+CORRECTED = (WHOLE, VARIANTS[-1])
+
+
 def fitted_renderer(
     task: LightTask, fit: LightFit, field, used: np.ndarray, flat_field: bool
 ) -> MembraneRenderer:
@@ -116,9 +120,9 @@ def predict(
     variant: Variant,
     fitted: np.ndarray,
     predicted: np.ndarray,
-    poses: tuple[str, ...] = ("marked", "refined"),
+    ways: tuple[str, ...] = ("marked", "refined"),
 ) -> list[Prediction]:
-    """Fit presses and render others, for each way of placing these."""
+    """Fit presses and render others, for each way of placing these: marked, corrected, refined."""
     placed = task.placed
     held = replace(task, placed=replace(placed, sigma_mm=np.full_like(placed.sigma_mm, HELD_SIGMA_MM)))
     started = time.process_time()
@@ -127,12 +131,17 @@ def predict(
     renderer = fitted_renderer(task, fit, field, fitted, variant.flat_field)
     if not variant.shadows:
         drop_shadows(renderer)
+    corrected_mm = corrected_poses(placed.poses_mm, fitted, fit.presses)
+    pose_of = {
+        "marked": lambda press: placed.poses_mm[press],
+        "corrected": lambda press: corrected_mm[press],
+        "refined": lambda press: task.refined_pose(fit, field, int(press)),
+    }
     predictions = []
-    for way in poses:
+    for way in ways:
         pictures, times = [], []
         for press in predicted:
-            marked = way == "marked"
-            pose = placed.poses_mm[press] if marked else task.refined_pose(fit, field, int(press))
+            pose = pose_of[way](press)
             membrane = placed.profiles[press].membrane(pose[:2], pose[2], EXTENT_MM)
             started = time.process_time()
             pictures.append(renderer.picture(*membrane, markers=False))
@@ -141,11 +150,24 @@ def predict(
     return predictions
 
 
-def predict_marked(task: LightTask, fitted: np.ndarray, predicted: np.ndarray) -> Prediction:
-    """Fit the whole model, or its small form where presses are few, and predict others as marked."""
+def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
+    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
+
+    Marked radii are so uncertain that most of their spread is not the depths'.
+    """
+    own = marked_mm[fitted]
+    poses = marked_mm + (refined_mm - own).mean(axis=0)
+    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
+    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
+    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
+    return poses
+
+
+def predict_unseen(task: LightTask, way: str, fitted: np.ndarray, predicted: np.ndarray) -> Prediction:
+    """Fit the whole model, or its small form where presses are few, and predict others."""
     few = len(fitted) < FEWEST_FOR_ORDER_3
     task = replace(task, order=2, degree=1) if few else task
-    return predict(task, replace(WHOLE, name="gelgap"), fitted, predicted, ("marked",))[0]
+    return predict(task, replace(WHOLE, name=f"gelgap, {way}"), fitted, predicted, (way,))[0]
 
 
 def plain_frame_ms(found: PressSet) -> float:
@@ -192,13 +214,14 @@ def run(quick: bool, out_dir: Path) -> None:
             shown["Taxim, refitted"] = prediction
     for variant in (WHOLE,) if quick else VARIANTS:
         task = whole if variant is WHOLE else fitting_task(found, variant)
-        both = predict(task, variant, even, predicted)
-        metrics = {prediction.pose: score_presses(prediction, presses) for prediction in both}
-        rows += [table_row(prediction, metrics[prediction.pose]) for prediction in both]
-        times = {"fit_s": both[0].fit_s, "frame_ms": both[0].frame_ms}
+        ways = ("marked", "corrected", "refined") if variant in CORRECTED else ("marked", "refined")
+        placed_ways = predict(task, variant, even, predicted, ways)
+        metrics = {prediction.pose: score_presses(prediction, presses) for prediction in placed_ways}
+        rows += [table_row(prediction, metrics[prediction.pose]) for prediction in placed_ways]
+        times = {"fit_s": placed_ways[0].fit_s, "frame_ms": placed_ways[0].frame_ms}
         of_variants.append({"variant": variant, **times, "scores": metrics})
         if variant is WHOLE:
-            shown = {"gelgap": both[0], **shown}
+            shown = {"gelgap": placed_ways[0], **shown}
     without = f" Taxim's own pipeline is left out; install it: {INSTALL}." if missing_packages() else ""
     print_table(
         f"{SET}: even presses fitted, {len(predicted)} odd ones predicted; PSNR in dB, median (worst)",
@@ -207,7 +230,8 @@ def run(quick: bool, out_dir: Path) -> None:
         note=f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame.{without}",
     )
     draw_contact_sheet(out_dir / "sensors.jpg", presses, shown)
-    models = [partial(predict_marked, whole), *rival_models(found, depths_mm, (rivals.DEEP,))]
+    models = [partial(predict_unseen, whole, way) for way in ("marked", "corrected")]
+    models += rival_models(found, depths_mm, (rivals.DEEP,))
     others = {} if quick else measure_other_presses(whole, found.presses, models)
     write_json(
         out_dir / "sensors.json",

@@ -86,6 +86,19 @@ def test_parts_can_be_left_out(found):
     assert np.abs(bare[untouched] - found.reference[untouched]).max() > 3
 
 
+def test_marks_are_corrected_as_the_fitted_presses_were():
+    rng = np.random.default_rng(0)
+    true = rng.normal((1.0, -2.0, 1.7), (3.0, 3.0, 0.05), (200, 3))
+    marked = true + rng.normal((0.2, 0.1, -0.1), (0.02, 0.02, 0.15), true.shape)
+    fitted = np.arange(0, 200, 2)
+    corrected = sensors.corrected_poses(marked, fitted, true[fitted])
+    off, off_marked = (np.sqrt(((poses - true)[1::2] ** 2).mean(0)) for poses in (corrected, marked))
+    assert (off[:2] < 0.03).all()
+    assert off[2] < 0.06 < 0.12 < off_marked[2]
+    same_depth = np.array([[0.0, 0.0, 1.5]] * 4)
+    assert (sensors.corrected_poses(same_depth, np.arange(2), same_depth[:2] + 0.1)[:, 2] == 1.6).all()
+
+
 def test_presses_unlike_the_fitted_ones_are_predicted_by_every_model(found, capsys):
     task = sensors.fitting_task(found, sensors.Variant("small", order=0, degree=0, far=False))
     models = sensors.rival_models(found, task.placed.poses_mm[:, 2], ())
