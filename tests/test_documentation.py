@@ -126,7 +126,7 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
-    r"pip install --no-deps taxim": "installs a package",
+    r"pip install (--no-deps taxim|\"taxim)": "installs a package",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
     r"from dask_": "needs a cluster of that kind",
