@@ -23,15 +23,18 @@ class PressPicture:
 
     `point_mm` is where the sphere was pressed, or `center_px` (column, row) where its imprint's centre is; without
     either it is found in the picture. Instead of the depth, `radius_px` may say how large the imprint is.
+    `marks_off_px` says by how much these two marks may be wrong. Without a diameter the sphere is an unknown one, the
+    same in all presses.
     """
 
     picture: np.ndarray  # uint8 (h, w, 3)
-    sphere_diameter_mm: float
+    sphere_diameter_mm: float | None
     depth_mm: float | None = None
     point_mm: tuple[float, float] | None = None
     radius_px: float | None = None
     center_px: tuple[float, float] | None = None
     name: str = ""
+    marks_off_px: float = 3.0
 
 
 class KnownPoints(NamedTuple):
