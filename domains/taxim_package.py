@@ -30,6 +30,8 @@ BALL_DIAMETER_MM = 4.0
 # Marks of the Mini's set are off by up to 20 px and go round the whole dent; what its ball was is not said.
 ROUGH_SETS = ("gelsight_mini",)
 ROUGH_MARKS_OFF_PX = 20.0
+# Their pictures are blurred: by how much was chosen by presses held out among the even ones.
+ROUGH_POINT_SPREAD_PX = 1.7
 INSTALL = "pip install --no-deps taxim==1.4.1"
 _DISTANCE_MM = 25.0
 _COLOURS = ("red", "green", "blue")
@@ -87,7 +89,11 @@ def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
     )
     reference = f0[..., ::-1].copy()
     azimuths = light_azimuths(reference, [press.picture for press in presses], centers, radii)
-    return PressSet(reference, presses, start_sensor(f0.shape[1], azimuths, mm_per_px or MM_PER_PX))
+    start = start_sensor(f0.shape[1], azimuths, mm_per_px or MM_PER_PX)
+    if rough:
+        blurred = start.camera.model_copy(update={"point_spread_px": ROUGH_POINT_SPREAD_PX})
+        start = start.model_copy(update={"camera": blurred})
+    return PressSet(reference, presses, start)
 
 
 def _folder(name: str) -> Path:

@@ -200,8 +200,14 @@ class LightTask:
     shadows: bool
 
     @property
-    def scale_mm(self) -> float:
+    def half_view_mm(self) -> float:
         return self.sensor.camera.footprint_mm(self.placed.size_px)[0] / 2
+
+    @property
+    def scale_mm(self) -> float:
+        """The unit of places: how far apart the presses are, half of the view at most."""
+        box_mm = np.ptp(self.placed.poses_mm[:, :2], axis=0).max() + 2 * _MARGIN_MM
+        return min(self.half_view_mm, float(box_mm))
 
     def fit(self, which: np.ndarray) -> tuple[LightFit, FarField]:
         """Fit the presses of the indices `which`."""
@@ -217,7 +223,7 @@ class LightTask:
                 poses[:, :2] / scale,
             )
         (x0, y0), (x1, y1) = poses[:, :2].min(0) - _MARGIN_MM, poses[:, :2].max(0) + _MARGIN_MM
-        nearest_mm = 1.05 * scale
+        nearest_mm = 1.05 * self.half_view_mm
         options = LightOptions(
             self.order, self.degree, True, self.shadows, scale, (x0, x1, y0, y1), nearest_mm
         )
@@ -225,7 +231,7 @@ class LightTask:
             options,
             placed.samples(which, field, scale),
             poses,
-            [placed.profiles[k] for k in which],
+            [placed.seen_profiles[k] for k in which],
             placed.sigma_mm[which],
             Bars.of(self.sensor.illumination.leds, nearest_mm),
             np.array(self.sensor.camera.position_mm),
@@ -245,7 +251,7 @@ class LightTask:
         """Return (3,): x, y and depth at which a fitted light explains a press's own picture best."""
         placed, which = self.placed, np.array([press])
         samples = placed.samples(which, field, self.scale_mm)
-        start, sigma, profiles = placed.poses_mm[which], placed.sigma_mm[which], [placed.profiles[press]]
+        start, sigma, profiles = placed.poses_mm[which], placed.sigma_mm[which], [placed.seen_profiles[press]]
         own = LightFit(fit.options, samples, start, profiles, sigma, fit.bars, fit.camera_mm)
         own.theta = fit.theta
         own.refine_presses(4)

@@ -54,6 +54,12 @@ class PlacedPresses:
         return inpaint_telea(self.reference, detect_markers(self.reference))
 
     @cached_property
+    def seen_profiles(self) -> list[PressProfiles]:
+        """The membranes as blurred as the camera's point spread makes them."""
+        softness_mm = self.camera.point_spread_px / 320 * self.camera.footprint_mm(self.size_px)[0]
+        return [replace(profiles, softness_mm=softness_mm) for profiles in self.profiles]
+
+    @cached_property
     def untouched(self) -> FarField:
         return plain_field(self.clean_reference)
 
@@ -103,7 +109,9 @@ class PlacedPresses:
         near = np.hypot(*(plane - pose_mm[:2]).T) < MODELLED_MM
         index = np.zeros(near.sum(), int)
         samples = Samples(index, rows[near], columns[near], plane[near], codes[near], base[near])
-        pressed = Geometry(samples, pose_mm[None], [self.profiles[press]], np.array(self.camera.position_mm))
+        pressed = Geometry(
+            samples, pose_mm[None], [self.seen_profiles[press]], np.array(self.camera.position_mm)
+        )
         codes[near] = predicted_codes(light, samples, pressed, flat_geometry(samples))
         return np.clip(np.round(codes), 0, 255).astype(np.uint8).reshape(height, width, 3)
 

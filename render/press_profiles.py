@@ -26,7 +26,8 @@ class SolvedPress:
 class PressProfiles:
     """z over the distance from the axis, every `STEP_MM`, for a row of depths in equal steps from 0.
 
-    Inside the contact it is the sphere exactly, outside a monotone cubic through solved points.
+    Inside the contact it is the sphere exactly, outside a monotone cubic through solved points. With a softness it is
+    blurred by a Gaussian of that standard deviation, as a camera sees it whose point spread is as wide.
     """
 
     sphere_radius_mm: float
@@ -34,6 +35,7 @@ class PressProfiles:
     z_mm: np.ndarray  # (depths, radii)
     edges_mm: np.ndarray  # (solves + 1, 2): depth, distance within which the membrane is the sphere
     contact_radii_mm: np.ndarray  # (solves + 1, 2): depth, radius of the contact
+    softness_mm: float = 0.0
 
     @classmethod
     def from_solves(cls, sphere_radius_mm: float, solves: Sequence[SolvedPress]) -> "PressProfiles":
@@ -72,6 +74,9 @@ class PressProfiles:
         sphere = -depth_mm + self.sphere_radius_mm - height
         z = np.where(inside, sphere, np.minimum(solved, 0.1 * self.sphere_radius_mm))
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
+        if self.softness_mm > 0:
+            z = _blurred(z, r, self.softness_mm)
+            return z, np.gradient(z, STEP_MM)
         return z, np.where(inside, r / height, np.gradient(z, STEP_MM))
 
     def scaled(self, factor: float) -> "PressProfiles":
@@ -135,6 +140,14 @@ class PressProfiles:
         r = np.hypot(*np.meshgrid(x - point_mm[0], y - point_mm[1]))
         height = np.interp(r, STEP_MM * np.arange(len(z)), z, right=0.0)
         return x, y, np.stack([np.zeros_like(height), np.zeros_like(height), height], axis=-1)
+
+
+def _blurred(z: np.ndarray, r: np.ndarray, sigma_mm: float) -> np.ndarray:
+    """Return the axially symmetric z(r) blurred in the plane, by Gauss–Hermite quadrature."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    x, y = (sigma_mm * axis.ravel() for axis in np.meshgrid(nodes, nodes))
+    weights = np.outer(weights, weights).ravel() / (2 * np.pi)
+    return np.interp(np.hypot(r[:, None] + x, y), r, z) @ weights
 
 
 def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, reach_mm: float):
