@@ -1,10 +1,13 @@
 """The benchmark of real sensors, on a set that gelgap itself rendered in place of the package's."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from gelgap.benchmarks.render import sensors
+from gelgap.benchmarks.render.other_presses import measure_other_presses
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import PressSet
 from gelgap.domains.taxim_package import start_sensor
@@ -37,16 +40,59 @@ def rendered_set():
     return PressSet(renderer.reference(), tuple(presses), start)
 
 
-def test_odd_presses_are_predicted_better_than_by_the_reference(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def found(monkeypatch):
     found = rendered_set()
     monkeypatch.setattr(sensors, "taxim_presses", lambda name: found)
     monkeypatch.setattr(sensors, "sphere_profiles", profiles)
+    monkeypatch.setattr(sensors, "missing_packages", lambda: ("jax",))
+    return found
+
+
+def test_odd_presses_are_predicted_better_than_by_the_reference(found, tmp_path, capsys):
     sensors.run(quick=True, out_dir=tmp_path)
-    assert "even presses fitted, 2 odd ones predicted" in capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "even presses fitted, 2 odd ones predicted" in shown
+    assert 'Taxim\'s own pipeline is left out; install it: pip install "taxim[jax-cpu]==1.4.1"' in shown
     results = json.loads((tmp_path / "sensors.json").read_text())
     predicted = np.median(results["variants"][0]["scores"]["marked"], axis=0)
     unchanged = np.median(results["unchanged"], axis=0)
     assert (predicted[:4] > unchanged[:4] + 8).all()
+    assert [rival["name"] for rival in results["rivals"]] == [
+        "table without physics",
+        "table without physics, quadratic in the place",
+    ]
+    assert results["other_presses"] == {}
+    assert (tmp_path / "sensors.jpg").stat().st_size > 10_000
+
+
+def test_parts_can_be_left_out(found):
+    variant = sensors.Variant("LEDs alone", order=0, degree=0, far=False, shadows=False)
+    task = sensors.fitting_task(found, variant)
+    fitted, predicted = np.arange(0, 14, 2), np.array([1])
+    whole, held, bare = (
+        sensors.predict(task, form, fitted, predicted, ("marked",))[0].pictures[0].astype(float)
+        for form in (
+            variant,
+            replace(variant, refines_fitted=False),
+            replace(variant, flat_field=False),
+        )
+    )
+    assert 0 < np.abs(whole - held).mean() < 5
+    untouched = np.s_[:10, :10]  # without a flat field it is the LEDs' light, not the reference
+    center = found.presses[1].center_px
+    assert min(np.hypot(column - center[0], row - center[1]) for row in (0, 10) for column in (0, 10)) > 25
+    assert np.abs(whole[untouched] - found.reference[untouched]).max() <= 1
+    assert np.abs(bare[untouched] - found.reference[untouched]).max() > 3
+
+
+def test_presses_unlike_the_fitted_ones_are_predicted_by_every_model(found, capsys):
+    task = sensors.fitting_task(found, sensors.Variant("small", order=0, degree=0, far=False))
+    models = sensors.rival_models(found, task.placed.poses_mm[:, 2], ())
+    metrics = measure_other_presses(task, found.presses, models)
+    assert len(metrics) == 5
+    assert all(np.isfinite(values).all() for by_model in metrics.values() for values in by_model.values())
+    assert "right half after the left" in " ".join(capsys.readouterr().out.split())
 
 
 def test_shadows_can_be_dropped():
