@@ -48,8 +48,13 @@ _BEGINS_ANEW = (
 BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
     Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
+    Benchmark("sensors", "marked", "predicted from others of the same real sensor", "render.sensors"),
     Benchmark(
-        "sensors", None, "how well a real sensor's pictures are predicted from others of it", "render.sensors"
+        "sensors",
+        "unknown-ball",
+        "the same where ball, scale and marks are hardly known",
+        "render.unknown_ball",
+        by_default=False,
     ),
     Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
     Benchmark(

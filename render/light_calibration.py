@@ -114,7 +114,7 @@ def calibrate_light(
             "over the view; its LEDs alone can be fitted to three (--leds-only)"
         )
     check_presses(reference, presses)
-    size = _sphere_size(sensor, reference, presses, membranes)
+    size = unknown_sphere_size(sensor, reference, presses, membranes)
     if size is not None:
         presses = [replace(press, sphere_diameter_mm=size.diameter_mm) for press in presses]
     depths = [press.depth_mm for press in presses]
@@ -160,7 +160,7 @@ def calibrate_light(
     )
 
 
-def _sphere_size(
+def unknown_sphere_size(
     sensor: Sensor, reference: np.ndarray, presses: Sequence[PressPicture], membranes: Membranes
 ) -> SphereSize | None:
     """Return the size of an unknown sphere, None if all are known."""
@@ -181,7 +181,7 @@ def _sphere_size(
         diameter = 2 * profiles.sphere_radius_mm
         tried = [replace(presses[k], sphere_diameter_mm=diameter) for k in some]
         placed = place_presses(sensor.camera, reference, tried, {diameter: profiles})
-        fit, _ = LightTask(sensor, placed, 2, 1, far=False, shadows=True).fit(np.arange(len(some)))
+        fit, _ = LightTask(sensor, placed, 2, 1, far=False, shadows=True).fit(np.arange(len(some)), rounds=2)
         return fit.press_errors()
 
     mark_mm = mm_per_px * float(np.median([press.radius_px for press in presses]))
@@ -209,7 +209,7 @@ class LightTask:
         box_mm = np.ptp(self.placed.poses_mm[:, :2], axis=0).max() + 2 * _MARGIN_MM
         return min(self.half_view_mm, float(box_mm))
 
-    def fit(self, which: np.ndarray) -> tuple[LightFit, FarField]:
+    def fit(self, which: np.ndarray, rounds: int = 3) -> tuple[LightFit, FarField]:
         """Fit the presses of the indices `which`."""
         placed, scale = self.placed, self.scale_mm
         poses = placed.poses_mm[which]
@@ -236,7 +236,7 @@ class LightTask:
             Bars.of(self.sensor.illumination.leds, nearest_mm),
             np.array(self.sensor.camera.position_mm),
         )
-        fit.run()
+        fit.run(rounds)
         return fit, field
 
     def predicted(self, fit: LightFit, field: FarField, press: int) -> HeldOut:

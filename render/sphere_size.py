@@ -1,4 +1,4 @@
-"""The size of an unknown sphere: which radius explains pictures of its presses best, and which others nearly so."""
+"""The size of an unknown sphere: which one explains pictures of its presses best, and which ones are worse."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,17 +8,18 @@ import numpy as np
 from gelgap.render.press_profiles import PressProfiles
 
 Membranes = Callable[[set[float], float | None], Mapping[float, PressProfiles]]
-# Radii that are tried, in radii of the marked imprint: a mark is between a third and three times the sphere.
-TRIED_RADII = 2.0 ** np.arange(-4 / 3, 4 / 3 + 0.01, 1 / 3)
+# Radii that may be tried, in radii of the marked imprint: a mark is between a third and three times the sphere.
+RADII_IN_MARKS = 2.0 ** np.arange(-5 / 3, 5 / 3 + 0.01, 1 / 3)
 _BETWEEN = 2.0 ** (1 / 6)
 _SMALLEST_DIAMETER_MM, _LARGEST_DIAMETER_MM = 0.5, 50.0
 
 
 @dataclass(frozen=True)
 class SphereSize:
-    """Diameters that were tried, what each leaves unexplained, and the best with those that are not worse.
+    """Diameters that were tried, what each leaves unexplained, the best, and the interval that it lies in.
 
-    Not worse means: the mean square over presses is within two standard errors of the best's, pressed by press.
+    The interval's ends are the nearest sizes tried that are worse: their mean square over presses exceeds the best's by
+    two standard errors of the difference, or they are the last ones tried.
     """
 
     tried_mm: np.ndarray  # (sizes,)
@@ -30,7 +31,7 @@ class SphereSize:
 def fit_sphere_size(
     mark_radius_mm: float, membranes: Membranes, press_errors: Callable[[PressProfiles], np.ndarray]
 ) -> SphereSize:
-    """Try spheres around the size of a mark, each with the membrane of one solve, scaled.
+    """Try spheres from the size of a mark on, downhill, each with the membrane of one solve, scaled.
 
     Parameters
     ----------
@@ -46,29 +47,39 @@ def fit_sphere_size(
     ValueError
         If the best size lies at an end of those tried: the pictures do not hold it.
     """
-    diameters = 2 * mark_radius_mm * TRIED_RADII
-    diameters = diameters[(diameters >= _SMALLEST_DIAMETER_MM) & (diameters <= _LARGEST_DIAMETER_MM)]
-    if len(diameters) < 3:
+    sizes = 2 * mark_radius_mm * RADII_IN_MARKS
+    sizes = sizes[(sizes >= _SMALLEST_DIAMETER_MM) & (sizes <= _LARGEST_DIAMETER_MM)].tolist()
+    if len(sizes) < 3:
         raise ValueError(
             f"the marks are {2 * mark_radius_mm:.2f} mm wide, which no sphere of {_SMALLEST_DIAMETER_MM:g} to "
             f"{_LARGEST_DIAMETER_MM:g} mm leaves; check radius_px and the camera's field of view"
         )
-    solved_mm = float(diameters[len(diameters) // 2])
-    solved = membranes({solved_mm}, None)[solved_mm]
-    errors = {d: press_errors(solved.scaled(d / solved_mm)) for d in map(float, diameters)}
-    best = min(errors, key=lambda d: errors[d].mean())
-    if best in (diameters[0], diameters[-1]):
+    middle = len(sizes) // 2
+    solved = membranes({sizes[middle]}, None)[sizes[middle]]
+    errors: dict[float, np.ndarray] = {}
+
+    def error(diameter_mm: float) -> float:
+        if diameter_mm not in errors:
+            errors[diameter_mm] = press_errors(solved.scaled(diameter_mm / sizes[middle]))
+        return float(errors[diameter_mm].mean())
+
+    at = middle
+    while 0 < at < len(sizes) - 1:
+        lowest = min((at, at - 1, at + 1), key=lambda k: error(sizes[k]))
+        if lowest == at:
+            break
+        at = lowest
+    else:
         raise ValueError(
-            f"the pictures do not hold the sphere's size: of {diameters[0]:.2f} to {diameters[-1]:.2f} mm the end "
-            f"{best:.2f} mm explains them best; give sphere_diameter_mm"
+            f"the pictures do not hold the sphere's size: of {sizes[0]:.2f} to {sizes[-1]:.2f} mm the end "
+            f"{sizes[at]:.2f} mm explains them best; give sphere_diameter_mm"
         )
-    for d in (best / _BETWEEN, best * _BETWEEN):
-        errors[d] = press_errors(solved.scaled(d / solved_mm))
+    best = min((sizes[at] / _BETWEEN, sizes[at], sizes[at] * _BETWEEN), key=error)
     tried = np.array(sorted(errors))
-    best = min(errors, key=lambda d: errors[d].mean())
-    like = [d for d in tried if _not_worse(errors[d], errors[best])]
+    like = np.flatnonzero([_not_worse(errors[d], errors[best]) for d in tried])
+    interval = tried[max(like.min() - 1, 0)], tried[min(like.max() + 1, len(tried) - 1)]
     rms = np.sqrt([errors[d].mean() for d in tried])
-    return SphereSize(tried, rms, best, (min(like), max(like)))
+    return SphereSize(tried, rms, best, tuple(map(float, interval)))
 
 
 def _not_worse(errors: np.ndarray, best: np.ndarray) -> bool:

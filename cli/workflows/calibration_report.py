@@ -35,9 +35,8 @@ def print_calibration(fit: LightCalibration) -> None:
 def _print_sphere_size(size: SphereSize) -> None:
     tried = zip(size.tried_mm, size.rms_code_values, strict=True)
     print(
-        f"sphere of {size.diameter_mm:.2f} mm; {size.interval_mm[0]:.2f} to {size.interval_mm[1]:.2f} mm explain the "
-        "pictures no worse. Diameter and code values rms: "
-        + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
+        f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
+        "code values rms by diameter: " + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
     )
 
 
