@@ -12,10 +12,11 @@ import numpy as np
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.benchmarks.render import rivals
 from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_presses, table_row
-from gelgap.benchmarks.render.sensors import WHOLE, Variant, fitting_task, predict
+from gelgap.benchmarks.render.sensors import WHOLE, Variant, predict
 from gelgap.domains import PressSet, sphere_profiles, taxim_presses
-from gelgap.render import PressPicture
+from gelgap.render import PressPicture, PressProfiles
 from gelgap.render.light_calibration import LightTask, unknown_sphere_size
+from gelgap.render.press_poses import place_presses
 
 SET = "gelsight_mini"
 VARIANTS = (
@@ -28,10 +29,12 @@ OTHER_DIAMETERS = (0.8, 1.25, 1.6)
 OTHER_SCALES = (0.8, 1.25)
 
 
-def with_ball(found: PressSet, diameter_mm: float) -> PressSet:
-    """Return the set with a ball of known size."""
-    presses = tuple(replace(press, sphere_diameter_mm=diameter_mm) for press in found.presses)
-    return replace(found, presses=presses)
+def task_of(found: PressSet, profiles: PressProfiles, variant: Variant = WHOLE) -> LightTask:
+    """Return what a form of the model is fitted with, for the ball around which the membrane is known."""
+    diameter = 2 * profiles.sphere_radius_mm
+    presses = [replace(press, sphere_diameter_mm=diameter) for press in found.presses]
+    placed = place_presses(found.start.camera, found.reference, presses, {diameter: profiles})
+    return LightTask(found.start, placed, variant.order, variant.degree, variant.far, variant.shadows)
 
 
 def sharp(found: PressSet) -> PressSet:
@@ -62,26 +65,32 @@ def found_contacts(task: LightTask, fitted: np.ndarray, predicted: np.ndarray) -
 
 def contact_levels(prediction: Prediction, contacts: list[PressPicture]) -> np.ndarray:
     """Return PSNR in dB inside each found contact."""
-    return np.array(score_presses(prediction, contacts))[:, 0]
+    levels = []
+    for picture, press in zip(prediction.pictures, contacts, strict=True):
+        rows, columns = np.indices(picture.shape[:2])
+        inside = np.hypot(columns - press.center_px[0], rows - press.center_px[1]) < press.radius_px
+        error = picture[inside].astype(float) - press.picture[inside]
+        levels.append(10 * np.log10(255**2 / max(np.mean(error**2), 1e-9)))
+    return np.array(levels)
 
 
 def run(quick: bool, out_dir: Path) -> None:
     """Print how odd presses are predicted; write JSON. Quick: two presses, the whole model alone."""
-    unknown = taxim_presses(SET)
-    even, odd = np.arange(0, len(unknown.presses), 2), np.arange(1, len(unknown.presses), 2)
+    found = taxim_presses(SET)
+    even, odd = np.arange(0, len(found.presses), 2), np.arange(1, len(found.presses), 2)
     odd = odd[: 2 if quick else None]
-    marked = [unknown.presses[k] for k in odd]
-    fitted = [unknown.presses[k] for k in even]
-    size = unknown_sphere_size(unknown.start, unknown.reference, fitted, sphere_profiles)
-    found = with_ball(unknown, size.diameter_mm)
-    contacts = found_contacts(fitting_task(found, WHOLE), even, odd)
+    marked = [found.presses[k] for k in odd]
+    fitted = [found.presses[k] for k in even]
+    size = unknown_sphere_size(found.start, found.reference, fitted, sphere_profiles)
+    profiles = sphere_profiles({size.diameter_mm})[size.diameter_mm]
+    contacts = found_contacts(task_of(found, profiles), even, odd)
 
     predictions = [rivals.unchanged(found, odd)]
     for variant in (WHOLE,) if quick else VARIANTS:
-        predictions += predict(fitting_task(found, variant), variant, even, odd, ("refined",))
+        predictions += predict(task_of(found, profiles, variant), variant, even, odd, ("refined",))
     if not quick:
         variant = replace(WHOLE, name="whole, camera taken for sharp")
-        predictions += predict(fitting_task(sharp(found), variant), variant, even, odd, ("refined",))
+        predictions += predict(task_of(sharp(found), profiles), variant, even, odd, ("refined",))
     rows, results = [], []
     for prediction in predictions:
         levels, values = contact_levels(prediction, contacts), score_presses(prediction, marked)
@@ -97,34 +106,32 @@ def run(quick: bool, out_dir: Path) -> None:
         f"Ball fitted to the even presses: {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and "
         f"{size.interval_mm[1]:.2f} mm",
     )
-    assumptions = [] if quick else assumed(found, size.diameter_mm, even, odd)
+    assumptions = [] if quick else assumed(found, profiles, even, odd)
     write_json(
         out_dir / "unknown-ball.json", {"size": size, "predictions": results, "assumptions": assumptions}
     )
 
 
-def assumed(found: PressSet, diameter_mm: float, even: np.ndarray, odd: np.ndarray) -> list[dict]:
+def assumed(found: PressSet, profiles: PressProfiles, even: np.ndarray, odd: np.ndarray) -> list[dict]:
     """Print how odd presses are predicted if the ball or the scale is another than was found."""
-    cases = [(found, factor * diameter_mm) for factor in (1.0, *OTHER_DIAMETERS)]
-    plain_mm_per_px = found.start.camera.footprint_mm((1, 1))[0] / found.reference.shape[1]
+    diameter_mm, mm_per_px = 2 * profiles.sphere_radius_mm, 2 * task_of(found, profiles).half_view_mm
+    mm_per_px /= found.reference.shape[1]
+    cases = [(found, mm_per_px, profiles.scaled(factor)) for factor in (1.0, *OTHER_DIAMETERS)]
     for factor in OTHER_SCALES:
-        cases.append((taxim_presses(SET, factor * plain_mm_per_px), factor * diameter_mm))
+        scaled_mm = factor * diameter_mm
+        solved = sphere_profiles({scaled_mm})[scaled_mm]
+        cases.append((taxim_presses(SET, factor * mm_per_px), factor * mm_per_px, solved))
     rows, results = [], []
-    for assumed_set, diameter in cases:
-        assumed_set = with_ball(assumed_set, diameter)
-        task = fitting_task(assumed_set, WHOLE)
+    for assumed_set, scale, own in cases:
+        task = task_of(assumed_set, own)
         (prediction,) = predict(task, WHOLE, even, odd, ("refined",))
         values = score_presses(prediction, [found.presses[k] for k in odd])
-        depths_mm = task.fit(even)[0].presses[:, 2]
-        mm_per_px = 2 * task.half_view_mm / task.placed.size_px[0]
-        depth = f"{depths_mm.min():.2f}…{depths_mm.max():.2f}"
-        rows.append(
-            [f"{diameter:.2f}", f"{mm_per_px:.4f}", depth, *table_row(prediction, values)[2:6]],
-        )
-        results.append({"diameter_mm": diameter, "mm_per_px": mm_per_px, "scores": values})
+        diameter = 2 * own.sphere_radius_mm
+        rows.append([f"{diameter:.2f}", f"{scale:.4f}", *table_row(prediction, values)[2:6]])
+        results.append({"diameter_mm": diameter, "mm_per_px": scale, "scores": values})
     print_table(
         "what the assumed ball and scale cost; PSNR in dB, median (worst)",
-        ["diameter, mm", "mm per px", "depths, mm", *METRICS[:4]],
+        ["diameter, mm", "mm per px", *METRICS[:4]],
         rows,
     )
     return results
