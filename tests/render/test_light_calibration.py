@@ -185,7 +185,7 @@ def test_an_unknown_sphere_is_found(pictures):
         PressPicture(
             renderer.picture(*sphere_dent(depth, point_mm=point), rng=rng),
             None,
-            radius_px=40.0,
+            radius_px=32.0,
             center_px=tuple(MIDDLE_PX + np.array(point) * PX_PER_MM),
             marks_off_px=20.0,
         )
