@@ -48,7 +48,12 @@ _BEGINS_ANEW = (
 BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
     Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
-    Benchmark("sensors", "marked", "predicted from others of the same real sensor", "render.sensors"),
+    Benchmark(
+        "sensors",
+        "prediction",
+        "how well a real sensor's pictures are predicted from others of it",
+        "render.sensors",
+    ),
     Benchmark(
         "sensors",
         "unknown-ball",
