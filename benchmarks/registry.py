@@ -51,7 +51,17 @@ BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
     Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
     Benchmark(
-        "sensors", None, "how well a real sensor's pictures are predicted from others of it", "render.sensors"
+        "sensors",
+        "prediction",
+        "how well a real sensor's pictures are predicted from others of it",
+        "render.sensors",
+    ),
+    Benchmark(
+        "sensors",
+        "unknown-ball",
+        "the same where ball, scale and marks are hardly known",
+        "render.unknown_ball",
+        by_default=False,
     ),
     Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
     Benchmark(

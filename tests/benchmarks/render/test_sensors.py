@@ -36,7 +36,7 @@ def rendered_set():
         center = sensor.camera.project_px((*point, 0.0), SIZE_PX) - 0.5
         radius = own.contact_radius_mm(DEPTH_MM) / mm_per_px
         presses.append(PressPicture(picture, 2 * RADIUS_MM, center_px=tuple(center), radius_px=radius))
-    start = start_sensor(640)
+    start = start_sensor(640, np.radians([0.0, -120.0, 120.0]))
     return PressSet(renderer.reference(), tuple(presses), start)
 
 
