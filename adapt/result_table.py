@@ -93,7 +93,8 @@ class ResultTable:
             table.add_column(column, justify="right" if numeric else "left", no_wrap=index == 0)
         for row in self.cells:
             table.add_row(*row)
-        Console(width=None if Console().is_terminal else 150, highlight=False).print(table)
+        width = None if Console().is_terminal else 150
+        Console(width=width, highlight=False, markup=False, emoji=False).print(table)
 
 
 def cell_text(value: object) -> str:

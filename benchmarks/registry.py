@@ -39,6 +39,7 @@ class Benchmark:
 
 
 _BEGINS_ANEW = (
+    "data.estimates",
     "render.accuracy",
     "physics.stability",
     "render.stability",
@@ -50,7 +51,17 @@ BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
     Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
     Benchmark(
-        "sensors", None, "how well a real sensor's pictures are predicted from others of it", "render.sensors"
+        "sensors",
+        "prediction",
+        "how well a real sensor's pictures are predicted from others of it",
+        "render.sensors",
+    ),
+    Benchmark(
+        "sensors",
+        "unknown-ball",
+        "the same where ball, scale and marks are hardly known",
+        "render.unknown_ball",
+        by_default=False,
     ),
     Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
     Benchmark(
@@ -66,7 +77,8 @@ BENCHMARKS = (
         "adaptation.published_losses",
         by_default=False,
     ),
-    Benchmark("throughput", None, "time to generate and to read domains", "data.throughput"),
+    Benchmark("throughput", "generation", "time to generate and to read domains", "data.throughput"),
+    Benchmark("throughput", "estimates", "estimated beside taken time", "data.estimates", by_default=False),
     Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),
     Benchmark(
         "faults", "files", "what damage to each kind of file does", "data.file_faults", by_default=False

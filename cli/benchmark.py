@@ -42,7 +42,7 @@ class Benchmark:
     subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
     what: Annotated[Literal[*_PARTS] | None, optional("PART", help=_help_on_parts())] = None
     quick: Flag = False
-    """A short form: the smallest case or two of each table; seconds to minutes."""
+    """A short form: a small case or two of each table; a minute or two, for adaptation more."""
     out: Annotated[Path, OutputFolder()] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 

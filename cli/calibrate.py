@@ -1,7 +1,7 @@
 """`gelgap calibrate`: fit a sensor's light to pictures of a real one."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
     from gelgap.render import PressPicture, Sensor
 
-KNOWN_FIELDS = ("picture", "sphere_diameter_mm", "depth_mm", "radius_px", "point_mm", "center_px")
+KNOWN_FIELDS = (
+    *("picture", "sphere_diameter_mm", "depth_mm", "radius_px", "marks_off_px"),
+    *("point_mm", "center_px"),
+)
 
 FEWEST_PRESSES = 3
 # A fit from a right start leaves 1 to 2 code values, camera noise included; one from a wrong start ten times as much.
@@ -33,7 +36,9 @@ class Calibrate:
       sphere_diameter_mm = 3.0
       depth_mm = 0.6                 # or radius_px = 61: how large the imprint is
       point_mm = [1.5, -0.8]         # or center_px = [200, 110]; optional: found in the picture otherwise
+      marks_off_px = 20              # how far radius_px and center_px may be off; 3 if left out
 
+    A sphere whose diameter no press has is fitted, if the pictures hold it.
     Prints how presses that a fit has not seen are predicted; one that is worse than the unchanged reference is refused.
 
     For example:
@@ -54,6 +59,10 @@ class Calibrate:
     """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 30° of its direction."""
     from_taxim: Annotated[str | None, optional("NAME"), TaximPackage()] = None
     """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
+    mm_per_px: Annotated[float | None, optional("MM"), Between(0.001, 1)] = None
+    """With --from-taxim: how much of the gel a pixel shows; 0.0295 if left out, as those packages say."""
+    sphere_diameter_mm: Annotated[float | None, optional("MM"), Between(0.5, 50)] = None
+    """The sphere's diameter in all presses, whatever the list or the package says."""
     pictures: Annotated[Path | None, optional("FOLDER"), OutputFolder()] = None
     """Also write of each held-out press the real picture, the predicted one and four times their difference."""
     held_out_parts: Annotated[int, Between(0, 24)] = 3
@@ -85,11 +94,19 @@ class Calibrate:
                 raise ValueError(
                     "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
                 )
-            found = taxim_presses(self.from_taxim)
-            return load_sensor(self.sensor) if self.sensor else found.start, found.reference, found.presses
+            found = taxim_presses(self.from_taxim, self.mm_per_px)
+            start = load_sensor(self.sensor) if self.sensor else found.start
+            return start, found.reference, self._with_sphere(found.presses)
         if not (self.presses and self.reference and self.sensor):
             raise ValueError("calibrate needs PRESSES, --reference and --sensor, or --from-taxim instead")
-        return load_sensor(self.sensor), read_picture(self.reference), read_presses(self.presses)
+        presses = self._with_sphere(read_presses(self.presses))
+        return load_sensor(self.sensor), read_picture(self.reference), presses
+
+    def _with_sphere(self, presses: "tuple[PressPicture, ...]") -> "tuple[PressPicture, ...]":
+        """Return the presses with the sphere that was given for all, if one was."""
+        if self.sphere_diameter_mm is None:
+            return presses
+        return tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
 
     def _fit_leds(self, sensor, reference, presses) -> None:
         from gelgap.render import calibrate, save_sensor
@@ -156,12 +173,12 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     for number, table in enumerate(tables, start=1):
         if not isinstance(table, dict):
             raise ValueError(f"{path}, press {number}: must be a table [[presses]]")
-        needed = {"picture", "sphere_diameter_mm"} | (set() if "radius_px" in table else {"depth_mm"})
+        needed = {"picture"} | (set() if "radius_px" in table else {"depth_mm", "sphere_diameter_mm"})
         wrong = (needed - table.keys()) | (table.keys() - set(KNOWN_FIELDS))
         if wrong:
             raise ValueError(
                 f"{path}, press {number}: {', '.join(sorted(wrong))} missing or unknown; a press has picture, "
-                "sphere_diameter_mm, depth_mm or radius_px and, if known, point_mm or center_px"
+                "sphere_diameter_mm, depth_mm or radius_px and, if known, point_mm or center_px and marks_off_px"
             )
         if not isinstance(table["picture"], str) or not stays_inside(table["picture"]):
             raise ValueError(
@@ -169,13 +186,13 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
             )
         for field in set(table) - {"picture"}:
             _check_numbers(
-                f"{path}, press {number}: {field}", table[field], 2 if field in KNOWN_FIELDS[4:] else 1
+                f"{path}, press {number}: {field}", table[field], 2 if field in KNOWN_FIELDS[5:] else 1
             )
         places = {field: tuple(table[field]) for field in ("point_mm", "center_px") if field in table}
-        sizes = {field: table[field] for field in ("depth_mm", "radius_px") if field in table}
+        sizes = {f: table[f] for f in ("depth_mm", "radius_px", "marks_off_px") if f in table}
         picture = read_picture(path.parent / table["picture"])
         name = f"press {number} ({table['picture']})"
-        presses.append(PressPicture(picture, table["sphere_diameter_mm"], name=name, **sizes, **places))
+        presses.append(PressPicture(picture, table.get("sphere_diameter_mm"), name=name, **sizes, **places))
     return tuple(presses)
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import os
 import signal
 import sys
 import threading
@@ -66,6 +67,7 @@ class Command(Protocol):
     def run(self, started: float) -> None: ...
 
 
+_LOOK_AGAIN_S = 0.1
 STARTED_OVER = "nothing is kept but solved physics; run the same command again to start over"
 
 
@@ -125,11 +127,17 @@ def _fail_interrupted(command: Command) -> None:
 
 
 def _counted_stops() -> list[int]:
-    """Return a list that gets an entry for each Ctrl-C, which libraries sometimes turn into errors of their own."""
+    """Return a list that gets an entry for each Ctrl-C, which libraries sometimes turn into errors of their own.
+
+    One that comes while torch is being imported waits for the end of the import: torch would abort the process.
+    """
     stops: list[int] = []
 
     def stop(number: int, frame: object) -> None:
         stops.append(number)
+        if _is_being_imported("torch"):
+            threading.Timer(_LOOK_AGAIN_S, os.kill, (os.getpid(), number)).start()
+            return
         raise KeyboardInterrupt
 
     # Where it is ignored, as in a background job, it stays ignored.
@@ -137,6 +145,10 @@ def _counted_stops() -> list[int]:
     if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, stop)
     return stops
+
+
+def _is_being_imported(package: str) -> bool:
+    return getattr(getattr(sys.modules.get(package), "__spec__", None), "_initializing", False)
 
 
 def main(arguments: Sequence[str] | None = None, started: float | None = None) -> None:

@@ -12,11 +12,11 @@ from gelgap.domains.frame_pictures import group_by_picture, led_to_camera, pictu
 from gelgap.domains.generation_progress import SolveSize
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.sim import MembraneState, grid_axes
+from gelgap.sim import MembraneState, grid_axes, has_solution, known_pace, measured_pace
 
 LOG = logging.getLogger(__name__)
-# What a worker process needs before its first task, s, and what a frame takes besides its pictures: the membrane, its
-# table and Parquet, as shares of the pictures' own time.
+# What a process needs before its first task, s, where solves take as long as the built-in figures of their pace, and
+# what a frame takes besides its pictures: the membrane, its table and Parquet, as shares of the pictures' own time.
 START_S = 4.0
 FRAME_SHARE = 1.5
 
@@ -37,12 +37,20 @@ class Estimate:
     workers: int
     longest_solve_s: float = 0.0
     busy: float = 1.0
+    start_s: float = START_S
+
+    @property
+    def core_s(self) -> float:
+        """Processor time of all processes: the workers, and the one that starts them, which prepares as long."""
+        return self.start_s * (self.workers + 1) + self.solve_core_s + self.frame_core_s
 
     @property
     def wall_s(self) -> float:
         """Time on the machine as busy as it is now: one solve is not shared, frames are shared as shards."""
         solving_s = max(self.solve_core_s / self.workers, self.longest_solve_s)
-        return self.busy * (START_S + solving_s + self.frame_core_s / min(self.workers, self.shards or 1))
+        return self.busy * (
+            self.start_s + solving_s + self.frame_core_s / min(self.workers, self.shards or 1)
+        )
 
     def __str__(self) -> str:
         ms, kilobytes = 1e3 * self.frame_core_s / self.frames, self.disk_bytes / self.frames / 1e3
@@ -92,6 +100,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         solve_core_s=sum(solves_s),
         longest_solve_s=max(solves_s, default=0.0),
         busy=max(1.0, busy),
+        start_s=START_S * (known_pace().slowness or 1.0),
         frame_core_s=seconds,
         disk_bytes=size,
         workers=workers or len(os.sched_getaffinity(0)),
@@ -103,8 +112,6 @@ def solve_sizes(plan: GenerationPlan, measured: bool = False) -> dict[str, Solve
 
     With `measured`, a machine that has no record yet solves one small press first.
     """
-    from gelgap.sim import has_solution, known_pace, measured_pace
-
     problems = {key: solve.problem for key, solve in plan.solves.items() if not has_solution(key)}
     pace = measured_pace() if measured and problems else known_pace()
     return {key: SolveSize(problem.load_steps, pace.solve_s(problem)) for key, problem in problems.items()}

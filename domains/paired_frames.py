@@ -84,10 +84,6 @@ class PairedFrames(Dataset):
         inputs, forces, classes = self.batch([index])
         return inputs[0], forces[0], classes[0]
 
-    def __getitems__(self, indices: Sequence[int]) -> Batch:
-        """Return a whole batch at once: what DataLoader calls, and much faster than frame by frame."""
-        return self.batch(indices)
-
     def batch(self, indices: Sequence[int] | np.ndarray | Tensor) -> Batch:
         """Return inputs (B, C, h, w) float32, forces (B, 3) in N and contact classes (B,) of these frames."""
         rows = torch.as_tensor(indices, device=self.images.device)
@@ -129,10 +125,12 @@ class PairedFrames(Dataset):
     ) -> DataLoader:
         """Return a DataLoader of whole batches, shuffled by `seed`."""
         order = torch.Generator().manual_seed(seed)
+        # It draws indices, and a batch is made of them at once: much faster than frame by frame.
         return DataLoader(
-            self, batch_size, shuffle=shuffle, generator=order, num_workers=workers, collate_fn=_as_it_is
+            range(len(self)),
+            batch_size,
+            shuffle=shuffle,
+            generator=order,
+            num_workers=workers,
+            collate_fn=self.batch,
         )
-
-
-def _as_it_is(batch: Batch) -> Batch:
-    return batch

@@ -18,6 +18,7 @@ from .light_calibration import HeldOut as HeldOut
 from .light_calibration import LightCalibration as LightCalibration
 from .light_calibration import calibrate_light as calibrate_light
 from .light_calibration import save_calibration as save_calibration
+from .light_directions import light_azimuths as light_azimuths
 from .markers import marker_rest_mm as marker_rest_mm
 from .press_profiles import PressProfiles as PressProfiles
 from .press_profiles import SolvedPress as SolvedPress
@@ -31,6 +32,7 @@ from .spectrum import PeakSpectrum as PeakSpectrum
 from .spectrum import RgbSpectrum as RgbSpectrum
 from .spectrum import TableSpectrum as TableSpectrum
 from .spectrum import WhiteSpectrum as WhiteSpectrum
+from .sphere_size import SphereSize as SphereSize
 from .variation import Variation as Variation
 from .variation import vary_illumination as vary_illumination
 from .variation import vary_sensor as vary_sensor

@@ -94,9 +94,9 @@ def _check(sensor: Sensor, reference: np.ndarray, presses: tuple[PressPicture, .
             raise ValueError(
                 f"a press picture has shape {press.picture.shape}, and the reference {reference.shape}"
             )
-        if press.depth_mm is None:
+        if press.depth_mm is None or press.sphere_diameter_mm is None:
             raise ValueError(
-                "a press has no depth_mm; the fit of LEDs alone asks for the depth of each press"
+                "a press has no depth_mm or no sphere_diameter_mm; the fit of LEDs alone asks for both of each press"
             )
         if not 0 < press.depth_mm < press.sphere_diameter_mm / 2:
             raise ValueError(

@@ -15,6 +15,7 @@ PRESS_POINTS = 250
 SURE_CONTACT = 0.8
 SATURATED = 250
 DARK = 4
+_LEAST_CHANGE = 5.0  # code values
 
 
 @dataclass(frozen=True)
@@ -23,15 +24,18 @@ class PressPicture:
 
     `point_mm` is where the sphere was pressed, or `center_px` (column, row) where its imprint's centre is; without
     either it is found in the picture. Instead of the depth, `radius_px` may say how large the imprint is.
+    `marks_off_px` says by how much these two marks may be wrong. Without a diameter the sphere is an unknown one, the
+    same in all presses.
     """
 
     picture: np.ndarray  # uint8 (h, w, 3)
-    sphere_diameter_mm: float
+    sphere_diameter_mm: float | None
     depth_mm: float | None = None
     point_mm: tuple[float, float] | None = None
     radius_px: float | None = None
     center_px: tuple[float, float] | None = None
     name: str = ""
+    marks_off_px: float = 3.0
 
 
 class KnownPoints(NamedTuple):
@@ -124,7 +128,9 @@ def contact_points(camera: Camera, press: PressPicture, point_mm: tuple[float, f
 
 
 def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) -> tuple[float, float]:
-    """Return where a press changed the picture most: the centre of mass of the strong differences.
+    """Return where a press is: midway between what it made brighter and what it made darker, in each channel.
+
+    A dent is brighter on the side that faces a light and darker on the other, and seldom as much.
 
     Raises
     ------
@@ -133,15 +139,29 @@ def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) 
     """
     import cv2
 
-    difference = np.abs(picture.astype(np.float32) - reference).max(axis=2)
-    difference = cv2.GaussianBlur(difference, (0, 0), picture.shape[1] / 80)
-    if difference.max() < 5:
+    change = picture.astype(np.float32) - reference
+    change = cv2.GaussianBlur(change, (0, 0), picture.shape[1] / 80)
+    if np.abs(change).max() < _LEAST_CHANGE:
         raise ValueError("a press picture hardly differs from the reference; no contact was found in it")
-    strong = np.where(difference > 0.5 * difference.max(), difference, 0)
-    rows, columns = np.indices(strong.shape)
-    column, row = (strong * columns).sum() / strong.sum(), (strong * rows).sum() / strong.sum()
-    height, width = strong.shape
+    height, width, _ = change.shape
+    middles, weights = [], []
+    for channel in np.moveaxis(change, 2, 0):
+        lobes = [np.maximum(channel, 0), np.maximum(-channel, 0)]
+        weakest = min(lobe.max() for lobe in lobes)
+        if weakest >= _LEAST_CHANGE:
+            middles.append(np.mean([_center_px(lobe) for lobe in lobes], axis=0))
+            weights.append(weakest)
+    if not weights:
+        middles, weights = [_center_px(np.abs(change).max(axis=2))], [1.0]
+    column, row = np.average(middles, axis=0, weights=weights)
     return tuple(plane_points_mm(camera, np.array([column]), np.array([row]), (width, height))[0].tolist())
+
+
+def _center_px(change: np.ndarray) -> tuple[float, float]:
+    """Return column and row of the centre of mass of what exceeds half of the largest change."""
+    strong = np.where(change > 0.5 * change.max(), change, 0)
+    rows, columns = np.indices(strong.shape)
+    return (strong * columns).sum() / strong.sum(), (strong * rows).sum() / strong.sum()
 
 
 def plane_points_mm(

@@ -4,8 +4,8 @@ Presses that the fit has not seen say how good it is: it is done again without a
 What the membrane looks like around a sphere is given, so that nothing here solves anything.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +17,18 @@ from gelgap.render.illumination import Illumination
 from gelgap.render.imaging import srgb_decode
 from gelgap.render.light_fit import Light, LightFit, LightOptions
 from gelgap.render.press_light import Bars
-from gelgap.render.press_poses import PlacedPresses, check_presses, place_presses
+from gelgap.render.press_poses import PlacedPresses, check_presses, place_presses, rough_marks
 from gelgap.render.press_profiles import PressProfiles
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.scattered import LARGEST, Scattered
 from gelgap.render.sensor import Sensor, save_sensor
+from gelgap.render.sphere_size import Membranes, SphereSize, fit_sphere_size
 
 FEWEST_PRESSES = 6
 FEWEST_FOR_ORDER_3 = 12
 FOLDS = 3
+# Sizes of an unknown sphere are compared by so many presses, with light of a low order.
+_PRESSES_FOR_SIZE = 12
 _MARGIN_MM = 0.5
 
 
@@ -58,13 +61,14 @@ class LightCalibration:
     held_out: tuple[HeldOut, ...]
     led_azimuths_deg: np.ndarray  # (leds, 2): value, standard error (NaN without held-out fits)
     led_elevations_deg: np.ndarray
+    sphere_size: SphereSize | None = None  # of an unknown sphere
 
 
 def calibrate_light(
     sensor: Sensor,
     reference: np.ndarray,
     presses: Sequence[PressPicture],
-    membranes: Callable[[set[float], float | None], Mapping[float, PressProfiles]],
+    membranes: Membranes,
     *,
     order: int | None = None,
     degree: int | None = None,
@@ -81,7 +85,7 @@ def calibrate_light(
     reference
         uint8 (h, w, 3) without contact.
     presses
-        Six presses or more, spread over the view.
+        Six presses or more, spread over the view; if none has a diameter, one is fitted.
     membranes
         Gives by sphere diameter in mm the membrane around such a sphere, down to a depth in mm if one is known;
         called with all diameters once the pictures are known to be right. `gelgap.domains.sphere_profiles` is one.
@@ -110,6 +114,9 @@ def calibrate_light(
             "over the view; its LEDs alone can be fitted to three (--leds-only)"
         )
     check_presses(reference, presses)
+    size = unknown_sphere_size(sensor, reference, presses, membranes)
+    if size is not None:
+        presses = [replace(press, sphere_diameter_mm=size.diameter_mm) for press in presses]
     depths = [press.depth_mm for press in presses]
     profiles = membranes(
         {press.sphere_diameter_mm for press in presses}, None if None in depths else max(depths)
@@ -123,7 +130,7 @@ def calibrate_light(
     task = LightTask(sensor, placed, order, degree, far, shadows)
     everything = np.arange(len(presses))
     fit, field = task.fit(everything)
-    outliers = _outliers(fit, len(presses))
+    outliers = _outliers(fit)
     used = np.setdiff1d(everything, outliers)
     if len(outliers):
         fit, field = task.fit(used)
@@ -149,7 +156,36 @@ def calibrate_light(
         held_out=tuple(held_out),
         led_azimuths_deg=np.column_stack([angles[0], errors[0]]),
         led_elevations_deg=np.column_stack([angles[1], errors[1]]),
+        sphere_size=size,
     )
+
+
+def unknown_sphere_size(
+    sensor: Sensor, reference: np.ndarray, presses: Sequence[PressPicture], membranes: Membranes
+) -> SphereSize | None:
+    """Return the size of an unknown sphere, None if all are known."""
+    if all(press.sphere_diameter_mm is not None for press in presses):
+        return None
+    if any(press.sphere_diameter_mm is not None or press.radius_px is None for press in presses):
+        raise ValueError(
+            "some presses have no sphere_diameter_mm; a sphere of unknown size must be that of all presses, each with "
+            "radius_px"
+        )
+    mm_per_px = sensor.camera.footprint_mm((reference.shape[1], 1))[0] / reference.shape[1]
+    contacts_mm = [mm_per_px * press.radius_px for press in presses if not rough_marks(press)]
+    some = np.unique(np.linspace(0, len(presses) - 1, _PRESSES_FOR_SIZE).astype(int))
+
+    def press_errors(profiles: PressProfiles) -> np.ndarray:
+        if not all(map(profiles.reaches, contacts_mm)):
+            return np.full(len(some), 255.0**2)  # such a sphere leaves no such mark
+        diameter = 2 * profiles.sphere_radius_mm
+        tried = [replace(presses[k], sphere_diameter_mm=diameter) for k in some]
+        placed = place_presses(sensor.camera, reference, tried, {diameter: profiles})
+        fit, _ = LightTask(sensor, placed, 2, 1, far=False, shadows=True).fit(np.arange(len(some)), rounds=2)
+        return fit.press_errors()
+
+    mark_mm = mm_per_px * float(np.median([press.radius_px for press in presses]))
+    return fit_sphere_size(mark_mm, membranes, press_errors)
 
 
 @dataclass(frozen=True)
@@ -164,10 +200,16 @@ class LightTask:
     shadows: bool
 
     @property
-    def scale_mm(self) -> float:
+    def half_view_mm(self) -> float:
         return self.sensor.camera.footprint_mm(self.placed.size_px)[0] / 2
 
-    def fit(self, which: np.ndarray) -> tuple[LightFit, FarField]:
+    @property
+    def scale_mm(self) -> float:
+        """The unit of places: how far apart the presses are, half of the view at most."""
+        box_mm = np.ptp(self.placed.poses_mm[:, :2], axis=0).max() + 2 * _MARGIN_MM
+        return min(self.half_view_mm, float(box_mm))
+
+    def fit(self, which: np.ndarray, rounds: int = 3) -> tuple[LightFit, FarField]:
         """Fit the presses of the indices `which`."""
         placed, scale = self.placed, self.scale_mm
         poses = placed.poses_mm[which]
@@ -181,7 +223,7 @@ class LightTask:
                 poses[:, :2] / scale,
             )
         (x0, y0), (x1, y1) = poses[:, :2].min(0) - _MARGIN_MM, poses[:, :2].max(0) + _MARGIN_MM
-        nearest_mm = 1.05 * scale
+        nearest_mm = 1.05 * self.half_view_mm
         options = LightOptions(
             self.order, self.degree, True, self.shadows, scale, (x0, x1, y0, y1), nearest_mm
         )
@@ -189,12 +231,12 @@ class LightTask:
             options,
             placed.samples(which, field, scale),
             poses,
-            [placed.profiles[k] for k in which],
+            [placed.seen_profiles[k] for k in which],
             placed.sigma_mm[which],
             Bars.of(self.sensor.illumination.leds, nearest_mm),
             np.array(self.sensor.camera.position_mm),
         )
-        fit.run()
+        fit.run(rounds)
         return fit, field
 
     def predicted(self, fit: LightFit, field: FarField, press: int) -> HeldOut:
@@ -209,7 +251,7 @@ class LightTask:
         """Return (3,): x, y and depth at which a fitted light explains a press's own picture best."""
         placed, which = self.placed, np.array([press])
         samples = placed.samples(which, field, self.scale_mm)
-        start, sigma, profiles = placed.poses_mm[which], placed.sigma_mm[which], [placed.profiles[press]]
+        start, sigma, profiles = placed.poses_mm[which], placed.sigma_mm[which], [placed.seen_profiles[press]]
         own = LightFit(fit.options, samples, start, profiles, sigma, fit.bars, fit.camera_mm)
         own.theta = fit.theta
         own.refine_presses(4)
@@ -267,13 +309,13 @@ def _jackknife_errors(geometries: list[np.ndarray], bars: Bars) -> np.ndarray:
     return np.sqrt((groups - 1) / groups * (off**2).sum(0))
 
 
-def _outliers(fit: LightFit, count: int) -> np.ndarray:
+def _outliers(fit: LightFit) -> np.ndarray:
     """Return the presses whose errors stand far out of the others'; enough are always kept."""
-    errors = np.sqrt([np.mean(fit.residual[fit.samples.index == k] ** 2) for k in range(count)])
+    errors = np.sqrt(fit.press_errors())
     middle = np.median(errors)
     spread = np.median(np.abs(errors - middle))
     far_out = np.flatnonzero((errors > middle + 6 * spread) & (errors > 2.5 * middle))
-    return far_out if count - len(far_out) >= FEWEST_PRESSES else far_out[:0]
+    return far_out if len(errors) - len(far_out) >= FEWEST_PRESSES else far_out[:0]
 
 
 def _refuse_if_worse(held_out: list[HeldOut]) -> None:

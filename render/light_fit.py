@@ -206,6 +206,11 @@ class LightFit:
     def rms_code_values(self) -> float:
         return float(np.sqrt(np.mean(self.residual**2)))
 
+    def press_errors(self) -> np.ndarray:
+        """Return (presses,): the mean square of each press's residual, in code values²."""
+        index = self.samples.index
+        return np.array([np.mean(self.residual[index == k] ** 2) for k in range(len(self.presses))])
+
     def run(self, rounds: int = 3) -> None:
         """Fit bars alone first, so that scattered light does not take their place, then everything in turn."""
         if self.options.order > 0:

@@ -18,8 +18,12 @@ from gelgap.render.press_profiles import PressProfiles
 SAMPLES = (220, 260, 120)
 REACH = 4.5
 MODELLED_MM = 5.5
-_FOUND_SIGMA_MM, _MARKED_SIGMA_PX = 0.5, 3.0
-_KNOWN_DEPTH_SIGMA_MM, _MARKED_DEPTH_SIGMA = 0.05, 0.1  # the latter per radius of the sphere
+_FOUND_SIGMA_MM = 0.5
+_KNOWN_DEPTH_SIGMA_MM = 0.05
+_MARKED_DEPTH_SIGMA = 0.1 / 3  # radii of the sphere per pixel that the mark may be off
+_ROUGH_PX, LARGEST_MARKS_OFF_PX = 10.0, 100.0
+# Where rough marks say nothing of the depth, in radii of the sphere.
+_UNKNOWN_DEPTH, _UNKNOWN_DEPTH_SIGMA = 0.6, 0.4
 _LEAST_CHANGE = 2.0  # code values
 
 
@@ -48,6 +52,12 @@ class PlacedPresses:
         if not self.has_dots:
             return self.reference
         return inpaint_telea(self.reference, detect_markers(self.reference))
+
+    @cached_property
+    def seen_profiles(self) -> list[PressProfiles]:
+        """The membranes as blurred as the camera's point spread makes them."""
+        softness_mm = self.camera.point_spread_px / 320 * self.camera.footprint_mm(self.size_px)[0]
+        return [replace(profiles, softness_mm=softness_mm) for profiles in self.profiles]
 
     @cached_property
     def untouched(self) -> FarField:
@@ -99,7 +109,9 @@ class PlacedPresses:
         near = np.hypot(*(plane - pose_mm[:2]).T) < MODELLED_MM
         index = np.zeros(near.sum(), int)
         samples = Samples(index, rows[near], columns[near], plane[near], codes[near], base[near])
-        pressed = Geometry(samples, pose_mm[None], [self.profiles[press]], np.array(self.camera.position_mm))
+        pressed = Geometry(
+            samples, pose_mm[None], [self.seen_profiles[press]], np.array(self.camera.position_mm)
+        )
         codes[near] = predicted_codes(light, samples, pressed, flat_geometry(samples))
         return np.clip(np.round(codes), 0, 255).astype(np.uint8).reshape(height, width, 3)
 
@@ -136,14 +148,11 @@ def place_presses(
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         rim = np.array([*pose[:2], -pose[2]])
-        center = np.array(press.center_px) if press.center_px else camera.project_px(rim, size_px) - 0.5
-        centers.append(center)
+        marked = press.center_px is not None and not rough_marks(press)
+        centers.append(np.array(press.center_px) if marked else camera.project_px(rim, size_px) - 0.5)
         poses.append(pose)
         radii.append(radius_px)
-        found = press.center_px is None and press.point_mm is None
-        aside = _FOUND_SIGMA_MM if found else _MARKED_SIGMA_PX * mm_per_px
-        marked_depth = _MARKED_DEPTH_SIGMA * press.sphere_diameter_mm / 2
-        sigmas.append([aside, aside, _KNOWN_DEPTH_SIGMA_MM if press.depth_mm is not None else marked_depth])
+        sigmas.append(_sigmas_mm(press, mm_per_px))
     placed = PlacedPresses(
         camera,
         reference,
@@ -159,6 +168,24 @@ def place_presses(
     _check_contacts(placed)
     # Few dark specks are dirt; dots are many.
     return replace(placed, has_dots=bool(detect_markers(reference).mean() > 0.01))
+
+
+def rough_marks(press: PressPicture) -> bool:
+    """Return whether a press's marks only say where its imprint is, not its contact's centre and edge."""
+    return press.marks_off_px > _ROUGH_PX
+
+
+def _sigmas_mm(press: PressPicture, mm_per_px: float) -> list[float]:
+    """Return how far x, y and depth may be off."""
+    rough, radius_mm = rough_marks(press), press.sphere_diameter_mm / 2
+    if press.point_mm is None and (press.center_px is None or rough):
+        aside = _FOUND_SIGMA_MM
+    else:
+        aside = press.marks_off_px * mm_per_px
+    if press.depth_mm is not None:
+        return [aside, aside, _KNOWN_DEPTH_SIGMA_MM]
+    depth = _UNKNOWN_DEPTH_SIGMA if rough else _MARKED_DEPTH_SIGMA * press.marks_off_px
+    return [aside, aside, depth * radius_mm]
 
 
 def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> None:
@@ -179,13 +206,18 @@ def _check(name: str, press: PressPicture, reference: np.ndarray) -> None:
         )
     if (press.depth_mm is None) == (press.radius_px is None):
         raise ValueError(f"{name} must have either depth_mm or radius_px")
-    if press.depth_mm is not None and not 0 < press.depth_mm < press.sphere_diameter_mm / 2:
+    known = press.depth_mm is not None and press.sphere_diameter_mm is not None
+    if known and not 0 < press.depth_mm < press.sphere_diameter_mm / 2:
         raise ValueError(
             f"{name}: depth_mm is {press.depth_mm}; it must lie between 0 and the sphere's radius, "
             f"{press.sphere_diameter_mm / 2}"
         )
     if press.radius_px is not None and not 2 <= press.radius_px <= max(reference.shape):
         raise ValueError(f"{name}: radius_px is {press.radius_px}; it must lie in 2…{max(reference.shape)}")
+    if not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
+        raise ValueError(
+            f"{name}: marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
+        )
 
 
 def _start(
@@ -193,7 +225,9 @@ def _start(
 ) -> tuple[np.ndarray, float]:
     """Return (x, y, depth) in mm and the contact's radius in pixels."""
     size_px = reference.shape[1], reference.shape[0]
-    depth, nearer = press.depth_mm, 1.0
+    depth, nearer, rough = press.depth_mm, 1.0, rough_marks(press)
+    if depth is None and rough:
+        depth = _UNKNOWN_DEPTH * profiles.sphere_radius_mm
     if depth is None:
         for _ in range(3):
             # The marked circle is the contact's edge, which stands nearer to the camera than the flat membrane.
@@ -205,7 +239,7 @@ def _start(
     radius_px = press.radius_px or profiles.contact_radius_mm(depth) / mm_per_px
     if press.point_mm is not None:
         point = np.array(press.point_mm, float)
-    elif press.center_px is not None:
+    elif press.center_px is not None and not rough:
         columns, rows = (np.array([value], float) for value in press.center_px)
         axis = np.array(camera.position_mm[:2])
         point = axis + nearer * (plane_points_mm(camera, columns, rows, size_px)[0] - axis)

@@ -26,7 +26,8 @@ class SolvedPress:
 class PressProfiles:
     """z over the distance from the axis, every `STEP_MM`, for a row of depths in equal steps from 0.
 
-    Inside the contact it is the sphere exactly, outside a monotone cubic through solved points.
+    Inside the contact it is the sphere exactly, outside a monotone cubic through solved points. With a softness it is
+    blurred by a Gaussian of that standard deviation, as a camera sees it whose point spread is as wide.
     """
 
     sphere_radius_mm: float
@@ -34,6 +35,7 @@ class PressProfiles:
     z_mm: np.ndarray  # (depths, radii)
     edges_mm: np.ndarray  # (solves + 1, 2): depth, distance within which the membrane is the sphere
     contact_radii_mm: np.ndarray  # (solves + 1, 2): depth, radius of the contact
+    softness_mm: float = 0.0
 
     @classmethod
     def from_solves(cls, sphere_radius_mm: float, solves: Sequence[SolvedPress]) -> "PressProfiles":
@@ -72,11 +74,30 @@ class PressProfiles:
         sphere = -depth_mm + self.sphere_radius_mm - height
         z = np.where(inside, sphere, np.minimum(solved, 0.1 * self.sphere_radius_mm))
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
+        if self.softness_mm > 0:
+            z = _blurred(z, r, self.softness_mm)
+            return z, np.gradient(z, STEP_MM)
         return z, np.where(inside, r / height, np.gradient(z, STEP_MM))
+
+    def scaled(self, factor: float) -> "PressProfiles":
+        """Return the profiles around a sphere `factor` times as large, in a gel as many times as thick."""
+        r = STEP_MM * np.arange(self.z_mm.shape[1])
+        radii = np.arange(0, factor * r[-1] + STEP_MM / 2, STEP_MM)
+        return PressProfiles(
+            factor * self.sphere_radius_mm,
+            factor * self.depths_mm,
+            factor * np.array([np.interp(radii / factor, r, row) for row in self.z_mm]),
+            factor * self.edges_mm,
+            factor * self.contact_radii_mm,
+        )
 
     def contact_radius_mm(self, depth_mm: float) -> float:
         """Return the contact's radius at a depth: a smooth curve through the solves'."""
         return float(np.interp(depth_mm, *self._smooth_radii()))
+
+    def reaches(self, contact_radius_mm: float) -> bool:
+        """Return whether the deepest press has a contact of a radius, or nearly."""
+        return contact_radius_mm <= 1.08 * self._smooth_radii()[1][-1]
 
     def depth_mm(self, contact_radius_mm: float) -> float:
         """Return the depth at which the contact has a radius.
@@ -87,7 +108,7 @@ class PressProfiles:
             If the sphere's cap cannot reach that radius.
         """
         depths, radii = self._smooth_radii()
-        if contact_radius_mm > 1.08 * radii[-1]:
+        if not self.reaches(contact_radius_mm):
             raise ValueError(
                 f"a contact of radius {contact_radius_mm:.2f} mm is marked, and a sphere of radius "
                 f"{self.sphere_radius_mm:g} mm reaches {radii[-1]:.2f} mm at most; check sphere_diameter_mm, radius_px "
@@ -119,6 +140,14 @@ class PressProfiles:
         r = np.hypot(*np.meshgrid(x - point_mm[0], y - point_mm[1]))
         height = np.interp(r, STEP_MM * np.arange(len(z)), z, right=0.0)
         return x, y, np.stack([np.zeros_like(height), np.zeros_like(height), height], axis=-1)
+
+
+def _blurred(z: np.ndarray, r: np.ndarray, sigma_mm: float) -> np.ndarray:
+    """Return the axially symmetric z(r) blurred in the plane, by Gauss–Hermite quadrature."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    x, y = (sigma_mm * axis.ravel() for axis in np.meshgrid(nodes, nodes))
+    weights = np.outer(weights, weights).ravel() / (2 * np.pi)
+    return np.interp(np.hypot(r[:, None] + x, y), r, z) @ weights
 
 
 def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, reach_mm: float):

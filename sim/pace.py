@@ -21,15 +21,17 @@ from gelgap.sim.thresholds import THRESHOLDS
 
 LOG = logging.getLogger(__name__)
 RECORD = "pace.jsonl"
-# The record keeps so many lines, and the last so many of a kind count.
+# Lines that the record keeps, and the last ones of a kind whose median counts.
 _LINES_KEPT = 400
 _LINES_COUNTED = 9
 # MuJoCo's factor of a mesh with n vertices takes about n^2.3.
 _VERTICES = 3000
 _EXPONENT = 2.3
-# Seconds of a core per load step on a mesh of that many vertices, on a server of 2023; more where friction slides.
+# Seconds of a core per load step on a mesh of 3000 vertices, on a server of 2023; more where friction slides. Ordering
+# such a mesh and compiling its model takes time as well.
 _SECONDS_PER_STEP = 1.0
 _TRAVEL_FACTOR = 1.3
+_SECONDS_TO_BUILD = 0.4
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Pace:
 
     def solve_s(self, problem: ContactProblem) -> float:
         """Return the expected seconds of a solve, alone on its core."""
-        return _built_in_s(problem) * self.by_kind.get(kind(problem), self.slowness or 1.0)
+        return built_in_s(problem) * self.by_kind.get(kind(problem), self.slowness or 1.0)
 
 
 def shape(problem: ContactProblem) -> str:
@@ -59,15 +61,12 @@ def kind(problem: ContactProblem) -> str:
     return f"{problem.quality.name} {shape(problem)}{' with travel' if problem.travel_mm else ''}"
 
 
-def work(problem: ContactProblem) -> float:
-    """Return the load steps of a problem, as so many on a mesh of 3000 vertices."""
+def built_in_s(problem: ContactProblem) -> float:
+    """Return the seconds of a core that a problem takes on the machine that the built-in figures are of."""
     first_contacts = len(THRESHOLDS.first_contact_shares) * problem.parents.count(-1)
-    vertices = len(unordered_mesh(problem).vertices_mm)
-    return (problem.load_steps + first_contacts) * (vertices / _VERTICES) ** _EXPONENT
-
-
-def _built_in_s(problem: ContactProblem) -> float:
-    return work(problem) * _SECONDS_PER_STEP * (_TRAVEL_FACTOR if problem.travel_mm else 1.0)
+    size = len(unordered_mesh(problem).vertices_mm) / _VERTICES
+    step_s = size**_EXPONENT * _SECONDS_PER_STEP * (_TRAVEL_FACTOR if problem.travel_mm else 1.0)
+    return size * _SECONDS_TO_BUILD + (problem.load_steps + first_contacts) * step_s
 
 
 def known_pace() -> Pace:
@@ -124,7 +123,7 @@ def time_left_s(share_done: float, expected_s: float, passed_s: float) -> float:
 def _record(problem: ContactProblem, core_s: float) -> None:
     """Add a line; a record that cannot be written is done without."""
     folder = cache_folder()
-    entry = {"kind": kind(problem), "slowness": round(core_s / _built_in_s(problem), 4)}
+    entry = {"kind": kind(problem), "slowness": round(core_s / built_in_s(problem), 4)}
     with contextlib.suppress(OSError, RuntimeError), key_lock(folder, RECORD):
         path = folder / RECORD
         lines = path.read_bytes().splitlines() if path.is_file() else []

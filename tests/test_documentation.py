@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -126,7 +127,7 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
-    r"pip install --no-deps taxim": "installs a package",
+    r"pip install (--no-deps taxim|\"taxim)": "installs a package",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
     r"from dask_": "needs a cluster of that kind",
@@ -203,8 +204,12 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
             lambda recipes, out, workers, progress: real(recipes, out, workers=1, progress=progress)
         ),
     },
+    "gelgap benchmark throughput --what estimates --quick": {
+        "data.estimates.presses": lambda real: lambda quick: islice(real(quick), 1),
+        "data.estimates.generations": lambda real: lambda folder, quick: islice(real(folder, quick), 1),
+    },
     "gelgap benchmark stability --what physics --quick": {
-        "physics.stability.QUICK_SCENES": lambda real: 1,
+        "physics.stability.QUICK_SCENES": lambda real: real[:1],
     },
     "gelgap benchmark stability --what render --quick": {
         "render.stability.QUICK_FRAMES": lambda real: 20,

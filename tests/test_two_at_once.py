@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -157,3 +158,76 @@ def test_a_second_process_on_one_output_is_refused_and_says_by_whom(
     assert stop.value.code == 1
     error = capsys.readouterr().err.splitlines()[-1]
     assert f"another process (pid {first.pid}) is writing to {out / folder}" in error, json.dumps(error)
+
+
+PAUSED = """
+import importlib, sys
+module = importlib.import_module({module!r})
+whole = module.{function}
+def pausing(*given, **named):
+    print("at work", flush=True)
+    sys.stdin.readline()
+    return whole(*given, **named)
+module.{function} = pausing
+from gelgap.cli.main import main
+main({arguments!r})
+"""
+SMALL_PROFILE = """
+base = "smoke"
+source_epochs = 1
+adapt_epochs = 1
+"""
+
+
+def paused(arguments: list[str], module: str, function: str) -> subprocess.Popen:
+    """Return a real command that has come to a function, and goes on when it is sent a line."""
+    code = PAUSED.format(arguments=arguments, module=module, function=function)
+    streams = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    child = subprocess.Popen([sys.executable, "-c", code], text=True, **streams)
+    assert child.stdout.readline() == "at work\n", child.communicate("")
+    return child
+
+
+def second(arguments: list[str]) -> subprocess.CompletedProcess:
+    """Run a real command at the same time."""
+    command = [sys.executable, "-m", "gelgap.cli.main", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.fixture
+def two_domains(pictures: Path) -> tuple[Path, Path]:
+    """Folders of pictures with forces that differ."""
+    lines = [f"{number}.png,{number % 5 / 50},{number % 7 / -50},{number / -40}" for number in range(40)]
+    (pictures / "forces.csv").write_text("\n".join(["image,fx_n,fy_n,fz_n", *lines]))
+    target = pictures.with_name("target")
+    shutil.copytree(pictures, target)
+    return pictures, target
+
+
+def test_two_adaptations_and_two_reports_on_one_output(
+    two_domains: tuple[Path, Path], tmp_path: Path
+) -> None:
+    source, target = map(str, two_domains)
+    profile, runs = tmp_path / "small.toml", tmp_path / "runs"
+    profile.write_text(SMALL_PROFILE)
+    adapting = ["adapt", "--source", source, "--target", target, "--method", "source-only"]
+    adapting += ["--profile", str(profile), "--out", str(runs)]
+    first = paused(adapting, "gelgap.adapt.runs", "train_source")
+    refused = second(adapting)
+    out, err = first.communicate("\n", timeout=300)
+    assert refused.returncode == 1
+    (sentence,) = (line for line in refused.stderr.splitlines() if "another process" in line)
+    assert f"(pid {first.pid}) is writing to {runs}" in sentence
+    assert "Traceback" not in refused.stderr
+    assert first.returncode == 0, err
+    again = second(adapting)
+    assert again.returncode == 0, again.stderr
+    assert again.stdout.strip() == out.strip()
+
+    first = paused(["report", str(runs)], "gelgap.adapt.report", "load_runs")
+    refused = second(["report", str(runs)])
+    _, err = first.communicate("\n", timeout=300)
+    assert refused.returncode == 1
+    assert f"another process (pid {first.pid}) is writing to {runs}" in refused.stderr.splitlines()[-1]
+    assert first.returncode == 0, err
+    assert (runs / "report.html").is_file()

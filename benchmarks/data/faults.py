@@ -14,6 +14,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 
 from gelgap.adapt import ResultTable
+from gelgap.benchmarks.common.python_process import start_python
 from gelgap.benchmarks.common.records import Ledger
 from gelgap.benchmarks.common.tables import write_json
 
@@ -63,12 +64,7 @@ class Trial:
             f"{setup}\nfrom gelgap.benchmarks.data.faults import generate_domains\n"
             f"generate_domains({str(folder or self.folder)!r}, {self.directions}, {scheduler!r})"
         )
-        return subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        return start_python(code)
 
     def start_and_wait(self, scheduler: str = "") -> subprocess.Popen:
         """Start, and wait until the shards after which the fault strikes are there: later in a later try."""
@@ -102,7 +98,8 @@ def generate_domains(folder: Path | str, directions: int, scheduler: str = "sync
 def run(quick: bool, out_dir: Path) -> None:
     """Try every fault, finish the data set by running the same command again, compare; print the table.
 
-    Writes `faults.json`. What a stopped benchmark has measured is kept until the next one has ended.
+    Writes `faults.json`. The quick form tries one fault of each kind once: a killed process, a refused write, two
+    processes, a damaged file. What a stopped benchmark has measured is kept until the next one has ended.
     """
     from gelgap.domains import package_versions
 
@@ -117,6 +114,8 @@ def run(quick: bool, out_dir: Path) -> None:
     print(f"undisturbed data set: complete after {time.perf_counter() - start:.1f} s", flush=True)
     results = []
     for fault, strike in FAULTS.items():
+        if quick and fault not in QUICK_FAULTS:
+            continue
         trials = [Trial(folder / "struck", undisturbed, directions, number) for number in range(tries)]
         result = ledger.once(fault, FaultResult, lambda f=fault, s=strike, t=trials: measure(f, s, t))
         print(f"{fault}: {result.survived} of {result.tries} survived", flush=True)
@@ -295,3 +294,9 @@ FAULTS: dict[str, Callable[[Trial], bool]] = {
     "bit-flipped shard (survived: detected)": _damage(_one_bit_flipped),
     "missing shard (survived: detected)": _damage(lambda data: None),
 }
+QUICK_FAULTS = (
+    "kill -9 of a worker",
+    "write refused (file size limit)",
+    "two generators on one folder",
+    "bit-flipped shard (survived: detected)",
+)

@@ -8,28 +8,34 @@ import random
 import shutil
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
+from gelgap.assets.checksums import SUMS, checksum_problem
+from gelgap.benchmarks.common.python_process import start_python
 from gelgap.benchmarks.common.records import Ledger
 from gelgap.benchmarks.common.tables import print_table, write_json
 
-TIMES, QUICK_TIMES = 50, 2
+TIMES = 50
 DEADLINE_S = 300.0
-END_S = 15.0
-"""A stopped command and its workers have ended after so long."""
+END_S = 60.0
+"""Time in which a stopped command and its workers must have ended."""
 SIGNALS = {"kill -INT": signal.SIGINT, "kill -9": signal.SIGKILL}
 COLUMNS = (
-    *("command", "stopped by", "times", "still at work", "sentences", "tracebacks", "left running"),
-    *("finished parts kept", "done again", "reruns that failed", "files different"),
+    *("command", "stopped by", "times", "starting", "at work", "over", "sentences", "tracebacks"),
+    *("left running", "parts kept", "made again", "reruns that failed", "files different"),
 )
-_ALL_DONE = "all is done"
+NOTE = (
+    "starting: Python itself had not started yet; over: the work was done, or the command had ended; "
+    "sentences and tracebacks: of those at work"
+)
+_BEGUN, _ALL_DONE = "has begun", "all is done"
 _CHILD = """
-import sys
 try:
+    print("has begun", flush=True)
+    import sys
     from pathlib import Path
     from gelgap.benchmarks.data.interruptions import COMMANDS
     from gelgap.cli.start import start
@@ -48,18 +54,39 @@ angles_deg = [0.0, 60.0, 120.0, 180.0, 240.0, 300.0]
 
 
 @dataclass(frozen=True)
-class Interrupted:
-    """What came of stopping one command by one signal so many times.
+class Stop:
+    """What came of one signal to a command, and of the same command run again.
 
-    `still_at_work`: in how many the signal came before the end. `sentences`: ended with one sentence that says what is
-    kept, or that nothing had begun. `parts_kept`: finished parts that the second run left as they were; `parts_again`:
-    that it made again. `different`: files that differ from an undisturbed run's in the end.
+    `phase`: "starting" if the signal came before Python ran the command's first line, "over" if its work was done or it
+    had ended, else "at work". `sentence`: it ended with one sentence that says what is kept, or that nothing had begun.
+    `parts_kept`: finished parts that the second run left as they were; `parts_again`: those that it made again.
+    `different`: files that differ from an undisturbed run's in the end.
+    """
+
+    phase: str
+    sentence: bool
+    traceback: bool
+    left_running: bool
+    parts_kept: int
+    parts_again: int
+    failed: bool
+    different: int
+
+
+@dataclass(frozen=True)
+class Interrupted:
+    """What came of stopping one command by one signal several times: counts of `Stop`.
+
+    Sentences and tracebacks are those of commands at work: what is printed while Python itself starts or ends is not
+    the command's.
     """
 
     command: str
     stopped_by: str
     times: int
-    still_at_work: int
+    starting: int
+    at_work: int
+    over: int
     sentences: int
     tracebacks: int
     left_running: int
@@ -131,85 +158,132 @@ COMMANDS = {
         Stopped("benchmark physics --quick", _arguments_of_physics, "physics-solves/*.result"),
     )
 }
+Cells = Sequence[tuple[str, str]]
+"""Names of commands, each with that of the signal that stops it."""
+CELLS = [(name, stopped_by) for name in COMMANDS for stopped_by in SIGNALS]
+QUICK_CELLS = [("generate", "kill -INT"), ("benchmark physics --quick", "kill -9")]
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Stop every command many times, run it again each time, compare; print the table, write `interruptions.json`."""
+    """Stop every command many times, run it again each time, compare; print the table, write `interruptions.json`.
+
+    The quick form stops `generate` and `benchmark physics --quick` once each, by kill -INT and kill -9.
+    Each stop is noted: a benchmark that was stopped itself goes on with the next one.
+    """
     from gelgap.domains import package_versions
 
     folder = out_dir / "interruptions"
-    ledger = Ledger(folder / "unfinished.jsonl", [quick, package_versions()])
-    results = measure_all(folder, QUICK_TIMES if quick else TIMES, ledger)
-    print_table("Commands stopped at random moments", COLUMNS, [astuple(result) for result in results])
+    ledger = Ledger(folder / "unfinished.jsonl", package_versions())
+    results = (
+        measure_all(folder, QUICK_CELLS, 1, ledger) if quick else measure_all(folder, CELLS, TIMES, ledger)
+    )
+    title = "Commands stopped at random moments, and run again"
+    print_table(title, COLUMNS, [astuple(result) for result in results], NOTE)
     write_json(out_dir / "interruptions.json", results)
     ledger.close()
 
 
-def measure_all(folder: Path, times: int, ledger: Ledger) -> list[Interrupted]:
-    """Stop each command by each signal so many times; what the ledger has is not done again."""
-    data, results = folder / "generate-undisturbed", []
-    for command in COMMANDS.values():
-        undisturbed = folder / f"{command.name.split()[-1].strip('-')}-undisturbed"
-        undisturbed = data if command.name == "generate" else undisturbed
-        shutil.rmtree(undisturbed, ignore_errors=True)
-        start = time.monotonic()
-        child = begin(command, undisturbed, data)
-        if child.wait(DEADLINE_S):
-            raise RuntimeError(f"{command.name} fails undisturbed: {_said(undisturbed)[-300:]}")
-        duration_s = time.monotonic() - start
-        print(f"{command.name}: undisturbed {duration_s:.1f} s", flush=True)
-        for name, number in SIGNALS.items():
-            place = (command, undisturbed, folder / "stopped", data, duration_s)
-            label = f"{command.name}, {name}"
-            result = ledger.once(
-                label, Interrupted, lambda p=place, n=name, s=number: measure(*p, n, s, times)
-            )
-            print(f"{label}: {result.times} times, {result.different} files different", flush=True)
-            results.append(result)
-    return results
+def measure_all(folder: Path, cells: Cells, times: int, ledger: Ledger) -> list[Interrupted]:
+    """Stop the commands by their signals as often as asked for, in turn, less what the ledger has."""
+    data = _undisturbed(folder, "generate")
+    names = dict.fromkeys(name for name, _ in cells)
+    durations_s = {name: undisturbed_s(COMMANDS[name], folder, data) for name in names}
+    shares = {cell: random.Random(", ".join(cell)) for cell in cells}
+    for number in range(times):
+        for name, stopped_by in cells:
+            moment_s, label = durations_s[name] * shares[name, stopped_by].random(), f"{name}, {stopped_by}"
+            if number < len(ledger.values(label, Stop)):
+                continue
+            place = (COMMANDS[name], _undisturbed(folder, name), folder / "stopped", data)
+            ledger.note(label, stop(*place, SIGNALS[stopped_by], lambda child, s=moment_s: _pass(child, s)))
+        print(f"each stopped {number + 1} of {times} times", flush=True)
+    return [counted(*cell, ledger.values(", ".join(cell), Stop)[:times]) for cell in cells]
 
 
-def measure(
+def undisturbed_s(command: Stopped, folder: Path, data: Path) -> float:
+    """Run a command undisturbed and return how long it took."""
+    undisturbed, start = _undisturbed(folder, command.name), time.monotonic()
+    shutil.rmtree(undisturbed, ignore_errors=True)
+    if not _ends_well(begin(command, undisturbed, data)):
+        raise RuntimeError(f"{command.name} fails undisturbed: {_said(undisturbed)[-300:]}")
+    duration_s = time.monotonic() - start
+    print(f"{command.name}: undisturbed {duration_s:.1f} s", flush=True)
+    return duration_s
+
+
+def _undisturbed(folder: Path, name: str) -> Path:
+    return folder / f"{name.split()[-1].strip('-')}-undisturbed"
+
+
+def counted(command: str, stopped_by: str, stops: Sequence[Stop]) -> Interrupted:
+    """Return the counts of some stops."""
+    phases = [stop.phase for stop in stops]
+    at_work = [stop for stop in stops if stop.phase == "at work"]
+    return Interrupted(
+        command,
+        stopped_by,
+        len(stops),
+        *(phases.count(phase) for phase in ("starting", "at work", "over")),
+        sum(stop.sentence for stop in at_work),
+        sum(stop.traceback for stop in at_work),
+        *(sum(getattr(stop, field.name) for stop in stops) for field in fields(Stop)[3:]),
+    )
+
+
+def stop(
     command: Stopped,
     undisturbed: Path,
     folder: Path,
     data: Path,
-    duration_s: float,
-    stopped_by: str,
     number: int,
-    times: int,
-) -> Interrupted:
-    """Stop one command by one signal at so many random moments of its run."""
-    moments = random.Random(f"{command.name} {stopped_by}")
-    expected = digests(undisturbed)
-    at_work = sentences = tracebacks = running = kept = again = failed = different = 0
-    for _ in range(times):
-        shutil.rmtree(folder, ignore_errors=True)
-        child = begin(command, folder, data)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            child.wait(moments.uniform(0.0, duration_s))
-        if child.poll() is None:
-            os.kill(child.pid, number)
-        running += not _all_end(child)
-        text = _said(folder)
-        # A process that was stopped when its work was over, and only it had to end, has nothing to say.
-        stopped = _ALL_DONE not in _file(folder, "stdout").read_text()
-        at_work += stopped
-        said = child.returncode in (1, 130) and text.count("gelgap: interrupted") == 1
-        if stopped and number == signal.SIGINT and not said:
-            print(f"  ended with code {child.returncode}: {text[-200:].strip()!r}", flush=True)
-        sentences += stopped and said
-        tracebacks += "Traceback" in text
-        finished = {path: path.stat().st_mtime_ns for path in folder.glob(command.parts)}
-        failed += begin(command, folder, data).wait(DEADLINE_S) != 0
-        unchanged = sum(path.is_file() and path.stat().st_mtime_ns == old for path, old in finished.items())
-        kept, again = kept + unchanged, again + len(finished) - unchanged
-        found = digests(folder)
-        different += sum(found.get(name) != expected.get(name) for name in found.keys() | expected.keys())
-    return Interrupted(
-        *(command.name, stopped_by, times, at_work, sentences, tracebacks),
-        *(running, kept, again, failed, different),
+    wait: Callable[[subprocess.Popen], None],
+) -> Stop:
+    """Begin a command, send it a signal once `wait` returns, run it again and compare with the undisturbed run."""
+    shutil.rmtree(folder, ignore_errors=True)
+    child = begin(command, folder, data)
+    wait(child)
+    if child.poll() is None:
+        os.kill(child.pid, number)
+    left_running = not _all_end(child)
+    said, printed = _said(folder), _file(folder, "stdout").read_text()
+    # A process whose work is over, and which only has to end, has nothing to say.
+    phase = "over" if _ALL_DONE in printed else "at work" if _BEGUN in printed else "starting"
+    sentence = child.returncode in (1, 130) and said.count("gelgap: interrupted") == 1
+    if phase == "at work" and number == signal.SIGINT and not sentence:
+        print(f"  ended with code {child.returncode}: {said[-2000:].strip()}", flush=True)
+    finished = {path: path.stat().st_mtime_ns for path in folder.glob(command.parts)}
+    failed = not _ends_well(begin(command, folder, data))
+    if failed:
+        print(f"  run again, it failed: {_said(folder)[-2000:].strip()}", flush=True)
+    unchanged = sum(path.is_file() and path.stat().st_mtime_ns == old for path, old in finished.items())
+    found, expected = digests(folder), digests(undisturbed)
+    differ = [name for name in found.keys() | expected.keys() if found.get(name) != expected.get(name)]
+    if differ:
+        print(f"  different: {', '.join(differ)}", flush=True)
+    return Stop(
+        phase=phase,
+        sentence=sentence,
+        traceback="Traceback" in said,
+        left_running=left_running,
+        parts_kept=unchanged,
+        parts_again=len(finished) - unchanged,
+        failed=failed,
+        different=len(differ),
     )
+
+
+def _pass(child: subprocess.Popen, seconds: float) -> None:
+    """Let some time pass, less if the process ends before."""
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        child.wait(seconds)
+
+
+def _ends_well(child: subprocess.Popen) -> bool:
+    """Wait for the end of a process; one that hangs is ended."""
+    _pass(child, DEADLINE_S)
+    if child.poll() is None:
+        _all_end(child)
+    return child.returncode == 0
 
 
 def begin(command: Stopped, folder: Path, data: Path) -> subprocess.Popen:
@@ -217,13 +291,14 @@ def begin(command: Stopped, folder: Path, data: Path) -> subprocess.Popen:
     code = _CHILD.format(name=command.name, folder=str(folder), data=str(data))
     folder.parent.mkdir(parents=True, exist_ok=True)
     with _file(folder, "stderr").open("w") as said, _file(folder, "stdout").open("w") as printed:
-        return subprocess.Popen(
-            [sys.executable, "-c", code], stdout=printed, stderr=said, start_new_session=True
-        )
+        return start_python(code, printed, said)
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of what a command is for; times, logs, locks and caches are left out."""
+    """Return the SHA-256 of what a command is for; times, logs, locks and caches are left out.
+
+    Lists of checksums, which differ with the times in the files listed, count by whether they are right.
+    """
     found = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -235,13 +310,20 @@ def digests(folder: Path) -> dict[str, str]:
             or name.startswith(("cache/", "physics-solves/"))
         ):
             continue
-        content = path.read_bytes()
-        if path.name == "run.json":
-            content = json.dumps({**json.loads(content), "wall_s": None, "history": None}).encode()
-        if path.suffix == ".pt":
-            content = _weights(path)
-        found[name] = hashlib.sha256(content).hexdigest()
+        found[name] = hashlib.sha256(_content(path)).hexdigest()
     return found
+
+
+def _content(path: Path) -> bytes:
+    """Return what of a file is the same in every run."""
+    if path.name == SUMS:
+        return " ".join(filter(None, map(checksum_problem, sorted(path.parent.iterdir())))).encode()
+    if path.suffix == ".pt":
+        return _weights(path)
+    content = path.read_bytes()
+    if path.name == "run.json":
+        content = json.dumps({**json.loads(content), "wall_s": None, "history": None}).encode()
+    return content
 
 
 def _weights(checkpoint: Path) -> bytes:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import resource
 import shutil
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -86,11 +87,12 @@ class Workers:
             ) as pool,
             _no_wait_when_stopped(pool),
         ):
-            pending = {
-                pool.submit(function, argument): file
-                for argument, file in files.items()
-                if read_kept(file) is None
-            }
+            with _stops_held_back():
+                pending = {
+                    pool.submit(function, argument): file
+                    for argument, file in files.items()
+                    if read_kept(file) is None
+                }
             for future in as_completed(pending):
                 write_whole(pending[future], result_bytes(future.result()))
         return [result_from_bytes(file.read_bytes()) for file in files.values()]
@@ -113,6 +115,27 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def _stops_held_back() -> Iterator[None]:
+    """Let kill -INT wait for the end of the block: a process that it cuts off from its parent prints a traceback.
+
+    Processes that are started meanwhile never heed it; they end with their parent.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    stops: list[int] = []
+    heeded = signal.signal(signal.SIGINT, lambda number, _: stops.append(number))
+    unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
+        signal.signal(signal.SIGINT, heeded)
+        if stops:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager

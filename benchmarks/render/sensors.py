@@ -1,28 +1,35 @@
 """A real sensor predicted: even presses of a published calibration set fitted, odd ones rendered and compared.
 
-Every prediction is gelgap's own renderer's picture. `marked` takes a press where it was marked by hand and uses nothing
-of its picture; `refined` moves its centre and depth in its own picture. Taxim's own pipeline is not run here: it needs
-torch-scatter or jax.
+gelgap's predictions are its own renderer's pictures. `marked` takes a press where it was marked by hand, `corrected`
+moves it as the marks of the fitted presses were moved on average; both use nothing of its picture. `refined` moves its
+centre and depth in its own picture. Beside them: what else predicts (`rivals`), and presses unlike the fitted ones
+(`other_presses`).
 """
 
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from gelgap.benchmarks.common.tables import print_table, write_json
+from gelgap.benchmarks.render import rivals
+from gelgap.benchmarks.render.contact_sheet import draw_contact_sheet
+from gelgap.benchmarks.render.other_presses import Model, measure_other_presses
+from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_presses, table_row
+from gelgap.benchmarks.render.taxim_rival import INSTALL, missing_packages
 from gelgap.domains import CALIBRATION_GEL, PressSet, sphere_profiles, taxim_presses
 from gelgap.render import LightCalibration, MembraneRenderer, Sensor, save_calibration
-from gelgap.render.light_calibration import LightTask, flat_field_maps
+from gelgap.render.light_calibration import FEWEST_FOR_ORDER_3, LightTask, flat_field_maps
 from gelgap.render.light_fit import LightFit
 from gelgap.render.press_poses import place_presses
 
 SET = "gelsight"
 NEAR_MM = 24.0
 EXTENT_MM = (10.5, 8.2)
-METRICS = ("inside", "ring", "within", "whole", "SSIM", "mean abs")
+HELD_SIGMA_MM = 1e-4  # so little does a fit move a press that is held where it was marked
 
 
 @dataclass(frozen=True)
@@ -35,37 +42,33 @@ class Variant:
     far: bool = True
     shadows: bool = True
     parallel: bool = True
+    flat_field: bool = True
+    refines_fitted: bool = True
     quality: str = "draft"
 
 
+WHOLE = Variant("whole: + flat field of pressed pictures")
 VARIANTS = (
     Variant("LEDs alone, camera at 24 mm", order=0, degree=0, far=False, parallel=False),
     Variant("+ scattered light, order 2 × (1, x, y)", order=2, degree=1, far=False, parallel=False),
     Variant("+ parallel camera", order=2, degree=1, far=False),
     Variant("+ order 3 × quadratics, flat field from the reference alone", far=False),
     Variant("the same, without shadows", far=False, shadows=False),
-    Variant("whole: + flat field of pressed pictures"),
+    WHOLE,
+    Variant("whole without scattered light", order=0, degree=0),
+    Variant("whole without shadows", shadows=False),
+    Variant("whole without flat field, as rendered", flat_field=False),
+    Variant("whole, fitted presses as marked", refines_fitted=False),
     Variant("whole, membrane at standard", quality="standard"),
 )
-QUICK_VARIANTS = VARIANTS[5:6]
 
 
-def scores(
-    predicted: np.ndarray, real: np.ndarray, center_px: tuple[float, float], radius_px: float
-) -> list[float]:
-    """Return the metrics of one picture, PSNR in dB by region."""
-    from skimage.metrics import structural_similarity
-
-    rows, columns = np.indices(real.shape[:2])
-    share = np.hypot(columns - center_px[0], rows - center_px[1]) / radius_px
-    error = predicted.astype(float) - real
-    regions = (share < 1, (share >= 1) & (share < 2), share < 2, np.ones_like(share, bool))
-    levels = [float(10 * np.log10(255**2 / max(np.mean(error[r] ** 2), 1e-9))) for r in regions]
-    ssim = float(structural_similarity(predicted, real, channel_axis=2))
-    return [*levels, ssim, float(np.abs(error).mean())]
+CORRECTED = (WHOLE, VARIANTS[-1])
 
 
-def fitted_renderer(task: LightTask, fit: LightFit, field, used: np.ndarray) -> MembraneRenderer:
+def fitted_renderer(
+    task: LightTask, fit: LightFit, field, used: np.ndarray, flat_field: bool
+) -> MembraneRenderer:
     """Return gelgap's renderer of a fit, through the files that a user would have."""
     lit = task.lit_sensor(fit.light)
     placed = task.placed
@@ -87,7 +90,8 @@ def fitted_renderer(task: LightTask, fit: LightFit, field, used: np.ndarray) -> 
     with tempfile.TemporaryDirectory() as folder:
         save_calibration(calibration, Path(folder) / "fitted.toml")
         sensor = Sensor.load(Path(folder) / "fitted.toml")
-        return MembraneRenderer(sensor, sensor.illumination, placed.size_px)
+        kept = sensor if flat_field else sensor.model_copy(update={"flat_field": None})
+        return MembraneRenderer(kept, sensor.illumination, placed.size_px)
 
 
 def drop_shadows(renderer: MembraneRenderer) -> None:
@@ -98,55 +102,72 @@ def drop_shadows(renderer: MembraneRenderer) -> None:
     )
 
 
-def measure(found: PressSet, variant: Variant, predicted: np.ndarray) -> dict[str, object]:
-    """Fit the even presses and predict the given odd ones."""
+def fitting_task(found: PressSet, variant: Variant) -> LightTask:
+    """Return what a form of the model is fitted with."""
     sensor = found.start
     if not variant.parallel:
         fov_deg = float(2 * np.degrees(np.arctan(sensor.camera.footprint_mm((1, 1))[0] / 2 / NEAR_MM)))
         near = {"position_mm": (0.0, 0.0, -NEAR_MM), "horizontal_field_of_view_deg": fov_deg}
         sensor = sensor.model_copy(update={"camera": sensor.camera.model_copy(update=near)})
     diameters = {press.sphere_diameter_mm for press in found.presses}
-    placed = place_presses(
-        sensor.camera,
-        found.reference,
-        found.presses,
-        sphere_profiles(diameters, None, variant.quality, CALIBRATION_GEL),
-    )
-    task = LightTask(sensor, placed, variant.order, variant.degree, variant.far, variant.shadows)
-    even = np.arange(0, len(found.presses), 2)
+    profiles = sphere_profiles(diameters, None, variant.quality, CALIBRATION_GEL)
+    placed = place_presses(sensor.camera, found.reference, found.presses, profiles)
+    return LightTask(sensor, placed, variant.order, variant.degree, variant.far, variant.shadows)
+
+
+def predict(
+    task: LightTask,
+    variant: Variant,
+    fitted: np.ndarray,
+    predicted: np.ndarray,
+    ways: tuple[str, ...] = ("marked", "refined"),
+) -> list[Prediction]:
+    """Fit presses and render others, for each way of placing these: marked, corrected, refined."""
+    placed = task.placed
+    held = replace(task, placed=replace(placed, sigma_mm=np.full_like(placed.sigma_mm, HELD_SIGMA_MM)))
     started = time.process_time()
-    fit, field = task.fit(even)
+    fit, field = (task if variant.refines_fitted else held).fit(fitted)
     fit_s = time.process_time() - started
-    renderer = fitted_renderer(task, fit, field, even)
+    renderer = fitted_renderer(task, fit, field, fitted, variant.flat_field)
     if not variant.shadows:
         drop_shadows(renderer)
-    rows: dict[str, list[list[float]]] = {"marked": [], "refined": []}
-    frame_s = []
-    for press in predicted:
-        poses = placed.poses_mm[press], task.refined_pose(fit, field, int(press))
-        for way, pose in zip(rows, poses, strict=True):
+    corrected_mm = corrected_poses(placed.poses_mm, fitted, fit.presses)
+    pose_of = {
+        "marked": lambda press: placed.poses_mm[press],
+        "corrected": lambda press: corrected_mm[press],
+        "refined": lambda press: task.refined_pose(fit, field, int(press)),
+    }
+    predictions = []
+    for way in ways:
+        pictures, times = [], []
+        for press in predicted:
+            pose = pose_of[way](press)
             membrane = placed.profiles[press].membrane(pose[:2], pose[2], EXTENT_MM)
             started = time.process_time()
-            picture = renderer.picture(*membrane, markers=False)
-            frame_s.append(time.process_time() - started)
-            marks = tuple(placed.centers_px[press]), float(placed.radii_px[press])
-            rows[way].append(scores(picture, placed.pictures[press], *marks))
-    return {"variant": variant, "fit_s": fit_s, "frame_ms": 1e3 * float(np.median(frame_s)), "scores": rows}
+            pictures.append(renderer.picture(*membrane, markers=False))
+            times.append(time.process_time() - started)
+        predictions.append(Prediction(variant.name, way, pictures, fit_s, 1e3 * float(np.median(times))))
+    return predictions
 
 
-def unchanged(found: PressSet, predicted: np.ndarray) -> list[list[float]]:
-    """Return the scores of the reference itself."""
-    presses = [found.presses[k] for k in predicted]
-    return [scores(found.reference, press.picture, press.center_px, press.radius_px) for press in presses]
+def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
+    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
+
+    Marked radii are so uncertain that most of their spread is not the depths'.
+    """
+    own = marked_mm[fitted]
+    poses = marked_mm + (refined_mm - own).mean(axis=0)
+    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
+    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
+    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
+    return poses
 
 
-def table_row(
-    name: str, pose: str, values: list[list[float]], fit_s: float | str, frame_ms: float | str
-) -> list:
-    """Return a row of medians, in brackets the worst."""
-    medians, worst = np.median(values, axis=0), np.min(values, axis=0)
-    levels = [f"{m:.1f} ({w:.1f})" for m, w in zip(medians[:4], worst[:4], strict=True)]
-    return [name, pose, *levels, f"{medians[4]:.3f}", f"{medians[5]:.2f}", fit_s, frame_ms]
+def predict_unseen(task: LightTask, way: str, fitted: np.ndarray, predicted: np.ndarray) -> Prediction:
+    """Fit the whole model, or its small form where presses are few, and predict others."""
+    few = len(fitted) < FEWEST_FOR_ORDER_3
+    task = replace(task, order=2, degree=1) if few else task
+    return predict(task, replace(WHOLE, name=f"gelgap, {way}"), fitted, predicted, (way,))[0]
 
 
 def plain_frame_ms(found: PressSet) -> float:
@@ -166,25 +187,53 @@ def plain_frame_ms(found: PressSet) -> float:
     return 1e3 * float(np.median(times))
 
 
+def rival_models(found: PressSet, depths_mm: np.ndarray, forms: tuple[rivals.TaximForm, ...]) -> list[Model]:
+    """Return the tables without physics, and Taxim's forms if it is installed."""
+    tables = [partial(rivals.plain_table, found, degree) for degree in (0, 2)]
+    if missing_packages():
+        return tables
+    return tables + [partial(rivals.taxim, found, SET, depths_mm, form) for form in forms]
+
+
 def run(quick: bool, out_dir: Path) -> None:
-    """Print how the odd presses are predicted; write JSON to `out_dir`. Quick: one variant, every fourth odd press."""
+    """Print how presses are predicted; write JSON and a contact sheet. Quick: fewer presses and models."""
     found = taxim_presses(SET)
-    predicted = np.arange(1, len(found.presses), 8 if quick else 2)
-    reference = unchanged(found, predicted)
-    rows = [table_row("the reference, unchanged", "", reference, "", "")]
-    results = []
-    for variant in QUICK_VARIANTS if quick else VARIANTS:
-        result = measure(found, variant, predicted)
-        results.append(result)
-        for way, values in result["scores"].items():
-            times = (round(result["fit_s"], 1), round(result["frame_ms"], 1))
-            rows.append(table_row(variant.name, way, values, *times))
+    even, predicted = np.arange(0, len(found.presses), 2), np.arange(1, len(found.presses), 8 if quick else 2)
+    presses = [found.presses[k] for k in predicted]
+    whole = fitting_task(found, WHOLE)
+    depths_mm = whole.placed.poses_mm[:, 2]
+    reference = rivals.unchanged(found, predicted)
+    unchanged = score_presses(reference, presses)
+    rows, of_rivals, of_variants, shown = [table_row(reference, unchanged)], [], [], {}
+    for model in rival_models(found, depths_mm, (rivals.REFITTED,) if quick else rivals.TAXIM_FORMS):
+        prediction = model(even, predicted)
+        values = score_presses(prediction, presses)
+        rows.append(table_row(prediction, values))
+        of_rivals.append({**asdict(replace(prediction, pictures=[])), "scores": values})
+        if prediction.name == rivals.REFITTED.name:
+            shown["Taxim, refitted"] = prediction
+    for variant in (WHOLE,) if quick else VARIANTS:
+        task = whole if variant is WHOLE else fitting_task(found, variant)
+        ways = ("marked", "corrected", "refined") if variant in CORRECTED else ("marked", "refined")
+        placed_ways = predict(task, variant, even, predicted, ways)
+        metrics = {prediction.pose: score_presses(prediction, presses) for prediction in placed_ways}
+        rows += [table_row(prediction, metrics[prediction.pose]) for prediction in placed_ways]
+        times = {"fit_s": placed_ways[0].fit_s, "frame_ms": placed_ways[0].frame_ms}
+        of_variants.append({"variant": variant, **times, "scores": metrics})
+        if variant is WHOLE:
+            shown = {"gelgap": placed_ways[0], **shown}
+    without = f" Taxim's own pipeline is left out; install it: {INSTALL}." if missing_packages() else ""
     print_table(
         f"{SET}: even presses fitted, {len(predicted)} odd ones predicted; PSNR in dB, median (worst)",
         ["model", "press", *METRICS, "fit, s", "ms per frame"],
         rows,
-        note=f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame. Taxim's "
-        "own pipeline is not run: it needs torch-scatter or jax. The Mini's set is not measured: neither its ball nor "
-        "its scale is known",
+        note=f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame.{without}",
     )
-    write_json(out_dir / "sensors.json", {"unchanged": reference, "variants": results})
+    draw_contact_sheet(out_dir / "sensors.jpg", presses, shown)
+    models = [partial(predict_unseen, whole, way) for way in ("marked", "corrected")]
+    models += rival_models(found, depths_mm, (rivals.DEEP,))
+    others = {} if quick else measure_other_presses(whole, found.presses, models)
+    write_json(
+        out_dir / "sensors.json",
+        {"unchanged": unchanged, "variants": of_variants, "rivals": of_rivals, "other_presses": others},
+    )

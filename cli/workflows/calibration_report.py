@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelgap.render import HeldOut, LightCalibration, PressPicture
+from gelgap.render import HeldOut, LightCalibration, PressPicture, SphereSize
 
 DIFFERENCE_GAIN = 4
 
@@ -14,6 +14,8 @@ DIFFERENCE_GAIN = 4
 def print_calibration(fit: LightCalibration) -> None:
     """Print how well the fit predicts presses that it has not seen, and what it found."""
     print(f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses")
+    if fit.sphere_size is not None:
+        _print_sphere_size(fit.sphere_size)
     if fit.left_out:
         print(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
     if fit.held_out:
@@ -28,6 +30,14 @@ def print_calibration(fit: LightCalibration) -> None:
         print(f"LED {led.name or '?'}: azimuth {_with_error(azimuth)}°, elevation {_with_error(elevation)}°")
     depths = fit.poses_mm[:, 2]
     print(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
+
+
+def _print_sphere_size(size: SphereSize) -> None:
+    tried = zip(size.tried_mm, size.rms_code_values, strict=True)
+    print(
+        f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
+        "code values rms by diameter: " + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
+    )
 
 
 def _scores(held_out: Sequence[HeldOut], kind: str) -> str:

@@ -91,6 +91,13 @@ def test_a_marked_circle_is_read(tmp_path: Path) -> None:
     assert (press.depth_mm, press.radius_px, press.center_px) == (None, 61, (20, 11.5))
 
 
+def test_rough_marks_of_an_unknown_sphere_are_read(tmp_path: Path) -> None:
+    path = listed(tmp_path, "radius_px = 61\nmarks_off_px = 20")
+    path.write_text(path.read_text().replace("sphere_diameter_mm = 3.0\n", ""))
+    (press,) = read_presses(path)
+    assert (press.sphere_diameter_mm, press.marks_off_px) == (None, 20)
+
+
 @pytest.mark.parametrize("text", ['depth_mm = "deep"', "depth_mm = nan", "radius_px = 5\ncenter_px = [1]"])
 def test_values_that_are_no_numbers_are_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(ValueError, match="finite number"):

@@ -202,3 +202,26 @@ def test_a_sweep_file_is_planned(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert code == 0, err
     assert "mb0i0, light-001" in out
     assert not (tmp_path / "data").exists()
+
+
+IMPORT_STOPPED = """
+import sys, time
+from gelgap.cli import main
+stops = main._counted_stops()
+sys.path.insert(0, {folder!r})
+try:
+    import torch
+    print("imported", flush=True)
+    time.sleep(60)
+except KeyboardInterrupt:
+    print("stopped", len(stops) > 0)
+"""
+
+
+def test_ctrl_c_waits_for_the_import_of_torch_which_would_abort(tmp_path):
+    (tmp_path / "torch.py").write_text(
+        "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nlast_line = 1\n"
+    )
+    code = IMPORT_STOPPED.format(folder=str(tmp_path))
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ended.stdout.split() == ["imported", "stopped", "True"], ended.stderr

@@ -276,6 +276,18 @@ def test_torch_batches_are_pairs_of_normalised_pictures(data: Path, pairing: str
     assert torch.equal(one, inputs[0])
 
 
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_plain_data_loader_gives_the_same_batches(data: Path, workers: int):
+    from torch import Generator, equal
+    from torch.utils.data import DataLoader
+
+    pairs = open_domain(data / "mb0i1").torch((40, 30))
+    plain = DataLoader(pairs, 8, shuffle=True, num_workers=workers, generator=Generator().manual_seed(3))
+    batches = list(zip(plain, pairs.loader(batch_size=8, seed=3, workers=workers), strict=True))
+    assert len(batches) == 4
+    assert all(equal(one, other) for pair in batches for one, other in zip(*pair, strict=True))
+
+
 def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

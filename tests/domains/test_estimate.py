@@ -1,4 +1,10 @@
-from gelgap.domains.estimate import estimate
+"""What a generation is expected to take: from its plan, the machine's record of solves, and sample frames."""
+
+import json
+
+import pytest
+
+from gelgap.domains.estimate import START_S, Estimate, estimate
 from gelgap.domains.recipe import make_recipes, preset_recipes
 
 
@@ -23,3 +29,31 @@ def test_one_solve_is_not_shared_and_a_busy_machine_takes_longer():
     plan = estimate(make_recipes(["mb0i0"], "smoke", size_px=(80, 60), render_quality="draft"), workers=50)
     assert plan.wall_s >= plan.busy * plan.longest_solve_s
     assert plan.busy >= 1
+
+
+def test_processes_start_as_slowly_as_the_machine_solves(tmp_path, monkeypatch):
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
+    record = {"kind": "draft half disc", "slowness": 3.0}
+    (tmp_path / "pace.jsonl").write_text(json.dumps(record) + "\n")
+    recipes = make_recipes(["mb0i0"], "smoke", size_px=(80, 60), render_quality="draft")
+    assert estimate(recipes, workers=2).start_s == pytest.approx(3 * START_S)
+
+
+def test_time_is_that_of_starting_solving_and_rendering():
+    plan = Estimate(
+        domains=("mb0i0",),
+        frames=100,
+        shards=4,
+        contacts=90,
+        solves=3,
+        solves_cached=0,
+        solve_core_s=30.0,
+        frame_core_s=8.0,
+        disk_bytes=1e6,
+        workers=2,
+        longest_solve_s=20.0,
+        busy=2.0,
+        start_s=3.0,
+    )
+    assert plan.wall_s == pytest.approx(2 * (3 + 20 + 8 / 2))
+    assert plan.core_s == pytest.approx(3 * 3 + 30 + 8)

@@ -29,6 +29,25 @@ def test_channels_are_turned_to_rgb_and_marks_kept(tmp_path):
     assert found.start.camera.position_mm[2] < -40
 
 
+def test_the_minis_marks_are_rough_and_its_ball_unknown(tmp_path):
+    folder = tmp_path / "gelsight_mini"
+    folder.mkdir()
+    np.savez(folder / "dataPack.npz", **parts())
+    found = taxim_presses(str(folder), mm_per_px=0.03)
+    assert {(press.sphere_diameter_mm, press.marks_off_px) for press in found.presses} == {(None, 20.0)}
+    assert found.start.camera.footprint_mm((32, 24))[0] == pytest.approx(32 * 0.03)
+
+
+def test_lights_start_where_the_presses_show_them(tmp_path):
+    lit = parts()
+    lit["imgs"][:, 12, 14, 2] = 90  # red, to the right of the centre
+    lit["imgs"][:, 16, 12, 1] = 90  # green, below it
+    np.savez(tmp_path / "dataPack.npz", **lit)
+    red, green, _ = taxim_presses(str(tmp_path)).start.illumination.leds
+    assert red.position_mm[:2] == pytest.approx((14, 0), abs=1e-6)
+    assert green.position_mm[:2] == pytest.approx((0, 14), abs=1e-6)
+
+
 @pytest.mark.parametrize(
     "change",
     [

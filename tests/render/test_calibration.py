@@ -61,12 +61,13 @@ def test_levels_and_positions_are_recovered(dent, tmp_path, specular, given):
     np.testing.assert_allclose(result.press_points_mm, points, atol=0.05)
 
 
-def test_a_contact_is_found_in_the_picture(renderer, dent):
-    render = renderer("i1")
+@pytest.mark.parametrize("light", ["i0", "i1"])
+def test_a_contact_is_found_in_the_picture(renderer, dent, light):
+    render = renderer(light)
     found = find_contact_mm(
         render.picture(*dent(0.7, point_mm=(2.0, -1.0))), render.reference(), render.sensor.camera
     )
-    assert np.hypot(found[0] - 2, found[1] + 1) < 0.6
+    assert np.hypot(found[0] - 2, found[1] + 1) < 0.15
 
 
 def test_bad_calibrations_are_refused(renderer, dent):

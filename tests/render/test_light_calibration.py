@@ -4,18 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.render.contact_pixels import PressPicture
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.illumination import Illumination
-from gelgap.render.light_calibration import calibrate_light, save_calibration
+from gelgap.render.light_calibration import calibrate_light, save_calibration, unknown_sphere_size
+from gelgap.render.press_poses import place_presses
 from gelgap.render.press_profiles import PressProfiles, SolvedPress
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.scattered import Scattered
 from gelgap.render.sensor import Markers, Sensor
+from gelgap.render.sphere_size import fit_sphere_size
 
 SIZE_PX = (320, 240)
+MIDDLE_PX, PX_PER_MM = np.array([160, 120]), 320 / 12
 POINTS = [(0.0, 0.0), (2.6, 1.6), (-2.6, -1.6), (2.6, -1.6), (-2.6, 1.6), (0.3, 2.0), (-0.4, -2.0)]
 NEW_POINT = (1.4, 0.3)
 DEPTHS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
@@ -124,6 +128,8 @@ def test_bad_presses_are_refused_before_anything_is_solved(pictures):
         (changed(presses, depth_mm=2.0), "sphere's radius"),
         (changed(presses, depth_mm=None), "either depth_mm or radius_px"),
         (changed(presses, depth_mm=None, radius_px=-3), "radius_px is -3"),
+        (changed(presses, marks_off_px=0), "marks_off_px is 0"),
+        (changed(presses, sphere_diameter_mm=None), "that of all presses, each with radius_px"),
     ):
         with pytest.raises(ValueError, match=said):
             calibrate_light(start, reference, bad, unsolved)
@@ -148,3 +154,62 @@ def test_a_fit_that_predicts_worse_than_the_reference_is_refused(pictures):
     noise = [np.clip(reference + rng.normal(0, 60, reference.shape), 0, 255).astype(np.uint8) for _ in POINTS]
     with pytest.raises(ValueError, match="worse than the unchanged reference"):
         calibrate_light(start, reference, pressed(noise, depth_mm=0.6), profiles, folds=2)
+
+
+def test_rough_marks_are_only_where_to_look(pictures):
+    start, reference, shots = pictures
+    rng = np.random.default_rng(3)
+    presses = tuple(
+        PressPicture(
+            shot,
+            3.0,
+            center_px=tuple(MIDDLE_PX + np.array(point) * PX_PER_MM + rng.uniform(-15, 15, 2)),
+            radius_px=55.0,
+            marks_off_px=20.0,
+        )
+        for shot, point in zip(shots[:-1], POINTS, strict=True)
+    )
+    fit = calibrate_light(start, reference, presses, profiles, folds=0)
+    np.testing.assert_allclose(fit.poses_mm[:, :2], POINTS, atol=0.1)
+
+
+def ball_profiles(diameters, deepest):
+    (diameter,) = diameters
+    return {diameter: profiles(None, None)[3.0].scaled(diameter / 3.0)}
+
+
+def test_an_unknown_sphere_is_found(pictures):
+    start, _, _ = pictures
+    rng = np.random.default_rng(4)
+    renderer = MembraneRenderer(start, start.illumination, SIZE_PX)
+    depths = rng.uniform(0.3, 0.8, len(POINTS))
+    presses = tuple(
+        PressPicture(
+            renderer.picture(*sphere_dent(depth, point_mm=point), rng=rng),
+            None,
+            radius_px=32.0,
+            center_px=tuple(MIDDLE_PX + np.array(point) * PX_PER_MM),
+            marks_off_px=20.0,
+        )
+        for depth, point in zip(depths, POINTS, strict=True)
+    )
+    size = unknown_sphere_size(start, renderer.reference(rng=rng), presses, ball_profiles)
+    assert size.diameter_mm == pytest.approx(3.0, rel=0.13)
+    assert size.interval_mm[0] <= size.diameter_mm <= size.interval_mm[1]
+    assert len(size.tried_mm) == len(size.rms_code_values)
+
+
+def test_a_size_that_no_picture_holds_is_refused():
+    with pytest.raises(ValueError, match="do not hold the sphere's size"):
+        fit_sphere_size(1.0, ball_profiles, lambda own: np.full(3, own.sphere_radius_mm))
+
+
+def test_a_blurring_camera_sees_a_blurred_dent(pictures):
+    start, reference, shots = pictures
+    camera = start.camera.model_copy(update={"point_spread_px": 8.0})
+    own = profiles(None, None)[3.0]
+    placed = place_presses(camera, reference, pressed(shots[:-1], depth_mm=0.6), {3.0: own})
+    sharp, seen = (p.membrane((0.0, 0.0), 0.6, (6.0, 4.5))[2][..., 2] for p in (own, placed.seen_profiles[0]))
+    sigma_cells = 8 / 320 * 12 / 0.1
+    np.testing.assert_allclose(seen, gaussian_filter(sharp, sigma_cells), atol=0.004)
+    assert np.abs(seen - sharp).max() > 0.02

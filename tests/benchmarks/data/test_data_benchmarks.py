@@ -80,7 +80,9 @@ def test_faults_that_were_tried_are_kept_when_the_benchmark_is_stopped(tmp_path:
         (folder / "mb0i0" / "manifest.json").write_text("{}")
 
     monkeypatch.setattr(faults, "generate_domains", generate)
-    monkeypatch.setattr(faults, "FAULTS", {name: strike(name) for name in ("first", "second", "third")})
+    names = ("first", "second", "third", "in the full form alone")
+    monkeypatch.setattr(faults, "FAULTS", {name: strike(name) for name in names})
+    monkeypatch.setattr(faults, "QUICK_FAULTS", names[:3])
     with pytest.raises(KeyboardInterrupt):
         faults.run(True, tmp_path)
     faults.run(True, tmp_path)
@@ -91,6 +93,10 @@ def test_faults_that_were_tried_are_kept_when_the_benchmark_is_stopped(tmp_path:
         ("second", 1, 0),
         ("third", 1, 0),
     ]
+
+
+def test_the_quick_form_tries_a_fault_of_each_kind():
+    assert set(faults.QUICK_FAULTS) < faults.FAULTS.keys()
 
 
 def test_a_file_that_differs_is_counted(tmp_path: Path, monkeypatch):

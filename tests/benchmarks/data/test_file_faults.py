@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.data.file_faults import Question, try_kind
+from gelgap.benchmarks.data.file_faults import Question, is_one_sentence, try_kind
 from gelgap.benchmarks.data.file_kinds import KINDS, FileKind, content_digest
 from gelgap.benchmarks.data.mutations import MUTATIONS, mutated
 
@@ -64,3 +64,20 @@ def test_what_may_not_happen_is_told(
 def test_digests_tell_arrays_and_texts_apart() -> None:
     values = [np.zeros(3), np.zeros((3, 1)), np.zeros(3, np.float32), (0, 0, 0), [[0], 0, 0], "0", {"0": 0}]
     assert len({content_digest(value) for value in values}) == len(values)
+
+
+@pytest.mark.parametrize(
+    ("said", "is_one"),
+    [
+        ("gelgap: run.json is damaged: delete it\n", True),
+        ("gelgap: drawing the report of runs\ngelgap: run.json is damaged: delete it\n", True),
+        ("gelgap: run.json is damaged\ngelgap: run.json is damaged: delete it\n", False),
+        ("Traceback (most recent call last):\ngelgap: run.json is damaged: delete it\n", False),
+        ("gelgap: something is damaged\n", False),
+        ("", False),
+    ],
+)
+def test_a_command_on_a_slow_machine_may_say_what_it_does_before_its_sentence(
+    said: str, is_one: bool
+) -> None:
+    assert is_one_sentence(said, "run.json") == is_one

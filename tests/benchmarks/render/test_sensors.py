@@ -1,10 +1,13 @@
 """The benchmark of real sensors, on a set that gelgap itself rendered in place of the package's."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from gelgap.benchmarks.render import sensors
+from gelgap.benchmarks.render.other_presses import measure_other_presses
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import PressSet
 from gelgap.domains.taxim_package import start_sensor
@@ -33,20 +36,76 @@ def rendered_set():
         center = sensor.camera.project_px((*point, 0.0), SIZE_PX) - 0.5
         radius = own.contact_radius_mm(DEPTH_MM) / mm_per_px
         presses.append(PressPicture(picture, 2 * RADIUS_MM, center_px=tuple(center), radius_px=radius))
-    start = start_sensor(640)
+    start = start_sensor(640, np.radians([0.0, -120.0, 120.0]))
     return PressSet(renderer.reference(), tuple(presses), start)
 
 
-def test_odd_presses_are_predicted_better_than_by_the_reference(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def found(monkeypatch):
     found = rendered_set()
     monkeypatch.setattr(sensors, "taxim_presses", lambda name: found)
     monkeypatch.setattr(sensors, "sphere_profiles", profiles)
+    monkeypatch.setattr(sensors, "missing_packages", lambda: ("jax",))
+    return found
+
+
+def test_odd_presses_are_predicted_better_than_by_the_reference(found, tmp_path, capsys):
     sensors.run(quick=True, out_dir=tmp_path)
-    assert "even presses fitted, 2 odd ones predicted" in capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "even presses fitted, 2 odd ones predicted" in shown
+    assert 'Taxim\'s own pipeline is left out; install it: pip install "taxim[jax-cpu]==1.4.1"' in shown
     results = json.loads((tmp_path / "sensors.json").read_text())
     predicted = np.median(results["variants"][0]["scores"]["marked"], axis=0)
     unchanged = np.median(results["unchanged"], axis=0)
     assert (predicted[:4] > unchanged[:4] + 8).all()
+    assert [rival["name"] for rival in results["rivals"]] == [
+        "table without physics",
+        "table without physics, quadratic in the place",
+    ]
+    assert results["other_presses"] == {}
+    assert (tmp_path / "sensors.jpg").stat().st_size > 10_000
+
+
+def test_parts_can_be_left_out(found):
+    variant = sensors.Variant("LEDs alone", order=0, degree=0, far=False, shadows=False)
+    task = sensors.fitting_task(found, variant)
+    fitted, predicted = np.arange(0, 14, 2), np.array([1])
+    whole, held, bare = (
+        sensors.predict(task, form, fitted, predicted, ("marked",))[0].pictures[0].astype(float)
+        for form in (
+            variant,
+            replace(variant, refines_fitted=False),
+            replace(variant, flat_field=False),
+        )
+    )
+    assert 0 < np.abs(whole - held).mean() < 5
+    untouched = np.s_[:10, :10]  # without a flat field it is the LEDs' light, not the reference
+    center = found.presses[1].center_px
+    assert min(np.hypot(column - center[0], row - center[1]) for row in (0, 10) for column in (0, 10)) > 25
+    assert np.abs(whole[untouched] - found.reference[untouched]).max() <= 1
+    assert np.abs(bare[untouched] - found.reference[untouched]).max() > 3
+
+
+def test_marks_are_corrected_as_the_fitted_presses_were():
+    rng = np.random.default_rng(0)
+    true = rng.normal((1.0, -2.0, 1.7), (3.0, 3.0, 0.05), (200, 3))
+    marked = true + rng.normal((0.2, 0.1, -0.1), (0.02, 0.02, 0.15), true.shape)
+    fitted = np.arange(0, 200, 2)
+    corrected = sensors.corrected_poses(marked, fitted, true[fitted])
+    off, off_marked = (np.sqrt(((poses - true)[1::2] ** 2).mean(0)) for poses in (corrected, marked))
+    assert (off[:2] < 0.03).all()
+    assert off[2] < 0.06 < 0.12 < off_marked[2]
+    same_depth = np.array([[0.0, 0.0, 1.5]] * 4)
+    assert (sensors.corrected_poses(same_depth, np.arange(2), same_depth[:2] + 0.1)[:, 2] == 1.6).all()
+
+
+def test_presses_unlike_the_fitted_ones_are_predicted_by_every_model(found, capsys):
+    task = sensors.fitting_task(found, sensors.Variant("small", order=0, degree=0, far=False))
+    models = sensors.rival_models(found, task.placed.poses_mm[:, 2], ())
+    metrics = measure_other_presses(task, found.presses, models)
+    assert len(metrics) == 5
+    assert all(np.isfinite(values).all() for by_model in metrics.values() for values in by_model.values())
+    assert "right half after the left" in " ".join(capsys.readouterr().out.split())
 
 
 def test_shadows_can_be_dropped():
