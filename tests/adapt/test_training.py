@@ -210,14 +210,6 @@ def test_unknown_method_lists_the_known_ones(stage1, source, target):
         adapt(stage1, source, target, "dann2")
 
 
-def test_class_aware_method_with_too_few_frames(stage1, source, target):
-    one_class = source.take(np.flatnonzero(source.contact_class == source.contact_class[0]))
-    with pytest.raises(
-        ValueError, match=r"dsan needs source frames of at least 2 contact classes, and the \d+ of"
-    ):
-        adapt(stage1, one_class, target, "dsan")
-
-
 def test_class_aware_method_without_classes(stage1, source, target):
     unknown = altered(source, contact_class=np.full(len(source), -1))
     with pytest.raises(ValueError, match="needs contact classes"):
