@@ -122,7 +122,8 @@ QUICKEST = {
 NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
     r"gelgap benchmark faults": "kills processes and fills a disk for minutes",
-    r"gelgap benchmark adaptation --what (methods|search|ablation|gaps|cost)": "hours, and has no quick form",
+    r"gelgap benchmark adaptation --what (augmentations|tuning|transfer|gaps|labels)": "hours, no quick form",
+    r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
@@ -174,6 +175,13 @@ def smallest_recipes(_: Callable) -> Callable:
     return lambda: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
+def data_of_the_readme(_: Callable) -> Callable:
+    """Take the domains that the README's commands have made instead of generating some."""
+    return lambda bench, recipes, data="paired": shutil.copytree(
+        "data", bench.data / data, dirs_exist_ok=True
+    )
+
+
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
         "physics.cases.Workers.map": in_this_process,
@@ -205,14 +213,9 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "adaptation.losses.traps": lambda real: lambda: real()[:2]
     },
     "gelgap benchmark adaptation --quick": {
-        "adaptation.jobs.Bench.at": lambda real: (
-            lambda folder: real(folder).__class__(Path("data"), folder, folder.name, workers=1)
-        ),
-        "adaptation.jobs.Bench.generate_preset": lambda real: lambda bench: None,
-        "adaptation.groups.TABLE_METHODS": lambda real: ("source-only", "dsan"),
-        "adaptation.speed.METHODS": lambda real: real[:1],
-        "adaptation.speed.FRAMES": lambda real: 64,
-        "adaptation.speed.REPEATS": lambda real: 1,
+        "adaptation.jobs.Bench.generate": data_of_the_readme,
+        "adaptation.groups.QUICK_METHODS": lambda real: ("source-only", "dsan"),
+        "adaptation.speed.QUICK": lambda real: (real[0][:1], *real[1:]),
     },
 }
 """Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""
