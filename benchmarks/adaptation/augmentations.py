@@ -23,8 +23,8 @@ METHOD = "no-transfer"
 SHOWN_METHODS = ("source-only", METHOD)
 
 
-SHIFT_PX = 8
-"""About the spacing of the contact points in the network's picture."""
+SHIFT_PX = 3
+"""About half the spacing of the contact points in the network's picture."""
 
 
 def _changes(shift_px: int, colours: float, markers: float, **further: str) -> Changes:

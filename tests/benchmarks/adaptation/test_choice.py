@@ -136,7 +136,7 @@ def test_augmentations_are_chosen_the_same_way(tmp_path):
     records.append(variant("shifts, inputs standardised by domain", 0.0, 0.1, "tune-paired"))
     records.append(variant("all three", 0.0, 0.1, "paired"))
     lines = augmentations.augmentation_toml(records).splitlines()
-    assert lines[1:] == ["shift_px = 8", "colour_mixing = 0", "marker_hiding = 0.5"]
+    assert lines[1:] == ["shift_px = 3", "colour_mixing = 0", "marker_hiding = 0.5"]
     for record in records:
         append_record(tmp_path / augmentations.RECORD, record)
     choice, nine = augmentations.tables(tmp_path)
