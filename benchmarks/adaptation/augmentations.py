@@ -23,17 +23,25 @@ METHOD = "no-transfer"
 SHOWN_METHODS = ("source-only", METHOD)
 
 
-def _changes(colours: float, markers: float, **further: str) -> Changes:
-    return (*BY_POINT, ("colour_mixing", colours), ("marker_hiding", markers), *further.items())
+SHIFT_PX = 3
+"""About half the spacing of the contact points in the network's picture."""
+
+
+def _changes(shift_px: int, colours: float, markers: float, **further: str) -> Changes:
+    chosen = {"shift_px": shift_px, "colour_mixing": colours, "marker_hiding": markers, **further}
+    return (*BY_POINT, *chosen.items())
 
 
 CANDIDATES = {
-    "none": _changes(0.0, 0.0),
-    "mixed colours": _changes(0.5, 0.0),
-    "hidden markers": _changes(0.0, 0.5),
-    "both": _changes(0.5, 0.5),
+    "none": _changes(0, 0.0, 0.0),
+    "shifts": _changes(SHIFT_PX, 0.0, 0.0),
+    "shifts, mixed colours": _changes(SHIFT_PX, 0.5, 0.0),
+    "shifts, hidden markers": _changes(SHIFT_PX, 0.0, 0.5),
+    "all three": _changes(SHIFT_PX, 0.5, 0.5),
 }
-CONTROLS = {"inputs standardised by domain": _changes(0.0, 0.0, input_standardisation="domain")}
+CONTROLS = {
+    "shifts, inputs standardised by domain": _changes(SHIFT_PX, 0.0, 0.0, input_standardisation="domain")
+}
 """What is shown beside the candidates, but is none."""
 VARIANTS = {**CANDIDATES, **CONTROLS}
 
@@ -83,7 +91,7 @@ def augmentation_toml(records: Sequence[RunRecord]) -> str:
     if not found.cases:
         return ""
     chosen = dict(CANDIDATES[found.names[found.choice()]])
-    fields = [f"{name} = {chosen[name]:g}" for name in ("colour_mixing", "marker_hiding")]
+    fields = [f"{name} = {chosen[name]:g}" for name in ("shift_px", "colour_mixing", "marker_hiding")]
     return "\n".join(["# python -m gelgap.benchmarks.adaptation augmentations", *fields])
 
 

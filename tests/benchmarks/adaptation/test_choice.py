@@ -128,19 +128,22 @@ def variant(name: str, score: float, mae: float, data: str, group: int = 0) -> R
 
 
 def test_augmentations_are_chosen_the_same_way(tmp_path):
-    scores = {"none": 4.0, "mixed colours": 3.0, "hidden markers": 1.0, "both": 2.0}
+    scores = {
+        **{"none": 5.0, "shifts": 4.0, "shifts, mixed colours": 3.0},
+        **{"shifts, hidden markers": 1.0, "all three": 2.0},
+    }
     records = [variant(name, score, score / 10, "tune-paired") for name, score in scores.items()]
-    records.append(variant("inputs standardised by domain", 0.0, 0.1, "tune-paired"))
-    records.append(variant("both", 0.0, 0.1, "paired"))
+    records.append(variant("shifts, inputs standardised by domain", 0.0, 0.1, "tune-paired"))
+    records.append(variant("all three", 0.0, 0.1, "paired"))
     lines = augmentations.augmentation_toml(records).splitlines()
-    assert lines[1:] == ["colour_mixing = 0", "marker_hiding = 0.5"]
+    assert lines[1:] == ["shift_px = 3", "colour_mixing = 0", "marker_hiding = 0.5"]
     for record in records:
         append_record(tmp_path / augmentations.RECORD, record)
     choice, nine = augmentations.tables(tmp_path)
     rows = {row[0]: row[1:] for row in choice.rows}
-    assert rows["hidden markers"][:4] == ["1.00", "yes", "0.133", "0.100"]
-    assert rows["inputs standardised by domain"][:2] == ["–", ""]
-    assert {row[0]: row[1] for row in nine.rows}["both"] == "0.133"
+    assert rows["shifts, hidden markers"][:4] == ["1.00", "yes", "0.133", "0.100"]
+    assert rows["shifts, inputs standardised by domain"][:2] == ["–", ""]
+    assert {row[0]: row[1] for row in nine.rows}["all three"] == "0.133"
     assert {row[0]: row[1] for row in nine.rows}["none"] == "–"
 
 
