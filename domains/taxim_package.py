@@ -85,10 +85,9 @@ def _folder(name: str) -> Path:
 
 
 def start_sensor(width_px: int) -> Sensor:
-    """Return what a calibration of these sets starts from: a parallel camera, three bars, no dots."""
+    """Return what a calibration of these sets starts from: a camera 25 mm away, three bars, no dots."""
     fov_deg = 2 * degrees(atan(width_px * MM_PER_PX / 2 / _DISTANCE_MM))
-    near = Camera(position_mm=(0.0, 0.0, -_DISTANCE_MM), horizontal_field_of_view_deg=fov_deg)
-    camera = near.seen_from_afar((width_px, width_px))
+    camera = Camera(position_mm=(0.0, 0.0, -_DISTANCE_MM), horizontal_field_of_view_deg=fov_deg)
     leds = []
     for name, azimuth in _AZIMUTHS_DEG.items():
         x, y = np.cos(np.radians(azimuth)), np.sin(np.radians(azimuth))

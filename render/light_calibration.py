@@ -5,7 +5,7 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,9 @@ from gelgap.render.far_field import FarField, far_field
 from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.illumination import Illumination
 from gelgap.render.imaging import srgb_decode
-from gelgap.render.light_fit import Light, LightFit, LightOptions
+from gelgap.render.light_fit import CameraRange, LightFit, LightOptions
 from gelgap.render.press_light import Bars
-from gelgap.render.press_poses import PlacedPresses, check_presses, place_presses
+from gelgap.render.press_poses import SCORED_RADII, PlacedPresses, check_presses, place_presses
 from gelgap.render.press_profiles import PressProfiles
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.scattered import LARGEST, Scattered
@@ -26,6 +26,7 @@ from gelgap.render.sensor import Sensor, save_sensor
 FEWEST_PRESSES = 6
 FEWEST_FOR_ORDER_3 = 12
 FOLDS = 3
+NEAREST_CAMERA_MM = 15.0
 _MARGIN_MM = 0.5
 
 
@@ -58,6 +59,7 @@ class LightCalibration:
     held_out: tuple[HeldOut, ...]
     led_azimuths_deg: np.ndarray  # (leds, 2): value, standard error (NaN without held-out fits)
     led_elevations_deg: np.ndarray
+    nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
 
 
 def calibrate_light(
@@ -70,6 +72,7 @@ def calibrate_light(
     degree: int | None = None,
     far: bool = True,
     shadows: bool = True,
+    keep_camera: bool = False,
     folds: int = FOLDS,
 ) -> LightCalibration:
     """Fit LEDs, scattered light and flat field to pictures of pressed spheres.
@@ -77,7 +80,8 @@ def calibrate_light(
     Parameters
     ----------
     sensor
-        The start: camera, coat, and LEDs in the right directions (within 30°); places, sizes and colours are fitted.
+        The start: what the camera sees, coat, and LEDs in the right directions (within 30°); the camera's distance and
+        the LEDs' places, sizes and colours are fitted.
     reference
         uint8 (h, w, 3) without contact.
     presses
@@ -91,6 +95,8 @@ def calibrate_light(
         Whether a press changes the picture where it does not touch (`loaded` and `gain` of the flat field).
     shadows
         Whether the dent casts shadows in the fit's own model.
+    keep_camera
+        Whether the camera stays where it is; otherwise its distance is fitted, and it shows the same of the gel.
     folds
         Into how many parts the presses are divided to be held out, one part after the other; 0: none is.
 
@@ -120,22 +126,25 @@ def calibrate_light(
         (3 if rich else 2) if order is None else order,
         (2 if rich else 1) if degree is None else degree,
     )
-    task = LightTask(sensor, placed, order, degree, far, shadows)
+    task = LightTask(sensor, placed, order, degree, far, shadows, keep_camera)
     everything = np.arange(len(presses))
     fit, field = task.fit(everything)
     outliers = _outliers(fit, len(presses))
     used = np.setdiff1d(everything, outliers)
     if len(outliers):
         fit, field = task.fit(used)
-    held_out, geometries = [], []
+    held_out, geometries, nearness = [], [], []
     for fold in range(folds):
         without, these = np.delete(used, np.s_[fold::folds]), used[fold::folds]
         other, other_field = task.fit(without)
         geometries.append(_led_angles(other.bars))
-        held_out += [task.predicted(other, other_field, int(press)) for press in these]
+        nearness.append(1 / other.distance_mm)
+        seen = task.seen_as(other)
+        held_out += [seen.predicted(other, other_field, int(press)) for press in these]
     _refuse_if_worse(held_out)
-    lit = task.lit_sensor(fit.light)
+    lit = task.lit_sensor(fit)
     angles, errors = _led_angles(fit.bars), _jackknife_errors(geometries, fit.bars)
+    nearness_error = float("nan") if keep_camera else _jackknife_error(np.array(nearness))
     volumes = [placed.profiles[k].volume_mm3(pose[2]) for k, pose in zip(used, fit.presses, strict=True)]
     return LightCalibration(
         sensor=lit,
@@ -149,6 +158,7 @@ def calibrate_light(
         held_out=tuple(held_out),
         led_azimuths_deg=np.column_stack([angles[0], errors[0]]),
         led_elevations_deg=np.column_stack([angles[1], errors[1]]),
+        nearness_error_per_mm=float(nearness_error),
     )
 
 
@@ -162,6 +172,7 @@ class LightTask:
     degree: int
     far: bool
     shadows: bool
+    keep_camera: bool = False
 
     @property
     def scale_mm(self) -> float:
@@ -193,15 +204,32 @@ class LightTask:
             placed.sigma_mm[which],
             Bars.of(self.sensor.illumination.leds, nearest_mm),
             np.array(self.sensor.camera.position_mm),
+            None if self.keep_camera else self._camera_range(which),
         )
         fit.run()
         return fit, field
 
+    def _camera_range(self, which: np.ndarray) -> CameraRange:
+        """Return from where the camera may look: as near as it was given, or nearer than most, to nearly parallel."""
+        camera = self.sensor.camera
+        nearest_mm = min(NEAREST_CAMERA_MM, -camera.position_mm[2])
+        bounds = 1 / camera.farthest_mm(self.placed.size_px), 1 / nearest_mm
+        return CameraRange(bounds, lambda distance_mm: self.placed.seen_from(distance_mm).poses_mm[which])
+
+    def seen_as(self, fit: LightFit) -> "LightTask":
+        """Return the task with the camera where a fit has put it, as predictions of the fit need it."""
+        placed = self.placed.seen_from(fit.distance_mm)
+        return replace(self, sensor=self.sensor.model_copy(update={"camera": placed.camera}), placed=placed)
+
     def predicted(self, fit: LightFit, field: FarField, press: int) -> HeldOut:
         """Predict a press under a fitted light."""
-        placed = self.placed
-        poses = placed.poses_mm[press], self.refined_pose(fit, field, press)
-        marked, refined = (placed.picture_of(fit.light, field, press, pose, self.scale_mm) for pose in poses)
+        placed, scale = self.placed, self.scale_mm
+        refined_pose = self.refined_pose(fit, field, press)
+        scored_mm = SCORED_RADII * placed.radii_px[press] * 2 * scale / placed.size_px[0]
+        marked = placed.picture_of(
+            fit.light, field, press, placed.poses_mm[press], scale, reach_mm=scored_mm + _MARGIN_MM
+        )
+        refined = placed.picture_of(fit.light, field, press, refined_pose, scale)
         scores = [placed.scores(press, picture) for picture in (placed.reference, marked, refined)]
         return HeldOut(placed.names[press], *scores, picture=refined)
 
@@ -215,10 +243,10 @@ class LightTask:
         own.refine_presses(4)
         return own.presses[0]
 
-    def lit_sensor(self, light: Light) -> Sensor:
+    def lit_sensor(self, fit: LightFit) -> Sensor:
         """Return the start sensor under a fitted light, matt and without lens losses, which the flat field holds."""
-        camera, coating = self.sensor.camera, self.sensor.coating.model_copy(update={"specular": 0.0})
-        camera = camera.model_copy(update={"vignetting": 0.0})
+        light, coating = fit.light, self.sensor.coating.model_copy(update={"specular": 0.0})
+        camera = self.placed.seen_from(fit.distance_mm).camera.model_copy(update={"vignetting": 0.0})
         count, options, own = len(light.bars.azimuth), light.options, self.sensor.illumination
         linear = np.clip(light.theta[count:] / camera.exposure, -LARGEST, LARGEST)
         ambient, scattered = np.split(linear, [options.ambient_columns])
@@ -258,13 +286,19 @@ def _led_angles(bars: Bars) -> np.ndarray:
 
 def _jackknife_errors(geometries: list[np.ndarray], bars: Bars) -> np.ndarray:
     """Return the standard errors of LED angles from fits that each left one part of the presses out."""
-    groups = len(geometries)
-    if groups < 2:
+    if not geometries:
         return np.full((2, len(bars.azimuth)), np.nan)
     off = np.array(geometries) - _led_angles(bars)
     off[:, 0] = (off[:, 0] + 180) % 360 - 180
-    off -= off.mean(0)
-    return np.sqrt((groups - 1) / groups * (off**2).sum(0))
+    return _jackknife_error(off)
+
+
+def _jackknife_error(values: np.ndarray) -> np.ndarray:
+    """Return the standard error of what was fitted without one part of the presses each time; NaN for no fit."""
+    groups = len(values)
+    if groups < 2:
+        return np.full(values.shape[1:], np.nan)
+    return np.sqrt((groups - 1) / groups * ((values - values.mean(0)) ** 2).sum(0))
 
 
 def _outliers(fit: LightFit, count: int) -> np.ndarray:

@@ -18,6 +18,7 @@ from gelgap.render.press_profiles import PressProfiles
 SAMPLES = (220, 260, 120)
 REACH = 4.5
 MODELLED_MM = 5.5
+SCORED_RADII = 2.0
 _FOUND_SIGMA_MM, _MARKED_SIGMA_PX = 0.5, 3.0
 _KNOWN_DEPTH_SIGMA_MM, _MARKED_DEPTH_SIGMA = 0.05, 0.1  # the latter per radius of the sphere
 _LEAST_CHANGE = 2.0  # code values
@@ -29,7 +30,7 @@ class PlacedPresses:
 
     camera: Camera
     reference: np.ndarray  # uint8 (h, w, 3)
-    pictures: list[np.ndarray]
+    presses: tuple[PressPicture, ...]  # each with a place
     names: tuple[str, ...]
     poses_mm: np.ndarray  # (n, 3): x, y, depth
     sigma_mm: np.ndarray  # (n, 3): how far each may be off
@@ -41,6 +42,21 @@ class PlacedPresses:
     @property
     def size_px(self) -> tuple[int, int]:
         return self.reference.shape[1], self.reference.shape[0]
+
+    @cached_property
+    def pictures(self) -> list[np.ndarray]:
+        return [press.picture for press in self.presses]
+
+    def seen_from(self, distance_mm: float) -> "PlacedPresses":
+        """Return the presses with the camera at another distance, from which it shows the same of the flat membrane."""
+        if distance_mm == -self.camera.position_mm[2]:
+            return self
+        camera = self.camera.seen_from(distance_mm, self.size_px)
+        poses = [
+            _start(camera, press, profiles, self.size_px)[0]
+            for press, profiles in zip(self.presses, self.profiles, strict=True)
+        ]
+        return replace(self, camera=camera, poses_mm=np.array(poses))
 
     @cached_property
     def clean_reference(self) -> np.ndarray:
@@ -87,20 +103,31 @@ class PlacedPresses:
     def _dots(self, press: int | None) -> np.ndarray:
         return detect_markers(self.reference if press is None else self.pictures[press])
 
+    @cached_property
+    def _plane_mm(self) -> np.ndarray:
+        rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
+        return plane_points_mm(self.camera, columns, rows, self.size_px)
+
     def picture_of(
-        self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, scale_mm: float
+        self,
+        light: Light,
+        field: FarField,
+        press: int,
+        pose_mm: np.ndarray,
+        scale_mm: float,
+        reach_mm: float = MODELLED_MM,
     ) -> np.ndarray:
         """Return the uint8 picture of a press: modelled around it, the untouched gel's beyond."""
         width, height = self.size_px
         rows, columns = (values.ravel() for values in np.indices((height, width)))
         base = field.base(rows, columns, pose_mm[:2] / scale_mm)
         codes = 255 * srgb_encode(base)
-        plane = plane_points_mm(self.camera, columns, rows, self.size_px)
-        near = np.hypot(*(plane - pose_mm[:2]).T) < MODELLED_MM
+        plane = self._plane_mm
+        near = np.hypot(*(plane - pose_mm[:2]).T) < reach_mm
         index = np.zeros(near.sum(), int)
         samples = Samples(index, rows[near], columns[near], plane[near], codes[near], base[near])
         pressed = Geometry(samples, pose_mm[None], [self.profiles[press]], np.array(self.camera.position_mm))
-        codes[near] = predicted_codes(light, samples, pressed, flat_geometry(samples))
+        codes[near] = predicted_codes(light, samples, pressed, flat_geometry(samples).light(light))
         return np.clip(np.round(codes), 0, 255).astype(np.uint8).reshape(height, width, 3)
 
     def scores(self, press: int, predicted: np.ndarray) -> tuple[float, float]:
@@ -109,7 +136,9 @@ class PlacedPresses:
         distance = np.hypot(columns - self.centers_px[press, 0], rows - self.centers_px[press, 1])
         share = distance / self.radii_px[press]
         square = (predicted.astype(float) - self.pictures[press]) ** 2
-        inside, ring = (np.mean(square[where]) for where in (share < 1, (share >= 1) & (share < 2)))
+        inside, ring = (
+            np.mean(square[where]) for where in (share < 1, (share >= 1) & (share < SCORED_RADII))
+        )
         return tuple(float(10 * np.log10(255**2 / max(value, 1e-9))) for value in (inside, ring))
 
 
@@ -129,25 +158,27 @@ def place_presses(
     size_px = reference.shape[1], reference.shape[0]
     mm_per_px = camera.footprint_mm(size_px)[0] / size_px[0]
     names = _names(presses)
-    poses, sigmas, centers, radii = [], [], [], []
-    for name, press in zip(names, presses, strict=True):
+    located, poses, sigmas, centers, radii = [], [], [], [], []
+    for name, given in zip(names, presses, strict=True):
         try:
-            pose, radius_px = _start(camera, reference, press, profiles[press.sphere_diameter_mm], mm_per_px)
+            press = _located(given, reference, camera)
+            pose, radius_px = _start(camera, press, profiles[press.sphere_diameter_mm], size_px)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
+        located.append(press)
         rim = np.array([*pose[:2], -pose[2]])
         center = np.array(press.center_px) if press.center_px else camera.project_px(rim, size_px) - 0.5
         centers.append(center)
         poses.append(pose)
         radii.append(radius_px)
-        found = press.center_px is None and press.point_mm is None
+        found = press is not given
         aside = _FOUND_SIGMA_MM if found else _MARKED_SIGMA_PX * mm_per_px
         marked_depth = _MARKED_DEPTH_SIGMA * press.sphere_diameter_mm / 2
         sigmas.append([aside, aside, _KNOWN_DEPTH_SIGMA_MM if press.depth_mm is not None else marked_depth])
     placed = PlacedPresses(
         camera,
         reference,
-        [press.picture for press in presses],
+        tuple(located),
         names,
         np.array(poses),
         np.array(sigmas),
@@ -188,30 +219,46 @@ def _check(name: str, press: PressPicture, reference: np.ndarray) -> None:
         raise ValueError(f"{name}: radius_px is {press.radius_px}; it must lie in 2…{max(reference.shape)}")
 
 
+def _located(press: PressPicture, reference: np.ndarray, camera: Camera) -> PressPicture:
+    """Return the press with the centre of its imprint, found in the picture unless it is known."""
+    if press.point_mm is not None or press.center_px is not None:
+        return press
+    point = np.array([*find_contact_mm(press.picture, reference, camera), 0.0])
+    center = camera.project_px(point, (reference.shape[1], reference.shape[0])) - 0.5
+    return replace(press, center_px=tuple(center.tolist()))
+
+
 def _start(
-    camera: Camera, reference: np.ndarray, press: PressPicture, profiles: PressProfiles, mm_per_px: float
+    camera: Camera, press: PressPicture, profiles: PressProfiles, size_px: tuple[int, int]
 ) -> tuple[np.ndarray, float]:
     """Return (x, y, depth) in mm and the contact's radius in pixels."""
-    size_px = reference.shape[1], reference.shape[0]
+    mm_per_px = camera.footprint_mm(size_px)[0] / size_px[0]
     depth, nearer = press.depth_mm, 1.0
     if depth is None:
         for _ in range(3):
             # The marked circle is the contact's edge, which stands nearer to the camera than the flat membrane.
             contact_mm = press.radius_px * mm_per_px * nearer
             depth = profiles.depth_mm(contact_mm)
-            radius = profiles.sphere_radius_mm
-            edge = depth - radius + np.sqrt(max(radius**2 - min(contact_mm, 0.99 * radius) ** 2, 0))
-            nearer = 1 + edge / camera.position_mm[2]
-    radius_px = press.radius_px or profiles.contact_radius_mm(depth) / mm_per_px
+            nearer = _nearer(camera, profiles, depth, contact_mm)
+        radius_px = press.radius_px
+    else:
+        contact_mm = profiles.contact_radius_mm(depth)
+        nearer = _nearer(camera, profiles, depth, contact_mm)
+        radius_px = contact_mm / mm_per_px
     if press.point_mm is not None:
         point = np.array(press.point_mm, float)
-    elif press.center_px is not None:
+    else:
         columns, rows = (np.array([value], float) for value in press.center_px)
         axis = np.array(camera.position_mm[:2])
         point = axis + nearer * (plane_points_mm(camera, columns, rows, size_px)[0] - axis)
-    else:
-        point = np.array(find_contact_mm(press.picture, reference, camera))
     return np.array([*point, min(depth, profiles.deepest_mm)]), float(radius_px)
+
+
+def _nearer(camera: Camera, profiles: PressProfiles, depth_mm: float, contact_mm: float) -> float:
+    """Return the distance of a contact's edge from the camera over that of the flat membrane."""
+    radius = profiles.sphere_radius_mm
+    edge = depth_mm - radius + np.sqrt(max(radius**2 - min(contact_mm, 0.99 * radius) ** 2, 0))
+    return 1 + edge / camera.position_mm[2]
 
 
 def _check_contacts(placed: PlacedPresses) -> None:

@@ -20,7 +20,6 @@ from gelgap.render.light_fit import LightFit
 from gelgap.render.press_poses import place_presses
 
 SET = "gelsight"
-NEAR_MM = 24.0
 EXTENT_MM = (10.5, 8.2)
 METRICS = ("inside", "ring", "within", "whole", "SSIM", "mean abs")
 
@@ -34,14 +33,14 @@ class Variant:
     degree: int = 2
     far: bool = True
     shadows: bool = True
-    parallel: bool = True
+    keep_camera: bool = False
     quality: str = "draft"
 
 
 VARIANTS = (
-    Variant("LEDs alone, camera at 24 mm", order=0, degree=0, far=False, parallel=False),
-    Variant("+ scattered light, order 2 × (1, x, y)", order=2, degree=1, far=False, parallel=False),
-    Variant("+ parallel camera", order=2, degree=1, far=False),
+    Variant("LEDs alone, camera kept at 25 mm", order=0, degree=0, far=False, keep_camera=True),
+    Variant("+ scattered light, order 2 × (1, x, y)", order=2, degree=1, far=False, keep_camera=True),
+    Variant("+ camera's distance fitted", order=2, degree=1, far=False),
     Variant("+ order 3 × quadratics, flat field from the reference alone", far=False),
     Variant("the same, without shadows", far=False, shadows=False),
     Variant("whole: + flat field of pressed pictures"),
@@ -67,7 +66,7 @@ def scores(
 
 def fitted_renderer(task: LightTask, fit: LightFit, field, used: np.ndarray) -> MembraneRenderer:
     """Return gelgap's renderer of a fit, through the files that a user would have."""
-    lit = task.lit_sensor(fit.light)
+    lit = task.lit_sensor(fit)
     placed = task.placed
     volumes = [placed.profiles[k].volume_mm3(pose[2]) for k, pose in zip(used, fit.presses, strict=True)]
     unknown = np.full((len(lit.illumination.leds), 2), np.nan)
@@ -101,10 +100,6 @@ def drop_shadows(renderer: MembraneRenderer) -> None:
 def measure(found: PressSet, variant: Variant, predicted: np.ndarray) -> dict[str, object]:
     """Fit the even presses and predict the given odd ones."""
     sensor = found.start
-    if not variant.parallel:
-        fov_deg = float(2 * np.degrees(np.arctan(sensor.camera.footprint_mm((1, 1))[0] / 2 / NEAR_MM)))
-        near = {"position_mm": (0.0, 0.0, -NEAR_MM), "horizontal_field_of_view_deg": fov_deg}
-        sensor = sensor.model_copy(update={"camera": sensor.camera.model_copy(update=near)})
     diameters = {press.sphere_diameter_mm for press in found.presses}
     placed = place_presses(
         sensor.camera,
@@ -112,12 +107,16 @@ def measure(found: PressSet, variant: Variant, predicted: np.ndarray) -> dict[st
         found.presses,
         sphere_profiles(diameters, None, variant.quality, CALIBRATION_GEL),
     )
-    task = LightTask(sensor, placed, variant.order, variant.degree, variant.far, variant.shadows)
+    task = LightTask(
+        sensor, placed, variant.order, variant.degree, variant.far, variant.shadows, variant.keep_camera
+    )
     even = np.arange(0, len(found.presses), 2)
     started = time.process_time()
     fit, field = task.fit(even)
     fit_s = time.process_time() - started
     renderer = fitted_renderer(task, fit, field, even)
+    task = task.seen_as(fit)
+    placed = task.placed
     if not variant.shadows:
         drop_shadows(renderer)
     rows: dict[str, list[list[float]]] = {"marked": [], "refined": []}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.render.scenes import sphere_dent
+from gelgap.render.camera import Camera
 from gelgap.render.contact_pixels import PressPicture
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.illumination import Illumination
@@ -84,6 +85,29 @@ def test_a_new_press_is_predicted(pictures, calibration, tmp_path):
     assert psnr(predicted, shots[-1]) > max(32, psnr(reference, shots[-1]) + 6)
 
 
+def test_the_cameras_distance_is_found(pictures):
+    start, reference, shots = pictures
+    presses = pressed(shots[:-1], depth_mm=0.6)
+    camera = start.camera.seen_from(120.0, SIZE_PX)  # 25 mm in truth
+    far = start.model_copy(update={"camera": camera})
+    fit = calibrate_light(far, reference, presses, profiles, order=2, degree=0, folds=0)
+    assert 18 < -fit.sensor.camera.position_mm[2] < 35
+    np.testing.assert_allclose(fit.sensor.camera.footprint_mm(SIZE_PX), camera.footprint_mm(SIZE_PX))
+    kept = calibrate_light(far, reference, presses, profiles, order=2, degree=0, keep_camera=True, folds=0)
+    assert kept.sensor.camera.position_mm == camera.position_mm
+    assert kept.rms_code_values > fit.rms_code_values
+
+
+def test_a_camera_at_another_distance_shows_the_same_of_the_flat_membrane():
+    camera = Camera(radial_distortion=(-0.2, 0.1))
+    points = np.random.default_rng(0).uniform(-5, 5, (20, 3)) * (1, 1, 0)
+    for distance_mm in (15.0, camera.farthest_mm(SIZE_PX)):
+        other = camera.seen_from(distance_mm, SIZE_PX)
+        np.testing.assert_allclose(
+            other.project_px(points, SIZE_PX), camera.project_px(points, SIZE_PX), atol=1e-9
+        )
+
+
 def test_held_out_presses_are_reported(calibration):
     assert sorted(press.name for press in calibration.held_out) == [f"press {k}" for k in range(1, 8)]
     fitted, unchanged = (
@@ -92,6 +116,7 @@ def test_held_out_presses_are_reported(calibration):
     )
     assert (fitted > unchanged + 3).all()
     assert np.isfinite(calibration.led_azimuths_deg).all()
+    assert np.isfinite(calibration.nearness_error_per_mm)
 
 
 def test_marked_circles_are_refined(pictures):
