@@ -49,7 +49,17 @@ BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
     Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
     Benchmark(
-        "sensors", None, "how well a real sensor's pictures are predicted from others of it", "render.sensors"
+        "sensors",
+        "prediction",
+        "how well a real sensor's pictures are predicted from others of it",
+        "render.sensors",
+    ),
+    Benchmark(
+        "sensors",
+        "robustness",
+        "what a fit to disturbed pictures still predicts",
+        "render.sensor_robustness",
+        by_default=False,
     ),
     Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
     Benchmark(

@@ -136,7 +136,7 @@ def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) 
     difference = np.abs(picture.astype(np.float32) - reference).max(axis=2)
     difference = cv2.GaussianBlur(difference, (0, 0), picture.shape[1] / 80)
     if difference.max() < 5:
-        raise ValueError("a press picture hardly differs from the reference; no contact was found in it")
+        raise ValueError("the picture hardly differs from the reference; no contact was found in it")
     strong = np.where(difference > 0.5 * difference.max(), difference, 0)
     rows, columns = np.indices(strong.shape)
     column, row = (strong * columns).sum() / strong.sum(), (strong * rows).sum() / strong.sum()

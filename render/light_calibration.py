@@ -115,6 +115,10 @@ def calibrate_light(
             f"{len(presses)} presses are too few to fit a sensor's light: it takes {FEWEST_PRESSES}, better 24, spread "
             "over the view; its LEDs alone can be fitted to three (--leds-only)"
         )
+    if folds > len(presses):
+        raise ValueError(
+            f"{len(presses)} presses cannot be held out in {folds} parts; at most {len(presses)} parts"
+        )
     check_presses(reference, presses)
     depths = [press.depth_mm for press in presses]
     profiles = membranes(
@@ -130,9 +134,11 @@ def calibrate_light(
     everything = np.arange(len(presses))
     fit, field = task.fit(everything)
     outliers = _outliers(fit, len(presses))
-    used = np.setdiff1d(everything, outliers)
     if len(outliers):
-        fit, field = task.fit(used)
+        others, other_field = task.fit(np.setdiff1d(everything, outliers))
+        outliers = task.unexplained(others, other_field, outliers)
+        fit, field = task.fit(np.setdiff1d(everything, outliers))
+    used = np.setdiff1d(everything, outliers)
     held_out, geometries, nearness = [], [], []
     for fold in range(folds):
         without, these = np.delete(used, np.s_[fold::folds]), used[fold::folds]
@@ -233,15 +239,26 @@ class LightTask:
         scores = [placed.scores(press, picture) for picture in (placed.reference, marked, refined)]
         return HeldOut(placed.names[press], *scores, picture=refined)
 
+    def unexplained(self, fit: LightFit, field: FarField, presses: np.ndarray) -> np.ndarray:
+        """Return those presses that a light fitted without them leaves far out: one bad press can spoil others."""
+        most = _most_error(_errors(fit, len(fit.presses)))
+        seen = self.seen_as(fit)
+        errors = [seen.refined(fit, field, int(press)).rms_against_picture() for press in presses]
+        return presses[np.array(errors) > most]
+
     def refined_pose(self, fit: LightFit, field: FarField, press: int) -> np.ndarray:
         """Return (3,): x, y and depth at which a fitted light explains a press's own picture best."""
+        return self.refined(fit, field, press).presses[0]
+
+    def refined(self, fit: LightFit, field: FarField, press: int) -> LightFit:
+        """Return a fitted light with a press that is moved to where the light explains its picture best."""
         placed, which = self.placed, np.array([press])
         samples = placed.samples(which, field, self.scale_mm)
         start, sigma, profiles = placed.poses_mm[which], placed.sigma_mm[which], [placed.profiles[press]]
         own = LightFit(fit.options, samples, start, profiles, sigma, fit.bars, fit.camera_mm)
         own.theta = fit.theta
         own.refine_presses(4)
-        return own.presses[0]
+        return own
 
     def lit_sensor(self, fit: LightFit) -> Sensor:
         """Return the start sensor under a fitted light, matt and without lens losses, which the flat field holds."""
@@ -301,13 +318,23 @@ def _jackknife_error(values: np.ndarray) -> np.ndarray:
     return np.sqrt((groups - 1) / groups * ((values - values.mean(0)) ** 2).sum(0))
 
 
+def _errors(fit: LightFit, count: int) -> np.ndarray:
+    """Return the rms errors of presses in code values."""
+    return np.sqrt([np.mean(fit.residual[fit.samples.index == k] ** 2) for k in range(count)])
+
+
+def _most_error(errors: np.ndarray) -> float:
+    """Return the error above which a press stands far out of the others."""
+    middle = np.median(errors)
+    return float(max(middle + 6 * np.median(np.abs(errors - middle)), 2 * middle))
+
+
 def _outliers(fit: LightFit, count: int) -> np.ndarray:
     """Return the presses whose errors stand far out of the others'; enough are always kept."""
-    errors = np.sqrt([np.mean(fit.residual[fit.samples.index == k] ** 2) for k in range(count)])
-    middle = np.median(errors)
-    spread = np.median(np.abs(errors - middle))
-    far_out = np.flatnonzero((errors > middle + 6 * spread) & (errors > 2.5 * middle))
-    return far_out if count - len(far_out) >= FEWEST_PRESSES else far_out[:0]
+    errors = _errors(fit, count)
+    far_out = np.flatnonzero(errors > _most_error(errors))
+    worst_first = far_out[np.argsort(-errors[far_out])]
+    return np.sort(worst_first[: count - FEWEST_PRESSES])
 
 
 def _refuse_if_worse(held_out: list[HeldOut]) -> None:

@@ -26,6 +26,7 @@ _ORDERS = np.array([1] * 3 + [2] * 5 + [3] * 7)
 _DEGREES = np.array([0, 1, 1, 2, 2, 2])
 _MOST_STEP_MM = 0.06
 _LEAST_SHARE = 0.2  # of the reference that the modelled reference may be
+_DARKEST = 1e-6  # linear
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,8 @@ def flat_geometry(samples: Samples) -> Geometry:
 
 def predicted_codes(light: Light, samples: Samples, pressed: Geometry, flat_light: np.ndarray) -> np.ndarray:
     """Return (n, 3) unrounded codes: the untouched gel's light times modelled pressed over modelled flat light."""
-    ratio = np.maximum(pressed.light(light), 0) / np.maximum(flat_light, _LEAST_SHARE * samples.base)
+    least = np.maximum(_LEAST_SHARE * samples.base, _DARKEST)
+    ratio = np.maximum(pressed.light(light), 0) / np.maximum(flat_light, least)
     return 255 * srgb_encode(samples.base * ratio)
 
 
@@ -222,7 +224,7 @@ class LightFit:
         self.camera_mm = np.asarray(camera_mm, float)
         self.linear, self.usable = srgb_decode(samples.code / 255), samples.usable
         self.flat = flat_geometry(samples)
-        self.modelled = samples.base.copy()
+        self.modelled = np.maximum(samples.base, _DARKEST)
         self.theta = np.zeros((0, 3))
         self.residual = np.zeros_like(samples.base)
         self._pressed: Geometry | None = None
@@ -292,7 +294,8 @@ class LightFit:
                 normal[np.diag_indices_from(normal)] += ridge
                 right = reference.T @ (of_reference * base[:, channel])
                 theta = nonnegative_least_squares(normal, right, len(self.bars.azimuth))
-                self.modelled[:, channel] = np.maximum(flat @ theta, _LEAST_SHARE * base[:, channel])
+                least = np.maximum(_LEAST_SHARE * base[:, channel], _DARKEST)
+                self.modelled[:, channel] = np.maximum(flat @ theta, least)
             self.theta[:, channel] = theta
         codes = 255 * srgb_encode(base * np.maximum(pressed @ self.theta, 0) / self.modelled)
         self.residual = (codes - self.samples.code) * self.usable
@@ -378,14 +381,10 @@ class LightFit:
 
     def refine_presses(self, rounds: int = 2) -> None:
         """Move each press's centre and depth by Gauss-Newton under the light as it is, all presses at once."""
-        light, index = self.light, self.samples.index
-        flat_light = self.flat.light(light)
+        index, flat_light = self.samples.index, self.flat.light(self.light)
 
         def errors(presses: np.ndarray) -> np.ndarray:
-            geometry = Geometry(self.samples, presses, self.profiles, self.camera_mm)
-            return (
-                predicted_codes(light, self.samples, geometry, flat_light) - self.samples.code
-            ) * self.usable
+            return self._errors(presses, flat_light)
 
         for _ in range(rounds):
             now = errors(self.presses)
@@ -406,3 +405,13 @@ class LightFit:
                 self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
                 self.presses[k, 2] = np.clip(self.presses[k, 2], 0.02, profiles.deepest_mm)
         self._pressed = None
+
+    def rms_against_picture(self) -> float:
+        """Return the rms error in code values under the light as it is, which need not be fitted to these presses."""
+        return float(np.sqrt(np.mean(self._errors(self.presses, self.flat.light(self.light)) ** 2)))
+
+    def _errors(self, presses: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
+        geometry = Geometry(self.samples, presses, self.profiles, self.camera_mm)
+        return (
+            predicted_codes(self.light, self.samples, geometry, flat_light) - self.samples.code
+        ) * self.usable

@@ -11,7 +11,15 @@ from gelgap.render.contact_pixels import PressPicture, find_contact_mm, plane_po
 from gelgap.render.far_field import FarField, plain_field
 from gelgap.render.imaging import srgb_encode
 from gelgap.render.inpainting import detect_markers, inpaint_telea
-from gelgap.render.light_fit import Geometry, Light, Samples, flat_geometry, predicted_codes
+from gelgap.render.light_fit import (
+    DARK,
+    SATURATED,
+    Geometry,
+    Light,
+    Samples,
+    flat_geometry,
+    predicted_codes,
+)
 from gelgap.render.press_profiles import PressProfiles
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
@@ -22,6 +30,7 @@ SCORED_RADII = 2.0
 _FOUND_SIGMA_MM, _MARKED_SIGMA_PX = 0.5, 3.0
 _KNOWN_DEPTH_SIGMA_MM, _MARKED_DEPTH_SIGMA = 0.05, 0.1  # the latter per radius of the sphere
 _LEAST_CHANGE = 2.0  # code values
+_MOST_SATURATED, _LEAST_USABLE = 0.95, 0.05  # shares of values
 
 
 @dataclass(frozen=True)
@@ -193,7 +202,18 @@ def place_presses(
 
 
 def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> None:
-    """Raise ValueError for presses whose pictures have another size, or whose depth or radius cannot be."""
+    """Raise ValueError for a reference or presses that no light can be fitted to.
+
+    That is a picture of another size, a depth, radius or sphere that cannot be, a reference that is dark or saturated.
+    """
+    share = (reference >= SATURATED).mean(axis=(0, 1))
+    if share.max() > _MOST_SATURATED:
+        channel = ("red", "green", "blue")[int(share.argmax())]
+        raise ValueError(
+            f"the reference is saturated in {100 * share.max():.0f} % of its {channel} channel; expose it less"
+        )
+    if (reference > DARK).mean() < _LEAST_USABLE:
+        raise ValueError("the reference is dark; expose it more")
     for name, press in zip(_names(presses), presses, strict=True):
         _check(name, press, reference)
 
@@ -210,6 +230,10 @@ def _check(name: str, press: PressPicture, reference: np.ndarray) -> None:
         )
     if (press.depth_mm is None) == (press.radius_px is None):
         raise ValueError(f"{name} must have either depth_mm or radius_px")
+    if press.sphere_diameter_mm <= 0:
+        raise ValueError(
+            f"{name}: sphere_diameter_mm is {press.sphere_diameter_mm}; it must be greater than 0"
+        )
     if press.depth_mm is not None and not 0 < press.depth_mm < press.sphere_diameter_mm / 2:
         raise ValueError(
             f"{name}: depth_mm is {press.depth_mm}; it must lie between 0 and the sphere's radius, "
@@ -242,6 +266,11 @@ def _start(
             nearer = _nearer(camera, profiles, depth, contact_mm)
         radius_px = press.radius_px
     else:
+        if depth > profiles.deepest_mm + 0.05:
+            raise ValueError(
+                f"depth_mm is {depth}; around a sphere of radius {profiles.sphere_radius_mm:g} mm the membrane is solved "
+                f"down to {profiles.deepest_mm:.2f} mm"
+            )
         contact_mm = profiles.contact_radius_mm(depth)
         nearer = _nearer(camera, profiles, depth, contact_mm)
         radius_px = contact_mm / mm_per_px
@@ -262,6 +291,11 @@ def _nearer(camera: Camera, profiles: PressProfiles, depth_mm: float, contact_mm
 
 
 def _check_contacts(placed: PlacedPresses) -> None:
+    spread_px = np.ptp(placed.centers_px, axis=0).max()
+    if spread_px < 0.5 * placed.radii_px.max():
+        raise ValueError(
+            f"all presses lie within {spread_px:.0f} px of each other; press at places spread over the view"
+        )
     rows, columns = np.indices(placed.reference.shape[:2])
     for name, picture, (x, y), radius in zip(
         placed.names, placed.pictures, placed.centers_px, placed.radii_px, strict=True
@@ -269,6 +303,9 @@ def _check_contacts(placed: PlacedPresses) -> None:
         inside = np.hypot(columns - x, rows - y) < radius
         if not inside.any():
             raise ValueError(f"{name}: its centre lies outside of the picture; no contact was found in it")
+        readable = (picture[inside] > DARK) & (picture[inside] < SATURATED)
+        if readable.mean() < _LEAST_USABLE:
+            raise ValueError(f"{name} is dark or saturated inside of its contact; expose it otherwise")
         change = np.abs(picture[inside].astype(float) - placed.reference[inside]).mean()
         if change < _LEAST_CHANGE:
             raise ValueError(f"{name} hardly differs from the reference; no contact was found in it")
