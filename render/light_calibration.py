@@ -15,7 +15,8 @@ from gelgap.render.far_field import FarField, far_field
 from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.illumination import Illumination
 from gelgap.render.imaging import srgb_decode
-from gelgap.render.light_fit import CameraRange, LightFit, LightOptions
+from gelgap.render.light_fit import CameraRange, LightFit
+from gelgap.render.light_options import LightOptions
 from gelgap.render.press_light import Bars
 from gelgap.render.press_poses import SCORED_RADII, PlacedPresses, check_presses, place_presses
 from gelgap.render.press_profiles import PressProfiles

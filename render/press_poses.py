@@ -268,8 +268,8 @@ def _start(
     else:
         if depth > profiles.deepest_mm + 0.05:
             raise ValueError(
-                f"depth_mm is {depth}; around a sphere of radius {profiles.sphere_radius_mm:g} mm the membrane is solved "
-                f"down to {profiles.deepest_mm:.2f} mm"
+                f"depth_mm is {depth}; the membrane around a sphere of radius {profiles.sphere_radius_mm:g} mm is "
+                f"solved down to {profiles.deepest_mm:.2f} mm"
             )
         contact_mm = profiles.contact_radius_mm(depth)
         nearer = _nearer(camera, profiles, depth, contact_mm)

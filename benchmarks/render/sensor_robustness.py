@@ -186,7 +186,7 @@ class Trial:
 
     def dotted(self) -> list[dict[str, object]]:
         """Draw dots on all pictures, fit, and predict the pictures without and with them."""
-        sensor = self.best.renderer.sensor.model_copy(update={"markers": DOTS})
+        sensor = self.best.renderer.sensor.model_copy(update={"markers": DOTS, "flat_field": None})
         painter = MembraneRenderer(sensor, sensor.illumination, self.best.renderer.size_px)
         extent_mm = (self.best.membranes[0][0].max(), self.best.membranes[0][1].max())
         by_name = dict(zip(self.best.calibration.names, self.best.calibration.poses_mm, strict=True))
@@ -207,16 +207,18 @@ class Trial:
             start=self.found.start.model_copy(update={"markers": DOTS}),
         )
         own = fit(found, tuple(fitted), self.predicted, self.profiles)
-        bare, best = own.pictures(), self.best.pictures()
-        with_dots = with_pictures(
-            self.predicted,
-            [painted(p.picture, m) for p, m in zip(self.predicted, self.best.membranes, strict=True)],
+        membranes, best = self.best.membranes, self.best.pictures()
+        dotted = [painted(p.picture, m) for p, m in zip(self.predicted, membranes, strict=True)]
+        best_dotted = [painted(p, m) for p, m in zip(best, membranes, strict=True)]
+        with_dots = with_pictures(self.predicted, dotted)
+        rows = (
+            ("dots, predicted without", own.pictures(), self.predicted, best),
+            ("dots, predicted with", own.pictures(markers=True), with_dots, best_dotted),
         )
-        best_dots = [painted(p, m) for p, m in zip(best, self.best.membranes, strict=True)]
         return [
-            self._result("dots, predicted without", scores(bare, self.predicted), scores(best, self.predicted), own.seconds, ""),
-            self._result("dots, predicted with", scores(own.pictures(True), with_dots), scores(best_dots, with_dots), own.seconds, ""),
-        ]  # fmt: skip
+            self._result(name, scores(pictures, real), scores(undisturbed, real), own.seconds, "")
+            for name, pictures, real, undisturbed in rows
+        ]
 
     @staticmethod
     def _result(name: str, own: np.ndarray, best: np.ndarray, seconds: float, note: str) -> dict[str, object]:

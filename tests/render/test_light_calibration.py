@@ -132,6 +132,16 @@ def test_marked_circles_are_refined(pictures):
     np.testing.assert_allclose(fit.poses_mm[:, 2], 0.6, atol=0.1)
 
 
+def test_an_outlier_is_named_and_left_out_and_no_other(pictures):
+    start, reference, shots = pictures
+    presses = pressed(shots[:-1], depth_mm=0.6)
+    dimmed = (0.7 * shots[1]).astype(np.uint8)
+    spoilt = (presses[0], replace(presses[1], picture=dimmed), *presses[2:])
+    fit = calibrate_light(start, reference, spoilt, profiles, order=2, degree=0, folds=0)
+    assert fit.left_out == ("press 2",)
+    assert fit.rms_code_values < 3
+
+
 def changed(presses, **update):
     return (replace(presses[0], **update), *presses[1:])
 
@@ -147,11 +157,17 @@ def test_bad_presses_are_refused_before_anything_is_solved(pictures):
         (presses[:5], "5 presses are too few .* takes 6"),
         (changed(presses, picture=shots[0][:-2]), "press 1 is a picture of 320×238"),
         (changed(presses, depth_mm=2.0), "sphere's radius"),
+        (changed(presses, sphere_diameter_mm=-3.0), "sphere_diameter_mm is -3.0"),
         (changed(presses, depth_mm=None), "either depth_mm or radius_px"),
         (changed(presses, depth_mm=None, radius_px=-3), "radius_px is -3"),
     ):
         with pytest.raises(ValueError, match=said):
             calibrate_light(start, reference, bad, unsolved)
+    with pytest.raises(ValueError, match="7 presses cannot be held out in 8 parts"):
+        calibrate_light(start, reference, presses, unsolved, folds=8)
+    for unreadable, said in ((0, "reference is dark"), (255, "saturated in 100 % of its red channel")):
+        with pytest.raises(ValueError, match=said):
+            calibrate_light(start, np.full_like(reference, unreadable), presses, unsolved)
 
 
 def test_presses_that_cannot_be_are_refused(pictures):
@@ -162,6 +178,9 @@ def test_presses_that_cannot_be_are_refused(pictures):
         (changed(presses, picture=reference), "no contact was found"),
         (changed(presses, picture=reference, point_mm=None), "no contact was found"),
         (changed(presses, point_mm=(90.0, 0.0)), "no contact was found"),
+        (changed(presses, picture=np.full_like(reference, 255)), "press 1 is dark or saturated"),
+        (changed(presses, depth_mm=1.2), "solved down to 0.84 mm"),
+        (tuple(presses[:1]) * 6, "all presses lie within 0 px"),
     ):
         with pytest.raises(ValueError, match=said):
             calibrate_light(start, reference, bad, profiles)
