@@ -133,7 +133,7 @@ def calibrate_light(
         geometries.append(_led_angles(other.bars))
         nearness.append(1 / other.distance_mm)
         seen = task.seen_as(other)
-        held_out += [seen.predicted(other, other_field, int(press)) for press in these]
+        held_out += [seen.predicted(other, other_field, without, int(press)) for press in these]
     _refuse_if_worse(held_out)
     lit = task.lit_sensor(fit)
     angles, errors = _led_angles(fit.bars), _jackknife_errors(geometries, fit.bars)

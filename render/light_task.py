@@ -24,12 +24,14 @@ _MARGIN_MM = 0.5
 class HeldOut:
     """How a press that the fit had not seen was predicted, PSNR in dB: inside its contact, and from one to two radii.
 
-    `marked` takes the press where it was marked or found; `refined` moves its centre and depth in its own picture.
+    `marked` takes the press where it was marked or found; `corrected` moves it as the fitted presses were moved, and
+    uses nothing of its picture either; `refined` moves its centre and depth in its own picture.
     """
 
     name: str
     unchanged: tuple[float, float]
     marked: tuple[float, float]
+    corrected: tuple[float, float]
     refined: tuple[float, float]
     picture: np.ndarray  # uint8 (h, w, 3), predicted, refined
 
@@ -99,16 +101,18 @@ class LightTask:
         placed = self.placed.seen_from(fit.distance_mm)
         return replace(self, sensor=self.sensor.model_copy(update={"camera": placed.camera}), placed=placed)
 
-    def predicted(self, fit: LightFit, field: FarField, press: int) -> HeldOut:
-        """Predict a press under a fitted light."""
+    def predicted(self, fit: LightFit, field: FarField, fitted: np.ndarray, press: int) -> HeldOut:
+        """Predict a press under a light that was fitted to the presses of the indices `fitted`."""
         placed, scale = self.placed, self.scale_mm
-        refined_pose = self.refined_pose(fit, field, press)
-        scored_mm = SCORED_RADII * placed.radii_px[press] * 2 * scale / placed.size_px[0]
-        marked = placed.picture_of(
-            fit.light, field, press, placed.poses_mm[press], scale, reach_mm=scored_mm + _MARGIN_MM
-        )
-        refined = placed.picture_of(fit.light, field, press, refined_pose, scale)
-        scores = [placed.scores(press, picture) for picture in (placed.reference, marked, refined)]
+        scored_mm = SCORED_RADII * placed.radii_px[press] * 2 * self.half_view_mm / placed.size_px[0]
+        reach_mm = scored_mm + _MARGIN_MM
+        corrected_mm = corrected_poses(placed.poses_mm, fitted, fit.presses)
+        unseen = [
+            placed.picture_of(fit.light, field, press, poses_mm[press], scale, reach_mm)
+            for poses_mm in (placed.poses_mm, corrected_mm)
+        ]
+        refined = placed.picture_of(fit.light, field, press, self.refined_pose(fit, field, press), scale)
+        scores = [placed.scores(press, picture) for picture in (placed.reference, *unseen, refined)]
         return HeldOut(placed.names[press], *scores, picture=refined)
 
     def unexplained(self, fit: LightFit, field: FarField, presses: np.ndarray) -> np.ndarray:
@@ -166,6 +170,19 @@ def flat_field_maps(sensor: Sensor, placed: PlacedPresses, field: FarField) -> F
     ratio = np.clip(real / np.maximum(rendered, np.maximum(0.2 * real, 1e-6)), *RATIO_BOUNDS)
     loaded = None if field.loaded is None else np.clip(field.loaded, *LOADED_BOUNDS).astype(np.float32)
     return FlatFieldMaps(ratio.astype(np.float32), loaded)
+
+
+def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
+    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
+
+    Marked radii are so uncertain that most of their spread is not the depths'.
+    """
+    own = marked_mm[fitted]
+    poses = marked_mm + (refined_mm - own).mean(axis=0)
+    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
+    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
+    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
+    return poses
 
 
 def most_error(errors: np.ndarray) -> float:

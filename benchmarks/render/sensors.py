@@ -24,7 +24,7 @@ from gelgap.domains import CALIBRATION_GEL, PressSet, sphere_profiles, taxim_pre
 from gelgap.render import LightCalibration, MembraneRenderer, Sensor, save_calibration
 from gelgap.render.light_calibration import FEWEST_FOR_ORDER_3
 from gelgap.render.light_fit import LightFit
-from gelgap.render.light_task import LightTask, flat_field_maps
+from gelgap.render.light_task import LightTask, corrected_poses, flat_field_maps
 from gelgap.render.press_poses import place_presses
 
 SET = "gelsight"
@@ -148,19 +148,6 @@ def predict(
             times.append(time.process_time() - started)
         predictions.append(Prediction(variant.name, way, pictures, fit_s, 1e3 * float(np.median(times))))
     return predictions
-
-
-def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
-    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
-
-    Marked radii are so uncertain that most of their spread is not the depths'.
-    """
-    own = marked_mm[fitted]
-    poses = marked_mm + (refined_mm - own).mean(axis=0)
-    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
-    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
-    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
-    return poses
 
 
 def predict_unseen(task: LightTask, way: str, fitted: np.ndarray, predicted: np.ndarray) -> Prediction:

@@ -25,6 +25,7 @@ def print_calibration(fit: LightCalibration) -> None:
         )
         print(f"  {'unchanged reference':32s} {_scores(fit.held_out, 'unchanged')}")
         print(f"  {'predicted, press as marked':32s} {_scores(fit.held_out, 'marked')}")
+        print(f"  {'predicted, marks corrected':32s} {_scores(fit.held_out, 'corrected')}")
         print(f"  {'predicted, press refined':32s} {_scores(fit.held_out, 'refined')}")
     for line in _found(fit):
         print(line)
@@ -36,6 +37,7 @@ def described(fit: LightCalibration) -> Sensor:
     if fit.held_out:
         known += [
             f"held out, PSNR in dB, median (worst), as marked {_scores(fit.held_out, 'marked')}",
+            f"marks corrected {_scores(fit.held_out, 'corrected')}",
             f"refined {_scores(fit.held_out, 'refined')}",
         ]
     assumed = "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."

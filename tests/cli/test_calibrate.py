@@ -118,11 +118,13 @@ def fitted_light() -> LightCalibration:
     sensor = Sensor.preset("digit-like")
     maps = FlatFieldMaps(np.ones((24, 32, 3), np.float32))
     angles = np.array([[10.0, 2.0]] * len(sensor.illumination.leds))
-    held_out = HeldOut("press 1 (p.png)", (18, 24), (30, 31), (33, 34), np.zeros((24, 32, 3), np.uint8))
+    picture = np.zeros((24, 32, 3), np.uint8)
+    held_out = HeldOut("press 1 (p.png)", (18, 24), (30, 31), (32, 32), (33, 34), picture)
     poses, gain = np.array([[0, 0, 0.6]]), ((), (), ())
     return LightCalibration(
         sensor.model_copy(update={"illumination": sensor.illumination.model_copy(update={"scattered": Scattered()})}),
-        maps, gain, 1.0, poses, (held_out.name,), (), 3.21, (held_out,), angles, angles, 1e-4,
+        maps, gain, 1.0, poses, (held_out.name,), (), 3.21, (held_out,), angles, angles,
+        nearness_error_per_mm=1e-4,
     )  # fmt: skip
 
 

@@ -152,6 +152,19 @@ def test_presses_far_out_of_the_others_are_named():
     assert named(errors[:6]) == []  # six are always kept
 
 
+def test_a_press_that_is_named_with_an_outlier_is_taken_back(pictures, monkeypatch):
+    start, reference, shots = pictures
+    presses = [
+        PressPicture(shot, 3.0, point_mm=point, depth_mm=0.6)
+        for shot, point in zip(shots, (*POINTS, NEW_POINT), strict=True)
+    ]
+    presses[2] = replace(presses[2], picture=(0.7 * shots[2]).astype(np.uint8))
+    monkeypatch.setattr("gelgap.render.light_calibration._outliers", lambda fit: np.array([2, 4]))
+    fit = calibrate_light(start, reference, presses, profiles, order=2, degree=0, keep_camera=True, folds=0)
+    assert fit.left_out == ("press 3",)
+    assert len(fit.names) == 7
+
+
 def changed(presses, **update):
     return (replace(presses[0], **update), *presses[1:])
 
@@ -243,7 +256,8 @@ def test_an_unknown_sphere_is_found(pictures):
         )
         for depth, point in zip(depths, POINTS, strict=True)
     )
-    size = unknown_sphere_size(start, renderer.reference(rng=rng), presses, ball_profiles)
+    flat = renderer.reference(rng=rng)
+    size = unknown_sphere_size(start, flat, presses, ball_profiles, keep_camera=True)
     assert size.diameter_mm == pytest.approx(3.0, rel=0.13)
     assert size.interval_mm[0] <= size.diameter_mm <= size.interval_mm[1]
     assert len(size.tried_mm) == len(size.rms_code_values)
