@@ -23,6 +23,8 @@ from gelgap.render.sphere_size import Membranes, SphereSize, fit_sphere_size
 FEWEST_PRESSES = 6
 FEWEST_FOR_ORDER_3 = 12
 FOLDS = 3
+# Of so many presses one alone hardly bends the fit.
+_MANY_PRESSES = 20
 # Sizes of an unknown sphere are compared by so many presses, with light of a low order.
 _PRESSES_FOR_SIZE = 12
 
@@ -120,11 +122,14 @@ def calibrate_light(
     task = LightTask(sensor, placed, order, degree, far, shadows, keep_camera)
     everything = np.arange(len(presses))
     fit, field = task.fit(everything)
-    outliers = _outliers(fit)
-    if len(outliers):
-        others, other_field = task.fit(np.setdiff1d(everything, outliers))
-        outliers = task.unexplained(others, other_field, outliers)
-        fit, field = task.fit(np.setdiff1d(everything, outliers))
+    suspects = outliers = _suspects(fit)
+    if len(suspects):
+        others, other_field = task.fit(np.setdiff1d(everything, suspects))
+        outliers = task.unexplained(others, other_field, suspects)
+        if len(outliers) == len(suspects):
+            fit, field = others, other_field
+        elif len(outliers):
+            fit, field = task.fit(np.setdiff1d(everything, outliers))
     used = np.setdiff1d(everything, outliers)
     held_out, geometries, nearness = [], [], []
     for fold in range(folds):
@@ -212,10 +217,15 @@ def _jackknife_error(values: np.ndarray) -> np.ndarray:
     return np.sqrt((groups - 1) / groups * ((values - values.mean(0)) ** 2).sum(0))
 
 
-def _outliers(fit: LightFit) -> np.ndarray:
-    """Return the presses whose errors stand far out of the others'; enough are always kept."""
+def _suspects(fit: LightFit) -> np.ndarray:
+    """Return the presses whose errors stand far out of the others', of few presses the worst; enough are always kept.
+
+    An outlier among few presses bends the fit towards itself, and only a fit without it shows what it is.
+    """
     errors = np.sqrt(fit.press_errors())
     far_out = np.flatnonzero(errors > most_error(errors))
+    if len(errors) < _MANY_PRESSES:
+        far_out = np.union1d(far_out, errors.argmax())
     worst_first = far_out[np.argsort(-errors[far_out])]
     return np.sort(worst_first[: len(errors) - FEWEST_PRESSES])
 

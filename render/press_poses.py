@@ -34,6 +34,7 @@ _ROUGH_PX, LARGEST_MARKS_OFF_PX = 10.0, 100.0
 # Where rough marks say nothing of the depth, in radii of the sphere.
 _UNKNOWN_DEPTH, _UNKNOWN_DEPTH_SIGMA = 0.6, 0.4
 _LEAST_CHANGE = 2.0  # code values
+_LEAST_SPREAD = 0.2  # of all presses, in radii of the largest mark
 _MOST_SATURATED, _LEAST_USABLE = 0.95, 0.05  # shares of values
 
 
@@ -324,7 +325,7 @@ def _nearer(camera: Camera, profiles: PressProfiles, depth_mm: float, contact_mm
 
 def _check_contacts(placed: PlacedPresses) -> None:
     spread_px = np.ptp(placed.centers_px, axis=0).max()
-    if spread_px < 0.5 * placed.radii_px.max():
+    if spread_px < _LEAST_SPREAD * placed.radii_px.max():
         raise ValueError(
             f"all presses lie within {spread_px:.0f} px of each other; press at places spread over the view"
         )

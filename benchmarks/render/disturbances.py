@@ -70,6 +70,11 @@ def unmarked(presses: tuple[PressPicture, ...]) -> tuple[PressPicture, ...]:
     return tuple(replace(press, center_px=None) for press in presses)
 
 
+def some(presses: tuple[PressPicture, ...], count: int) -> tuple[PressPicture, ...]:
+    """Return so many of the presses, spread over the list."""
+    return presses[:: len(presses) // count][:count]
+
+
 def one_spoilt(change: Callable[[PressPicture, PressPicture], PressPicture]):
     """Return what spoils one press, given it and its neighbour in the list."""
 
@@ -127,8 +132,8 @@ DISTURBANCES = (
     Disturbance("start: each LED 6 mm off", start=shifted),
     Disturbance("circles marked ± 3 px", fitted=marked_badly),
     Disturbance("centres not marked", fitted=unmarked),
-    Disturbance("12 presses", fitted=lambda presses: presses[::2][:12]),
-    Disturbance("6 presses", fitted=lambda presses: presses[::4][:6]),
+    Disturbance("12 presses", fitted=lambda presses: some(presses, 12)),
+    Disturbance("6 presses", fitted=lambda presses: some(presses, 6)),
     Disturbance("exposed 1.6 times, saturated", picture=exposed),
     Disturbance("blurred by 2 px", picture=blurred),
     Disturbance("JPEG of quality 50", picture=compressed),

@@ -124,12 +124,15 @@ class Trial:
             with_pictures(presses, [case.picture(press.picture) for press in presses])
             for presses in (self.fitted, self.predicted)
         )
-        own = (
-            self.best
-            if case.name == "undisturbed"
-            else fit(found, case.fitted(fitted), predicted, self.profiles)
-        )
         best = scores([case.picture(picture) for picture in self.best.pictures()], predicted)
+        try:
+            own = (
+                self.best
+                if case.name == "undisturbed"
+                else fit(found, case.fitted(fitted), predicted, self.profiles)
+            )
+        except ValueError as refusal:
+            return self._result(case.name, np.empty((0, 2)), best, 0.0, f"refused: {refusal}")
         note = ", ".join(own.calibration.left_out)
         if case.outlier:
             note = f"{note or 'none'} named; it was {self.fitted[SPOILT].name}"
@@ -287,6 +290,8 @@ def measure(
 
 
 def _median_and_worst(values: np.ndarray) -> str:
+    if not len(values):
+        return ""
     return f"{np.median(values):.1f} ({values.min():.1f})"
 
 

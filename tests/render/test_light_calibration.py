@@ -13,7 +13,7 @@ from gelgap.render.contact_pixels import PressPicture
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.illumination import Illumination
 from gelgap.render.light_calibration import (
-    _outliers,
+    _suspects,
     calibrate_light,
     save_calibration,
     unknown_sphere_size,
@@ -146,20 +146,36 @@ def test_presses_far_out_of_the_others_are_named():
     errors = np.array([3.1, 3.3, 3.0, 31.0, 3.2, 4.6, 2.9, 3.4])
 
     def named(values):
-        return _outliers(SimpleNamespace(press_errors=lambda: values**2)).tolist()
+        return _suspects(SimpleNamespace(press_errors=lambda: values**2)).tolist()
 
     assert named(errors) == [3]
     assert named(errors[:6]) == []  # six are always kept
+    like_each_other = np.delete(errors, 3)
+    assert named(like_each_other) == [4]  # the worst of few
+    assert named(np.tile(like_each_other, 3)) == []
+
+
+def eight_presses(shots):
+    return [
+        PressPicture(shot, 3.0, point_mm=point, depth_mm=0.6)
+        for shot, point in zip(shots, (*POINTS, NEW_POINT), strict=True)
+    ]
+
+
+def test_an_outlier_among_few_presses_is_named(pictures):
+    start, reference, shots = pictures
+    presses = eight_presses(shots)
+    presses[2] = replace(presses[2], picture=np.roll(shots[2], 20, axis=1))
+    options = {"order": 2, "degree": 0, "keep_camera": True, "folds": 0}
+    assert calibrate_light(start, reference, presses, profiles, **options).left_out == ("press 3",)
+    assert calibrate_light(start, reference, eight_presses(shots), profiles, **options).left_out == ()
 
 
 def test_a_press_that_is_named_with_an_outlier_is_taken_back(pictures, monkeypatch):
     start, reference, shots = pictures
-    presses = [
-        PressPicture(shot, 3.0, point_mm=point, depth_mm=0.6)
-        for shot, point in zip(shots, (*POINTS, NEW_POINT), strict=True)
-    ]
+    presses = eight_presses(shots)
     presses[2] = replace(presses[2], picture=(0.7 * shots[2]).astype(np.uint8))
-    monkeypatch.setattr("gelgap.render.light_calibration._outliers", lambda fit: np.array([2, 4]))
+    monkeypatch.setattr("gelgap.render.light_calibration._suspects", lambda fit: np.array([2, 4]))
     fit = calibrate_light(start, reference, presses, profiles, order=2, degree=0, keep_camera=True, folds=0)
     assert fit.left_out == ("press 3",)
     assert len(fit.names) == 7
@@ -209,6 +225,15 @@ def test_presses_that_cannot_be_are_refused(pictures):
     ):
         with pytest.raises(ValueError, match=said):
             calibrate_light(start, reference, bad, profiles)
+
+
+def test_presses_near_each_other_are_fitted(pictures):
+    start, reference, shots = pictures
+    middle = pressed(shots[:1], depth_mm=0.6)[0]
+    presses = [replace(middle, point_mm=(x, 0.0)) for x in (0.0, 0.1, 0.2, 0.3)]
+    placed = place_presses(start.camera, reference, presses, profiles(None, None))
+    spread_px = np.ptp(placed.centers_px, axis=0).max()
+    assert 0.2 < spread_px / placed.radii_px.max() < 0.5
 
 
 def test_a_fit_that_predicts_worse_than_the_reference_is_refused(pictures):
