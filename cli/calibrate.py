@@ -147,6 +147,13 @@ class Calibrate:
         fitted = save_calibration(fit, self.output)
         print(f"wrote {self.output} and {fitted.flat_field.file}")
         print_calibration(fit)
+        if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
+            print(
+                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
+                f"{DOUBTFUL_RMS_CODE_VALUES:g}): check the LEDs' directions, the spheres' diameters and, among few "
+                "presses, the picture of each, since one can spoil the fit",
+                file=sys.stderr,
+            )
         if fit.held_out:
             folder = self.pictures or self.output.with_name(f"{self.output.stem}-held-out")
             write_comparisons(fit, presses, folder)

@@ -1,6 +1,7 @@
 """`gelgap calibrate`: from files to a sensor file, with bad lists refused."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -144,6 +145,17 @@ def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
     assert row.shape == (24, 96, 3)
     assert (row[:, :64] == 0).all()
     assert (row[:, 64:] == 128).all()
+
+
+def test_a_large_residual_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
+    for rms, warned in ((4.9, False), (23.6, True)):
+        fit = replace(fitted_light(), rms_code_values=rms)
+        monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, fit=fit, **__: fit)
+        main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
+        assert ("warning: a residual of 23.60 code values" in capsys.readouterr().err) == warned
 
 
 def test_without_presses_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
