@@ -26,6 +26,7 @@ class Draw(IntEnum):
     LABELLED = 9
     FINE_TUNING = 10
     METHOD = 11
+    SHIFTS = 12
 
 
 def generator(*key: int) -> np.random.Generator:

@@ -25,6 +25,7 @@ from gelgap.adapt.machine import autocast
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.network import Activations
 from gelgap.adapt.schedules import transfer_factor
+from gelgap.adapt.shifting import shift_batch
 from gelgap.adapt.source_training import regression_loss
 
 
@@ -104,7 +105,11 @@ class JointStage(Stage):
 
     def _activations(self, number: int, source: _Batch, target: _Batch) -> tuple[Activations, Activations]:
         network = self.network
-        inputs = mix_batch(source.inputs, self.profile, self.seed, Draw.STAGE_2, number)
+        key = self.seed, Draw.STAGE_2, number
+        inputs = shift_batch(mix_batch(source.inputs, self.profile, *key), self.profile, *key)
+        target = target._replace(
+            inputs=shift_batch(target.inputs, self.profile, self.seed, Draw.STAGE_2_TARGET, number)
+        )
         shown = self.method.perturb(target.inputs)
         with autocast(self.profile, inputs.device):
             if self.profile.batch_statistics == "joint":

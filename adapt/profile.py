@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings
@@ -73,6 +73,13 @@ class Profile(Settings):
         description="standardise each channel of the network's input by mean and standard deviation over the "
         "training pictures of its domain",
     )
+    shift_px: int = Field(
+        0,
+        ge=0,
+        le=64,
+        description="training pictures of both domains are shifted at random by up to this many pixels, a stand-in for "
+        "contacts elsewhere",
+    )
     batch_statistics: Literal["joint", "mixed", "per_domain"] = Field(
         "joint",
         description="stage 2 normalises source and target as one batch, or each by itself; then both are judged under "
@@ -109,6 +116,14 @@ class Profile(Settings):
         if min(shares) <= 0 or abs(sum(shares) - 1) > 1e-6:
             raise ValueError("must be three positive shares that add up to 1")
         return shares
+
+    @model_validator(mode="after")
+    def _shifts_what_lies_side_by_side(self) -> "Profile":
+        if self.shift_px and self.pairing == "stack":
+            raise ValueError(
+                "shift_px: must be 0 with pairing 'stack', which has the reference below the picture"
+            )
+        return self
 
     @property
     def in_channels(self) -> int:

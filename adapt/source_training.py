@@ -21,6 +21,7 @@ from gelgap.adapt.normalisation import estimate_statistics
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.resnet import load_imagenet_weights
+from gelgap.adapt.shifting import shift_batch
 from gelgap.domains import ChannelStatistics, LabelledFrames
 
 
@@ -68,7 +69,7 @@ def train_source(
             source=domain,
         )
         records = train(stage, progress, resume_file)
-        if profile.colour_mixing or profile.marker_hiding:
+        if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
             estimate_statistics(network, domain.pictures, seed)
     history = tuple(asdict(record) for record in records)
     return _model(network, source, profile, seed, history, domain.pictures.statistics)
@@ -116,7 +117,8 @@ class SourceStage(Stage):
 
     def step(self, number: int, batch: tuple[Tensor, Tensor]) -> StepResult:
         inputs, force = batch
-        inputs = mix_batch(inputs, self.profile, self.seed, Draw.STAGE_1, number)
+        key = self.seed, Draw.STAGE_1, number
+        inputs = shift_batch(mix_batch(inputs, self.profile, *key), self.profile, *key)
         with autocast(self.profile, inputs.device):
             features = self.network.features(inputs)
         features = features.float()

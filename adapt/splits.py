@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.profile import Profile
 from gelgap.domains import LabelledFrames, split_domains
@@ -50,9 +52,14 @@ def check_same_size(source: LabelledFrames, target: LabelledFrames) -> None:
 
 
 def check_classes(name: str, method: Method | type[Method], source: LabelledFrames) -> None:
-    """Raise a ValueError if a method needs contact classes, and a frame of the source has none."""
+    """Raise a ValueError if a method needs contact classes, and frames of the source have none, or all the same."""
     if method.uses_classifier and not source.has_classes:
         raise ValueError(
             f"method {name} needs contact classes, and source {source.name} has frames without one: choose another "
             "method, or a source whose frames all have a class, as `gelgap generate` writes them on the paper's path"
+        )
+    if method.uses_classifier and len(np.unique(source.contact_class)) < 2:
+        raise ValueError(
+            f"method {name} needs source frames of at least 2 contact classes, and the {len(source)} of "
+            f"{source.name} are of one: take more frames, or choose another method"
         )

@@ -20,7 +20,17 @@ from gelgap.domains.columns import OptionalColumn
 from gelgap.domains.dataset import PAPER_FORCE_RANGE_N
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import AnyIndenter, ContactPath, Elastomer, Pose, PosePath, QualityName, Sphere, load_path
+from gelgap.sim import (
+    AnyIndenter,
+    ContactPath,
+    DrawnPath,
+    Elastomer,
+    Pose,
+    PosePath,
+    QualityName,
+    Sphere,
+    load_path,
+)
 
 Interval = tuple[float, float]
 Side = Annotated[int, Field(ge=16, le=4096)]
@@ -39,7 +49,7 @@ class DomainRecipe(Settings):
     )
     elastomer: Elastomer
     indenter: AnyIndenter = Sphere()
-    path: ContactPath | PosePath
+    path: DrawnPath | ContactPath | PosePath
     quality: QualityName = Field("standard", description="quality of the physics")
     sensor: Sensor
     illumination: Illumination

@@ -16,6 +16,7 @@ from .pace import measured_pace as measured_pace
 from .path import CLASS_DEPTHS_MM as CLASS_DEPTHS_MM
 from .path import CLASS_RADII_MM as CLASS_RADII_MM
 from .path import ContactPath as ContactPath
+from .path import DrawnPath as DrawnPath
 from .path import Pose as Pose
 from .path import PosePath as PosePath
 from .path import load_path as load_path

@@ -107,6 +107,32 @@ class ContactPath:
 
 
 @dataclass(frozen=True)
+class DrawnPath(ContactPath):
+    """A grid of which each point has only some contacts: as many points as the grid, in fewer frames.
+
+    At each point `contacts_per_point` of the grid's contacts are drawn, always the same ones, and kept in the grid's
+    order; the reference comes before them. They share the solves of the whole grid.
+    """
+
+    contacts_per_point: int
+
+    def __post_init__(self) -> None:
+        contacts = len(self.depths_mm) * len(self.radii_mm) * len(self.angles_deg)
+        if not 1 <= self.contacts_per_point <= contacts:
+            raise ValueError(
+                f"contacts_per_point = {self.contacts_per_point} of path {self.name}: must be 1 to {contacts}, "
+                "the contacts of the grid"
+            )
+
+    def _poses_at(self, index: int, x_mm: float, y_mm: float) -> list[Pose]:
+        import numpy as np
+
+        reference, *contacts = super()._poses_at(index, x_mm, y_mm)
+        order = np.random.default_rng(np.random.SeedSequence([index])).permutation(len(contacts))
+        return [reference, *(contacts[k] for k in sorted(order[: self.contacts_per_point]))]
+
+
+@dataclass(frozen=True)
 class PosePath:
     """Any poses under a name, in the order of their frames."""
 
@@ -207,8 +233,8 @@ class PosePath:
 def load_path(name: str) -> ContactPath | PosePath:
     """Return the path of a TOML file (a name that ends in .toml) or of a preset.
 
-    The TOML holds the lists of a `ContactPath`, or `[[trajectories]]` as `PosePath.from_trajectories` takes them, or
-    `[random]` with the arguments of `PosePath.random`.
+    The TOML holds the lists of a `ContactPath`, with `contacts_per_point` those of a `DrawnPath`, or `[[trajectories]]`
+    as `PosePath.from_trajectories` takes them, or `[random]` with the arguments of `PosePath.random`.
 
     Raises
     ------
@@ -235,16 +261,21 @@ def _path(name: str, values: dict[str, Any]) -> ContactPath | PosePath:
         except (TypeError, OverflowError) as error:
             raise ValueError(f"[random] of path {name}: {error}") from None
     fields = ("points_x_mm", "points_y_mm", "depths_mm", "radii_mm", "angles_deg")
-    if values.keys() != set(fields):
+    if values.keys() - {"contacts_per_point"} != set(fields):
         raise ValueError(
-            f"{', '.join(values) or 'nothing'} in path {name!r}: must be {', '.join(fields)}, or [[trajectories]], "
-            "or [random]"
+            f"{', '.join(values) or 'nothing'} in path {name!r}: must be {', '.join(fields)} (and contacts_per_point), "
+            "or [[trajectories]], or [random]"
         )
     numbers = {field: _numbers(values[field], None, f"{field} of path {name}") for field in fields}
     _check_number(math.prod(map(len, numbers.values())), name)
     if min(numbers["depths_mm"]) < 0:
         raise ValueError(f"depths_mm of path {name} = {values['depths_mm']!r}: must be 0 or more")
-    return ContactPath(name, **numbers)
+    if "contacts_per_point" not in values:
+        return ContactPath(name, **numbers)
+    number = values["contacts_per_point"]
+    if not isinstance(number, int) or isinstance(number, bool):
+        raise ValueError(f"contacts_per_point of path {name} = {number!r}: must be a whole number")
+    return DrawnPath(name, **numbers, contacts_per_point=number)
 
 
 def _check_number(poses: int, name: str) -> None:

@@ -14,7 +14,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -22,82 +22,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
 
 from gelgap.adapt import Profile
 from gelgap.cli.main import COMMANDS, main, parse
-
-# --- what is documented -----------------------------------------------------------------------------------------
-
-ROOT = Path(__file__).parents[1]
-README = "README.md"
-OTHER_PAGES = (
-    "CONTRIBUTING.md",
-    "CHANGELOG.md",
-    "docs/results/README.md",
-    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
-)
-PAGES = (README, *OTHER_PAGES)
-_PROGRAMS = ("gelgap", "python", "make", "dask", "pip", "git")
-_COMMAND = re.compile(rf"({'|'.join(_PROGRAMS)}) \S")
-_FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_FILE_NAME = re.compile(r"# (\S+\.(?:toml|py))\n")
-
-
-@dataclass(frozen=True)
-class Snippet:
-    """Something to run: a command line, Python code, or a file to write (its first line is its name in a comment)."""
-
-    where: str
-    kind: str
-    text: str
-
-    @property
-    def file_name(self) -> str:
-        return _FILE_NAME.match(self.text)[1]
-
-
-def page_text(page: str) -> str:
-    """Return the Markdown of a page."""
-    return (ROOT / page).read_text(encoding="utf-8")
-
-
-def snippets(page: str) -> list[Snippet]:
-    """Return what a page's fenced blocks hold, from top to bottom."""
-    text = page_text(page)
-    return [
-        snippet
-        for block in _FENCE.finditer(text)
-        for snippet in _of_block(f"{page}:{text.count(chr(10), 0, block.start()) + 2}", *block.groups())
-    ]
-
-
-def _of_block(where: str, language: str, text: str) -> Iterator[Snippet]:
-    if language == "python" and _FILE_NAME.match(text):
-        yield Snippet(where, "file", text)
-    elif language == "python":
-        yield Snippet(where, "python", text)
-    elif language == "toml" and _FILE_NAME.match(text):
-        yield Snippet(where, "file", text)
-    elif language in ("", "sh", "bash", "text"):
-        for line in text.replace("\\\n", " ").splitlines():
-            if _COMMAND.match(line):
-                yield Snippet(where, "command", plain(line))
-
-
-def help_examples(command: str, text: str) -> list[Snippet]:
-    """Return the command lines that a --help text gives as examples, one to a line."""
-    lines = (line.strip().removeprefix("Example:").strip() for line in text.splitlines())
-    return [
-        Snippet(f"gelgap {command} --help", "command", plain(line))
-        for line in lines
-        if line.startswith("gelgap ")
-    ]
-
-
-def plain(line: str) -> str:
-    """Return a command line without its comment and with single spaces."""
-    return " ".join(line.partition(" # ")[0].split())
-
 
 # --- how each is made quick ------------------------------------------------------------------------------------
 
@@ -122,7 +50,8 @@ QUICKEST = {
 NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
     r"gelgap benchmark faults": "kills processes and fills a disk for minutes",
-    r"gelgap benchmark adaptation --what (methods|search|ablation|gaps|cost)": "hours, and has no quick form",
+    r"gelgap benchmark adaptation --what (augmentations|tuning|transfer|gaps|labels)": "hours, no quick form",
+    r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
@@ -174,6 +103,13 @@ def smallest_recipes(_: Callable) -> Callable:
     return lambda: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
+def data_of_the_readme(_: Callable) -> Callable:
+    """Take the domains that the README's commands have made instead of generating some."""
+    return lambda bench, recipes, data="paired": shutil.copytree(
+        "data", bench.data / data, dirs_exist_ok=True
+    )
+
+
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
         "physics.cases.Workers.map": in_this_process,
@@ -205,14 +141,9 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "adaptation.losses.traps": lambda real: lambda: real()[:2]
     },
     "gelgap benchmark adaptation --quick": {
-        "adaptation.jobs.Bench.at": lambda real: (
-            lambda folder: real(folder).__class__(Path("data"), folder, folder.name, workers=1)
-        ),
-        "adaptation.jobs.Bench.generate_preset": lambda real: lambda bench: None,
-        "adaptation.groups.TABLE_METHODS": lambda real: ("source-only", "dsan"),
-        "adaptation.speed.METHODS": lambda real: real[:1],
-        "adaptation.speed.FRAMES": lambda real: 64,
-        "adaptation.speed.REPEATS": lambda real: 1,
+        "adaptation.jobs.Bench.generate": data_of_the_readme,
+        "adaptation.groups.QUICK_METHODS": lambda real: ("source-only", "dsan"),
+        "adaptation.speed.QUICK": lambda real: (real[0][:1], *real[1:]),
     },
 }
 """Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""
@@ -395,5 +326,5 @@ def test_no_entry_of_the_tables_is_left_over() -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_every_block_is_of_a_kind_that_runs_or_shows(page: str) -> None:
-    languages = {block[1] for block in _FENCE.finditer(page_text(page))}
+    languages = {block[1] for block in FENCE.finditer(page_text(page))}
     assert languages <= {"", "python", "toml", "text", "mermaid"}

@@ -8,13 +8,20 @@ from pathlib import Path
 from gelgap.benchmarks.adaptation.jobs import Bench
 from gelgap.benchmarks.registry import parts_of
 
+_BAD_INPUT = 2
+
 
 def main() -> None:
-    """Do the missing runs of a part within a time limit, for some seeds; the next call continues."""
+    """Do the missing runs of a part within a time limit, for some seeds or methods; the next call continues."""
     parts = {entry.part: entry for entry in parts_of("adaptation")}
     parser = argparse.ArgumentParser(prog="python -m gelgap.benchmarks.adaptation", description=main.__doc__)
     parser.add_argument("part", choices=list(parts))
     parser.add_argument("--seeds", type=int, nargs="+", help="default: the part's own")
+    parser.add_argument(
+        "--methods",
+        nargs="+",
+        help="names, or your own as module:Class or file.py:Class; default: the part's own",
+    )
     parser.add_argument("--workers", type=int, help="processes; default: one per core")
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after this time")
     parser.add_argument("--out", type=Path, default=Path("benchmark-results/adaptation/cpu"))
@@ -22,10 +29,14 @@ def main() -> None:
     bench = Bench.at(
         chosen.out,
         seeds=tuple(chosen.seeds) if chosen.seeds else None,
+        methods=tuple(chosen.methods) if chosen.methods else None,
         workers=chosen.workers,
         stop=time.time() + 60 * chosen.minutes,
     )
-    parts[chosen.part].load().PART.carry_out(bench)
+    try:
+        parts[chosen.part].load().PART.carry_out(bench)
+    except ValueError as error:
+        parser.exit(_BAD_INPUT, f"{' '.join(str(error).split())}\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.adapt import NamedFigure
-from gelgap.benchmarks.adaptation.results import Results, first_run, mean_of, over_groups
+from gelgap.benchmarks.adaptation.compared import MAIN_METHODS
+from gelgap.benchmarks.adaptation.results import CEILING, GroupOracles, Results, mean_of, over_groups
 from gelgap.benchmarks.adaptation.statistics import plot_critical_difference
 
 if TYPE_CHECKING:
@@ -17,24 +18,28 @@ SHOWN_GROUPS = (("wmb1i1", "mb0i0"),)
 SHOWN_METHODS = ("source-only", "dann", "daregram", "dsan")
 
 
-def group_figures(results: Results) -> list[NamedFigure]:
+def group_figures(results: Results, oracles: dict[tuple[str, str], GroupOracles]) -> list[NamedFigure]:
     """Return errors by group, mean ranks (of two methods or more) and errors against time."""
-    figures = [NamedFigure("groups", "Target MAE by group and method", plot_groups(results))]
-    if len(results.learned) > 1:
-        methods = [results.methods[i] for i in results.learned]
-        ranked = plot_critical_difference(methods, results.group_errors_n, "Mean ranks over the groups")
-        figures.append(NamedFigure("critical-difference", "Mean ranks and critical difference", ranked))
+    figures = [NamedFigure("groups", "Target MAE by group and method", plot_groups(results, oracles))]
+    ranked = [i for i, method in enumerate(results.methods) if method != CEILING]
+    if len(ranked) > 1:
+        methods = [results.methods[i] for i in ranked]
+        diagram = plot_critical_difference(
+            methods, results.group_errors_n[ranked], "Mean ranks over the groups"
+        )
+        figures.append(NamedFigure("critical-difference", "Mean ranks and critical difference", diagram))
     return [*figures, NamedFigure("time", "Target MAE against training time", plot_time(results))]
 
 
 def prediction_figures(folder: Path) -> list[NamedFigure]:
-    """Return scatter plots and t-SNE of the paper's example groups, first seed; none if their runs are gone."""
+    """Return scatter plots and t-SNE of the paper's example groups, if their runs were kept."""
     from gelgap.adapt import feature_tsne, force_scatter, load_predictions, load_run
 
     figures = []
     for group in SHOWN_GROUPS:
-        found = {method: first_run(folder, group, method) for method in SHOWN_METHODS}
-        arrays = {method: load_predictions(load_run(path)) for method, path in found.items() if path}
+        runs = [load_run(path.parent) for path in folder.glob(f"{'-'.join(group)}-*/run.json")]
+        found = {run.method: run for run in runs}
+        arrays = {method: load_predictions(found[method]) for method in SHOWN_METHODS if method in found}
         if not arrays:
             continue
         truth = next(iter(arrays.values()))["target_true_n"]
@@ -46,24 +51,25 @@ def prediction_figures(folder: Path) -> list[NamedFigure]:
     return figures
 
 
-def plot_groups(results: Results) -> "Figure":
-    """Draw each group's errors as bars beside the constant mean and the pose oracle."""
+def plot_groups(results: Results, oracles: dict[tuple[str, str], GroupOracles]) -> "Figure":
+    """Draw the main methods' errors in each group as bars beside the constant mean and the pose oracle."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes = figure.subplots()
-    place, width = np.arange(len(results.groups)), 0.8 / len(results.methods)
-    for i, method in enumerate(results.methods):
-        errors = results.errors_n[i]
+    shown = [method for method in results.methods if method in MAIN_METHODS]
+    place, width = np.arange(len(results.groups)), 0.8 / max(len(shown), 1)
+    for i, method in enumerate(shown):
+        errors = results.of(method)
         deviations = [np.std(e[~np.isnan(e)], ddof=1) if (~np.isnan(e)).sum() > 1 else 0.0 for e in errors]
         left = place - 0.4 + (i + 0.5) * width
         axes.bar(left, mean_of(errors, axis=1), width, yerr=deviations, label=method)
     axes.hlines(results.constant_mean_n, place - 0.4, place + 0.4, "k", "dotted", label="constant mean")
-    pose = [np.mean(results.oracles[group].pose_n) for group in results.groups]
+    pose = [np.mean(oracles[group].pose_n) for group in results.groups]
     axes.hlines(pose, place - 0.4, place + 0.4, "k", label="pose oracle")
     axes.set_xticks(place, ["\n→ ".join(group) for group in results.groups], fontsize=8)
     axes.set_ylabel("target MAE, N")
-    figure.legend(loc="outside upper center", fontsize=8, ncols=len(results.methods) + 2)
+    figure.legend(loc="outside upper center", fontsize=8, ncols=len(shown) + 2)
     return figure
 
 
@@ -75,7 +81,7 @@ def plot_time(results: Results) -> "Figure":
     axes = figure.subplots()
     stage2 = mean_of(results.values("stage2_s"), axis=(1, 2))
     for i, method in enumerate(results.methods):
-        error = float(over_groups(results.balanced_n[i]))
+        error = float(over_groups(results.errors_n[i]))
         axes.plot(np.nan_to_num(results.stage1_s) + stage2[i], error, "o", alpha=0.7, label=method)
     axes.set(xlabel="both stages, s of one core", ylabel="target MAE, N")
     axes.set_ylim(bottom=0)

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.adapt import NamedFigure, ResultTable
-from gelgap.benchmarks.adaptation.jobs import Bench, RunRecord, TrainingJob, run_missing
+from gelgap.benchmarks.adaptation.jobs import RUNS, Bench, RunRecord, TrainingJob
 from gelgap.benchmarks.adaptation.parts import Part
+from gelgap.benchmarks.adaptation.running import run_missing
 from gelgap.benchmarks.adaptation.tables import by_column, numbers
+from gelgap.benchmarks.adaptation.work import adapt_job
 from gelgap.benchmarks.common.records import read_results, write_results
 
 if TYPE_CHECKING:
@@ -196,9 +198,9 @@ def measure(bench: Bench) -> None:
             targets += [recipe.name for recipe in members]
     seeds = bench.seeds or SEEDS
     jobs = [TrainingJob(BASE, t, method, seed) for seed in seeds for method in METHODS for t in targets]
-    records = run_missing(own, jobs)
+    records = run_missing(own, jobs, RUNS, adapt_job)
     if records:
-        write_results(bench.out / RESULTS, collect(found, records, own.data))
+        write_results(bench.out / RESULTS, collect(found, records, own.data / "paired"))
 
 
 def collect(found: Design, records: Sequence[RunRecord], data: Path) -> GapResults:
@@ -249,8 +251,7 @@ def gap_table(results: GapResults) -> ResultTable:
         sizes | results.columns([gap.domain for gap in gaps]),
         f"Mean over {results.seeds} seed(s). Size: "
         + "; ".join(f"{panel.name}: {panel.label}" for panel in PANELS)
-        + ". Contacts are paired; "
-        "without a gap the target is the source itself, most of whose frames were trained on.",
+        + ". Contacts are paired, frames split at random; without a gap the target is the source itself.",
     )
 
 

@@ -1,89 +1,114 @@
-"""Training runs: what each is, the record it leaves, and doing those that have none yet, one per core."""
+"""A training run: what it is, where it finds its data, and the record that it leaves."""
 
+import hashlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.benchmarks.common.records import append_record, read_records
+from gelgap.benchmarks.adaptation.data_sets import design_of, recipes_of
 
 if TYPE_CHECKING:
     from gelgap.adapt import Profile
-    from gelgap.domains import DomainRecipe, GenerationReport
+    from gelgap.domains import DomainRecipe, GeneratedDomain, GenerationReport
 
 Axes = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]
 RUNS = "runs.jsonl"
+BY_POINT: Changes = (("split_by", "point"),)
+AT_RANDOM: Changes = (("split_by", "random"),)
 _NAN = (math.nan, math.nan, math.nan)
 
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """One run to do: a method on a group with a seed; `changes` are profile fields that differ from the preset."""
+    """One run to do: a method on a group of a data set with a seed.
+
+    `changes` are profile fields that differ from the preset, `settings` the method's own.
+    """
 
     source: str
     target: str
     method: str
     seed: int
+    data: str = "paired"
     changes: Changes = ()
+    settings: Changes = ()
 
     @property
     def group(self) -> tuple[str, str]:
         """Source and target."""
         return self.source, self.target
 
+    @property
+    def design(self) -> str:
+        """Whether contacts are paired or independent."""
+        return design_of(self.data)
+
     def profile(self, preset: str) -> "Profile":
-        """Return the preset with this job's changes; a transfer weight among them replaces the method's own too."""
+        """Return the preset with this job's changes; of the methods' settings its own alone."""
         from gelgap.adapt import Profile
 
-        profile, changes = Profile.preset(preset), dict(self.changes)
-        if "transfer_weight" in changes:
-            own = {k: v for k, v in profile.settings.get(self.method, {}).items() if k != "transfer_weight"}
-            changes["settings"] = {**profile.settings, self.method: own}
-        return profile.replace(**changes)
+        profile = Profile.preset(preset)
+        own = {**profile.settings.get(self.method, {}), **dict(self.settings)}
+        return profile.replace(**dict(self.changes), settings={self.method: own} if own else {})
+
+    def __str__(self) -> str:
+        """Return what it is in a line of text."""
+        differs = "".join(f"  {name} = {value}" for name, value in (*self.changes, *self.settings))
+        return f"{self.data}  {self.source} → {self.target}  {self.method}  seed {self.seed}{differs}"
 
 
 @dataclass(frozen=True)
 class RunRecord:
     """One finished run: errors on the target's test frames per axis (N, and R²), and what else the tables need.
 
-    Errors are NaN where the run stopped with `problem`. `stage1_s` is 0 where another run had trained the checkpoint.
+    A run that stopped with `problem` (its features collapsed, or its losses were not finite) counts with the errors of
+    the source's mean force. `configuration` is a hash of all that methods have in common: profile and recipes of
+    both domains. `settings` are the method's own, `control` is the method that it must beat. `stage1_s` is 0 where
+    another run had trained the checkpoint. Candidates of a choice have the selectors' `scores`, and the `alarm` of a
+    constant predictor.
     """
 
     job: TrainingJob
     profile: str
-    versions: dict[str, str]
+    configuration: str = ""
+    versions: str = ""
+    settings: dict[str, Any] = field(default_factory=dict)
+    control: str | None = None
     problem: str | None = None
-    key: str = ""
     mae_n: Axes = _NAN
     r2: Axes = _NAN
     constant_mean_n: Axes = _NAN
     source_held_out_r2: Axes | None = None
     stage1_s: float = 0.0
     stage2_s: float = math.nan
-    feature_rank: float = math.nan
-    prediction_spread: float = math.nan
     skipped_steps: int = 0
+    diagnostics: dict[str, float] = field(default_factory=dict)
+    scores: dict[str, float] | None = None
+    alarm: bool = False
 
     @property
     def mean_mae_n(self) -> float:
-        """Mean over the axes, N; NaN where the features collapsed."""
+        """Mean over the axes, N."""
         return float(np.mean(self.mae_n))
 
-
-Record = TypeVar("Record")
+    @property
+    def is_sound(self) -> bool:
+        """Whether the run ended, and a selector sees no constant predictor."""
+        return self.problem is None and not self.alarm
 
 
 @dataclass(frozen=True)
 class Bench:
     """Where runs find their data and leave their records, with which profile, and how much time they may take now.
 
-    Without `seeds` a part of the benchmark takes its own. `workers` are processes, by default one per core; one means
-    this process, without a cluster. No run is begun after `stop`, a time of `time.time`.
+    Without `seeds` or `methods` a part of the benchmark takes its own. `workers` are processes, by default one per
+    core; one means this process, without a cluster. No run is begun after `stop`, a time of `time.time`.
     """
 
     data: Path
@@ -92,6 +117,7 @@ class Bench:
     seeds: tuple[int, ...] | None = None
     workers: int | None = None
     stop: float = math.inf
+    methods: tuple[str, ...] | None = None
 
     @classmethod
     def at(cls, folder: Path, **limits: Any) -> "Bench":
@@ -103,122 +129,43 @@ class Bench:
         folder = self.out / name
         return replace(self, data=folder / "data", out=folder / "runs", profile=profile)
 
-    def generate(self, recipes: "Sequence[DomainRecipe]") -> "GenerationReport":
-        """Generate what is missing of some domains."""
+    @property
+    def is_quick(self) -> bool:
+        """Whether one small group is enough, to see everything run."""
+        return self.profile == "smoke"
+
+    def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> "GenerationReport":
+        """Generate what is missing of some domains of a data set."""
         from gelgap.domains import generate_recipes
 
         scheduler = "synchronous" if self.workers == 1 else None
-        report = generate_recipes(recipes, self.data, scheduler=scheduler, workers=self.workers)
+        report = generate_recipes(recipes, self.data / data, scheduler=scheduler, workers=self.workers)
         print(report, flush=True)
         return report
 
-    def generate_preset(self) -> None:
-        """Generate what is missing of the data that the profile is meant for, those of smoke at draft quality."""
-        from gelgap.domains import preset_recipes
-
-        quality = "draft" if self.profile == "smoke" else "standard"
-        self.generate(preset_recipes(self.profile, quality=quality, seed=0))
+    def generate_set(self, data: str) -> None:
+        """Generate what is missing of one of the benchmark's data sets."""
+        self.generate(recipes_of(data), data)
 
     def is_over(self) -> bool:
         """Return whether no further run is to be begun."""
         return time.time() >= self.stop
 
 
-def adapt_job(bench: Bench, job: TrainingJob) -> RunRecord:
-    """Do one run; a collapse, or a loss that is not finite, is a result, not a failure."""
-    from gelgap.adapt import FeatureCollapse, TrainingDiverged, adapt_folders
-    from gelgap.adapt.run_record import versions
+def open_pair(bench: Bench, job: TrainingJob) -> "tuple[GeneratedDomain, GeneratedDomain]":
+    """Return the source and the target of a job."""
+    from gelgap.domains import open_domain
 
-    source, target = bench.data / job.source, bench.data / job.target
-    try:
-        (run,) = adapt_folders(
-            source, target, [job.method], job.profile(bench.profile), job.seed, out_dir=bench.out
-        )
-    except (FeatureCollapse, TrainingDiverged) as problem:
-        return RunRecord(job, bench.profile, versions(), problem=str(problem))
-    last = run.history[-1] if run.history else {}
-    return RunRecord(
-        job=job,
-        profile=bench.profile,
-        versions=run.versions,
-        key=run.key,
-        mae_n=run.target_test.mae_n,
-        r2=run.target_test.r2,
-        constant_mean_n=run.target_constant_mean.mae_n,
-        source_held_out_r2=None if run.source_held_out is None else run.source_held_out.r2,
-        stage1_s=run.wall_s["stage1"],
-        stage2_s=run.wall_s["stage2"],
-        feature_rank=last.get("feature_rank", math.nan),
-        prediction_spread=last.get("prediction_spread", math.nan),
-        skipped_steps=run.skipped_steps,
+    source, target = (open_domain(bench.data / job.data / name) for name in job.group)
+    return source, target
+
+
+def configuration_of(bench: Bench, job: TrainingJob) -> str:
+    """Return a hash of all that the methods of a job's group have in common: profile and recipes of both domains."""
+    from gelgap.assets.json_file import canonical_json
+
+    profile = job.profile(bench.profile).model_dump(
+        mode="json", exclude={"name", "settings"}, exclude_defaults=True
     )
-
-
-Work = Callable[[Bench, TrainingJob], Record]
-
-
-def missing_jobs(jobs: Iterable[TrainingJob], profile: str, done: Iterable[Any]) -> list[TrainingJob]:
-    """Return the jobs, each once, that no record of this profile covers."""
-    finished = {record.job for record in done if record.profile == profile}
-    return [job for job in dict.fromkeys(jobs) if job not in finished]
-
-
-def run_missing(
-    bench: Bench,
-    jobs: Sequence[TrainingJob],
-    file: str = RUNS,
-    work: Work = adapt_job,
-    kind: type[Record] = RunRecord,
-) -> list[Record]:
-    """Do the jobs that the bench's record `file` lacks and return the records of all that are finished.
-
-    A killed run goes on from its last epoch.
-    """
-    path = bench.out / file
-    todo = missing_jobs(jobs, bench.profile, read_records(path, kind))
-    start = time.perf_counter()
-    done = _one_by_one(bench, todo, work) if bench.workers == 1 else _on_workers(bench, todo, work)
-    for count, record in enumerate(done, 1):
-        append_record(path, record)
-        print(f"{count}/{len(todo)}  {_summary(record)}  ({time.perf_counter() - start:.0f} s)", flush=True)
-    wanted = set(jobs)
-    return [r for r in read_records(path, kind) if r.profile == bench.profile and r.job in wanted]
-
-
-def _one_by_one(bench: Bench, jobs: Sequence[TrainingJob], work: Work) -> Iterator[Any]:
-    for job in jobs:
-        if not bench.is_over():
-            yield work(bench, job)
-
-
-def _on_workers(bench: Bench, jobs: Sequence[TrainingJob], work: Work) -> Iterator[Any]:
-    """Yield records as Dask workers finish them; runs that share a first stage wait for the one that trains it."""
-    if not jobs:
-        return
-    from dask.distributed import as_completed
-
-    from gelgap.adapt.run_key import stage1_profile
-    from gelgap.domains import dask_client
-
-    with dask_client(None, bench.workers) as client:
-        first: dict[Any, Any] = {}
-        runs = []
-        for job in jobs:
-            stage1 = (job.source, job.seed, stage1_profile(job.profile(bench.profile)).model_dump_json())
-            runs.append(client.submit(_run_after, first.get(stage1), work, bench, job, pure=False))
-            first.setdefault(stage1, runs[-1])
-        for future in as_completed(runs, loop=client.loop):
-            record = future.result()
-            if record is not None:
-                yield record
-
-
-def _run_after(_: Any, work: Work, bench: Bench, job: TrainingJob) -> Any:
-    return None if bench.is_over() else work(bench, job)
-
-
-def _summary(record: Any) -> str:
-    job = record.job
-    changes = "".join(f"  {name} = {value}" for name, value in job.changes)
-    result = record.problem or f"{record.mean_mae_n:.3f} N"
-    return f"{job.source} → {job.target}  {job.method}  seed {job.seed}{changes}: {result}"
+    content = [profile, *(domain.recipe.key for domain in open_pair(bench, job))]
+    return hashlib.sha256(canonical_json(content)).hexdigest()[:12]

@@ -21,7 +21,8 @@ class Part:
 
     def run(self, quick: bool, out_dir: Path) -> None:
         """Measure with the cpu profile, or quickly with the smoke profile; print the tables, write the report."""
-        self.carry_out(Bench.at(out_dir / "adaptation" / ("smoke" if quick else "cpu")))
+        folder = out_dir / "adaptation" / ("smoke" if quick else "cpu")
+        self.carry_out(Bench.at(folder, workers=1 if quick else None))
 
     def carry_out(self, bench: Bench) -> None:
         """Measure, print the tables and write the report of all parts."""

@@ -23,7 +23,8 @@ BASE = "supervised"
 METHODS = (BASE, "no-transfer", "dsan", "dann", "daregram", "coral", "dan", "rsd")
 RESULTS = "speed.json"
 FRAMES, EPOCHS, REPEATS = 256, 3, 3
-"""Frames of noise, epochs whose median is taken, and turns of the comparison with the plain loop."""
+QUICK = METHODS[:3], 64, 1
+"""Frames of noise, epochs whose median is taken, turns of the comparison with the plain loop; the quick form."""
 
 
 @dataclass(frozen=True)
@@ -40,34 +41,41 @@ def measure(bench: Bench) -> None:
     """Measure the bench's profile and write `speed.json`."""
     from gelgap.adapt import Profile
 
-    write_results(bench.out / RESULTS, measure_profile(Profile.preset(bench.profile)))
+    methods, frames, repeats = QUICK if bench.is_quick else (METHODS, FRAMES, REPEATS)
+    profile = Profile.preset(bench.profile)
+    write_results(
+        bench.out / RESULTS, measure_profile(profile, random_frames(profile, frames), methods, repeats)
+    )
 
 
-def measure_profile(profile: "Profile") -> list[Speed]:
-    """Return the speeds of a plain loop, of stage 1 and of stage 2 with each method."""
+def measure_profile(
+    profile: "Profile", frames: "ArrayFrames", methods: Sequence[str], repeats: int
+) -> list[Speed]:
+    """Return the speeds of a plain loop, of stage 1 (compared in turns, repeated) and of stage 2 with each method."""
     from gelgap.adapt import adapt, train_source
 
-    frames = random_frames(profile)
     short = profile.replace(source_epochs=EPOCHS, adapt_epochs=EPOCHS, transfer_warmup=0.0, transfer_ramp=0.0)
-    plain = short.replace(colour_mixing=0.0)
+    plain, steps = short.replace(colour_mixing=0.0), len(frames) // profile.batch_size
     speeds = [Speed("plain PyTorch, source regression", plain_loop_ms(frames, profile, EPOCHS))]
-    speeds.append(_speed("stage 1", profile, train_source(frames, plain).history, overhead(frames, plain)))
+    speeds.append(
+        _speed("stage 1", steps, train_source(frames, plain).history, overhead(frames, plain, repeats))
+    )
     model = train_source(frames, short)
     if profile.colour_mixing:
-        speeds.append(_speed("stage 1, mixed colours", profile, model.history))
-    for method in METHODS:
+        speeds.append(_speed("stage 1, mixed colours", steps, model.history))
+    for method in methods:
         adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
-        speeds.append(_speed(f"stage 2, {method}", profile, adapted.history[EPOCHS:]))
+        speeds.append(_speed(f"stage 2, {method}", steps, adapted.history[EPOCHS:]))
     return speeds
 
 
-def _speed(name: str, profile: "Profile", history: Sequence[dict], over: float | None = None) -> Speed:
-    step_s = [epoch["wall_s"] / (FRAMES // profile.batch_size) for epoch in history]
+def _speed(name: str, steps: int, history: Sequence[dict], over: float | None = None) -> Speed:
+    step_s = [epoch["wall_s"] / steps for epoch in history]
     waits = [epoch["wait_s"] / epoch["wall_s"] for epoch in history]
     return Speed(name, 1e3 * float(np.median(step_s)), float(np.median(waits)), over)
 
 
-def random_frames(profile: "Profile") -> "ArrayFrames":
+def random_frames(profile: "Profile", count: int = FRAMES) -> "ArrayFrames":
     """Return frames of noise at the profile's size: speed does not depend on what they show."""
     from gelgap.domains import ArrayFrames
 
@@ -75,11 +83,11 @@ def random_frames(profile: "Profile") -> "ArrayFrames":
     width, height = profile.image_size_px
     return ArrayFrames(
         name="noise",
-        images=rng.integers(0, 256, (FRAMES, height, width, 3), dtype=np.uint8),
+        images=rng.integers(0, 256, (count, height, width, 3), dtype=np.uint8),
         reference=np.full((height, width, 3), 128, np.uint8),
-        force_n=rng.uniform([-0.7, -0.7, -3], [0.7, 0.7, 0], (FRAMES, 3)).astype(np.float32),
-        contact_class=rng.integers(0, 361, FRAMES),
-        point_id=rng.integers(0, 30, FRAMES),
+        force_n=rng.uniform([-0.7, -0.7, -3], [0.7, 0.7, 0], (count, 3)).astype(np.float32),
+        contact_class=rng.integers(0, 361, count),
+        point_id=rng.integers(0, 30, count),
     )
 
 
@@ -111,14 +119,14 @@ def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> flo
     return 1e3 * float(np.median(times))
 
 
-def overhead(frames: "ArrayFrames", profile: "Profile") -> float:
+def overhead(frames: "ArrayFrames", profile: "Profile", repeats: int = REPEATS) -> float:
     """Return the median of stage 1's processor time over the plain loop's, minus 1; taken in turns after a warm-up."""
     from gelgap.adapt import train_source
 
     short = profile.replace(source_epochs=2)
     plain_loop_ms(frames, profile, 1)
     ratios = []
-    for _ in range(REPEATS):
+    for _ in range(repeats):
         start = time.process_time()
         plain_loop_ms(frames, profile, 2)
         between = time.process_time()
@@ -152,7 +160,7 @@ def speed_table(speeds: Sequence[Speed]) -> ResultTable:
             f"over {BASE}": [percent(over, "+.1f") for over in over_base],
             "waiting for data": [percent(s.wait_share, ".1f") for s in speeds],
         },
-        "Medians over epochs of 256 frames of noise; stage 1 over the plain loop in processor time. "
+        "Medians over epochs of frames of noise; stage 1 over the plain loop in processor time. "
         "No-transfer takes no gradient through the target's pictures.",
     )
 

@@ -1,8 +1,8 @@
-"""Comparing methods over groups and seeds: bootstrap intervals, paired tests, ranks and their critical difference."""
+"""Comparing methods over groups and seeds: bootstrap intervals of paired differences, ranks, critical difference."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,11 +12,8 @@ if TYPE_CHECKING:
 
 RESAMPLES = 4000
 CAVEAT = (
-    "The groups are not independent: nine groups are made of four domains, groups of one source share its first stage, "
-    "and mb0i0 and wmb0i0 show the same contacts. A rank test takes them for independent, so that its p values are too "
-    "small and its critical difference too short; with all nine differences of one sign the smallest possible p is "
-    "0.004, which four domains cannot support. Read them as a description. The last columns leave out one domain at a "
-    "time, which is the honest spread."
+    "A description, not a test: the nine groups are made of four domains, groups of one source share its first stage, "
+    "and mb0i0 and wmb0i0 show the same contacts, so they are not nine independent cases."
 )
 
 
@@ -37,25 +34,23 @@ def check_installed() -> None:
 
 
 def bootstrap_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of values (groups, seeds): groups are drawn, then seeds within each.
+    """Return the 95 % percentile interval of the mean of values (groups, seeds), NaN where there is no run.
 
-    NaN is a seed that a group has not. The interval is NaN if a group has none, or if there is one group.
+    Groups and seeds are drawn with replacement, independently of each other: a seed gives all groups their split and
+    their initial weights, so that its runs are drawn together. The interval is NaN for one group, or where a group
+    has no run.
     """
-    from scipy.stats import bootstrap
-
-    count = (~np.isnan(values)).sum(axis=1)
-    if len(values) < 2 or not count.all():
+    there = ~np.isnan(values)
+    if len(values) < 2 or not there.any(axis=1).all():
         return math.nan, math.nan
     rng = np.random.default_rng(seed)
-    present_first = np.sort(values, axis=1)
-
-    def mean_of_drawn_seeds(groups: np.ndarray, axis: int) -> np.ndarray:
-        drawn = rng.random((*groups.shape, values.shape[1])) * count[groups][..., None]
-        return present_first[groups[..., None], drawn.astype(int)].mean(axis=(axis - 1, -1))
-
-    groups = (np.arange(len(values)),)
-    found = bootstrap(groups, mean_of_drawn_seeds, n_resamples=RESAMPLES, method="percentile", rng=rng)
-    return float(found.confidence_interval.low), float(found.confidence_interval.high)
+    groups = rng.integers(len(values), size=(RESAMPLES, len(values), 1))
+    seeds = rng.integers(values.shape[1], size=(RESAMPLES, 1, values.shape[1]))
+    drawn, count = np.where(there, values, 0.0)[groups, seeds], there[groups, seeds].sum(axis=2)
+    by_group = np.where(count > 0, drawn.sum(axis=2) / np.maximum(count, 1), np.nan)
+    means = np.nanmean(by_group, axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def ranks(errors: np.ndarray) -> np.ndarray:
@@ -66,72 +61,44 @@ def ranks(errors: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """A method against another over the same cases; `difference_n` is the mean of first minus second, N.
+class Difference:
+    """A method's errors less its control's over the same groups and seeds, N; negative where it is better.
 
-    `p_groups` is Wilcoxon's signed-rank p over the groups' means, `p_runs` over all runs (groups × seeds), both
-    two-sided and Holm-corrected over the comparisons of a table; `leaving_out` holds the smallest and the largest mean
-    difference when one domain's groups are left out.
+    `interval_n` is the bootstrap's; `better` counts the groups whose mean over seeds is negative; `leaving_out_n` holds
+    the smallest and the largest mean when one domain's groups are left out.
     """
 
-    first: str
-    second: str
-    difference_n: float
-    p_groups: float
-    p_runs: float
-    wins: int
-    cases: int
-    leaving_out: tuple[float, float]
+    mean_n: float
+    interval_n: tuple[float, float]
+    better: int
+    groups: int
+    leaving_out_n: tuple[float, float]
 
 
-def compare(
-    errors: np.ndarray, methods: Sequence[str], groups: Sequence[tuple[str, str]], against: str
-) -> list[Comparison]:
-    """Compare every method with one of them; errors (methods, groups, seeds) in N.
-
-    A pair of group and seed that is NaN for all methods was not run. A method with another NaN (a collapse) is left
-    out, and so is one without a run in some group.
-    """
-    there = ~np.isnan(errors).all(axis=0)
-    base = errors[methods.index(against)]
-    found = []
-    for method, own in zip(methods, errors, strict=True):
-        difference = own - base
-        if method == against or not there.any(axis=1).all() or np.isnan(difference[there]).any():
-            continue
-        by_group = np.array([row[kept].mean() for row, kept in zip(difference, there, strict=True)])
-        without = [by_group[kept].mean() for kept in _leaving_out(groups) if kept.any()]
-        found.append(
-            Comparison(
-                first=method,
-                second=against,
-                difference_n=float(by_group.mean()),
-                p_groups=_wilcoxon_p(by_group),
-                p_runs=_wilcoxon_p(difference[there]),
-                wins=int((by_group < 0).sum()),
-                cases=len(by_group),
-                leaving_out=(float(min(without)), float(max(without))),
-            )
-        )
-    p_groups, p_runs = (_holm([getattr(c, name) for c in found]) for name in ("p_groups", "p_runs"))
-    return [replace(c, p_groups=g, p_runs=r) for c, g, r in zip(found, p_groups, p_runs, strict=True)]
-
-
-def _wilcoxon_p(differences: np.ndarray) -> float:
-    from scipy.stats import wilcoxon
-
-    return float(wilcoxon(differences).pvalue) if differences.any() else 1.0
-
-
-def _leaving_out(groups: Sequence[tuple[str, str]]) -> list[np.ndarray]:
+def paired_difference(own: np.ndarray, control: np.ndarray, groups: Sequence[tuple[str, str]]) -> Difference:
+    """Return the difference of errors (groups, seeds); NaN where one of them has no run."""
+    difference = own - control
+    there = ~np.isnan(difference)
+    by_group = np.where(there, difference, 0.0).sum(axis=1) / np.where(
+        there.any(axis=1), there.sum(axis=1), np.nan
+    )
     domains = dict.fromkeys(domain for group in groups for domain in group)
-    return [np.array([domain not in group for group in groups]) for domain in domains]
+    kept = [np.array([domain not in group for group in groups]) for domain in domains]
+    without = [float(by_group[rows].mean()) for rows in kept if rows.any()]
+    return Difference(
+        mean_n=float(by_group.mean()),
+        interval_n=bootstrap_interval(difference),
+        better=int((by_group < 0).sum()),
+        groups=len(by_group),
+        leaving_out_n=(min(without), max(without)) if without else (math.nan, math.nan),
+    )
 
 
-def _holm(p_values: Sequence[float]) -> list[float]:
-    from statsmodels.stats.multitest import multipletests
+def kendall_tau(errors: Sequence[float]) -> float:
+    """Return Kendall's τ between the order of some errors and their falling order; 1: each is below the one before."""
+    from scipy.stats import kendalltau
 
-    return multipletests(p_values, method="holm")[1].tolist() if p_values else []
+    return float(kendalltau(np.arange(len(errors)), -np.asarray(errors)).statistic)
 
 
 def critical_difference(methods: int, cases: int, level: float = 0.05) -> float:

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.network import Activations
+from gelgap.adapt.source_training import train_source
 
 
 def brute_force_lmmd(s, t, source_group, target_probability):
@@ -80,3 +82,12 @@ def test_dsan_without_a_common_class_has_no_loss_and_says_so():
     assert loss.item() == 0
     assert not source.features.grad.any()
     assert dsan.diagnostics == {"common_classes": 0, "no_common_class": 1}
+
+
+def test_source_frames_of_one_class_are_too_few(source, target, profile):
+    one_class = source.take(np.flatnonzero(source.contact_class == source.contact_class[0]))
+    model = train_source(source, profile.replace(source_epochs=1))
+    with pytest.raises(
+        ValueError, match=r"dsan needs source frames of at least 2 contact classes, and the \d+ of"
+    ):
+        adapt(model, one_class, target, "dsan")

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.sim.path import ContactPath, Pose, PosePath, load_path
+from gelgap.sim.path import ContactPath, DrawnPath, Pose, PosePath, load_path
+
+GRID = "points_x_mm = [0]\npoints_y_mm = [0]\ndepths_mm = [0.2]\nradii_mm = [0.1]\nangles_deg = [0, 90, 180, 270]"
 
 
 @pytest.mark.parametrize(
-    ("name", "frames"), [("paper", 10_830), ("sparse", 873), ("cpu", 1_164), ("smoke", 148)]
+    ("name", "frames"), [("paper", 10_830), ("sparse", 873), ("cpu", 1_170), ("smoke", 148)]
 )
 def test_presets_have_the_published_number_of_frames(name: str, frames: int) -> None:
     assert len(ContactPath.preset(name).poses) == frames
@@ -67,6 +69,25 @@ def test_trajectories_keep_their_order_and_start_from_a_reference(tmp_path: Path
     assert {pose.point_id for pose in path.poses[:4]} != {pose.point_id for pose in path.poses[4:]}
 
 
+def test_a_drawn_path_has_some_contacts_of_its_grid_at_each_point() -> None:
+    drawn = ContactPath.preset("cpu")
+    grid = ContactPath(
+        "grid", drawn.points_x_mm, drawn.points_y_mm, drawn.depths_mm, drawn.radii_mm, drawn.angles_deg
+    )
+    assert isinstance(drawn, DrawnPath)
+    assert drawn.poses == load_path("cpu").poses, "always the same ones"
+    assert set(drawn.poses) < set(grid.poses)
+    assert [pose for pose in grid.poses if pose in set(drawn.poses)] == list(drawn.poses), (
+        "in the grid's order"
+    )
+    at_point = {k: [p for p in drawn.poses if p.point_id == k] for k in {p.point_id for p in drawn.poses}}
+    assert {len(poses) for poses in at_point.values()} == {39}
+    assert len({tuple(p.contact_class for p in poses) for poses in at_point.values()}) == 30, (
+        "each point its own"
+    )
+    assert {p.contact_class for p in drawn.poses} == {p.contact_class for p in grid.poses}
+
+
 def test_random_poses_follow_their_seed_and_ranges() -> None:
     ranges = {"depth_mm": (0.2, 0.4), "radius_mm": (0.1, 0.3), "point_x_mm": (-1.0, 1.0)}
     path = PosePath.random("drawn", number=50, seed=3, **ranges)
@@ -98,6 +119,8 @@ def test_presets_that_list_poses(name: str) -> None:
         ("[random]\nnumber = 2\ndepth_mm = [0.4, 0.2]", "depth_mm"),
         ("[random]\ncount = 2", "count"),
         ("depths_mm = [0.1]", "points_x_mm"),
+        (f"{GRID}\ncontacts_per_point = 5", "must be 1 to 4"),
+        (f"{GRID}\ncontacts_per_point = 1.5", "must be a whole number"),
         ("=", "not valid TOML"),
     ],
 )

@@ -1,16 +1,15 @@
 """The benchmark's other parts: designs of gap curves, factorial effects, ablation, costs, and the report of all."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gelgap.adapt import adapt_frames
-from gelgap.benchmarks.adaptation import ablation, cost, gaps, speed
+from gelgap.benchmarks.adaptation import gaps, labels, speed
 from gelgap.benchmarks.adaptation.figures import prediction_figures
 from gelgap.benchmarks.adaptation.gaps import CrossedCell, Gap, GapResults, design, effects
-from gelgap.benchmarks.adaptation.jobs import RUNS, RunRecord, TrainingJob
+from gelgap.benchmarks.adaptation.jobs import AT_RANDOM, BY_POINT, RUNS, RunRecord, TrainingJob
 from gelgap.benchmarks.adaptation.paper import GROUPS
 from gelgap.benchmarks.adaptation.parts import write_benchmark_report
 from gelgap.benchmarks.adaptation.results import GroupOracles, is_benchmark, write_oracles
@@ -65,22 +64,6 @@ def test_effects_are_those_of_the_factorial_design():
     assert found["modulus × light × markers"] == pytest.approx(0)
 
 
-def test_ablation_changes_fields_that_exist():
-    jobs = ablation.ablation_jobs(GROUPS[:1], [0])
-    assert len({(job.method, job.changes) for job in jobs}) == len(ablation.variations())
-    profiles = [job.profile("cpu") for job in jobs]
-    assert {profile.transfer_weight for profile in profiles} >= {0.003, 1.0}
-
-
-def test_cheaper_data_differ_as_they_say():
-    standard, independent = (
-        cost.recipes(name)[0] for name in ("standard", "draft physics, independent contacts")
-    )
-    assert standard.quality == "standard"
-    assert (independent.quality, independent.contacts) == ("draft", "independent")
-    assert len(independent.path.poses) == len(standard.path.poses)
-
-
 def test_report_of_all_parts(tmp_path):
     folder = tmp_path / "cpu"
     rng = np.random.default_rng(0)
@@ -89,28 +72,23 @@ def test_report_of_all_parts(tmp_path):
         for method in ("source-only", "dann", "dsan", "supervised"):
             for seed in (0, 1):
                 mae = tuple((0.1 + 0.1 * rng.random(3)).tolist())
-                job = TrainingJob(*group, method, seed)
+                job = TrainingJob(*group, method, seed, changes=BY_POINT)
                 line = RunRecord(
-                    job, "cpu", {}, mae_n=mae, r2=(0.9,) * 3, constant_mean_n=(0.4,) * 3, stage2_s=3.0
+                    job, "cpu", mae_n=mae, r2=(0.9,) * 3, constant_mean_n=(0.4,) * 3, stage2_s=3.0
                 )
                 append_record(folder / RUNS, line)
     write_oracles(folder, {group: GroupOracles((0.01,) * 3, (0.02,) * 3) for group in GROUPS})
-    variation = ablation.variations()[0]
-    job = TrainingJob(*ablation.GROUPS[0], variation.method, 0, variation.changes)
-    append_record(folder / ablation.RECORD, RunRecord(job, "cpu", {}, problem="the features collapsed"))
+    append_record(folder / labels.RECORD, label_record(GROUPS[0], "dsan", {0: 0.2, 1: 0.1}))
     write_json(folder / gaps.RESULTS, crossed(lambda c: 0.1))
-    errors = {method: [0.2, 0.3] for method in cost.METHODS}
-    costs = [cost.Cost("standard", 200, 1.0, 8, errors, 60.0)]
-    write_json(folder / cost.RESULTS, costs)
     loops = [speed.Speed(name, 40.0, 0.01, 0.02) for name in ("stage 1", "stage 2, supervised")]
     write_json(folder / speed.RESULTS, loops)
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 4
+    assert page.count("data:image/png;base64,") == 5
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
     for expected in (
-        "critical difference",
+        "Nemenyi's difference",
+        "A few labelled target frames",
         "Effects and interactions",
-        "collapsed",
         "![Mean ranks",
         "pose oracle",
         "25.0 | +2.0 %",
@@ -120,17 +98,52 @@ def test_report_of_all_parts(tmp_path):
     assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))
 
 
-def test_figures_show_only_the_tables_runs_of_the_shown_methods(source, target, profile, tmp_path):
+def test_figures_show_the_kept_runs_of_the_shown_methods(source, target, profile, tmp_path):
     short = profile.replace(source_epochs=1, adapt_epochs=1)
-    runs = adapt_frames(target, source, ["source-only", "dsan-coarse"], short, out_dir=tmp_path)
-    write_oracles(tmp_path, {(target.name, source.name): GroupOracles((0.01,) * 3, (0.02,) * 3)})
-    job = TrainingJob(target.name, source.name, "source-only", 0)
-    append_record(tmp_path / RUNS, RunRecord(job, "cpu", {}, key="another run's"))
     assert prediction_figures(tmp_path) == []
-    for run in runs:
-        append_record(tmp_path / RUNS, RunRecord(replace(job, method=run.method), "cpu", {}, key=run.key))
+    adapt_frames(target, source, ["source-only", "dsan-coarse"], short, out_dir=tmp_path)
     scatter, _ = prediction_figures(tmp_path)
     assert [axes.get_title().partition(":")[0] for axes in scatter.figure.axes] == ["source-only"] * 3
+
+
+def label_record(
+    group: tuple[str, str], method: str, errors: dict[int, float], changes=BY_POINT
+) -> labels.LabelRecord:
+    points = [
+        labels.LabelPoint(way if n else "none", n, (error,) * 3, (0.5,) * 3)
+        for n, error in errors.items()
+        for way in (labels.WAYS if n else ("none",))
+    ]
+    return labels.LabelRecord(
+        TrainingJob(*group, method, 0, changes=changes), "cpu", "c", {}, points=tuple(points)
+    )
+
+
+def test_labels_that_close_a_gap():
+    without = label_record((gaps.BASE, gaps.BASE), "source-only", {0: 0.1, 1: 0.1}, AT_RANDOM)
+    gap = label_record((gaps.BASE, "modulus-001"), "source-only", {0: 0.2, 1: 0.12, 5: 0.105}, AT_RANDOM)
+    rows = {tuple(row[:3]): row[3:] for row in labels.gap_table([gap, without]).rows}
+    assert rows["modulus × 0.5", "source-only", "both"] == ["0.200", "0.120", "0.105", "–", "–", "5"]
+    assert rows["none", "source-only", "both"][-1] == "0"
+    assert rows["modulus × 0.5", "dsan", "both"] == ["–"] * 6
+    nine = labels.nine_table([gap, without]).rows
+    assert nine[0][:5] == ["source-only", "affine", "0.150", "0.110", "0.105"]
+
+
+def test_labels_are_drawn_from_the_targets_training_frames(source, target, profile):
+    from gelgap.adapt import split_for_training, train_source
+
+    frames = split_for_training(source, target, profile.replace(source_epochs=1), 0)
+    model = train_source(frames.source_train, profile.replace(source_epochs=1))
+    points = list(labels.label_points(model, frames, 0))
+    assert [(point.way, point.labels) for point in points[:4]] == [
+        ("none", 0),
+        ("affine", 1),
+        ("fine-tuning", 1),
+        ("both", 1),
+    ]
+    assert max(point.labels for point in points) == 20  # it has no hundred
+    assert len({point.mae_n for point in points}) == len(points) == 10
 
 
 def test_no_records_is_one_sentence(tmp_path):
@@ -144,7 +157,6 @@ def test_gap_errors_are_means_over_seeds(source, monkeypatch):
         RunRecord(
             TrainingJob("mb0i0", "a", "dsan", seed),
             "smoke",
-            {},
             mae_n=(mae,) * 3,
             constant_mean_n=(4 * mae,) * 3,
         )
