@@ -63,6 +63,13 @@ BENCHMARKS = (
         "render.unknown_ball",
         by_default=False,
     ),
+    Benchmark(
+        "sensors",
+        "robustness",
+        "what a fit to disturbed pictures still predicts",
+        "render.sensor_robustness",
+        by_default=False,
+    ),
     Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
     Benchmark(
         "stability", "render", "memory and time over many frames", "render.stability", by_default=False

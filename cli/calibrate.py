@@ -48,7 +48,7 @@ class Calibrate:
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), OutputFile((".toml",))]
-    """The sensor TOML to write; its flat field comes to lie beside it."""
+    """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
     presses: Annotated[tyro.conf.Positional[Path | None], optional("PRESSES"), InputFile("a TOML file")] = (
         None
     )
@@ -64,11 +64,11 @@ class Calibrate:
     sphere_diameter_mm: Annotated[float | None, optional("MM"), Between(0.5, 50)] = None
     """The sphere's diameter in all presses, whatever the list or the package says."""
     pictures: Annotated[Path | None, optional("FOLDER"), OutputFolder()] = None
-    """Also write of each held-out press the real picture, the predicted one and four times their difference."""
+    """Where the held-out presses are shown: real, predicted, four times their difference; default: NAME-held-out."""
     held_out_parts: Annotated[int, Between(0, 24)] = 3
     """Into how many parts the presses are divided, each predicted by a fit without it; 0: none is held out."""
-    parallel_camera: Flag = False
-    """Take the camera for a nearly parallel one, which often suits a lens behind thick plates better."""
+    keep_camera: Flag = False
+    """Leave the camera where the sensor has it; otherwise its distance is fitted, as far as seems parallel."""
     membrane_quality: Literal["draft", "standard", "fine"] = "draft"
     """How finely the membrane around the spheres is solved."""
     leds_only: Flag = False
@@ -131,25 +131,32 @@ class Calibrate:
             )
 
     def _fit_light(self, sensor, reference, presses) -> None:
-        from gelgap.cli.workflows.calibration_report import print_calibration, write_comparisons
+        from gelgap.cli.workflows.calibration_report import described, print_calibration, write_comparisons
         from gelgap.domains import sphere_profiles
         from gelgap.render import calibrate_light, save_calibration
 
-        if self.parallel_camera:
-            size_px = reference.shape[1], reference.shape[0]
-            sensor = sensor.model_copy(update={"camera": sensor.camera.seen_from_afar(size_px)})
         fit = calibrate_light(
             sensor,
             reference,
             presses,
             lambda diameters, deepest: sphere_profiles(diameters, deepest, self.membrane_quality),
+            keep_camera=self.keep_camera,
             folds=self.held_out_parts,
         )
+        fit = replace(fit, sensor=described(fit))
         fitted = save_calibration(fit, self.output)
         print(f"wrote {self.output} and {fitted.flat_field.file}")
         print_calibration(fit)
-        if self.pictures is not None:
-            write_comparisons(fit, presses, self.pictures)
+        if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
+            print(
+                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
+                f"{DOUBTFUL_RMS_CODE_VALUES:g}): check the LEDs' directions, the spheres' diameters and, among few "
+                "presses, the picture of each, since one can spoil the fit",
+                file=sys.stderr,
+            )
+        if fit.held_out:
+            folder = self.pictures or self.output.with_name(f"{self.output.stem}-held-out")
+            write_comparisons(fit, presses, folder)
 
 
 def read_presses(path: Path) -> "tuple[PressPicture, ...]":

@@ -108,13 +108,12 @@ def _folder(name: str) -> Path:
 
 
 def start_sensor(width_px: int, azimuths: Sequence[float], mm_per_px: float = MM_PER_PX) -> Sensor:
-    """Return what a calibration of these sets starts from: a parallel camera, no dots, a bar for each channel.
+    """Return what a calibration of these sets starts from: a camera 25 mm away, no dots, a bar for each channel.
 
     `azimuths` (3,) are where red, green and blue come from, in radians from +x towards +y.
     """
     fov_deg = 2 * degrees(atan(width_px * mm_per_px / 2 / _DISTANCE_MM))
-    near = Camera(position_mm=(0.0, 0.0, -_DISTANCE_MM), horizontal_field_of_view_deg=fov_deg)
-    camera = near.seen_from_afar((width_px, width_px))
+    camera = Camera(position_mm=(0.0, 0.0, -_DISTANCE_MM), horizontal_field_of_view_deg=fov_deg)
     leds = []
     for name, azimuth in zip(_COLOURS, azimuths, strict=True):
         x, y = np.cos(azimuth), np.sin(azimuth)

@@ -14,11 +14,11 @@ from .inpainting import inpaint_telea as inpaint_telea
 from .led import Emitter as Emitter
 from .led import Led as Led
 from .led_cache import clear_led_cache as clear_led_cache
-from .light_calibration import HeldOut as HeldOut
 from .light_calibration import LightCalibration as LightCalibration
 from .light_calibration import calibrate_light as calibrate_light
 from .light_calibration import save_calibration as save_calibration
 from .light_directions import light_azimuths as light_azimuths
+from .light_task import HeldOut as HeldOut
 from .markers import marker_rest_mm as marker_rest_mm
 from .press_profiles import PressProfiles as PressProfiles
 from .press_profiles import SolvedPress as SolvedPress

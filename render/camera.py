@@ -56,17 +56,21 @@ class Camera(Settings):
         width_mm = -2 * self.position_mm[2] * tan(radians(0.5 * self.horizontal_field_of_view_deg))
         return width_mm, width_mm * size_px[1] / size_px[0]
 
-    def seen_from_afar(self, size_px: tuple[int, int]) -> "Camera":
-        """Return a nearly parallel camera that shows the same of the undeformed membrane.
+    def farthest_mm(self, size_px: tuple[int, int]) -> float:
+        """Return the distance from which the view is nearly parallel: 500 mm, or where a small view fills 1.2°."""
+        return min(FARTHEST_MM, self.footprint_mm(size_px)[0] / 2 / tan(radians(0.6)))
 
-        It is 500 mm away, or so far that a small view still fills 1.2°.
-        """
+    def seen_from(self, distance_mm: float, size_px: tuple[int, int]) -> "Camera":
+        """Return the camera at another distance that shows the same of the undeformed membrane."""
         half_mm = self.footprint_mm(size_px)[0] / 2
-        distance_mm = min(FARTHEST_MM, half_mm / tan(radians(0.6)))
+        k1, k2 = self.radial_distortion
+        # Distortion is a matter of the slope of rays, which is less from afar.
+        steeper = (distance_mm / -self.position_mm[2]) ** 2
         return self.model_copy(
             update={
                 "position_mm": (*self.position_mm[:2], -distance_mm),
                 "horizontal_field_of_view_deg": 2 * degrees(atan(half_mm / distance_mm)),
+                "radial_distortion": (k1 * steeper, k2 * steeper**2),
             }
         )
 

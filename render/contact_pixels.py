@@ -142,7 +142,7 @@ def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) 
     change = picture.astype(np.float32) - reference
     change = cv2.GaussianBlur(change, (0, 0), picture.shape[1] / 80)
     if np.abs(change).max() < _LEAST_CHANGE:
-        raise ValueError("a press picture hardly differs from the reference; no contact was found in it")
+        raise ValueError("the picture hardly differs from the reference; no contact was found in it")
     height, width, _ = change.shape
     middles, weights = [], []
     for channel in np.moveaxis(change, 2, 0):

@@ -11,39 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.render.contact_pixels import PressPicture
-from gelgap.render.far_field import FarField, far_field
-from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
-from gelgap.render.illumination import Illumination
-from gelgap.render.imaging import srgb_decode
-from gelgap.render.light_fit import Light, LightFit, LightOptions
+from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
+from gelgap.render.light_fit import LightFit
+from gelgap.render.light_task import HeldOut, LightTask, flat_field_maps, most_error
 from gelgap.render.press_light import Bars
-from gelgap.render.press_poses import PlacedPresses, check_presses, place_presses, rough_marks
+from gelgap.render.press_poses import check_presses, place_presses, rough_marks
 from gelgap.render.press_profiles import PressProfiles
-from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.scattered import LARGEST, Scattered
 from gelgap.render.sensor import Sensor, save_sensor
 from gelgap.render.sphere_size import Membranes, SphereSize, fit_sphere_size
 
 FEWEST_PRESSES = 6
 FEWEST_FOR_ORDER_3 = 12
 FOLDS = 3
+# Of so many presses one alone hardly bends the fit.
+_MANY_PRESSES = 20
 # Sizes of an unknown sphere are compared by so many presses, with light of a low order.
 _PRESSES_FOR_SIZE = 12
-_MARGIN_MM = 0.5
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """How a press that the fit had not seen was predicted, PSNR in dB: inside its contact, and from one to two radii.
-
-    `marked` takes the press where it was marked or found; `refined` moves its centre and depth in its own picture.
-    """
-
-    name: str
-    unchanged: tuple[float, float]
-    marked: tuple[float, float]
-    refined: tuple[float, float]
-    picture: np.ndarray  # uint8 (h, w, 3), predicted, refined
 
 
 @dataclass(frozen=True)
@@ -62,6 +45,7 @@ class LightCalibration:
     led_azimuths_deg: np.ndarray  # (leds, 2): value, standard error (NaN without held-out fits)
     led_elevations_deg: np.ndarray
     sphere_size: SphereSize | None = None  # of an unknown sphere
+    nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
 
 
 def calibrate_light(
@@ -74,6 +58,7 @@ def calibrate_light(
     degree: int | None = None,
     far: bool = True,
     shadows: bool = True,
+    keep_camera: bool = False,
     folds: int = FOLDS,
 ) -> LightCalibration:
     """Fit LEDs, scattered light and flat field to pictures of pressed spheres.
@@ -81,7 +66,8 @@ def calibrate_light(
     Parameters
     ----------
     sensor
-        The start: camera, coat, and LEDs in the right directions (within 30°); places, sizes and colours are fitted.
+        The start: what the camera sees, coat, and LEDs in the right directions (within 30°); the camera's distance and
+        the LEDs' places, sizes and colours are fitted.
     reference
         uint8 (h, w, 3) without contact.
     presses
@@ -95,6 +81,8 @@ def calibrate_light(
         Whether a press changes the picture where it does not touch (`loaded` and `gain` of the flat field).
     shadows
         Whether the dent casts shadows in the fit's own model.
+    keep_camera
+        Whether the camera stays where it is; otherwise its distance is fitted, and it shows the same of the gel.
     folds
         Into how many parts the presses are divided to be held out, one part after the other; 0: none is.
 
@@ -113,8 +101,12 @@ def calibrate_light(
             f"{len(presses)} presses are too few to fit a sensor's light: it takes {FEWEST_PRESSES}, better 24, spread "
             "over the view; its LEDs alone can be fitted to three (--leds-only)"
         )
+    if folds > len(presses):
+        raise ValueError(
+            f"{len(presses)} presses cannot be held out in {folds} parts; at most {len(presses)} parts"
+        )
     check_presses(reference, presses)
-    size = unknown_sphere_size(sensor, reference, presses, membranes)
+    size = unknown_sphere_size(sensor, reference, presses, membranes, keep_camera=keep_camera)
     if size is not None:
         presses = [replace(press, sphere_diameter_mm=size.diameter_mm) for press in presses]
     depths = [press.depth_mm for press in presses]
@@ -127,22 +119,30 @@ def calibrate_light(
         (3 if rich else 2) if order is None else order,
         (2 if rich else 1) if degree is None else degree,
     )
-    task = LightTask(sensor, placed, order, degree, far, shadows)
+    task = LightTask(sensor, placed, order, degree, far, shadows, keep_camera)
     everything = np.arange(len(presses))
     fit, field = task.fit(everything)
-    outliers = _outliers(fit)
+    suspects = outliers = _suspects(fit)
+    if len(suspects):
+        others, other_field = task.fit(np.setdiff1d(everything, suspects))
+        outliers = task.unexplained(others, other_field, suspects)
+        if len(outliers) == len(suspects):
+            fit, field = others, other_field
+        elif len(outliers):
+            fit, field = task.fit(np.setdiff1d(everything, outliers))
     used = np.setdiff1d(everything, outliers)
-    if len(outliers):
-        fit, field = task.fit(used)
-    held_out, geometries = [], []
+    held_out, geometries, nearness = [], [], []
     for fold in range(folds):
         without, these = np.delete(used, np.s_[fold::folds]), used[fold::folds]
         other, other_field = task.fit(without)
         geometries.append(_led_angles(other.bars))
-        held_out += [task.predicted(other, other_field, int(press)) for press in these]
+        nearness.append(1 / other.distance_mm)
+        seen = task.seen_as(other)
+        held_out += [seen.predicted(other, other_field, without, int(press)) for press in these]
     _refuse_if_worse(held_out)
-    lit = task.lit_sensor(fit.light)
+    lit = task.lit_sensor(fit)
     angles, errors = _led_angles(fit.bars), _jackknife_errors(geometries, fit.bars)
+    nearness_error = float("nan") if keep_camera else _jackknife_error(np.array(nearness))
     volumes = [placed.profiles[k].volume_mm3(pose[2]) for k, pose in zip(used, fit.presses, strict=True)]
     return LightCalibration(
         sensor=lit,
@@ -157,11 +157,17 @@ def calibrate_light(
         led_azimuths_deg=np.column_stack([angles[0], errors[0]]),
         led_elevations_deg=np.column_stack([angles[1], errors[1]]),
         sphere_size=size,
+        nearness_error_per_mm=float(nearness_error),
     )
 
 
 def unknown_sphere_size(
-    sensor: Sensor, reference: np.ndarray, presses: Sequence[PressPicture], membranes: Membranes
+    sensor: Sensor,
+    reference: np.ndarray,
+    presses: Sequence[PressPicture],
+    membranes: Membranes,
+    *,
+    keep_camera: bool = False,
 ) -> SphereSize | None:
     """Return the size of an unknown sphere, None if all are known."""
     if all(press.sphere_diameter_mm is not None for press in presses):
@@ -181,116 +187,12 @@ def unknown_sphere_size(
         diameter = 2 * profiles.sphere_radius_mm
         tried = [replace(presses[k], sphere_diameter_mm=diameter) for k in some]
         placed = place_presses(sensor.camera, reference, tried, {diameter: profiles})
-        fit, _ = LightTask(sensor, placed, 2, 1, far=False, shadows=True).fit(np.arange(len(some)), rounds=2)
+        task = LightTask(sensor, placed, 2, 1, far=False, shadows=True, keep_camera=keep_camera)
+        fit, _ = task.fit(np.arange(len(some)), rounds=2)
         return fit.press_errors()
 
     mark_mm = mm_per_px * float(np.median([press.radius_px for press in presses]))
     return fit_sphere_size(mark_mm, membranes, press_errors)
-
-
-@dataclass(frozen=True)
-class LightTask:
-    """What every fit has in common, of all presses or of a part of them."""
-
-    sensor: Sensor
-    placed: PlacedPresses
-    order: int
-    degree: int
-    far: bool
-    shadows: bool
-
-    @property
-    def half_view_mm(self) -> float:
-        return self.sensor.camera.footprint_mm(self.placed.size_px)[0] / 2
-
-    @property
-    def scale_mm(self) -> float:
-        """The unit of places: how far apart the presses are, half of the view at most."""
-        box_mm = np.ptp(self.placed.poses_mm[:, :2], axis=0).max() + 2 * _MARGIN_MM
-        return min(self.half_view_mm, float(box_mm))
-
-    def fit(self, which: np.ndarray, rounds: int = 3) -> tuple[LightFit, FarField]:
-        """Fit the presses of the indices `which`."""
-        placed, scale = self.placed, self.scale_mm
-        poses = placed.poses_mm[which]
-        field = placed.untouched
-        if self.far:
-            field = far_field(
-                placed.reference,
-                [placed.pictures[k] for k in which],
-                placed.centers_px[which],
-                placed.radii_px[which],
-                poses[:, :2] / scale,
-            )
-        (x0, y0), (x1, y1) = poses[:, :2].min(0) - _MARGIN_MM, poses[:, :2].max(0) + _MARGIN_MM
-        nearest_mm = 1.05 * self.half_view_mm
-        options = LightOptions(
-            self.order, self.degree, True, self.shadows, scale, (x0, x1, y0, y1), nearest_mm
-        )
-        fit = LightFit(
-            options,
-            placed.samples(which, field, scale),
-            poses,
-            [placed.seen_profiles[k] for k in which],
-            placed.sigma_mm[which],
-            Bars.of(self.sensor.illumination.leds, nearest_mm),
-            np.array(self.sensor.camera.position_mm),
-        )
-        fit.run(rounds)
-        return fit, field
-
-    def predicted(self, fit: LightFit, field: FarField, press: int) -> HeldOut:
-        """Predict a press under a fitted light."""
-        placed = self.placed
-        poses = placed.poses_mm[press], self.refined_pose(fit, field, press)
-        marked, refined = (placed.picture_of(fit.light, field, press, pose, self.scale_mm) for pose in poses)
-        scores = [placed.scores(press, picture) for picture in (placed.reference, marked, refined)]
-        return HeldOut(placed.names[press], *scores, picture=refined)
-
-    def refined_pose(self, fit: LightFit, field: FarField, press: int) -> np.ndarray:
-        """Return (3,): x, y and depth at which a fitted light explains a press's own picture best."""
-        placed, which = self.placed, np.array([press])
-        samples = placed.samples(which, field, self.scale_mm)
-        start, sigma, profiles = placed.poses_mm[which], placed.sigma_mm[which], [placed.seen_profiles[press]]
-        own = LightFit(fit.options, samples, start, profiles, sigma, fit.bars, fit.camera_mm)
-        own.theta = fit.theta
-        own.refine_presses(4)
-        return own.presses[0]
-
-    def lit_sensor(self, light: Light) -> Sensor:
-        """Return the start sensor under a fitted light, matt and without lens losses, which the flat field holds."""
-        camera, coating = self.sensor.camera, self.sensor.coating.model_copy(update={"specular": 0.0})
-        camera = camera.model_copy(update={"vignetting": 0.0})
-        count, options, own = len(light.bars.azimuth), light.options, self.sensor.illumination
-        linear = np.clip(light.theta[count:] / camera.exposure, -LARGEST, LARGEST)
-        ambient, scattered = np.split(linear, [options.ambient_columns])
-        ambient = np.pad(ambient, ((0, 3 - len(ambient)), (0, 0)))
-        names = tuple(led.name for led in own.leds)
-        leds = light.bars.leds(names, light.theta[:count], np.array(coating.albedo), camera.exposure)
-        illumination = Illumination(
-            name=own.name,
-            leds=leds,
-            scattered=Scattered(
-                order=options.order,
-                degree=options.degree if options.order else 0,
-                coefficients=tuple(map(tuple, scattered.T.tolist())),
-                ambient=tuple(map(tuple, ambient.T.tolist())),
-                span_mm=tuple(map(float, options.span_mm)),
-                scale_mm=options.scale_mm,
-            ),
-        )
-        update = {"camera": camera, "coating": coating, "illumination": illumination, "flat_field": None}
-        return self.sensor.model_copy(update=update)
-
-
-def flat_field_maps(sensor: Sensor, placed: PlacedPresses, field: FarField) -> FlatFieldMaps:
-    """Return what the real reference is, in units of the rendered one."""
-    renderer = MembraneRenderer(sensor, sensor.illumination, placed.size_px)
-    real = srgb_decode(placed.clean_reference / 255)
-    rendered = renderer.reference_linear(markers=False)
-    ratio = np.clip(real / np.maximum(rendered, np.maximum(0.2 * real, 1e-6)), *RATIO_BOUNDS)
-    loaded = None if field.loaded is None else np.clip(field.loaded, *LOADED_BOUNDS).astype(np.float32)
-    return FlatFieldMaps(ratio.astype(np.float32), loaded)
 
 
 def _led_angles(bars: Bars) -> np.ndarray:
@@ -300,22 +202,32 @@ def _led_angles(bars: Bars) -> np.ndarray:
 
 def _jackknife_errors(geometries: list[np.ndarray], bars: Bars) -> np.ndarray:
     """Return the standard errors of LED angles from fits that each left one part of the presses out."""
-    groups = len(geometries)
-    if groups < 2:
+    if not geometries:
         return np.full((2, len(bars.azimuth)), np.nan)
     off = np.array(geometries) - _led_angles(bars)
     off[:, 0] = (off[:, 0] + 180) % 360 - 180
-    off -= off.mean(0)
-    return np.sqrt((groups - 1) / groups * (off**2).sum(0))
+    return _jackknife_error(off)
 
 
-def _outliers(fit: LightFit) -> np.ndarray:
-    """Return the presses whose errors stand far out of the others'; enough are always kept."""
+def _jackknife_error(values: np.ndarray) -> np.ndarray:
+    """Return the standard error of what was fitted without one part of the presses each time; NaN for no fit."""
+    groups = len(values)
+    if groups < 2:
+        return np.full(values.shape[1:], np.nan)
+    return np.sqrt((groups - 1) / groups * ((values - values.mean(0)) ** 2).sum(0))
+
+
+def _suspects(fit: LightFit) -> np.ndarray:
+    """Return the presses whose errors stand far out of the others', of few presses the worst; enough are always kept.
+
+    An outlier among few presses bends the fit towards itself, and only a fit without it shows what it is.
+    """
     errors = np.sqrt(fit.press_errors())
-    middle = np.median(errors)
-    spread = np.median(np.abs(errors - middle))
-    far_out = np.flatnonzero((errors > middle + 6 * spread) & (errors > 2.5 * middle))
-    return far_out if len(errors) - len(far_out) >= FEWEST_PRESSES else far_out[:0]
+    far_out = np.flatnonzero(errors > most_error(errors))
+    if len(errors) < _MANY_PRESSES:
+        far_out = np.union1d(far_out, errors.argmax())
+    worst_first = far_out[np.argsort(-errors[far_out])]
+    return np.sort(worst_first[: len(errors) - FEWEST_PRESSES])
 
 
 def _refuse_if_worse(held_out: list[HeldOut]) -> None:

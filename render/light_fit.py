@@ -1,17 +1,20 @@
 """The fit of a real sensor's light: variable projection over bars, scattered light and where each press is.
 
 The intensities of bars, ambient and scattered light enter linearly and are solved for exactly; the bars' geometry is
-searched, with the linear part solved inside every step, and each press's centre and depth follow by Gauss-Newton.
+searched, with the linear part solved inside every step, and each press's centre and depth follow by Gauss-Newton. The
+camera's distance is found by parabolas, each point of them with its own light and presses.
 """
 
+from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
+from gelgap.render.light_options import LightOptions
 from gelgap.render.press_light import Bars, bar_light, points_seen
 from gelgap.render.press_profiles import PressProfiles
-from gelgap.render.scattered import HARMONICS, PLACES, harmonics, monomials
 
 DARK, SATURATED = 4, 250
 REFERENCE_WEIGHT = 0.3
@@ -19,51 +22,9 @@ RIDGE = 0.3
 PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
 PRIOR_WEIGHT = 30.0
 ALL_FIELDS = tuple(PRIOR)
-_ORDERS = np.array([1] * 3 + [2] * 5 + [3] * 7)
-_DEGREES = np.array([0, 1, 1, 2, 2, 2])
 _MOST_STEP_MM = 0.06
 _LEAST_SHARE = 0.2  # of the reference that the modelled reference may be
-
-
-@dataclass(frozen=True)
-class LightOptions:
-    """What the light consists of, and where its place is measured."""
-
-    order: int
-    degree: int
-    ambient: bool
-    shadows: bool
-    scale_mm: float
-    span_mm: tuple[float, float, float, float]
-    nearest_mm: float
-
-    def penalty(self, leds: int) -> np.ndarray:
-        """Return the square roots of the ridge's weights by column."""
-        parts = [np.full(leds, 1e-3), np.full(self.ambient_columns, 0.3)]
-        if self.order:
-            orders, degrees = _ORDERS[: HARMONICS[self.order]], _DEGREES[: PLACES[self.degree]]
-            parts.append((orders[:, None] * (1.0 + degrees)).ravel())
-        return np.concatenate(parts)
-
-    @property
-    def ambient_columns(self) -> int:
-        if not self.ambient:
-            return 0
-        return PLACES[1] if self.order else 1
-
-    def fixed_columns(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Return (n, columns) of ambient and scattered light."""
-        x0, x1, y0, y1 = self.span_mm
-        place = monomials(
-            np.clip(positions[:, 0], x0, x1) / self.scale_mm,
-            np.clip(positions[:, 1], y0, y1) / self.scale_mm,
-            2,
-        )
-        parts = [place[:, : self.ambient_columns]]
-        if self.order:
-            by_normal = harmonics(normals, self.order)[:, :, None]
-            parts.append((by_normal * place[:, None, : PLACES[self.degree]]).reshape(len(positions), -1))
-        return np.concatenate(parts, axis=1)
+_DARKEST = 1e-6  # linear
 
 
 @dataclass(frozen=True)
@@ -139,11 +100,16 @@ class Geometry:
             out[:, k] = kept[key]
         return out
 
-    def columns(self, light: Light | LightOptions, bars: Bars) -> np.ndarray:
+    def columns(self, options: LightOptions, bars: Bars) -> np.ndarray:
         """Return all columns of the light."""
-        return np.concatenate(
-            [self.bar_columns(bars, light.shadows), light.fixed_columns(self.positions, self.normals)], axis=1
-        )
+        fixed = options.fixed_columns(self.positions, self.normals)
+        return np.concatenate([self.bar_columns(bars, options.shadows), fixed], axis=1)
+
+    def light(self, light: Light) -> np.ndarray:
+        """Return (n, 3): what the columns make together."""
+        leds, flat = len(light.bars.azimuth), not self.presses.any()
+        fixed = light.options.fixed_light(self.positions, None if flat else self.normals, light.theta[leds:])
+        return self.bar_columns(light.bars, light.options.shadows and not flat) @ light.theta[:leds] + fixed
 
 
 def flat_geometry(samples: Samples) -> Geometry:
@@ -155,11 +121,10 @@ def flat_geometry(samples: Samples) -> Geometry:
     return flat
 
 
-def predicted_codes(light: Light, samples: Samples, pressed: Geometry, flat: Geometry) -> np.ndarray:
+def predicted_codes(light: Light, samples: Samples, pressed: Geometry, flat_light: np.ndarray) -> np.ndarray:
     """Return (n, 3) unrounded codes: the untouched gel's light times modelled pressed over modelled flat light."""
-    lit = np.maximum(pressed.columns(light.options, light.bars) @ light.theta, 0)
-    unpressed = flat.columns(replace(light.options, shadows=False), light.bars) @ light.theta
-    ratio = lit / np.maximum(unpressed, _LEAST_SHARE * samples.base)
+    least = np.maximum(_LEAST_SHARE * samples.base, _DARKEST)
+    ratio = np.maximum(pressed.light(light), 0) / np.maximum(flat_light, least)
     return 255 * srgb_encode(samples.base * ratio)
 
 
@@ -174,8 +139,16 @@ def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int)
         free[np.argmin(theta[:count])] = False
 
 
+@dataclass(frozen=True)
+class CameraRange:
+    """Where the camera may stand: bounds of 1 / distance, and where presses (k, 3) start for a distance in mm."""
+
+    nearness: tuple[float, float]
+    starts: Callable[[float], np.ndarray]
+
+
 class LightFit:
-    """Fits a light to samples of presses; start with `run`."""
+    """Fits a light to samples of presses; start with `run`. Without a `camera_range` the camera stays."""
 
     def __init__(
         self,
@@ -186,14 +159,16 @@ class LightFit:
         sigma_mm: np.ndarray,
         bars: Bars,
         camera_mm: np.ndarray,
+        camera_range: CameraRange | None = None,
     ) -> None:
+        self.camera_range = camera_range
         self.options, self.samples, self.profiles, self.sigma_mm = options, samples, profiles, sigma_mm
         self.start_presses, self.presses = presses, presses.copy()
         self.bars = self.anchor = bars
         self.camera_mm = np.asarray(camera_mm, float)
         self.linear, self.usable = srgb_decode(samples.code / 255), samples.usable
         self.flat = flat_geometry(samples)
-        self.modelled = samples.base.copy()
+        self.modelled = np.maximum(samples.base, _DARKEST)
         self.theta = np.zeros((0, 3))
         self.residual = np.zeros_like(samples.base)
         self._pressed: Geometry | None = None
@@ -201,6 +176,11 @@ class LightFit:
     @property
     def light(self) -> Light:
         return Light(self.options, self.bars, self.theta)
+
+    @property
+    def distance_mm(self) -> float:
+        """The camera's, from the flat membrane."""
+        return float(-self.camera_mm[2])
 
     @property
     def rms_code_values(self) -> float:
@@ -223,11 +203,14 @@ class LightFit:
             self._search(("azimuth", "height", "distance"), 4)
             self.anchor, self.options = self.bars, whole
         self._solve()
-        for _ in range(rounds):
+        self._search_camera(1.0)
+        for k in range(rounds):
             self._search(ALL_FIELDS, 5)
             self._solve()
             self.refine_presses()
             self._solve()
+            if k == 0:
+                self._search_camera(0.4)
 
     def pressed(self) -> Geometry:
         """Return the geometry of the presses where they now are."""
@@ -260,7 +243,8 @@ class LightFit:
                 normal[np.diag_indices_from(normal)] += ridge
                 right = reference.T @ (of_reference * base[:, channel])
                 theta = nonnegative_least_squares(normal, right, len(self.bars.azimuth))
-                self.modelled[:, channel] = np.maximum(flat @ theta, _LEAST_SHARE * base[:, channel])
+                least = np.maximum(_LEAST_SHARE * base[:, channel], _DARKEST)
+                self.modelled[:, channel] = np.maximum(flat @ theta, least)
             self.theta[:, channel] = theta
         codes = 255 * srgb_encode(base * np.maximum(pressed @ self.theta, 0) / self.modelled)
         self.residual = (codes - self.samples.code) * self.usable
@@ -311,15 +295,45 @@ class LightFit:
         found = least_squares(unexplained, start, max_nfev=evaluations, diff_step=3e-3, x_scale=prior)
         self.bars = self.bars.unpacked(found.x, fields, nearest)
 
+    def _search_camera(self, share: float) -> None:
+        """Move the camera to the least of a parabola over 1 / distance, through three in a share of its range."""
+        if self.camera_range is None:
+            return
+        low, high = self.camera_range.nearness
+        half = share * (high - low) / 2
+        middle = np.clip(1 / self.distance_mm, low + half, high - half)
+        nearness = np.array([middle - half, middle, middle + half])
+        tried = [self._seen_from(1 / value) for value in nearness]
+        curvature, slope, _ = np.polyfit(nearness - middle, [own.rms_code_values for own in tried], 2)
+        if curvature > 0:
+            least = np.clip(middle - slope / (2 * curvature), low, high)
+            if np.abs(nearness - least).min() > 1e-9:
+                tried.append(self._seen_from(1 / least))
+        best = min(tried, key=lambda own: own.rms_code_values)
+        self.camera_mm, self.start_presses, self.presses = best.camera_mm, best.start_presses, best.presses
+        self.theta, self.modelled, self.residual = best.theta, best.modelled, best.residual
+        self._pressed = None
+
+    def _seen_from(self, distance_mm: float) -> "LightFit":
+        """Return the fit under a camera at another distance, with presses moved and light solved for anew."""
+        other = copy(self)
+        other.camera_mm = np.array([*self.camera_mm[:2], -distance_mm])
+        other.start_presses = self.camera_range.starts(distance_mm)
+        other.presses = other.start_presses + self.presses - self.start_presses
+        deepest = [profiles.deepest_mm for profiles in self.profiles]
+        other.presses[:, 2] = np.clip(other.presses[:, 2], 0.02, deepest)
+        other.modelled, other._pressed = self.modelled.copy(), None
+        other._solve()
+        other.refine_presses(1)
+        other._solve()
+        return other
+
     def refine_presses(self, rounds: int = 2) -> None:
         """Move each press's centre and depth by Gauss-Newton under the light as it is, all presses at once."""
-        light, index = self.light, self.samples.index
+        index, flat_light = self.samples.index, self.flat.light(self.light)
 
         def errors(presses: np.ndarray) -> np.ndarray:
-            geometry = Geometry(self.samples, presses, self.profiles, self.camera_mm)
-            return (
-                predicted_codes(light, self.samples, geometry, self.flat) - self.samples.code
-            ) * self.usable
+            return self._errors(presses, flat_light)
 
         for _ in range(rounds):
             now = errors(self.presses)
@@ -340,3 +354,13 @@ class LightFit:
                 self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
                 self.presses[k, 2] = np.clip(self.presses[k, 2], 0.02, profiles.deepest_mm)
         self._pressed = None
+
+    def rms_against_picture(self) -> float:
+        """Return the rms error in code values under the light as it is, which need not be fitted to these presses."""
+        return float(np.sqrt(np.mean(self._errors(self.presses, self.flat.light(self.light)) ** 2)))
+
+    def _errors(self, presses: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
+        geometry = Geometry(self.samples, presses, self.profiles, self.camera_mm)
+        return (
+            predicted_codes(self.light, self.samples, geometry, flat_light) - self.samples.code
+        ) * self.usable

@@ -7,7 +7,7 @@ import numpy as np
 from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_presses, table_row
 from gelgap.render import PressPicture
-from gelgap.render.light_calibration import LightTask
+from gelgap.render.light_task import LightTask
 
 Model = Callable[[np.ndarray, np.ndarray], Prediction]
 """Fits presses of some indices, and predicts presses of others."""

@@ -22,12 +22,12 @@ from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_pres
 from gelgap.benchmarks.render.taxim_rival import INSTALL, missing_packages
 from gelgap.domains import CALIBRATION_GEL, PressSet, sphere_profiles, taxim_presses
 from gelgap.render import LightCalibration, MembraneRenderer, Sensor, save_calibration
-from gelgap.render.light_calibration import FEWEST_FOR_ORDER_3, LightTask, flat_field_maps
+from gelgap.render.light_calibration import FEWEST_FOR_ORDER_3
 from gelgap.render.light_fit import LightFit
+from gelgap.render.light_task import LightTask, corrected_poses, flat_field_maps
 from gelgap.render.press_poses import place_presses
 
 SET = "gelsight"
-NEAR_MM = 24.0
 EXTENT_MM = (10.5, 8.2)
 HELD_SIGMA_MM = 1e-4  # so little does a fit move a press that is held where it was marked
 
@@ -41,7 +41,7 @@ class Variant:
     degree: int = 2
     far: bool = True
     shadows: bool = True
-    parallel: bool = True
+    keep_camera: bool = False
     flat_field: bool = True
     refines_fitted: bool = True
     quality: str = "draft"
@@ -49,9 +49,9 @@ class Variant:
 
 WHOLE = Variant("whole: + flat field of pressed pictures")
 VARIANTS = (
-    Variant("LEDs alone, camera at 24 mm", order=0, degree=0, far=False, parallel=False),
-    Variant("+ scattered light, order 2 × (1, x, y)", order=2, degree=1, far=False, parallel=False),
-    Variant("+ parallel camera", order=2, degree=1, far=False),
+    Variant("LEDs alone, camera kept at 25 mm", order=0, degree=0, far=False, keep_camera=True),
+    Variant("+ scattered light, order 2 × (1, x, y)", order=2, degree=1, far=False, keep_camera=True),
+    Variant("+ camera's distance fitted", order=2, degree=1, far=False),
     Variant("+ order 3 × quadratics, flat field from the reference alone", far=False),
     Variant("the same, without shadows", far=False, shadows=False),
     WHOLE,
@@ -70,7 +70,7 @@ def fitted_renderer(
     task: LightTask, fit: LightFit, field, used: np.ndarray, flat_field: bool
 ) -> MembraneRenderer:
     """Return gelgap's renderer of a fit, through the files that a user would have."""
-    lit = task.lit_sensor(fit.light)
+    lit = task.lit_sensor(fit)
     placed = task.placed
     volumes = [placed.profiles[k].volume_mm3(pose[2]) for k, pose in zip(used, fit.presses, strict=True)]
     unknown = np.full((len(lit.illumination.leds), 2), np.nan)
@@ -105,14 +105,12 @@ def drop_shadows(renderer: MembraneRenderer) -> None:
 def fitting_task(found: PressSet, variant: Variant) -> LightTask:
     """Return what a form of the model is fitted with."""
     sensor = found.start
-    if not variant.parallel:
-        fov_deg = float(2 * np.degrees(np.arctan(sensor.camera.footprint_mm((1, 1))[0] / 2 / NEAR_MM)))
-        near = {"position_mm": (0.0, 0.0, -NEAR_MM), "horizontal_field_of_view_deg": fov_deg}
-        sensor = sensor.model_copy(update={"camera": sensor.camera.model_copy(update=near)})
     diameters = {press.sphere_diameter_mm for press in found.presses}
     profiles = sphere_profiles(diameters, None, variant.quality, CALIBRATION_GEL)
     placed = place_presses(sensor.camera, found.reference, found.presses, profiles)
-    return LightTask(sensor, placed, variant.order, variant.degree, variant.far, variant.shadows)
+    return LightTask(
+        sensor, placed, variant.order, variant.degree, variant.far, variant.shadows, variant.keep_camera
+    )
 
 
 def predict(
@@ -129,6 +127,8 @@ def predict(
     fit, field = (task if variant.refines_fitted else held).fit(fitted)
     fit_s = time.process_time() - started
     renderer = fitted_renderer(task, fit, field, fitted, variant.flat_field)
+    task = task.seen_as(fit)
+    placed = task.placed
     if not variant.shadows:
         drop_shadows(renderer)
     corrected_mm = corrected_poses(placed.poses_mm, fitted, fit.presses)
@@ -148,19 +148,6 @@ def predict(
             times.append(time.process_time() - started)
         predictions.append(Prediction(variant.name, way, pictures, fit_s, 1e3 * float(np.median(times))))
     return predictions
-
-
-def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
-    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
-
-    Marked radii are so uncertain that most of their spread is not the depths'.
-    """
-    own = marked_mm[fitted]
-    poses = marked_mm + (refined_mm - own).mean(axis=0)
-    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
-    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
-    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
-    return poses
 
 
 def predict_unseen(task: LightTask, way: str, fitted: np.ndarray, predicted: np.ndarray) -> Prediction:

@@ -15,7 +15,8 @@ from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_pres
 from gelgap.benchmarks.render.sensors import WHOLE, Variant, predict
 from gelgap.domains import PressSet, sphere_profiles, taxim_presses
 from gelgap.render import PressPicture, PressProfiles
-from gelgap.render.light_calibration import LightTask, unknown_sphere_size
+from gelgap.render.light_calibration import unknown_sphere_size
+from gelgap.render.light_task import LightTask
 from gelgap.render.press_poses import place_presses
 
 SET = "gelsight_mini"

@@ -6,9 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gelgap.render import HeldOut, LightCalibration, PressPicture, SphereSize
+from gelgap.render import HeldOut, LightCalibration, PressPicture, Sensor, SphereSize
 
 DIFFERENCE_GAIN = 4
+NEARLY_PARALLEL_MM = 200
 
 
 def print_calibration(fit: LightCalibration) -> None:
@@ -24,12 +25,41 @@ def print_calibration(fit: LightCalibration) -> None:
         )
         print(f"  {'unchanged reference':32s} {_scores(fit.held_out, 'unchanged')}")
         print(f"  {'predicted, press as marked':32s} {_scores(fit.held_out, 'marked')}")
+        print(f"  {'predicted, marks corrected':32s} {_scores(fit.held_out, 'corrected')}")
         print(f"  {'predicted, press refined':32s} {_scores(fit.held_out, 'refined')}")
+    for line in _found(fit):
+        print(line)
+
+
+def described(fit: LightCalibration) -> Sensor:
+    """Return the fitted sensor with what the fit says of itself as `known`, and what it cannot say as `assumed`."""
+    known = [f"Fitted to pictures of {len(fit.names)} presses, {fit.rms_code_values:.2f} code values rms"]
+    if fit.held_out:
+        known += [
+            f"held out, PSNR in dB, median (worst), as marked {_scores(fit.held_out, 'marked')}",
+            f"marks corrected {_scores(fit.held_out, 'corrected')}",
+            f"refined {_scores(fit.held_out, 'refined')}",
+        ]
+    assumed = "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
+    return fit.sensor.model_copy(
+        update={"known": "; ".join([*known, *_found(fit)]) + ".", "assumed": assumed}
+    )
+
+
+def _found(fit: LightCalibration) -> list[str]:
+    """Return a line for each thing that was fitted, with its standard error where that is known."""
     leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg, fit.led_elevations_deg, strict=True)
-    for led, azimuth, elevation in leds:
-        print(f"LED {led.name or '?'}: azimuth {_with_error(azimuth)}°, elevation {_with_error(elevation)}°")
+    lines = [
+        f"LED {led.name or '?'}: azimuth {_with_error(azimuth)}°, elevation {_with_error(elevation)}°"
+        for led, azimuth, elevation in leds
+    ]
+    distance_mm = -fit.sensor.camera.position_mm[2]
+    error_mm = distance_mm**2 * fit.nearness_error_per_mm
+    parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""
+    lines.append(f"camera {_with_error(np.array([distance_mm, error_mm]))} mm from the gel{parallel}")
     depths = fit.poses_mm[:, 2]
-    print(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
+    lines.append(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
+    return lines
 
 
 def _print_sphere_size(size: SphereSize) -> None:

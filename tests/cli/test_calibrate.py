@@ -1,6 +1,7 @@
 """`gelgap calibrate`: from files to a sensor file, with bad lists refused."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,8 +10,9 @@ import pytest
 
 from gelgap.cli.calibrate import read_presses
 from gelgap.cli.main import main
-from gelgap.render import Sensor
+from gelgap.render import HeldOut, LightCalibration, Scattered, Sensor
 from gelgap.render.calibration import Calibration
+from gelgap.render.flat_field import FlatFieldMaps
 
 
 def test_presses_are_read_beside_their_list(tmp_path: Path) -> None:
@@ -111,6 +113,49 @@ def test_too_few_presses_write_nothing(tmp_path: Path, capsys: pytest.CaptureFix
         main(["calibrate", *given, "-o", str(tmp_path / "fitted.toml")])
     assert "1 presses are too few" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.png", "presses.toml"]
+
+
+def fitted_light() -> LightCalibration:
+    sensor = Sensor.preset("digit-like")
+    maps = FlatFieldMaps(np.ones((24, 32, 3), np.float32))
+    angles = np.array([[10.0, 2.0]] * len(sensor.illumination.leds))
+    picture = np.zeros((24, 32, 3), np.uint8)
+    held_out = HeldOut("press 1 (p.png)", (18, 24), (30, 31), (32, 32), (33, 34), picture)
+    poses, gain = np.array([[0, 0, 0.6]]), ((), (), ())
+    return LightCalibration(
+        sensor.model_copy(update={"illumination": sensor.illumination.model_copy(update={"scattered": Scattered()})}),
+        maps, gain, 1.0, poses, (held_out.name,), (), 3.21, (held_out,), angles, angles,
+        nearness_error_per_mm=1e-4,
+    )  # fmt: skip
+
+
+def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, **__: fitted_light())
+    presses = listed(tmp_path, "depth_mm = 0.6")
+    given = [str(presses), "--reference", str(tmp_path / "p.png"), "--sensor", "digit-like"]
+    main(["calibrate", *given, "-o", str(tmp_path / "own.toml")])
+    printed, known = capsys.readouterr().out, Sensor.load(tmp_path / "own.toml").known
+    for said in (printed, known):
+        assert "30.0 (30.0)" in said
+        assert "azimuth 10 ± 2°" in said
+        assert re.search(r"camera \d+ ± \d+ mm from the gel", said)
+    row = cv2.imread(str(tmp_path / "own-held-out" / "held-out-01.png"))
+    assert row.shape == (24, 96, 3)
+    assert (row[:, :64] == 0).all()
+    assert (row[:, 64:] == 128).all()
+
+
+def test_a_large_residual_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
+    for rms, warned in ((4.9, False), (23.6, True)):
+        fit = replace(fitted_light(), rms_code_values=rms)
+        monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, fit=fit, **__: fit)
+        main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
+        assert ("warning: a residual of 23.60 code values" in capsys.readouterr().err) == warned
 
 
 def test_without_presses_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ def test_channels_are_turned_to_rgb_and_marks_kept(tmp_path):
     press = found.presses[0]
     assert (press.center_px, press.radius_px, press.depth_mm) == ((12.0, 12.0), 5.0, None)
     assert found.start.camera.footprint_mm((32, 24))[0] == pytest.approx(32 * 0.0295)
-    assert found.start.camera.position_mm[2] < -40
+    assert found.start.camera.position_mm[2] == -25
 
 
 def test_the_minis_marks_are_rough_and_its_ball_unknown(tmp_path):

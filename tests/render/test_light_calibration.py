@@ -1,16 +1,23 @@
 """The fit of a whole light predicts a synthetic sensor with scattered light and a flat field; bad input is refused."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
 from gelgap.benchmarks.render.scenes import sphere_dent
+from gelgap.render.camera import Camera
 from gelgap.render.contact_pixels import PressPicture
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.illumination import Illumination
-from gelgap.render.light_calibration import calibrate_light, save_calibration, unknown_sphere_size
+from gelgap.render.light_calibration import (
+    _suspects,
+    calibrate_light,
+    save_calibration,
+    unknown_sphere_size,
+)
 from gelgap.render.press_poses import place_presses
 from gelgap.render.press_profiles import PressProfiles, SolvedPress
 from gelgap.render.renderer import MembraneRenderer
@@ -88,6 +95,29 @@ def test_a_new_press_is_predicted(pictures, calibration, tmp_path):
     assert psnr(predicted, shots[-1]) > max(32, psnr(reference, shots[-1]) + 6)
 
 
+def test_the_cameras_distance_is_found(pictures):
+    start, reference, shots = pictures
+    presses = pressed(shots[:-1], depth_mm=0.6)
+    camera = start.camera.seen_from(120.0, SIZE_PX)  # 25 mm in truth
+    far = start.model_copy(update={"camera": camera})
+    fit = calibrate_light(far, reference, presses, profiles, order=2, degree=0, folds=0)
+    assert 18 < -fit.sensor.camera.position_mm[2] < 35
+    np.testing.assert_allclose(fit.sensor.camera.footprint_mm(SIZE_PX), camera.footprint_mm(SIZE_PX))
+    kept = calibrate_light(far, reference, presses, profiles, order=2, degree=0, keep_camera=True, folds=0)
+    assert kept.sensor.camera.position_mm == camera.position_mm
+    assert kept.rms_code_values > fit.rms_code_values
+
+
+def test_a_camera_at_another_distance_shows_the_same_of_the_flat_membrane():
+    camera = Camera(radial_distortion=(-0.2, 0.1))
+    points = np.random.default_rng(0).uniform(-5, 5, (20, 3)) * (1, 1, 0)
+    for distance_mm in (15.0, camera.farthest_mm(SIZE_PX)):
+        other = camera.seen_from(distance_mm, SIZE_PX)
+        np.testing.assert_allclose(
+            other.project_px(points, SIZE_PX), camera.project_px(points, SIZE_PX), atol=1e-9
+        )
+
+
 def test_held_out_presses_are_reported(calibration):
     assert sorted(press.name for press in calibration.held_out) == [f"press {k}" for k in range(1, 8)]
     fitted, unchanged = (
@@ -96,6 +126,7 @@ def test_held_out_presses_are_reported(calibration):
     )
     assert (fitted > unchanged + 3).all()
     assert np.isfinite(calibration.led_azimuths_deg).all()
+    assert np.isfinite(calibration.nearness_error_per_mm)
 
 
 def test_marked_circles_are_refined(pictures):
@@ -109,6 +140,45 @@ def test_marked_circles_are_refined(pictures):
     fit = calibrate_light(start, reference, presses, profiles, folds=0)
     np.testing.assert_allclose(fit.poses_mm[:, :2], POINTS, atol=0.06)
     np.testing.assert_allclose(fit.poses_mm[:, 2], 0.6, atol=0.1)
+
+
+def test_presses_far_out_of_the_others_are_named():
+    errors = np.array([3.1, 3.3, 3.0, 31.0, 3.2, 4.6, 2.9, 3.4])
+
+    def named(values):
+        return _suspects(SimpleNamespace(press_errors=lambda: values**2)).tolist()
+
+    assert named(errors) == [3]
+    assert named(errors[:6]) == []  # six are always kept
+    like_each_other = np.delete(errors, 3)
+    assert named(like_each_other) == [4]  # the worst of few
+    assert named(np.tile(like_each_other, 3)) == []
+
+
+def eight_presses(shots):
+    return [
+        PressPicture(shot, 3.0, point_mm=point, depth_mm=0.6)
+        for shot, point in zip(shots, (*POINTS, NEW_POINT), strict=True)
+    ]
+
+
+def test_an_outlier_among_few_presses_is_named(pictures):
+    start, reference, shots = pictures
+    presses = eight_presses(shots)
+    presses[2] = replace(presses[2], picture=np.roll(shots[2], 20, axis=1))
+    options = {"order": 2, "degree": 0, "keep_camera": True, "folds": 0}
+    assert calibrate_light(start, reference, presses, profiles, **options).left_out == ("press 3",)
+    assert calibrate_light(start, reference, eight_presses(shots), profiles, **options).left_out == ()
+
+
+def test_a_press_that_is_named_with_an_outlier_is_taken_back(pictures, monkeypatch):
+    start, reference, shots = pictures
+    presses = eight_presses(shots)
+    presses[2] = replace(presses[2], picture=(0.7 * shots[2]).astype(np.uint8))
+    monkeypatch.setattr("gelgap.render.light_calibration._suspects", lambda fit: np.array([2, 4]))
+    fit = calibrate_light(start, reference, presses, profiles, order=2, degree=0, keep_camera=True, folds=0)
+    assert fit.left_out == ("press 3",)
+    assert len(fit.names) == 7
 
 
 def changed(presses, **update):
@@ -126,6 +196,7 @@ def test_bad_presses_are_refused_before_anything_is_solved(pictures):
         (presses[:5], "5 presses are too few .* takes 6"),
         (changed(presses, picture=shots[0][:-2]), "press 1 is a picture of 320×238"),
         (changed(presses, depth_mm=2.0), "sphere's radius"),
+        (changed(presses, sphere_diameter_mm=-3.0), "sphere_diameter_mm is -3.0"),
         (changed(presses, depth_mm=None), "either depth_mm or radius_px"),
         (changed(presses, depth_mm=None, radius_px=-3), "radius_px is -3"),
         (changed(presses, marks_off_px=0), "marks_off_px is 0"),
@@ -133,6 +204,11 @@ def test_bad_presses_are_refused_before_anything_is_solved(pictures):
     ):
         with pytest.raises(ValueError, match=said):
             calibrate_light(start, reference, bad, unsolved)
+    with pytest.raises(ValueError, match="7 presses cannot be held out in 8 parts"):
+        calibrate_light(start, reference, presses, unsolved, folds=8)
+    for unreadable, said in ((0, "reference is dark"), (255, "saturated in 100 % of its red channel")):
+        with pytest.raises(ValueError, match=said):
+            calibrate_light(start, np.full_like(reference, unreadable), presses, unsolved)
 
 
 def test_presses_that_cannot_be_are_refused(pictures):
@@ -143,9 +219,21 @@ def test_presses_that_cannot_be_are_refused(pictures):
         (changed(presses, picture=reference), "no contact was found"),
         (changed(presses, picture=reference, point_mm=None), "no contact was found"),
         (changed(presses, point_mm=(90.0, 0.0)), "no contact was found"),
+        (changed(presses, picture=np.full_like(reference, 255)), "press 1 is dark or saturated"),
+        (changed(presses, depth_mm=1.2), "solved down to 0.84 mm"),
+        (tuple(presses[:1]) * 6, "all presses lie within 0 px"),
     ):
         with pytest.raises(ValueError, match=said):
             calibrate_light(start, reference, bad, profiles)
+
+
+def test_presses_near_each_other_are_fitted(pictures):
+    start, reference, shots = pictures
+    middle = pressed(shots[:1], depth_mm=0.6)[0]
+    presses = [replace(middle, point_mm=(x, 0.0)) for x in (0.0, 0.1, 0.2, 0.3)]
+    placed = place_presses(start.camera, reference, presses, profiles(None, None))
+    spread_px = np.ptp(placed.centers_px, axis=0).max()
+    assert 0.2 < spread_px / placed.radii_px.max() < 0.5
 
 
 def test_a_fit_that_predicts_worse_than_the_reference_is_refused(pictures):
@@ -193,7 +281,8 @@ def test_an_unknown_sphere_is_found(pictures):
         )
         for depth, point in zip(depths, POINTS, strict=True)
     )
-    size = unknown_sphere_size(start, renderer.reference(rng=rng), presses, ball_profiles)
+    flat = renderer.reference(rng=rng)
+    size = unknown_sphere_size(start, flat, presses, ball_profiles, keep_camera=True)
     assert size.diameter_mm == pytest.approx(3.0, rel=0.13)
     assert size.interval_mm[0] <= size.diameter_mm <= size.interval_mm[1]
     assert len(size.tried_mm) == len(size.rms_code_values)

@@ -169,7 +169,7 @@ def test_light_interpolated_on_gentle_slopes_is_that_computed_at_every_vertex(de
     quick = MembraneRenderer(sensor, light).picture(*membrane).astype(int)
     monkeypatch.setattr("gelgap.render.irradiance.smooth_stride", lambda spacing_mm: 1)
     monkeypatch.setattr("gelgap.render.gloss.smooth_stride", lambda spacing_mm: 1)
-    # Light that grazes the gel at 7 to 10° changes faster with the slope.
+    # One of 230 400 values is two off where light grazes the gel at 7 to 9°; with LEDs 3° higher none is.
     most = 2 if name == "gelsight-mini-fitted" else 1
     assert np.abs(MembraneRenderer(sensor, light).picture(*membrane).astype(int) - quick).max() <= most
 

@@ -36,7 +36,7 @@ def pressed(x, y, strength=1.0):
 def pressed_set(strength=lambda x: 1.0, count=16):
     places = np.random.default_rng(0).integers((35, 35), (125, 85), (count, 2))
     presses = tuple(pressed(x, y, strength(x)) for x, y in places)
-    return PressSet(REFERENCE, presses, start_sensor(SIZE_PX[0]))
+    return PressSet(REFERENCE, presses, start_sensor(SIZE_PX[0], np.zeros(3)))
 
 
 def errors(prediction, found, predicted):
