@@ -10,7 +10,6 @@ import torch
 
 from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.batches import Draw, epoch_order, network_inputs
-from gelgap.adapt.colour_mixing import mix_colours
 from gelgap.adapt.evaluation import evaluate, evaluate_constant_mean
 from gelgap.adapt.loop import FeatureCollapse
 from gelgap.adapt.machine import keep_freed_memory
@@ -22,7 +21,6 @@ from gelgap.adapt.profile import Profile
 from gelgap.adapt.run_key import run_key, stage1_key, stage1_profile
 from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_frames
-from gelgap.adapt.shifting import shift_pictures
 from gelgap.adapt.source_training import train_source
 from gelgap.adapt.splits import split_for_training
 from gelgap.domains import ArrayFrames
@@ -369,24 +367,6 @@ def test_bad_profiles():
         Profile(image_size_px=(16, 16))
 
 
-def test_mixed_colours_are_turned_not_stretched():
-    pictures = torch.rand(40, 6, 5, 7, generator=torch.Generator().manual_seed(0))
-    mixed = mix_colours(pictures, 0.5, np.random.default_rng(0))
-    length = [p.unflatten(1, (-1, 3)).square().sum(dim=2) for p in (pictures, mixed)]
-    torch.testing.assert_close(*length)
-    same = (mixed == pictures).flatten(1).all(dim=1)
-    assert 10 < int(same.sum()) < 30
-    torch.testing.assert_close(mix_colours(pictures, 0.0, np.random.default_rng(0)), pictures)
-
-
-def test_training_with_mixed_colours_is_deterministic(source, profile):
-    mixing = profile.replace(source_epochs=2, colour_mixing=0.5)
-    first, second = (train_source(source, mixing, seed=0) for _ in range(2))
-    np.testing.assert_array_equal(weights(first), weights(second))
-    plain = train_source(source, mixing.replace(colour_mixing=0.0), seed=0)
-    assert np.abs(weights(first) - weights(plain)).max() > 1e-3
-
-
 def test_freed_memory_is_kept_where_the_c_library_is_glibc():
     assert keep_freed_memory() == (platform.libc_ver()[0] == "glibc")
 
@@ -396,30 +376,3 @@ def test_the_source_is_judged_under_its_own_statistics(source, target, profile):
     plain, adabn = adapt_frames(source, target, ["source-only", "adabn"], per_domain)
     assert adabn.source_held_out.mean_mae_n < 1.3 * plain.source_held_out.mean_mae_n
     assert adabn.source_held_out.mean_mae_n < 0.6 * adabn.source_constant_mean.mean_mae_n
-
-
-def test_shifted_pictures_are_the_same_ones_elsewhere():
-    rng = np.random.default_rng(0)
-    pictures = torch.rand(6, 3, 20, 24).contiguous(memory_format=torch.channels_last)
-    shifted = shift_pictures(pictures, 3, rng)
-    assert shifted.shape == pictures.shape
-    offsets = set()
-    for one, other in zip(pictures, shifted, strict=True):
-        (found,) = [
-            (x, y)
-            for x in range(-3, 4)
-            for y in range(-3, 4)
-            if torch.equal(one[:, 5 + y : 13 + y, 5 + x : 13 + x], other[:, 5:13, 5:13])
-        ]
-        offsets.add(found)
-    assert len(offsets) > 3, "each by its own way"
-
-
-def test_training_with_shifts_is_deterministic(source, profile):
-    shifting = profile.replace(source_epochs=2, shift_px=3)
-    first, second = (train_source(source, shifting, seed=0) for _ in range(2))
-    np.testing.assert_array_equal(weights(first), weights(second))
-    plain = train_source(source, shifting.replace(shift_px=0), seed=0)
-    assert np.abs(weights(first) - weights(plain)).max() > 1e-3
-    with pytest.raises(ValueError, match="shift_px: must be 0 with pairing 'stack'"):
-        profile.replace(shift_px=3, pairing="stack")
