@@ -162,7 +162,7 @@ def _records(folder: Path) -> None:
     folder.mkdir(parents=True)
     for seed in range(8):
         job = TrainingJob("mb0i0", "wmb1i1", "dsan", seed)
-        append_record(folder / "runs.jsonl", RunRecord(job, "smoke", {"torch": "2"}, mae_n=(0.1, 0.2, 0.3)))
+        append_record(folder / "runs.jsonl", RunRecord(job, "smoke", mae_n=(0.1, 0.2, 0.3)))
     oracles = GroupOracles((0.1, 0.1, 0.2), (0.2, 0.2, 0.3))
     write_oracles(folder, {("mb0i0", "wmb1i1"): oracles})
     kept_result(folder / "solved.result", kept_array)

@@ -18,7 +18,7 @@ COMMAND = interruptions.COMMANDS["benchmark physics --quick"]
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("interruptions") / "undisturbed"
-    assert interruptions.begin(COMMAND, folder, folder).wait(timeout=120) == 0
+    assert interruptions.begin(COMMAND, folder, folder).wait(timeout=400) == 0
     return folder
 
 
