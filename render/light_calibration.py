@@ -23,9 +23,9 @@ from gelgap.render.sphere_size import Membranes, SphereSize, fit_sphere_size
 FEWEST_PRESSES = 6
 FEWEST_FOR_ORDER_3 = 12
 FOLDS = 3
-# Of so many presses one alone hardly bends the fit.
+# In a fit of at least this many presses, a single one hardly bends it.
 _MANY_PRESSES = 20
-# Sizes of an unknown sphere are compared by so many presses, with light of a low order.
+# The number of presses by which sizes of an unknown sphere are compared, with light of a low order.
 _PRESSES_FOR_SIZE = 12
 
 

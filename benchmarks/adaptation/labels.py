@@ -153,7 +153,7 @@ def _load(folder: Path) -> tuple[list[LabelRecord], list[LabelRecord]]:
 
 
 def curve(records: Sequence[LabelRecord], method: str, way: str) -> list[float]:
-    """Return the mean error without labels and with each of `LABELS`, N; NaN where no record has so many."""
+    """Return the mean error without labels and with each of `LABELS`, N; NaN where no record has that many labels."""
     own = [record for record in records if record.job.method == method]
     wanted = [("none", 0), *((way, labels) for labels in LABELS)]
     errors = [

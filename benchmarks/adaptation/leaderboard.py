@@ -129,7 +129,7 @@ def read_entries(folder: Path) -> list[Entry]:
     for path, entry in found.items():
         if entry.design not in plain:
             raise ValueError(
-                f"{folder} lacks the record of {PLAIN}, {entry.design}, which others are held against"
+                f"{folder} lacks the record of {PLAIN}, {entry.design}, with which the others are compared"
             )
         _check_same_configuration(path, entry, plain[entry.design])
     return list(found.values())

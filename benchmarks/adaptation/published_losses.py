@@ -63,7 +63,7 @@ def published_arrays() -> dict[str, np.ndarray]:
 
 
 def method_loss(name: str, **settings: float) -> Callable[[Inputs], Tensor]:
-    """Return the transfer loss of a method, at its defaults but for some settings, as a function of the inputs."""
+    """Return the transfer loss of a method, with some settings given, as a function of the inputs."""
 
     def loss(x: Inputs) -> Tensor:
         kind = find_method(name)

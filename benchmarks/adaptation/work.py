@@ -81,8 +81,8 @@ def candidate_of(model: "ForceModel", frames: "SplitFrames") -> "Candidate":
 def control_of(method: str) -> str | None:
     """Return the method that a method must beat for its loss to be of use; None for source-only and the ceiling.
 
-    Class-aware methods are held against the classifier without a loss, source-free ones against AdaBN, others against
-    stage 2 without a loss.
+    Class-aware methods are compared with the classifier without a loss, source-free ones with AdaBN, others with stage
+    2 without a loss.
     """
     from gelgap.adapt import find_method
 

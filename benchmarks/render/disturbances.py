@@ -71,7 +71,7 @@ def unmarked(presses: tuple[PressPicture, ...]) -> tuple[PressPicture, ...]:
 
 
 def some(presses: tuple[PressPicture, ...], count: int) -> tuple[PressPicture, ...]:
-    """Return so many of the presses, spread over the list."""
+    """Return `count` of the presses, spread over the list."""
     return presses[:: len(presses) // count][:count]
 
 
