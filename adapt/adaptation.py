@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gelgap.adapt.batches import Draw, TrainingDomain, epoch_order, network_inputs, normalised_force, one_pass
+from gelgap.adapt.batches import Draw, TrainingDomain, network_inputs, normalised_force, one_pass
 from gelgap.adapt.diagnosis import EpochRecord
 from gelgap.adapt.joint_stage import JointStage
 from gelgap.adapt.loop import train
@@ -18,7 +18,7 @@ from gelgap.adapt.methods.base import Adaptation, Method
 from gelgap.adapt.methods.registry import make_method
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import ForceNetwork
-from gelgap.adapt.normalisation import estimate_statistics, input_statistics, with_statistics_of
+from gelgap.adapt.normalisation import estimate_statistics, input_statistics
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.splits import check_classes, check_same_size
@@ -92,12 +92,20 @@ def _check_frames(method: Method, name: str, source: LabelledFrames, target: Lab
 
 def _as_if_stopped(model: ForceModel, target: LabelledFrames, method: Method) -> ForceModel:
     """Return a copy of a model in training, as the end of stage 2 would leave it."""
-    stopped = replace(model, network=copy.deepcopy(model.network))
-    method.finish(stopped.network)
-    if model.profile.judges_by_own_statistics:
-        stopped = with_statistics_of(stopped, target)
-    stopped.network.eval()
-    return stopped
+    network = copy.deepcopy(model.network)
+    _end_stage_2(network, method, target, model.profile, model.seed)
+    network.eval()
+    return replace(model, network=network)
+
+
+def _end_stage_2(
+    network: ForceNetwork, method: Method, target: LabelledFrames, profile: Profile, seed: int
+) -> None:
+    """Turn a network in training into the result, under the target's statistics where domains have their own."""
+    method.finish(network)
+    if profile.judges_by_own_statistics:
+        device = next(network.parameters()).device
+        estimate_statistics(network, network_inputs(target, profile, device), seed)
 
 
 @dataclass
@@ -139,9 +147,7 @@ class _Workbench(Adaptation):
         )
         method.begin(self.network)
         self.records += train(stage, self.progress, self.resume_file, self.watch)
-        method.finish(self.network)
-        if self.profile.judges_by_own_statistics:
-            self.estimate_target_statistics()
+        _end_stage_2(self.network, method, self.target, self.profile, self.seed)
 
     def estimate_target_statistics(self) -> None:
         pictures = network_inputs(self.target, self.profile, self.device)
@@ -151,14 +157,17 @@ class _Workbench(Adaptation):
         return normalised_force(self.source).mean(axis=0)
 
     def source_batches(self, epoch: int) -> Iterator[Tensor]:
-        return one_pass(self.source, self.profile, self.device, self.seed, Draw.SOURCE_PASS, epoch)
+        return (inputs for _, inputs in self._one_pass(self.source, Draw.SOURCE_PASS, epoch))
 
     def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
         force = torch.from_numpy(normalised_force(self.source)).to(self.device)
-        pictures = network_inputs(self.source, self.profile, self.device)
-        order = epoch_order(len(self.source), self.profile.batch_size, self.seed, Draw.SOURCE_PASS, epoch)
-        for rows in order:
-            yield pictures.inputs(rows), force[torch.from_numpy(rows)]
+        for rows, inputs in self._one_pass(self.source, Draw.SOURCE_PASS, epoch):
+            yield inputs, force[torch.from_numpy(rows)]
 
     def target_batches(self, epoch: int) -> Iterator[Tensor]:
-        return one_pass(self.target, self.profile, self.device, self.seed, Draw.TARGET_PASS, epoch)
+        return (inputs for _, inputs in self._one_pass(self.target, Draw.TARGET_PASS, epoch))
+
+    def _one_pass(
+        self, frames: LabelledFrames, draw: Draw, epoch: int
+    ) -> Iterator[tuple[np.ndarray, Tensor]]:
+        return one_pass(frames, self.profile, self.device, self.seed, draw, epoch)

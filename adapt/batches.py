@@ -74,11 +74,13 @@ def network_inputs(
     return pictures.standardised(statistics or pictures.channel_statistics())
 
 
-def one_pass(frames: LabelledFrames, profile: Profile, device: torch.device, *key: int) -> Iterator[Tensor]:
-    """Yield the network's inputs in shuffled batches, one pass over the frames."""
+def one_pass(
+    frames: LabelledFrames, profile: Profile, device: torch.device, *key: int
+) -> Iterator[tuple[np.ndarray, Tensor]]:
+    """Yield shuffled batches, one pass over the frames: which frames (B,) they are, and the network's inputs."""
     pictures = network_inputs(frames, profile, device)
     for indices in epoch_order(len(frames), profile.batch_size, *key):
-        yield pictures.inputs(indices)
+        yield indices, pictures.inputs(indices)
 
 
 def normalised_force(frames: LabelledFrames) -> np.ndarray:

@@ -7,6 +7,15 @@ KERNEL_COUNT = 5
 KERNEL_RATIO = 2.0
 
 
+def pooled_kernel(source: Tensor, target: Tensor, robust: bool = False) -> Tensor:
+    """Return the multi-Gaussian kernel (n + m, n + m) of two pooled samples (n, d) and (m, d), source first.
+
+    Its bandwidth is that of their distances; see `bandwidth` for robust.
+    """
+    distances = squared_distances(torch.cat([source, target]))
+    return multi_gaussian(distances, bandwidth(distances, robust))
+
+
 def squared_distances(x: Tensor) -> Tensor:
     """Return ‖x_i − x_j‖² (n, n) of rows x (n, d); centred first, so that a common offset costs no digits."""
     x = x - x.mean(dim=0, keepdim=True)

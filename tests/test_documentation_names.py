@@ -8,28 +8,22 @@ import re
 from pathlib import Path
 
 import pytest
+from documented import FENCE, ROOT, page_text
 
 from gelgap.adapt.methods.names import ENTRY_POINTS
 from gelgap.cli.main import COMMANDS, main
 
-ROOT = Path(__file__).parents[1]
 PAGES = (
     "README.md",
     "CONTRIBUTING.md",
     *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
 )
 ROOMS = "sim|render|domains|adapt|benchmarks|assets|cli|tests|examples|scripts|docs"
-_FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
-
-
-def page_text(page: str) -> str:
-    """Return the Markdown of a page."""
-    return (ROOT / page).read_text(encoding="utf-8")
 
 
 def inline_commands(page: str) -> set[str]:
     """Return the `gelgap …` commands that a page's sentences name between backticks."""
-    sentences = _FENCE.sub("", page_text(page))
+    sentences = FENCE.sub("", page_text(page))
     return {" ".join(found.split()) for found in re.findall(r"`(gelgap [^`]+)`", sentences)}
 
 

@@ -16,7 +16,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
+from gelgap.adapt.kernels import bandwidth, multi_gaussian, pooled_kernel, squared_distances
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.methods.dan import mmd_of_kernel
 from gelgap.adapt.network import Activations
@@ -90,7 +90,6 @@ class COD(Method):
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings
-        distances = squared_distances(torch.cat([source.features, target.features]))
-        kernel = multi_gaussian(distances, bandwidth(distances, robust=False))
+        kernel = pooled_kernel(source.features, target.features)
         conditional = conditional_operator_discrepancy(kernel, source.force, target.prediction, s.ridge)
         return conditional + s.marginal * mmd_of_kernel(kernel, len(source.features))

@@ -13,7 +13,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
+from gelgap.adapt.kernels import pooled_kernel
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.methods.dan import mmd_of_kernel
 from gelgap.adapt.network import Activations
@@ -64,7 +64,6 @@ class ConditionalMMD(Method):
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings
-        distances = squared_distances(torch.cat([source.features, target.features]))
-        kernel = multi_gaussian(distances, bandwidth(distances, robust=False))
+        kernel = pooled_kernel(source.features, target.features)
         conditional = conditional_mmd(kernel, source.force, target.prediction, s.force_width, s.ridge)
         return conditional + s.marginal * mmd_of_kernel(kernel, len(source.features))

@@ -15,7 +15,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
+from gelgap.adapt.kernels import pooled_kernel
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.network import Activations
 
@@ -50,8 +50,7 @@ def lmmd(
     weights_s, weights_t = source_weights[:, common], target_weights[:, common]
     weights_s, weights_t = weights_s / weights_s.sum(dim=0), weights_t / weights_t.sum(dim=0)
     signed = torch.cat([weights_s, -weights_t])
-    distances = squared_distances(torch.cat([source, target]))
-    kernel = multi_gaussian(distances, bandwidth(distances, robust))
+    kernel = pooled_kernel(source, target, robust)
     return ((signed @ signed.T) * kernel).sum() / max(int(common.sum()), 1)
 
 

@@ -8,11 +8,10 @@ distances, where tllib has one of σ = 0.92, chosen for class probabilities.
 
 from collections.abc import Sequence
 
-import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
+from gelgap.adapt.kernels import pooled_kernel
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.methods.dan import mmd_of_kernel
 from gelgap.adapt.network import Activations
@@ -26,8 +25,7 @@ def joint_mmd(source: Sequence[Tensor], target: Sequence[Tensor], robust: bool =
     """
     product = None
     for layer_s, layer_t in zip(source, target, strict=True):
-        distances = squared_distances(torch.cat([layer_s, layer_t]))
-        kernel = multi_gaussian(distances, bandwidth(distances, robust))
+        kernel = pooled_kernel(layer_s, layer_t, robust)
         product = kernel if product is None else product * kernel
     return mmd_of_kernel(product, len(source[0]))
 

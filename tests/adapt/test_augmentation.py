@@ -3,15 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from network_weights import weights
 
 from gelgap.adapt.colour_mixing import mix_colours
-from gelgap.adapt.model import ForceModel
 from gelgap.adapt.shifting import shift_pictures
 from gelgap.adapt.source_training import train_source
-
-
-def weights(model: ForceModel) -> np.ndarray:
-    return torch.cat([value.flatten().float() for value in model.network.state_dict().values()]).numpy()
 
 
 def test_mixed_colours_are_turned_not_stretched():

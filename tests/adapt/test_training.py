@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from network_weights import weights
 
 from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.batches import Draw, epoch_order, network_inputs
@@ -36,10 +37,6 @@ def altered(frames: ArrayFrames, **changes: np.ndarray) -> ArrayFrames:
     names = ("force_n", "contact_class", "point_id", "reference")
     arrays = {"images": frames.images()} | {name: getattr(frames, name) for name in names}
     return ArrayFrames(frames.name, **(arrays | changes))
-
-
-def weights(model: ForceModel) -> np.ndarray:
-    return torch.cat([value.flatten().float() for value in model.network.state_dict().values()]).numpy()
 
 
 def test_stage_1_learns(stage1, source, target, profile):
