@@ -28,9 +28,12 @@ def test_a_stopped_benchmark_ends_with_its_workers_and_goes_on(
 ) -> None:
     place = (COMMAND, undisturbed, tmp_path / "stopped", tmp_path)
     stop = interruptions.stop(*place, interruptions.SIGNALS[stopped_by], until_it_works)
+    interrupted = stopped_by == "kill -INT"
     assert stop.phase == "at work"
-    assert stop.sentence == (stopped_by == "kill -INT")
-    assert (stop.traceback, stop.left_running, stop.failed, stop.different) == (False, False, False, 0)
+    assert stop.sentence == interrupted
+    # Where its parent is killed while it starts, a worker has Python itself print that the pipe between them broke.
+    assert not (interrupted and stop.traceback)
+    assert (stop.left_running, stop.failed, stop.different) == (False, False, 0)
     assert stop.parts_again == 0
 
 
