@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gelgap.sim.contact_radius import contact_radius_mm
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenters.base import Symmetry
-from gelgap.sim.membrane import MembraneState, grid_axes
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, grid_axes
 from gelgap.sim.path import Pose
 from gelgap.sim.problem import PadEdges
 from gelgap.sim.scene import Scene
@@ -67,11 +67,19 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
 
 
 def placed_state(
-    elastomer: Elastomer, pose: Pose, frame: CanonicalFrame, solution: Solution, record_index: int
+    elastomer: Elastomer,
+    pose: Pose,
+    frame: CanonicalFrame,
+    solution: Solution,
+    record_index: int,
+    half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
 ) -> MembraneState:
-    """Return the membrane of a pose from the solution's record of it: moved to the pose's point, force by modulus."""
+    """Return the membrane of a pose from the solution's record of it: moved to the pose's point, force by modulus.
+
+    Its grid reaches at least `half_extent_mm` from the sensor's centre along x and y.
+    """
     record, problem = solution.records[record_index], solution.problem
-    x_mm, y_mm = grid_axes()
+    x_mm, y_mm = grid_axes(half_extent_mm)
     rest = np.stack(np.meshgrid(x_mm - pose.point_x_mm, y_mm - pose.point_y_mm), axis=-1) @ frame.to_sensor
     position = _table(solution, record_index).at(rest[..., 0], rest[..., 1])
     position[..., :2] += rest
