@@ -35,6 +35,7 @@ RIGHT: dict[str, dict[str, list[str]]] = {
         "--sensor": ["digit-like"],
         "--output": ["fitted.toml"],
     },
+    "pretrain": {"--out": ["pretrained"]},
     "adapt": {"--source": ["real"], "--target": ["real"], "--out": ["runs"]},
     "report": {"runs": ["finished"]},
     "benchmark": {"subject": ["physics"], "--out": ["results"]},
