@@ -20,7 +20,7 @@ from gelgap.cli.rules import (
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
 # Of --quick: shallow presses of a small sphere, and a network that learns little.
-QUICK_DOMAINS, QUICK_FRAMES, QUICK_EPOCHS, QUICK_SIZE_PX = 2, 12, 2, (64, 48)
+QUICK_DOMAINS, QUICK_FRAMES, QUICK_EPOCHS = 2, 12, 2
 QUICK_RANGES = {
     "presses": 1,
     "depths": 1,
@@ -90,7 +90,12 @@ class Pretrain:
         if self.quick:
             ranges = PretrainingRanges(**{**ranges.model_dump(), **QUICK_RANGES})
             profile = profile.replace(source_epochs=QUICK_EPOCHS)
-            domains, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, QUICK_SIZE_PX
+            domains, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, profile.image_size_px
+        if any(side < trained for side, trained in zip(size_px, profile.image_size_px, strict=True)):
+            width, height = profile.image_size_px
+            raise ValueError(
+                f"--size = {size_px[0]} {size_px[1]}: must be at least the {width} × {height} px of profile {profile.name}"
+            )
         recipes = pretraining_recipes(
             domains,
             frames,

@@ -42,11 +42,19 @@ def test_a_pretrained_network_is_where_training_starts(
         np.testing.assert_allclose(one.detach().cpu(), other.detach().cpu(), atol=1e-4)
 
 
-def test_a_network_that_takes_references_beside_pictures_is_refused(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ("--profile paper", "pairing = 'channels' of profile paper: must be 'difference'"),
+        ("--size 60 48", "--size = 60 48: must be at least the 64 × 48 px of profile cpu"),
+        ("--frames-per-domain 8", "frames_per_domain = 8: must be 9 or more"),
+    ],
+)
+def test_what_cannot_be_trained_on_is_refused_before_it_is_made(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: str, sentence: str
 ) -> None:
     with pytest.raises(SystemExit) as stop:
-        main(f"pretrain --profile paper --out {tmp_path}/out".split())
+        main(f"pretrain {options} --out {tmp_path}/out".split())
     assert stop.value.code == 2
-    assert "pairing = 'channels' of profile paper: must be 'difference'" in capsys.readouterr().err
+    assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
