@@ -94,7 +94,8 @@ class Pretrain:
         if any(side < trained for side, trained in zip(size_px, profile.image_size_px, strict=True)):
             width, height = profile.image_size_px
             raise ValueError(
-                f"--size = {size_px[0]} {size_px[1]}: must be at least the {width} × {height} px of profile {profile.name}"
+                f"--size = {size_px[0]} {size_px[1]}: must be at least the {width} × {height} px of profile "
+                f"{profile.name}"
             )
         recipes = pretraining_recipes(
             domains,
