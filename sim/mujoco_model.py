@@ -103,9 +103,7 @@ def _touchable(problem: ContactProblem, mesh: GelMesh) -> NDArray[np.int64]:
     return mesh.surface[np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= zone_mm]
 
 
-def _add_gel(
-    spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes: NDArray[np.int64]
-) -> None:
+def _add_gel(spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes: NDArray[np.int64]) -> None:
     """Add the flex, a body with three slides per vertex that is not bonded, and a tiny geom at each node."""
     import mujoco
 
