@@ -93,9 +93,9 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
             indices = np.flatnonzero(members)
             if len(indices):
                 _paper_table(frames, folder / part, indices)
-                for number, index in enumerate(indices):
+                for number, frame in enumerate(indices):
                     # The same picture in two places takes its bytes once.
-                    os.link(unsplit / "images" / f"{index}.jpg", folder / part / "images" / f"{number}.jpg")
+                    os.link(unsplit / "images" / f"{frame}.jpg", folder / part / "images" / f"{number}.jpg")
 
 
 def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> None:
