@@ -16,6 +16,7 @@ import numpy as np
 from gelgap.assets.sole_use import LOCK, sole_use
 from gelgap.domains import published
 from gelgap.domains.columns import OPTIONAL, Column
+from gelgap.domains.croissant import write_croissant
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import domain_folders, inspect_domain
@@ -27,13 +28,19 @@ from gelgap.domains.stored import StoredFrames
 
 LOG = logging.getLogger(__name__)
 _SAMPLES_PER_TAR = 1000
+_TITLE = "Synthetic GelSight pictures with force labels"
+_WHAT_IT_IS = (
+    "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the sensor's picture. "
+    "Nothing here was measured on a real sensor."
+)
+_LICENCE = "other"
 
 
 def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[Path, ...]:
     """Write the domains at a path in another format and return what was written, one path per domain.
 
     `paper` is the published layout (JPEG pictures), `webdataset` tars of PNG and JSON, `huggingface` one folder with a
-    data card and one configuration per domain. Frames that did not converge are left out.
+    data card, Croissant metadata and one configuration per domain. Frames that did not converge are left out.
 
     Raises
     ------
@@ -93,9 +100,9 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
             indices = np.flatnonzero(members)
             if len(indices):
                 _paper_table(frames, folder / part, indices)
-                for number, index in enumerate(indices):
+                for number, frame in enumerate(indices):
                     # The same picture in two places takes its bytes once.
-                    os.link(unsplit / "images" / f"{index}.jpg", folder / part / "images" / f"{number}.jpg")
+                    os.link(unsplit / "images" / f"{frame}.jpg", folder / part / "images" / f"{number}.jpg")
 
 
 def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> None:
@@ -152,7 +159,7 @@ def _by_split(frames: LabelledFrames) -> dict[str, np.ndarray]:
 
 
 def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
-    """`<domain>/<split>-00000.parquet`, references, and `README.md`: a data card that `datasets` reads."""
+    """`<domain>/<split>-00000.parquet`, references, a data card that `datasets` reads, and `croissant.json`."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -181,12 +188,13 @@ def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
         for writer in writers.values():
             writer.close()
     (out_dir / "README.md").write_text(_data_card(domains), encoding="utf-8")
+    write_croissant(out_dir, _TITLE, _WHAT_IT_IS, _LICENCE)
 
 
 def _data_card(domains: list[GeneratedDomain]) -> str:
     front = [
         "---",
-        "license: other",
+        f"license: {_LICENCE}",
         "tags: [tactile, gelsight, simulation, force-estimation, domain-adaptation]",
     ]
     front += ["task_categories: [robotics]", "configs:"]
@@ -207,10 +215,9 @@ def _data_card(domains: list[GeneratedDomain]) -> str:
         )
     versions = ", ".join(f"{name} {number}" for name, number in domains[0].manifest["versions"].items())
     text = [
-        "# Synthetic GelSight pictures with force labels",
+        f"# {_TITLE}",
         "",
-        "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the sensor's picture. "
-        "Nothing here was measured on a real sensor.",
+        _WHAT_IT_IS,
         "",
         "| domain | frames | left out (not converged) | Young's modulus | illumination | markers | Fx / Fy / Fz in N |",
         "|---|---|---|---|---|---|---|",

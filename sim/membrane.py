@@ -19,10 +19,11 @@ _OPTIONAL = ("contact", "force_n", "contact_radius_mm", "converged")
 
 def grid_axes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the rest grid's axes: x_mm (141,) and y_mm (111,), centred on the sensor."""
-    return tuple(
+    x_mm, y_mm = (
         np.round(np.arange(round(size / GRID_SPACING_MM) + 1) * GRID_SPACING_MM - size / 2, 9)
         for size in GRID_SIZE_MM
     )
+    return x_mm, y_mm
 
 
 @dataclass(frozen=True)
