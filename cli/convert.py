@@ -26,7 +26,7 @@ class Convert:
     The lag between pictures and forces is estimated for each clip from the clip itself, and printed.
 
     For example:
-      gelgap convert EstimateModulus --layout wedge --out wedge
+      gelgap convert clones/EstimateModulus --layout wedge --out wedge
     """
 
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
@@ -70,11 +70,13 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         lines.append(
             "lag: by how many pictures the forces trail, by the clip itself; r: how they correlate there"
         )
-    limit = [clip.name for clip in clips if clip.lag_at_limit]
-    if limit:
-        lines.append(
-            f"the largest lag that was tried fits best, so clocks may differ by more: {', '.join(limit)}"
-        )
+    noted = {
+        "the largest lag that was tried fits best, so the clocks may differ by more": "lag_at_limit",
+        "begins with a force, so its reference is its first picture": "begins_in_contact",
+    }
+    for what, field in noted.items():
+        if names := [f"{clip.session}/{clip.name}" for clip in clips if getattr(clip, field)]:
+            lines.append(f"{what}: {', '.join(names)}")
     return "\n".join(lines)
 
 

@@ -40,6 +40,7 @@ class ConvertedClip:
     lag: int | None = None
     correlation: float | None = None
     lag_at_limit: bool = False
+    begins_in_contact: bool = False
 
 
 def convert(
@@ -123,6 +124,7 @@ def _clip_facts(aligned: AlignedClip, written: int) -> ConvertedClip:
         lag=aligned.lag,
         correlation=aligned.correlation,
         lag_at_limit=aligned.lag != 0 and aligned.lag in (clip.lags[0], clip.lags[-1]),
+        begins_in_contact=clip.before_contact == 0,
     )
 
 

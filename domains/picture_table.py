@@ -70,4 +70,8 @@ def write_picture_table(folder: Path, rows: Sequence[PictureRow]) -> None:
     with (folder / TABLE).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(kept)
-        writer.writerows([getattr(row, name) for name in kept] for row in rows)
+        writer.writerows([_cell(getattr(row, name)) for name in kept] for row in rows)
+
+
+def _cell(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:.7g}"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hostile_bytes import pickled
 from real_clones import (
+    press_curve,
     rectified,
     write_ball_clone,
     write_recordings,
@@ -18,6 +19,7 @@ from real_clones import (
     write_wedge_clone,
 )
 
+from gelgap.cli.main import main
 from gelgap.domains import ConvertedClip, convert
 from gelgap.domains.pickled_array import read_pickled_array
 from gelgap.domains.picture_table import COLUMNS, PictureRow, write_picture_table
@@ -78,6 +80,7 @@ def test_lags_glitches_and_contacts_are_counted(converted):
     assert [found[f"golf_ball_{k}"].dropped for k in range(3)] == [0, 1, 2]
     assert {clip.pictures for clip in found.values()} == {40}
     assert found["golf_ball_0"].correlation > 0.9
+    assert not any(clip.begins_in_contact or clip.lag_at_limit for clip in found.values())
     red, _, blue = found["golf_ball__t=0"].reference_rgb
     assert blue - red == pytest.approx(30, abs=4)
 
@@ -106,6 +109,21 @@ def test_pictures_in_contact_are_thinned_and_those_of_the_reference_kept(own_wed
     at_rest = [row for row in rows_of(tmp_path / "third/day") if float(row["fz_n"]) > -0.3]
     assert len(at_rest) == 5
     assert third.written - 5 == -(-(every.written - 5) // 3)
+
+
+def test_a_clip_that_begins_with_a_force_or_ends_at_the_largest_lag_is_noted(
+    own_wedge: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    day = own_wedge / "example_data/day"
+    write_wedge_clip(day, "late_1", lag=5)
+    (day / "ball_1_forces.pkl").write_bytes(pickle.dumps(press_curve(40) + 0.5))
+    main(["convert", str(own_wedge), "--layout", "wedge", "--out", str(tmp_path / "out")])
+    lines = capsys.readouterr().out.splitlines()
+    (late,) = (line for line in lines if "largest lag" in line)
+    (touching,) = (line for line in lines if "begins with a force" in line)
+    assert late.endswith(": day/late_1")
+    assert touching.endswith(": day/ball_1")
+    assert lines[-1] == f"wrote {tmp_path / 'out/day'}"
 
 
 @pytest.mark.parametrize(
