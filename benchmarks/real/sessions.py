@@ -56,7 +56,7 @@ def read_sessions(data: Path, names: Sequence[str], out_dir: Path) -> list[Sessi
     ValueError
         If the clone has no such session.
     """
-    clone, converted = data / CLONE, out_dir / "wedge"
+    clone, converted = data / CLONE, out_dir / "real" / "wedge"
     if not clone.is_dir():
         raise FileNotFoundError(f"{clone} is missing; get it: {GET_CLONE} {clone}")
     if not converted.is_dir():
