@@ -79,7 +79,7 @@ class _Machine:
         elif called.name == _DTYPE and _NUMBER.fullmatch(arguments[0]):
             self.push(_Dtype(arguments[0]))
         else:
-            raise ValueError(f"it calls {called.name.replace(' ', '.')!r} with {arguments!r}"[:120])
+            raise ValueError(f"it calls {called.name.replace(' ', '.')!r} for something else")
 
     def build(self, _: None) -> None:
         state, built = self.stack.pop(), self.stack[-1]
@@ -87,6 +87,8 @@ class _Machine:
             built.order = state[1]
         else:
             _, shape, dtype, by_columns, data = state
+            if not all(isinstance(side, int) and side >= 0 for side in shape):
+                raise ValueError("the array's shape is none")
             kind = np.dtype(dtype.order.replace("|", "=") + dtype.code)
             if prod(shape) * kind.itemsize != len(data):
                 raise ValueError(f"it states shape {shape} and {len(data)} bytes")
@@ -145,4 +147,4 @@ def read_pickled_array(path: Path) -> np.ndarray:
         (result,) = machine.stack
         return result.values.astype(float)
     except (ValueError, TypeError, AttributeError, LookupError, OverflowError, RecursionError) as error:
-        raise ValueError(f"{path} {_REFUSED}, and is not read: {error}") from None
+        raise ValueError(f"{path} {_REFUSED}, and is not read: {str(error)[:120]}") from None

@@ -16,10 +16,21 @@ class Rectification:
     size_px: tuple[int, int]
 
     def __call__(self, picture: np.ndarray) -> np.ndarray:
-        """Return the picture (h, w, 3) of the quadrilateral, interpolated linearly."""
+        """Return the picture (h, w, 3) of the quadrilateral, interpolated linearly.
+
+        Raises
+        ------
+        ValueError
+            If it is not inside the picture.
+        """
         import cv2
 
+        corners = np.float32(self.corners_px)
+        if corners.min() < 0 or (corners > picture.shape[1::-1]).any():
+            raise ValueError(
+                f"the corners {corners.tolist()} lie outside of a picture of {picture.shape[1]}×{picture.shape[0]} px"
+            )
         width, height = self.size_px
         upright = [(0, 0), (width, 0), (0, height), (width, height)]
-        matrix = cv2.getPerspectiveTransform(np.float32(self.corners_px), np.float32(upright))
+        matrix = cv2.getPerspectiveTransform(corners, np.float32(upright))
         return cv2.warpPerspective(picture, matrix, self.size_px)

@@ -126,6 +126,14 @@ def test_a_clip_that_begins_with_a_force_or_ends_at_the_largest_lag_is_noted(
     assert lines[-1] == f"wrote {tmp_path / 'out/day'}"
 
 
+def test_corners_outside_of_the_pictures_are_refused(own_wedge: Path, tmp_path: Path):
+    corners = {"topleft": (10, 10), "topright": (600, 12), "bottomleft": (12, 110), "bottomright": (600, 108)}
+    rows = [{"Name": name, "x": x, "y": y} for name, (x, y) in corners.items()]
+    write_table(own_wedge / "wedge_config/config_100.csv", rows)
+    with pytest.raises(ValueError, match="outside of a picture of 160×120 px"):
+        convert(own_wedge, "wedge", tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -195,6 +203,14 @@ def test_an_array_of_numbers_is_read_from_a_pickle(tmp_path: Path, array: np.nda
     assert np.array_equal(read_pickled_array(tmp_path / "a.pkl"), array)
 
 
+def nested_shape(levels: int) -> bytes:
+    """Return the pickle of an array whose shape is (0, t), t being tuples of twice the same tuple, many levels deep."""
+    before, shape, after = pickle.dumps(np.zeros(0), 4).rpartition(b"K\x00\x85\x94h")
+    assert shape
+    doubled = b"q\xf0h\xf0\x86" * levels
+    return before + b"K\x00)" + doubled + b"\x86h" + after
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -209,6 +225,7 @@ def test_an_array_of_numbers_is_read_from_a_pickle(tmp_path: Path, array: np.nda
         pickle.dumps(np.array(["text"])),
         pickle.dumps(np.float64(3)),
         pickle.dumps(np.zeros(8)).replace(b"K\x08\x85", b"K\x09\x85"),
+        nested_shape(40),
     ],
 )
 def test_other_pickles_are_refused_in_one_sentence(tmp_path: Path, content: bytes):
