@@ -5,7 +5,6 @@ import io
 import json
 import logging
 import os
-import shutil
 import tarfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -13,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from gelgap.assets.sole_use import LOCK, sole_use
 from gelgap.domains import published
 from gelgap.domains.columns import OPTIONAL, Column
 from gelgap.domains.croissant import write_croissant
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import domain_folders, inspect_domain
+from gelgap.domains.new_folder import check_is_new, new_folder
 from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_codec import encode_jpeg, encode_png
 from gelgap.domains.shard_file import ShardFile
@@ -50,39 +49,12 @@ def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[P
     if format_name not in FORMATS:
         raise ValueError(f"format {format_name!r} is unknown; known formats: {', '.join(FORMATS)}")
     out_dir = Path(out_dir)
-    _refuse_what_is_there(out_dir)
+    check_is_new(out_dir)
     domains = [open_domain(path) for path in domain_folders(folder)]
-    # Built beside its place and renamed when complete: an export is whole or not there.
-    building = out_dir.with_name(f".{out_dir.name}.building")
-    with sole_use(building):
-        _refuse_what_is_there(out_dir)
-        try:
-            _remove(path for path in building.iterdir() if not path.name.startswith(LOCK))
-            LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
-            FORMATS[format_name](domains, building)
-            _remove(building.glob(f"{LOCK}*"))
-            if out_dir.exists():
-                out_dir.rmdir()
-            building.rename(out_dir)
-        except OSError as error:
-            raise RuntimeError(f"cannot write {out_dir}: {error.strerror or error}") from error
-        finally:
-            shutil.rmtree(building, ignore_errors=True)
+    with new_folder(out_dir) as building:
+        LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
+        FORMATS[format_name](domains, building)
     return tuple(out_dir / name for name in sorted(path.name for path in out_dir.iterdir()))
-
-
-def _refuse_what_is_there(out_dir: Path) -> None:
-    if out_dir.exists() and any(out_dir.iterdir()):
-        raise ValueError(f"{out_dir} is not empty; name a new folder for the export")
-
-
-def _remove(paths: Iterable[Path]) -> None:
-    """Remove files and whole folders, such as those that a killed export has left."""
-    for path in list(paths):
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
 
 
 def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
