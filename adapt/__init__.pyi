@@ -28,6 +28,8 @@ from .oracles import Presses as Presses
 from .oracles import gap_closed as gap_closed
 from .oracles import geometry_oracle as geometry_oracle
 from .oracles import pose_oracle as pose_oracle
+from .pretraining import Pretraining as Pretraining
+from .pretraining import pretrain as pretrain
 from .profile import Profile as Profile
 from .progress import console_progress as console_progress
 from .report import write_report as write_report

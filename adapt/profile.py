@@ -145,6 +145,14 @@ class Profile(Settings):
         """Whether stage 2 ends with batch statistics estimated on the domain that is judged, not the running ones."""
         return self.batch_statistics == "per_domain"
 
+    def check_joins_domains(self) -> None:
+        """Raise ValueError if a network of this profile cannot learn from domains with different references at once."""
+        if self.pairing != "difference":
+            raise ValueError(
+                f"pairing = {self.pairing!r} of profile {self.name}: must be 'difference' to train on several domains, "
+                "each of which has a reference of its own"
+            )
+
     def replace(self, **changes: Any) -> "Profile":
         """Return a checked copy with some fields changed."""
         return Profile(**{**self.model_dump(), **changes})

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from gelgap.cli.arguments import optional
+from gelgap.cli.arguments import load_profile, optional
 from gelgap.cli.rules import SEED, DataSet, InputFile, OneOf, OutputFolder, Preset
 
 if TYPE_CHECKING:
@@ -56,10 +56,7 @@ class Adapt:
 
     def run(self, started: float) -> None:
         """Train, adapt, print one line per method."""
-        from gelgap.adapt import Profile
-
-        is_file = self.profile.endswith(".toml")
-        profile = Profile.load(self.profile) if is_file else Profile.preset(self.profile)
+        profile = load_profile(self.profile)
         from gelgap.adapt import adapt_folders, console_progress
 
         with console_progress() as progress:

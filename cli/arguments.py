@@ -7,6 +7,7 @@ import tyro
 from gelgap.cli.rules import Preset
 
 if TYPE_CHECKING:
+    from gelgap.adapt import Profile
     from gelgap.render import Illumination, Sensor
     from gelgap.sim import Elastomer
 
@@ -43,3 +44,10 @@ def load_illumination(name: str) -> "Illumination":
     from gelgap.render import Illumination
 
     return Illumination.load(name) if name.endswith(".toml") else Illumination.preset(name)
+
+
+def load_profile(name: str) -> "Profile":
+    """Return the training profile of a TOML file or of a preset's name."""
+    from gelgap.adapt import Profile
+
+    return Profile.load(name) if name.endswith(".toml") else Profile.preset(name)

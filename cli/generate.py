@@ -14,7 +14,16 @@ from gelgap.cli.arguments import (
     load_sensor,
     optional,
 )
-from gelgap.cli.rules import PICTURE_SIDES, SEED, WORKERS, InputFile, OutputFolder, Preset, Scheduler
+from gelgap.cli.rules import (
+    PICTURE_SIDES,
+    SEED,
+    WORKERS,
+    Between,
+    InputFile,
+    OutputFolder,
+    Preset,
+    Scheduler,
+)
 
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
@@ -55,6 +64,8 @@ class Generate:
     """Another illumination than the named domain's: a preset or a TOML file; needs --name."""
     name: Annotated[str | None, optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
+    indenter_diameter_mm: Annotated[float, Between(0.5, 50, "mm")] = 3.0
+    """Diameter of the sphere that is pressed, in mm; large ones may need a wider declared range of forces."""
     path: Annotated[str, Preset("paths")] = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: Literal["draft", "standard", "fine"] = "standard"
@@ -132,8 +143,10 @@ class Generate:
     def _recipes(self) -> "tuple[tuple[DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
         from gelgap.domains import Sweep, make_recipes, own_recipe, preset_recipes, sweep_variants
+        from gelgap.sim import Sphere
 
         settings = {
+            "indenter": Sphere(diameter_mm=self.indenter_diameter_mm),
             "sensor": load_sensor(self.sensor),
             "columns": self.columns,
             "quality": self.quality,

@@ -27,6 +27,7 @@ from gelgap.cli.options import check_values
 from gelgap.cli.parser_messages import command_name, empty_value, refusal
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
+from gelgap.cli.pretrain import Pretrain
 from gelgap.cli.render import Render
 from gelgap.cli.report import Report
 from gelgap.cli.rules import OutputFolder
@@ -55,6 +56,7 @@ COMMANDS = {
     "export": Export,
     "convert": Convert,
     "calibrate": Calibrate,
+    "pretrain": Pretrain,
     "adapt": Adapt,
     "report": Report,
     "benchmark": Benchmark,
@@ -166,7 +168,7 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
     stops = _counted_stops()
     try:
         check_values(command)
-        check_cache(writes=isinstance(command, Benchmark | Demo | Generate | Press))
+        check_cache(writes=isinstance(command, Benchmark | Demo | Generate | Press | Pretrain))
         with speaking(getattr(command, "doing", f"{name}: reading and preparing")):
             command.run(started)
     except KeyboardInterrupt:

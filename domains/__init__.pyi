@@ -26,6 +26,7 @@ from .inspection import domain_folders as domain_folders
 from .inspection import gap_rows as gap_rows
 from .inspection import inspect_domain as inspect_domain
 from .inspection import verify_domain as verify_domain
+from .joined_differences import JoinedDifferences as JoinedDifferences
 from .opening import layout_problem as layout_problem
 from .opening import open_domain as open_domain
 from .overview import write_overview as write_overview
@@ -33,6 +34,9 @@ from .paired_frames import ChannelStatistics as ChannelStatistics
 from .paired_frames import PairedFrames as PairedFrames
 from .paired_frames import Pairing as Pairing
 from .plan import plan_generation as plan_generation
+from .pretraining import RANDOM_FACTORS as RANDOM_FACTORS
+from .pretraining import PretrainingRanges as PretrainingRanges
+from .pretraining import pretraining_recipes as pretraining_recipes
 from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe

@@ -17,7 +17,7 @@ from gelgap.domains.domain import Domain
 from gelgap.domains.estimate import solve_sizes
 from gelgap.domains.frame_pictures import led_to_camera
 from gelgap.domains.generation_progress import GenerationProgress
-from gelgap.domains.plan import GenerationPlan, plan_generation
+from gelgap.domains.plan import GenerationPlan, plan_generation, solve_plan
 from gelgap.domains.recipe import DomainRecipe, make_recipes
 from gelgap.domains.run_log import RUN_LOG, RunLog
 from gelgap.domains.shard import Shard
@@ -120,7 +120,8 @@ def generate_recipes(
     Raises
     ------
     ValueError
-        If a domain's folder holds another configuration, two recipes have one name, or workers is below 1.
+        If a domain's folder holds another configuration, two recipes have one name, a contact cannot be solved, or
+        workers is below 1.
     RuntimeError
         If another process writes to the folder, the disk is full, or the cluster is lost; finished shards are kept.
     """
@@ -132,6 +133,8 @@ def generate_recipes(
         raise ValueError(f"workers = {workers}: must be 1 or more")
     if len(set(names)) < len(names):
         raise ValueError(f"two domains have one name in {', '.join(names)}; give each its own")
+    for recipe in recipes:
+        solve_plan(recipe)  # refuses contacts that cannot be solved before anything is written
     with sole_use(out_dir):
         writers = _prepared_writers(recipes, out_dir, overwrite)
         skipped = tuple(name for name in names if writers[name].complete)

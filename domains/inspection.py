@@ -98,8 +98,8 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
 def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     """Return what is wrong with the files of a data set; empty if all is intact.
 
-    Every byte of a generated domain is compared with its manifest. Of pictures with a table every picture is decoded,
-    and every force must be a number.
+    Every byte of a generated domain is compared with its manifest, and what every picture states of itself with the
+    reference. Of pictures with a table every picture is decoded, and every force must be a number.
 
     Raises
     ------
@@ -107,9 +107,18 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
         If it is not a data set of a known layout.
     """
     if DomainFolder(folder).exists() or not Path(folder).is_dir():
-        return tuple(DomainFolder(folder).damages())
+        return tuple(DomainFolder(folder).damages()) or _vouched_damages(folder)
     frames = open_domain(folder)
     return tuple(table_damages(frames)) if isinstance(frames, PictureFiles) else ()
+
+
+def _vouched_damages(folder: Path | str) -> tuple[Damage, ...]:
+    """Return what no reader takes of a domain whose bytes are those that its manifest states."""
+    try:
+        found = [str(damage) for damage in header_damages(GeneratedDomain(folder))]
+    except (RuntimeError, ValueError) as error:
+        found = [str(error).partition(": run the same")[0]]
+    return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in found)
 
 
 def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:

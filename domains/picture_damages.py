@@ -7,10 +7,10 @@ import numpy as np
 from gelgap.domains.dataset import FORCE_COLUMNS
 from gelgap.domains.folder import Damage
 from gelgap.domains.picture_header import check_picture
-from gelgap.domains.stored import PictureFiles
+from gelgap.domains.stored import PictureFiles, StoredFrames
 
 
-def header_damages(frames: PictureFiles) -> list[Damage]:
+def header_damages(frames: StoredFrames) -> list[Damage]:
     """Return the pictures whose bytes are no picture, or state another size than the reference; none is decoded."""
     found = []
     for index in range(len(frames)):

@@ -14,6 +14,7 @@ from gelgap.domains.random_streams import random_stream
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.domains.schema import encode_shard
 from gelgap.domains.splits import PARTS, draw_parts
+from gelgap.render import view_half_extent_mm
 from gelgap.sim import Pose
 
 if TYPE_CHECKING:
@@ -41,22 +42,21 @@ def render_batch(batch: FrameBatch, matrices: Sequence[np.ndarray], solutions: d
     """Render a batch's frames in the light of each of its domains, and encode one shard per domain.
 
     `matrices` holds each domain's LED-to-camera matrix, `solutions` the batch's solves by key. A frame whose membrane
-    cannot be rendered is flagged as not converged.
+    cannot be rendered, whatever goes wrong, is flagged as not converged.
 
     Raises
     ------
     RuntimeError
-        If that happens to most frames: then something else is wrong.
+        If that happens to most of several frames: then something else is wrong.
+    MemoryError, OSError
+        If the machine cannot go on.
     """
-    physics = solve_plan(batch.recipes[0])
-    frames = range(batch.start, batch.stop)
-    states = [physics.state(frame, solutions.get(physics.solve_key(frame))) for frame in frames]
     groups = group_by_picture(batch.recipes)
     shards: list[Shard | None] = [None] * len(batch.recipes)
     # Contacts are the inner loop as long as the renderers of the outer one are kept.
     for start in range(0, len(groups), KEPT_RENDERERS):
         kept = groups[start : start + KEPT_RENDERERS]
-        for index, shard in _shards_of_groups(kept, batch, matrices, states):
+        for index, shard in _shards_of_groups(kept, batch, matrices, solutions):
             shards[index] = shard
     return shards
 
@@ -65,24 +65,33 @@ def _shards_of_groups(
     groups: Sequence[Sequence[int]],
     batch: FrameBatch,
     matrices: Sequence[np.ndarray],
-    states: Sequence["MembraneState"],
+    solutions: dict[str, Any],
 ) -> Iterator[tuple[int, Shard]]:
-    """Yield (recipe, shard). Contact by contact, so that a membrane is rastered once for all lights that fall on it."""
+    """Yield (recipe, shard). Contact by contact, so that a membrane is rastered once for all lights that fall on it.
+
+    Cameras with the same extent of view share their membranes, whose grid it decides.
+    """
+    physics = solve_plan(batch.recipes[0])
     rows: dict[int, list[Row]] = {index: [] for members in groups for index in members}
     unrenderable: list[dict[int, str]] = [{} for _ in groups]
-    for frame, state in zip(range(batch.start, batch.stop), states, strict=True):
-        for members, refused in zip(groups, unrenderable, strict=True):
-            recipes = [batch.recipes[index] for index in members]
+    extents = [_view_half_extent_mm(batch.recipes[members[0]]) for members in groups]
+    for frame in range(batch.start, batch.stop):
+        solution = solutions.get(physics.solve_key(frame))
+        states = {extent: physics.state(frame, solution, extent) for extent in set(extents)}
+        for members, refused, extent in zip(groups, unrenderable, extents, strict=True):
+            recipes, state = [batch.recipes[index] for index in members], states[extent]
             cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
             if state.converged:
                 try:
                     cells = picture_cells(recipes, matrices[members[0]], frame, state)
-                except ValueError as error:
-                    refused[frame] = str(error)
+                except (MemoryError, OSError):
+                    raise  # the machine's trouble, not this frame's
+                except Exception as error:
+                    refused[frame] = _reason(error)
             for index, recipe, own_cells in zip(members, recipes, cells, strict=True):
                 rows[index].append(_labels(recipe, frame, state) | own_cells)
     for members, refused in zip(groups, unrenderable, strict=True):
-        if len(refused) > len(batch) / 2:
+        if len(refused) > max(len(batch) / 2, 1):
             frame, reason = next(iter(refused.items()))
             raise RuntimeError(
                 f"domain {batch.recipes[members[0]].name}: {len(refused)} of {len(batch)} frames cannot be rendered; "
@@ -90,6 +99,15 @@ def _shards_of_groups(
             )
         for index in members:
             yield index, _shard(batch.recipes[index], batch.shard, rows[index], refused)
+
+
+def _view_half_extent_mm(recipe: DomainRecipe) -> tuple[float, float]:
+    return view_half_extent_mm(recipe.sensor.camera, recipe.size_px)
+
+
+def _reason(error: Exception) -> str:
+    """Return why a frame was not rendered; only a sentence of our own speaks for itself."""
+    return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
 
 
 def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> Row:

@@ -11,6 +11,7 @@ from .imaging import sensor_noise as sensor_noise
 from .inpainting import detect_markers as detect_markers
 from .inpainting import inpaint_biharmonic as inpaint_biharmonic
 from .inpainting import inpaint_telea as inpaint_telea
+from .lattice import view_half_extent_mm as view_half_extent_mm
 from .led import Emitter as Emitter
 from .led import Led as Led
 from .led_cache import clear_led_cache as clear_led_cache

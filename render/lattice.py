@@ -10,6 +10,8 @@ from gelgap.render.camera import Camera
 # What a state covers by convention: the paper's 12×9 mm footprint and a margin of 1 mm for shadows and perspective.
 STATE_HALF_EXTENT_MM = (7.0, 5.5)
 MARGIN_MM = 1.0
+# Extents are rounded up to whole steps of this, so that cameras that differ little share their membranes.
+EXTENT_STEP_MM = 0.5
 TAPER_MM = 3.0
 
 
@@ -22,6 +24,19 @@ class Grid(NamedTuple):
     y0_mm: np.float32
     spacing_mm: np.float32
     cells_per_mm: np.float32
+
+
+def view_half_extent_mm(camera: Camera, size_px: tuple[int, int]) -> tuple[float, float]:
+    """Return how far a membrane must reach from the sensor's centre along x and y for a picture of this size.
+
+    That is a state's convention, or the camera's footprint with its margin where it is larger.
+    """
+    half_mm = np.maximum(STATE_HALF_EXTENT_MM, _half_footprint_mm(camera, size_px) + MARGIN_MM)
+    return tuple((np.ceil(half_mm / EXTENT_STEP_MM - 1e-3) * EXTENT_STEP_MM).tolist())
+
+
+def _half_footprint_mm(camera: Camera, size_px: tuple[int, int]) -> np.ndarray:
+    return np.asarray(camera.footprint_mm(size_px)) / 2 + np.abs(camera.position_mm[:2])
 
 
 @dataclass(frozen=True)
@@ -37,9 +52,7 @@ class Lattice:
     @classmethod
     def covering(cls, camera: Camera, size_px: tuple[int, int], spacing_mm: float) -> "Lattice":
         """Return the grid that covers a state's convention and the camera's footprint with its margin."""
-        axis_mm = camera.position_mm[:2]
-        half_footprint_mm = np.asarray(camera.footprint_mm(size_px)) / 2 + np.abs(axis_mm)
-        half_mm = np.maximum(STATE_HALF_EXTENT_MM, half_footprint_mm + MARGIN_MM)
+        half_mm = np.maximum(STATE_HALF_EXTENT_MM, _half_footprint_mm(camera, size_px) + MARGIN_MM)
         half_cells = np.ceil(half_mm / spacing_mm - 1e-3).astype(int)
         return cls(
             x0_mm=-half_cells[0] * spacing_mm,

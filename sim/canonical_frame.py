@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gelgap.sim.contact_radius import contact_radius_mm
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenters.base import Indenter, Symmetry
-from gelgap.sim.membrane import MembraneState, grid_axes
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, grid_axes
 from gelgap.sim.path import Pose
 from gelgap.sim.problem import PadEdges
 from gelgap.sim.scene import Scene
@@ -69,14 +69,22 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
 
 
 def placed_state(
-    elastomer: Elastomer, pose: Pose, frame: CanonicalFrame, solution: Solution, record_index: int
+    elastomer: Elastomer,
+    pose: Pose,
+    frame: CanonicalFrame,
+    solution: Solution,
+    record_index: int,
+    half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
 ) -> MembraneState:
-    """Return the membrane of a pose from the solution's record of it: moved to the pose's point, force by modulus."""
+    """Return the membrane of a pose from the solution's record of it: moved to the pose's point, force by modulus.
+
+    Its grid reaches at least `half_extent_mm` from the sensor's centre along x and y.
+    """
     record, problem = solution.records[record_index], solution.problem
-    x_mm, y_mm = grid_axes()
+    x_mm, y_mm = grid_axes(half_extent_mm)
     table = _table(solution, record_index)
     point_mm, turn = (pose.point_x_mm, pose.point_y_mm), tuple(frame.to_sensor.ravel().tolist())
-    rest, places = _places(point_mm, turn, table.displacement_mm.shape, table.symmetric)
+    rest, places = _places(half_extent_mm, point_mm, turn, table.displacement_mm.shape, table.symmetric)
     position = table.at(places)
     position[..., :2] += rest
     origin = record.indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
@@ -111,10 +119,14 @@ def _contact_radius_mm(solution: Solution, record_index: int) -> float:
 # Poses that follow one another often differ in depth alone.
 @lru_cache(maxsize=16)
 def _places(
-    point_mm: tuple[float, float], turn: tuple[float, ...], shape: tuple[int, ...], symmetric: bool
+    half_extent_mm: tuple[float, float],
+    point_mm: tuple[float, float],
+    turn: tuple[float, ...],
+    shape: tuple[int, ...],
+    symmetric: bool,
 ) -> tuple[NDArray[np.float64], PolarPlaces]:
     """Return the sensor's grid around a point in the frame turned by `turn` (4,), and its places in polar tables."""
-    x_mm, y_mm = grid_axes()
+    x_mm, y_mm = grid_axes(half_extent_mm)
     rest = np.stack(np.meshgrid(x_mm - point_mm[0], y_mm - point_mm[1]), axis=-1) @ np.reshape(turn, (2, 2))
     return rest, PolarPlaces.of(rest[..., 0], rest[..., 1], shape, symmetric)
 

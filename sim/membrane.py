@@ -1,5 +1,6 @@
 """The deformed outer membrane of one pose, with the force that deforms it."""
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
@@ -10,20 +11,27 @@ from numpy.typing import NDArray
 from gelgap.assets.array_file import read_arrays
 
 GRID_SPACING_MM = 0.1
-GRID_SIZE_MM = (14.0, 11.0)
+GRID_HALF_EXTENT_MM = (7.0, 5.5)
 
 # The arrays of a saved state.
 _NEEDED = ("x_mm", "y_mm", "displacement_mm")
 _OPTIONAL = ("contact", "force_n", "contact_radius_mm", "converged")
 
 
-def grid_axes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the rest grid's axes: x_mm (141,) and y_mm (111,), centred on the sensor."""
-    x_mm, y_mm = (
-        np.round(np.arange(round(size / GRID_SPACING_MM) + 1) * GRID_SPACING_MM - size / 2, 9)
-        for size in GRID_SIZE_MM
-    )
+def grid_axes(
+    half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the rest grid's axes, centred on the sensor: x_mm (141,) and y_mm (111,), or more values.
+
+    The grid reaches at least `half_extent_mm` from the centre along x and y, and never less far than by default.
+    """
+    x_mm, y_mm = map(_axis_mm, GRID_HALF_EXTENT_MM, half_extent_mm)
     return x_mm, y_mm
+
+
+def _axis_mm(least_mm: float, wanted_mm: float) -> NDArray[np.float64]:
+    cells = math.ceil(max(least_mm, wanted_mm) / GRID_SPACING_MM - 1e-3)
+    return np.round(np.arange(-cells, cells + 1) * GRID_SPACING_MM, 9)
 
 
 @dataclass(frozen=True)
@@ -122,9 +130,9 @@ class MembraneState:
         )
 
 
-def flat_state() -> MembraneState:
-    """Return the undeformed membrane, without contact."""
-    x_mm, y_mm = grid_axes()
+def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> MembraneState:
+    """Return the undeformed membrane, without contact, on the grid of `grid_axes`."""
+    x_mm, y_mm = grid_axes(half_extent_mm)
     shape = (len(y_mm), len(x_mm))
     return MembraneState(
         x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)

@@ -14,7 +14,7 @@ from gelgap.sim.cache import load_solution, store_solution
 from gelgap.sim.canonical_frame import CanonicalFrame, canonical_frame, placed_state
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenters.base import Indenter
-from gelgap.sim.membrane import MembraneState, flat_state
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, flat_state
 from gelgap.sim.mesh.scale import contact_width, mesh_scale
 from gelgap.sim.newton import SolveProgress, silent
 from gelgap.sim.pace import timed_solve
@@ -26,6 +26,8 @@ from gelgap.sim.solution import Solution
 LOG = logging.getLogger(__name__)
 # At most this many depths share a descent.
 _DEPTHS_PER_DESCENT = 3
+# A membrane's grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
+_COVERED_RADII = 1.5
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,31 @@ class SolvePlan:
         placement = self.placements[pose_index]
         return self.solves[placement.solve if placement else 0].key
 
-    def state(self, pose_index: int, solution: Solution | None) -> MembraneState:
-        """Return the membrane of a pose, made from the solution of its solve; without contact it needs none."""
+    def state(
+        self,
+        pose_index: int,
+        solution: Solution | None,
+        half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
+    ) -> MembraneState:
+        """Return the membrane of a pose, made from the solution of its solve; without contact it needs none.
+
+        Its grid covers the contact and reaches at least `half_extent_mm` from the sensor's centre along x and y, but
+        no further than the pad if that is larger than the grid by default.
+        """
         pose, placement = self.poses[pose_index], self.placements[pose_index]
+        half_extent_mm = self._half_extent_mm(pose, half_extent_mm)
         if placement is None:
-            return flat_state()
-        return placed_state(self.elastomer, pose, placement.frame, solution, placement.record)
+            return flat_state(half_extent_mm)
+        return placed_state(self.elastomer, pose, placement.frame, solution, placement.record, half_extent_mm)
+
+    def _half_extent_mm(self, pose: Pose, wanted_mm: tuple[float, float]) -> tuple[float, float]:
+        reach_mm = pose.radius_mm + _COVERED_RADII * self.indenter.penetration_radius_mm(pose.depth_mm)
+        points_mm = pose.point_x_mm, pose.point_y_mm
+        x_mm, y_mm = (
+            min(max(wanted, abs(point) + reach_mm), size / 2)
+            for wanted, point, size in zip(wanted_mm, points_mm, self.elastomer.pad_size_mm, strict=True)
+        )
+        return x_mm, y_mm
 
 
 # A problem, and for each pose that it serves the record and the frame to see it from.

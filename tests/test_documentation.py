@@ -35,6 +35,7 @@ QUICKEST = {
     r"^make ": "make --dry-run ",
     r"^gelgap press ": "gelgap press --quality draft ",
     r"^gelgap demo$": f"gelgap demo --path tiny.toml {SMALL}",
+    r"--domains 60 --frames-per-domain 60": "--quick --scheduler synchronous",
     r"--path cpu": f"--path tiny.toml {SMALL}",
     r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
     r"--preset smoke --quality draft": f"mb0i0 wmb1i1 --path tiny.toml {SMALL}",

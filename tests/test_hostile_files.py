@@ -4,7 +4,6 @@ import io
 import json
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hostile_bytes import npz, npz_of_bait, pickled, torch_bait
+from hostile_bytes import npz, npz_of_bait, pickled, png_that_claims, torch_bait
 
 from gelgap.adapt import ForceModel, load_predictions, load_run
 from gelgap.adapt.resnet import load_imagenet_weights
@@ -40,15 +39,6 @@ def npz_that_claims(shape: tuple[int, ...], *names: str) -> bytes:
         for name in names:
             archive.writestr(f"{name}.npy", header.getvalue() + bytes(64))
     return buffer.getvalue()
-
-
-def png_that_claims(width: int, height: int) -> bytes:
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    size = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = chunk(b"IHDR", size), chunk(b"IDAT", zlib.compress(bytes(1000))), chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
 def membrane(**changes: Any) -> bytes:

@@ -16,7 +16,7 @@ from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, w
 from gelgap.benchmarks.physics import closed_forms, path, savings
 from gelgap.benchmarks.physics.cases import Case, Workers
 from gelgap.benchmarks.physics.drags import DragErrors, compare_drags, drag_case
-from gelgap.benchmarks.physics.larger_spheres import OWN, tabled_sphere
+from gelgap.benchmarks.physics.larger_spheres import sphere_references
 from gelgap.benchmarks.physics.presses import (
     HELD_BACK,
     PressErrors,
@@ -93,7 +93,7 @@ def full_tables(workers: Workers) -> dict[str, Any]:
         if quality != "fine" or name == FINE_CASE
     }
     held_back = {press_case(r, "standard"): r for r in workers.map(held_back_reference, HELD_BACK)}
-    spheres = [tabled_sphere(), *workers.map(held_back_reference, OWN)]
+    spheres = sphere_references(workers)
     larger = {press_case(r, quality): r for quality in ("draft", "standard") for r in spheres}
     drag_references = (*no_slip_drags(), *coulomb_drags())
     drags = {drag_case(r, quality): r for quality in ("draft", "standard") for r in drag_references}

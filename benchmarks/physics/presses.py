@@ -176,9 +176,15 @@ def own_energy(workers: Workers) -> dict[str, object]:
 
 
 def held_back_reference(press: Press) -> PressReference:
-    """Solve a press that no table has with the project's own axisymmetric solver."""
-    depths = tuple(round(press.deepest_mm * share, 3) for share in (0.25, 0.5, 0.75, 1.0))
-    states = solve_press(press, depths)
+    """Solve a press that no table has, at four depths."""
+    return solved_reference(
+        press, tuple(round(press.deepest_mm * share, 3) for share in (0.25, 0.5, 0.75, 1.0))
+    )
+
+
+def solved_reference(press: Press, depths_mm: tuple[float, ...]) -> PressReference:
+    """Return what the project's own axisymmetric solver finds at rising depths."""
+    states = solve_press(press, depths_mm)
     return PressReference(
         name=str(press),
         strain_energy="isochoric",
@@ -187,7 +193,7 @@ def held_back_reference(press: Press) -> PressReference:
         friction=min(press.friction, NO_SLIP_FRICTION),
         indenter_radius_mm=press.indenter_radius_mm,
         thickness_mm=press.thickness_mm,
-        depths_mm=depths,
+        depths_mm=depths_mm,
         force_n=np.array([state.force_n for state in states]),
         contact_radius_mm=np.array([state.contact_radius_mm for state in states]),
         contact_radius_uncertainty_mm=np.full(len(states), press.element_mm / 4),

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from gelgap.adapt.methods import names, registry
+from gelgap.cli.generate import Generate
 from gelgap.cli.main import main
 from gelgap.domains import make_recipes, own_recipe
-from gelgap.sim import Elastomer
+from gelgap.sim import Elastomer, Sphere
 
 GEL = 'description = "soft"\nyoung_modulus_mpa = 0.2\npoisson_ratio = 0.48\nfriction = 0.5\nthickness_mm = 4.0\n'
 LAMP = """[[leds]]
@@ -46,6 +47,20 @@ def test_an_own_gel_and_light_make_a_domain_with_a_name(
         f"--size 64 48 --dry-run --out {tmp_path}/data".split()
     )
     assert "domains  soft" in capsys.readouterr().out
+    assert not (tmp_path / "data").exists()
+
+
+def test_another_sphere_makes_the_domain_and_one_too_small_for_the_path_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (recipe,), _ = Generate(("mb0i0",), path="smoke", indenter_diameter_mm=42.0)._recipes()
+    assert recipe.indenter == Sphere(diameter_mm=42.0)
+    command = ["generate", "mb0i0", "--path", "smoke", "--scheduler", "synchronous", "--indenter-diameter-mm"]
+    for value, problem in (("0.6", "depth_mm = 0.6: must be in [0, 0.3] mm"), ("60", "[0.5, 50] mm")):
+        with pytest.raises(SystemExit) as stop:
+            main([*command, value, "--out", str(tmp_path / "data")])
+        assert stop.value.code == 2
+        assert problem in capsys.readouterr().err
     assert not (tmp_path / "data").exists()
 
 

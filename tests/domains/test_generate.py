@@ -8,8 +8,10 @@ import pytest
 
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains.folder import DomainFolder
+from gelgap.domains.generate import generate_recipes
 from gelgap.domains.opening import open_domain
 from gelgap.domains.splits import split_frames
+from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import SolvePlan
 
 pytestmark = pytest.mark.usefixtures("small_shards")
@@ -165,8 +167,8 @@ def test_a_pose_that_did_not_converge_is_written_without_a_picture(
 
     solved = SolvePlan.state
 
-    def state(self, index, solution):
-        return dataclasses.replace(solved(self, index, solution), converged=index != 4)
+    def state(self, index, solution, extent):
+        return dataclasses.replace(solved(self, index, solution, extent), converged=index != 4)
 
     monkeypatch.setattr(SolvePlan, "state", state)
     report = make(tmp_path)
@@ -186,8 +188,8 @@ def test_a_membrane_that_cannot_be_rendered_is_a_flagged_frame(
 ):
     solved = SolvePlan.state
 
-    def state(self, index, solution):
-        found = solved(self, index, solution)
+    def state(self, index, solution, extent):
+        found = solved(self, index, solution, extent)
         broken = np.full_like(found.displacement_mm, np.nan)
         return dataclasses.replace(found, displacement_mm=broken) if index == 7 else found
 
@@ -199,13 +201,40 @@ def test_a_membrane_that_cannot_be_rendered_is_a_flagged_frame(
     assert "not finite" in events[1]["frames"]["7"]
 
 
+@pytest.mark.parametrize("per_shard", [8, 25])
+def test_whatever_goes_wrong_in_one_frame_is_a_flagged_frame(
+    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, per_shard: int
+):
+    def picture(self, *membrane, frame_name="membrane", **options):
+        if frame_name == "frame 25 of mb0i0":
+            raise ZeroDivisionError("division by zero")
+        return rendered(self, *membrane, frame_name=frame_name, **options)
+
+    rendered = MembraneRenderer.picture
+    monkeypatch.setattr(MembraneRenderer, "picture", picture)
+    monkeypatch.setattr("gelgap.domains.plan.FRAMES_PER_SHARD", per_shard)  # 25: alone in its shard
+    report = make(tmp_path)
+    assert (report.unconverged, report.unrenderable) == (1, 1)
+    events = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]
+    assert events[1]["frames"] == {"25": "ZeroDivisionError: division by zero"}
+
+
+def test_a_machine_without_memory_stops_the_run(make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def picture(self, *membrane, **options):
+        raise MemoryError
+
+    monkeypatch.setattr(MembraneRenderer, "picture", picture)
+    with pytest.raises(MemoryError):
+        make(tmp_path)
+
+
 def test_membranes_that_mostly_cannot_be_rendered_stop_the_run(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     solved = SolvePlan.state
 
-    def state(self, index, solution):
-        found = solved(self, index, solution)
+    def state(self, index, solution, extent):
+        found = solved(self, index, solution, extent)
         return dataclasses.replace(found, displacement_mm=np.full_like(found.displacement_mm, np.nan))
 
     monkeypatch.setattr(SolvePlan, "state", state)
@@ -223,3 +252,19 @@ def test_the_manifest_holds_no_time_and_no_host(finished: Path):
     assert found["frames"] == 26
     assert found["configuration"]["elastomer"]["young_modulus_mpa"] > 0
     assert found["force_max_n"][2] <= 0
+
+
+def test_membranes_reach_as_far_as_the_camera_sees(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def picture(self, x_mm, y_mm, displacement_mm, **options):
+        reach_mm[self.sensor.camera.horizontal_field_of_view_deg] = x_mm[-1], y_mm[-1]
+        return rendered(self, x_mm, y_mm, displacement_mm, **options)
+
+    rendered, reach_mm = MembraneRenderer.picture, {}
+    monkeypatch.setattr(MembraneRenderer, "picture", picture)
+    near = open_domain(finished / "mb0i0").recipe
+    far = near.model_copy(update={"name": "far", "sensor": Sensor.preset("gelsight-2014-like")})
+    generate_recipes([near, far], tmp_path, scheduler="synchronous")
+    assert list(reach_mm.values()) == [(7.0, 5.5), (9.0, 7.0)]
+    assert contents(tmp_path / "mb0i0") == contents(finished / "mb0i0")

@@ -10,9 +10,11 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hostile_bytes import png_that_claims
 
 from gelgap.benchmarks.data.sound_files import DOMAIN
-from gelgap.domains import export
+from gelgap.cli.main import main
+from gelgap.domains import export, open_domain, verify_domain
 from gelgap.domains.columns import PICTURE, POINTS
 from gelgap.domains.folder import DomainFolder, sha256
 from gelgap.domains.page_headers import plain_pages
@@ -146,6 +148,30 @@ def test_no_hostile_shard_is_exported(files: Path, tmp_path: Path, change: Calla
     shard = plant(files / "data" / DOMAIN, change)
     with pytest.raises(RuntimeError, match=f"{shard.name} is damaged"):
         export(files / "data" / DOMAIN, "huggingface", tmp_path / "out")
+
+
+def test_a_picture_bomb_that_its_manifest_vouches_for_is_found(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def with_bomb(table: pa.Table) -> pa.Table:
+        cells = [cell and cell["bytes"] for cell in table["image"].to_pylist()]
+        cells[1] = png_that_claims(60_000, 60_000)
+        parts = [pa.array(cells), pa.nulls(len(cells), pa.string())]
+        return with_column(table, "image", pa.StructArray.from_arrays(parts, fields=list(PICTURE)))
+
+    folder = files / "data" / DOMAIN
+    assert verify_domain(folder) == ()
+    shard = plant(folder, with_bomb)
+    with pytest.raises(ValueError, match="60000×60000 px") as on_reading:
+        open_domain(folder).picture(1)
+    (damage,) = verify_domain(folder)
+    reason = "the picture states 60000×60000 px: allowed are 1 to 67108864 pixels"
+    assert reason in str(on_reading.value)
+    assert str(damage).endswith(f"{shard.name}: frame 1: {reason}")
+    with pytest.raises(SystemExit) as stop:
+        main(["inspect", str(folder), "--verify"])
+    assert stop.value.code == 1
+    assert "--overwrite makes it again" in capsys.readouterr().err
 
 
 def test_pages_say_what_they_hold(files: Path) -> None:

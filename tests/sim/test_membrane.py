@@ -15,6 +15,13 @@ def test_the_grid_covers_the_footprint_and_its_margin() -> None:
     np.testing.assert_allclose(np.diff(x_mm), 0.1, atol=1e-12)
 
 
+def test_the_grid_reaches_as_far_as_it_must_on_the_same_points() -> None:
+    x_mm, y_mm = grid_axes((9.0, 0.0))
+    assert (x_mm[0], x_mm[-1], y_mm[-1]) == (-9.0, 9.0, 5.5)
+    assert set(grid_axes()[0]) < set(x_mm)
+    assert grid_axes((7.03, 5.5))[0][-1] == pytest.approx(7.1)
+
+
 def test_a_saved_state_comes_back(tmp_path: Path) -> None:
     flat = flat_state()
     displacement = np.random.default_rng(0).normal(size=flat.displacement_mm.shape).astype(np.float32)

@@ -11,7 +11,7 @@ from gelgap.sim.cache import cache_use, clear_cache, load_solution, store_soluti
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenters.sphere import Sphere
 from gelgap.sim.newton import solve
-from gelgap.sim.path import ContactPath, PosePath
+from gelgap.sim.path import ContactPath, Pose, PosePath
 from gelgap.sim.plan import SolvePlan, plan_solves
 from gelgap.sim.scene import Sharing
 
@@ -102,6 +102,17 @@ def test_every_pose_is_served(cache: Path) -> None:
     assert not list(cache.glob("*.tmp"))
     clear_cache()
     assert cache_use().solutions == 0
+
+
+def test_a_membrane_reaches_as_far_as_its_contact_and_as_it_must(cache: Path) -> None:
+    thin = GEL.model_copy(update={"thickness_mm": 1.0})
+    plan = _plan(thin, PosePath("far", (Pose(depth_mm=0.1, point_x_mm=6.8),)))
+    solution = plan.solves[0].run()
+    assert plan.state(0, solution).x_mm[-1] == pytest.approx(7.7)  # 1.5 times 0.54 mm beyond the point
+    wide = plan.state(0, solution, (9.0, 30.0))
+    assert (wide.x_mm[-1], wide.y_mm[-1]) == (9.0, 10.0)  # the pad ends at 10 mm
+    assert wide.displacement_mm.shape == (len(wide.y_mm), len(wide.x_mm), 3)
+    assert wide.contact.any()
 
 
 def test_drags_that_branch_off_one_press_are_those_solved_apart(cache: Path) -> None:

@@ -1,0 +1,128 @@
+"""`gelgap pretrain`: drawn domains, and a network trained on all of them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+import tyro
+
+from gelgap.cli.arguments import Flag, load_profile, optional
+from gelgap.cli.rules import (
+    PICTURE_SIDES,
+    SEED,
+    WORKERS,
+    Between,
+    InputFile,
+    OutputFolder,
+    Preset,
+    Scheduler,
+)
+
+Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
+# Of --quick: shallow presses of a small sphere, and a network that learns little.
+QUICK_DOMAINS, QUICK_FRAMES, QUICK_EPOCHS = 2, 12, 2
+QUICK_RANGES = {
+    "presses": 1,
+    "depths": 1,
+    "sphere_diameter_mm": (3.0, 3.0),
+    "deepest_by_thickness": (0.05, 0.05),
+}
+
+
+@dataclass(frozen=True)
+class Pretrain:
+    """Make domains with drawn gels, spheres, lights and cameras, and train one network on all of them to start from.
+
+    The checkpoint is out/pretrained.pt, for `gelgap adapt --weights` with the same profile. The last tenth of the
+    domains is not trained on, but judged by. Domains go to out/domains; run the same command again to resume.
+
+    For example:
+      gelgap pretrain --domains 60 --frames-per-domain 60 --out pretrained
+      gelgap pretrain --domains 60 --frames-per-domain 60 --without light --out without-light --dry-run
+    """
+
+    when_stopped: ClassVar[str] = (
+        "finished shards, solves and epochs are kept, run the same command again to go on"
+    )
+
+    out: Annotated[Path, OutputFolder()]
+    """Folder for the domains and the checkpoint."""
+    domains: Annotated[int, Between(2, 9999)] = 60
+    """How many domains are drawn."""
+    frames_per_domain: Annotated[int, Between(2, 100_000)] = 60
+    """Frames of each: one without contact, then every depth of its press, straight and dragged, at drawn places."""
+    without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
+    """What is not drawn but the same in every domain, to see what drawing it matters."""
+    ranges: Annotated[Path | None, optional("TOML", "gelgap's own"), InputFile("a TOML file")] = None
+    """Ranges that differ from those of assets/pretraining.toml."""
+    profile: Annotated[str, Preset("profiles")] = "cpu"
+    """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file; inputs are differences."""
+    quality: Literal["draft", "standard", "fine"] = "draft"
+    """Quality of physics and pictures."""
+    size: Annotated[tuple[int, int], PICTURE_SIDES] = (160, 120)
+    """Width and height of the pictures in pixels."""
+    seed: Annotated[int, SEED] = 0
+    """Seed of all draws and of the training."""
+    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster"), Scheduler()] = None
+    """Address of a Dask scheduler; `synchronous` runs in this process."""
+    workers: Annotated[int | None, optional("N", "one per core"), WORKERS] = None
+    """Processes of the local cluster."""
+    quick: Flag = False
+    """Two domains of twelve frames and two epochs: to see that all works, not to learn."""
+    dry_run: Flag = False
+    """Only say what would be generated: solves, frames, estimated time and disk."""
+    overwrite: Flag = False
+    """Replace domains under --out that hold another configuration."""
+
+    def run(self, started: float) -> None:
+        """Say what it takes, generate, train and print the errors."""
+        if self.workers is not None and self.scheduler is not None:
+            raise ValueError(
+                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
+            )
+        from gelgap.domains import PretrainingRanges, estimate, generate_recipes, pretraining_recipes
+        from gelgap.domains import shown_progress as shown_generation
+
+        profile = load_profile(self.profile)
+        profile.check_joins_domains()
+        ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
+        domains, frames, size_px = self.domains, self.frames_per_domain, self.size
+        if self.quick:
+            ranges = PretrainingRanges(**{**ranges.model_dump(), **QUICK_RANGES})
+            profile = profile.replace(source_epochs=QUICK_EPOCHS)
+            domains, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, profile.image_size_px
+        if any(side < trained for side, trained in zip(size_px, profile.image_size_px, strict=True)):
+            width, height = profile.image_size_px
+            raise ValueError(
+                f"--size = {size_px[0]} {size_px[1]}: must be at least the {width} × {height} px of profile "
+                f"{profile.name}"
+            )
+        recipes = pretraining_recipes(
+            domains,
+            frames,
+            ranges,
+            without=self.without,
+            seed=self.seed,
+            size_px=size_px,
+            quality=self.quality,
+        )
+        print(estimate(recipes, self.workers))
+        print(f"training {profile.source_epochs} epochs of at most {domains * frames} frames", flush=True)
+        if self.dry_run:
+            return
+        folder = self.out / "domains"
+        with shown_generation() as generating:
+            report = generate_recipes(
+                recipes,
+                folder,
+                scheduler=self.scheduler,
+                workers=self.workers,
+                overwrite=self.overwrite,
+                progress=generating,
+            )
+        print(report)
+        from gelgap.adapt import console_progress, pretrain
+
+        with console_progress() as progress:
+            folders = [folder / recipe.name for recipe in recipes]
+            print(pretrain(folders, self.out, profile, self.seed, progress=progress))

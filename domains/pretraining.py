@@ -1,0 +1,300 @@
+"""Domains to pretrain on: gels, spheres, lights and cameras drawn from stated ranges; many domains share a solve.
+
+A press is a gel and a sphere, solved at some depths, each with a travel. Every domain takes one press, and has a
+modulus, a light, a camera and contacts of its own, none of which asks for another solve.
+"""
+
+import hashlib
+import math
+import tomllib
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from gelgap.assets import asset_path
+from gelgap.assets.settings import Settings
+from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.domains.recipe import DomainRecipe, Interval
+from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
+from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
+
+RandomFactor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
+RANDOM_FACTORS: tuple[str, ...] = get_args(RandomFactor)
+"""What is drawn, and can be left out to see what it matters."""
+
+Share = Annotated[float, Field(ge=0, le=1)]
+# Contacts are interior wherever they lie in view, so that all of a press share its solves.
+_PAD_MM = (80.0, 80.0)
+# Contact points lie within this share of the view.
+_SHARE_OF_VIEW = 0.7
+# Deeper than this share of its radius a sphere is not pressed.
+_DEEPEST_BY_RADIUS = 0.6
+_DOTS_BY_PITCH = 0.35
+
+
+class PretrainingRanges(Settings):
+    """What is drawn for pretraining, each value evenly from its range, those of gels and noise evenly in the logarithm.
+
+    `presses` gels × spheres are solved at `depths` depths each, down to `deepest_by_thickness`; at each depth the
+    indenter also travels by `travel_by_depth`. LEDs and coat are drawn by `variation` around a sensor's own light, or
+    for a sensor without one around an illumination; the LEDs' colours change places. Frames with a force outside
+    `force_range_n` are not trained on.
+    """
+
+    description: str = ""
+    presses: int = Field(ge=1, le=10_000)
+    depths: int = Field(ge=1, le=20)
+    young_modulus_mpa: Interval
+    poisson_ratio: Interval
+    friction: Interval
+    thickness_mm: Interval
+    sphere_diameter_mm: Interval
+    deepest_by_thickness: Interval
+    travel_by_depth: Interval
+    sensors: tuple[str, ...] = Field(min_length=1)
+    illuminations: tuple[str, ...] = Field(min_length=1)
+    variation: Variation
+    brightness: Interval = Field(description="factor on the exposure")
+    view_mm: Interval = Field(description="width that the picture shows")
+    point_spread_px: Interval
+    full_well_electrons: Interval
+    read_noise_electrons: Interval
+    with_markers: Share = Field(description="share of the domains whose gel has dots")
+    marker_pitch_mm: Interval
+    force_range_n: tuple[Interval, Interval, Interval] = Field(description="declared by every domain")
+
+    @field_validator("*")
+    @classmethod
+    def _rises(cls, value: Any) -> Any:
+        if (
+            isinstance(value, tuple)
+            and len(value) == 2
+            and isinstance(value[0], float)
+            and value[1] < value[0]
+        ):
+            raise ValueError("must be a lowest and a highest value, in this order")
+        return value
+
+    @classmethod
+    def default(cls) -> Self:
+        """Return the ranges that come with gelgap, `assets/pretraining.toml`."""
+        return cls(**tomllib.loads(asset_path("pretraining.toml").read_text(encoding="utf-8")))
+
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read ranges from a TOML file; what it does not give is as in `default`.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not valid TOML, a field is unknown, or a value is out of range.
+        """
+        with named_in_errors(path):
+            return cls(**{**cls.default().model_dump(), **read_toml(path)})
+
+    @property
+    def contacts(self) -> int:
+        """How many contacts of a press differ in more than place and direction."""
+        return 2 * self.depths
+
+
+def pretraining_recipes(
+    domains: int,
+    frames_per_domain: int,
+    ranges: PretrainingRanges | None = None,
+    *,
+    without: Collection[str] = (),
+    seed: int = 0,
+    size_px: tuple[int, int] = (160, 120),
+    quality: QualityName = "draft",
+) -> tuple[DomainRecipe, ...]:
+    """Return the recipes of domains drawn from ranges, named `pretraining-0000` and so on.
+
+    Of the factors `without` (see `RANDOM_FACTORS`), every domain has the middle instead: the middle of each range, the
+    first sensor and illumination as they are, no dots. The draws of the others are the same as with them. The quality
+    is that of physics and pictures.
+
+    Raises
+    ------
+    ValueError
+        If a factor is unknown, there are no domains, or a domain's frames are too few for a reference and every contact
+        of its press.
+    """
+    ranges = ranges or PretrainingRanges.default()
+    if unknown := sorted(set(without) - set(RANDOM_FACTORS)):
+        raise ValueError(f"without = {unknown[0]!r}: known are {', '.join(RANDOM_FACTORS)}")
+    if domains < 1:
+        raise ValueError(f"domains = {domains}: must be 1 or more")
+    if frames_per_domain <= ranges.contacts:
+        raise ValueError(
+            f"frames_per_domain = {frames_per_domain}: must be {ranges.contacts + 1} or more, a reference and "
+            f"{ranges.contacts} contacts at {ranges.depths} depths"
+        )
+    draws = _Draws(seed, frozenset(without))
+    presses = [_press(number, ranges, draws) for number in range(min(ranges.presses, domains))]
+    recipes = []
+    for number in range(domains):
+        name, press = f"pretraining-{number:04d}", presses[number % len(presses)]
+        sensor, illumination = _light(number, ranges, draws)
+        sensor = sensor.model_copy(update={"camera": _camera(sensor.camera, number, ranges, draws)})
+        markers = _markers(number, ranges, draws)
+        view_mm = sensor.camera.footprint_mm(size_px)
+        recipes.append(
+            DomainRecipe(
+                name=name,
+                elastomer=_elastomer(press, number, ranges, draws),
+                indenter=press.indenter,
+                path=PosePath(name, _poses(press, number, frames_per_domain, view_mm, draws)),
+                quality=quality,
+                sensor=sensor if markers is None else sensor.model_copy(update={"markers": markers}),
+                illumination=illumination,
+                markers=markers is not None,
+                size_px=size_px,
+                render_quality=quality,
+                seed=seed,
+                force_range_n=ranges.force_range_n,
+            )
+        )
+    return tuple(recipes)
+
+
+@dataclass(frozen=True)
+class _Draws:
+    """Random numbers by what they are for; even draws in [0, 1) of a factor that is left out are all 0.5."""
+
+    seed: int
+    without: frozenset[str]
+
+    def stream(self, what: str, number: int) -> np.random.Generator:
+        key = int.from_bytes(hashlib.sha256(what.encode()).digest()[:8], "little")
+        return np.random.default_rng(np.random.SeedSequence([self.seed, key, number]))
+
+    def shares(self, factor: str, what: str, number: int, count: int) -> list[float]:
+        return [0.5] * count if factor in self.without else self.stream(what, number).random(count).tolist()
+
+
+@dataclass(frozen=True)
+class _Press:
+    """A gel, whose modulus is open, a sphere, and how it is pressed: (depth, travel) in mm."""
+
+    gel: dict[str, Any]
+    indenter: Sphere
+    contacts_mm: tuple[tuple[float, float], ...]
+
+
+def _press(number: int, ranges: PretrainingRanges, draws: _Draws) -> _Press:
+    ratio, friction, thickness = draws.shares("gel", "gel of a press", number, 3)
+    (size,) = draws.shares("sphere", "sphere of a press", number, 1)
+    deepest, travel = draws.stream("depths of a press", number).random(2).tolist()
+    thickness_mm = round(_between(ranges.thickness_mm, thickness), 2)
+    sphere = Sphere(diameter_mm=round(_between_in_logarithm(ranges.sphere_diameter_mm, size), 2))
+    gel = {
+        "poisson_ratio": round(_between(ranges.poisson_ratio, ratio), 4),
+        "friction": round(_between_in_logarithm(ranges.friction, friction), 3),
+        "thickness_mm": thickness_mm,
+        "pad_size_mm": _PAD_MM,
+    }
+    wanted_mm = thickness_mm * _between(ranges.deepest_by_thickness, deepest)
+    deepest_mm = min(wanted_mm, _DEEPEST_BY_RADIUS * sphere.radius_mm)
+    shares = np.arange(1, ranges.depths + 1) / ranges.depths
+    depths_mm = np.round(deepest_mm * shares, 3).tolist()
+    travel_by_depth = _between(ranges.travel_by_depth, travel)
+    contacts = [(depth, round(part * depth, 3)) for depth in depths_mm for part in (0.0, travel_by_depth)]
+    return _Press(gel, sphere, tuple(contacts))
+
+
+def _elastomer(press: _Press, number: int, ranges: PretrainingRanges, draws: _Draws) -> Elastomer:
+    (modulus,) = draws.shares("gel", "modulus", number, 1)
+    return Elastomer(
+        young_modulus_mpa=round(_between_in_logarithm(ranges.young_modulus_mpa, modulus), 5), **press.gel
+    )
+
+
+def _light(number: int, ranges: PretrainingRanges, draws: _Draws) -> tuple[Sensor, Illumination]:
+    """Return a sensor without light of its own, and its light."""
+    rng = draws.stream("light", number)
+    is_drawn = "light" not in draws.without
+    sensor = Sensor.preset(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
+    other = str(rng.choice(ranges.illuminations)) if is_drawn else ranges.illuminations[0]
+    illumination = sensor.illumination or Illumination.preset(other)
+    sensor = sensor.model_copy(update={"illumination": None})
+    if not is_drawn:
+        return sensor, illumination
+    sensor, illumination = (
+        vary_sensor(sensor, ranges.variation, rng),
+        vary_illumination(illumination, ranges.variation, rng),
+    )
+    exposure = sensor.camera.exposure * _between(ranges.brightness, rng.random())
+    camera = Camera(**{**sensor.camera.model_dump(), "exposure": exposure})
+    return sensor.model_copy(update={"camera": camera}), _with_colours_swapped(illumination, rng)
+
+
+def _with_colours_swapped(illumination: Illumination, rng: np.random.Generator) -> Illumination:
+    leds = illumination.leds
+    colours = [leds[k].model_dump(include={"spectrum", "drive"}) for k in rng.permutation(len(leds))]
+    swapped = [type(led)(**{**led.model_dump(), **own}) for led, own in zip(leds, colours, strict=True)]
+    return illumination.model_copy(update={"leds": tuple(swapped)})
+
+
+def _camera(camera: Camera, number: int, ranges: PretrainingRanges, draws: _Draws) -> Camera:
+    (view,) = draws.shares("camera", "view", number, 1)
+    (blur,) = draws.shares("blur", "blur", number, 1)
+    well, read = draws.shares("noise", "noise", number, 2)
+    half_mm = _between(ranges.view_mm, view) / 2
+    drawn = {
+        "horizontal_field_of_view_deg": 2 * math.degrees(math.atan2(half_mm, -camera.position_mm[2])),
+        "point_spread_px": _between(ranges.point_spread_px, blur),
+        "full_well_electrons": _between_in_logarithm(ranges.full_well_electrons, well),
+        "read_noise_electrons": _between_in_logarithm(ranges.read_noise_electrons, read),
+    }
+    return Camera(**{**camera.model_dump(), **{name: round(value, 6) for name, value in drawn.items()}})
+
+
+def _markers(number: int, ranges: PretrainingRanges, draws: _Draws) -> Markers | None:
+    """Return dots over the whole view, or None."""
+    has_markers, pitch = draws.stream("markers", number).random(2).tolist()
+    if "markers" in draws.without or has_markers >= ranges.with_markers:
+        return None
+    pitch_mm = round(_between(ranges.marker_pitch_mm, pitch), 3)
+    across = math.ceil(ranges.view_mm[1] / pitch_mm)
+    return Markers(
+        columns=across, rows=across, pitch_mm=pitch_mm, diameter_mm=round(_DOTS_BY_PITCH * pitch_mm, 3)
+    )
+
+
+def _poses(
+    press: _Press, number: int, frames: int, view_mm: tuple[float, float], draws: _Draws
+) -> tuple[Pose, ...]:
+    """Return a reference and contacts at drawn places in drawn directions: each contact of the press, and again."""
+    rng = draws.stream("contacts", number)
+    rounds = -(-(frames - 1) // len(press.contacts_mm))
+    order = np.concatenate([rng.permutation(len(press.contacts_mm)) for _ in range(rounds)])[: frames - 1]
+    poses = [Pose(depth_mm=0.0, contact_class=0)]
+    for point, contact in enumerate(order.tolist(), start=1):
+        depth_mm, travel_mm = press.contacts_mm[contact]
+        x, y, angle = np.round(rng.uniform((-1, -1, 0), (1, 1, 2 * math.pi)), 4).tolist()
+        poses.append(
+            Pose(
+                depth_mm=depth_mm,
+                shear_x_mm=round(travel_mm * math.cos(angle), 12) + 0.0,
+                shear_y_mm=round(travel_mm * math.sin(angle), 12) + 0.0,
+                point_x_mm=round(x * _SHARE_OF_VIEW * view_mm[0] / 2, 4),
+                point_y_mm=round(y * _SHARE_OF_VIEW * view_mm[1] / 2, 4),
+                point_id=point,
+            )
+        )
+    return tuple(poses)
+
+
+def _between(interval: Interval, share: float) -> float:
+    return interval[0] + share * (interval[1] - interval[0])
+
+
+def _between_in_logarithm(interval: Interval, share: float) -> float:
+    return interval[0] * (interval[1] / interval[0]) ** share

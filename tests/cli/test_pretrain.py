@@ -1,0 +1,60 @@
+"""`gelgap pretrain`: drawn domains, one network, and a checkpoint that training starts from."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelgap.adapt import ForceModel, Profile, train_source
+from gelgap.cli.main import main
+from gelgap.domains import domain_folders, open_domain
+
+
+def test_a_pretrained_network_is_where_training_starts(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "profile.toml").write_text('base = "smoke"\nwidth = 0.125\nfeature_dim = 16\n')
+    command = (
+        f"pretrain --quick --scheduler synchronous --profile {tmp_path}/profile.toml --out {tmp_path}/out"
+    )
+    main(command.split())
+    printed = capsys.readouterr().out
+    assert printed.startswith("domains  pretraining-0000, pretraining-0001")
+    assert "trained on 12 frames" in printed
+    assert "pretrained, unseen domains" in printed
+    checkpoint = tmp_path / "out" / "pretrained.pt"
+    first = checkpoint.read_bytes()
+
+    main(command.split())
+    printed = capsys.readouterr().out
+    assert "now written 0 frames" in printed
+    assert checkpoint.read_bytes() == first
+
+    folders = domain_folders(tmp_path / "out" / "domains")
+    assert [folder.name for folder in folders] == ["pretraining-0000", "pretraining-0001"]
+    frames = open_domain(folders[0])
+    assert (len(frames), frames.size_px) == (12, (64, 48))
+    profile = Profile.load(tmp_path / "profile.toml").replace(source_epochs=1, source_learning_rate=1e-9)
+    started = train_source(frames, profile, weights=checkpoint)
+    pretrained = ForceModel.load(checkpoint)
+    np.testing.assert_array_equal(started.force_range_n, pretrained.force_range_n)
+    for one, other in zip(started.network.parameters(), pretrained.network.parameters(), strict=True):
+        np.testing.assert_allclose(one.detach().cpu(), other.detach().cpu(), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ("--profile paper", "pairing = 'channels' of profile paper: must be 'difference'"),
+        ("--size 60 48", "--size = 60 48: must be at least the 64 × 48 px of profile cpu"),
+        ("--frames-per-domain 8", "frames_per_domain = 8: must be 9 or more"),
+    ],
+)
+def test_what_cannot_be_trained_on_is_refused_before_it_is_made(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: str, sentence: str
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(f"pretrain {options} --out {tmp_path}/out".split())
+    assert stop.value.code == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,109 @@
+"""Drawn domains: what they share, what one factor changes, and how they are joined."""
+
+import numpy as np
+import pytest
+
+from gelgap.domains import (
+    RANDOM_FACTORS,
+    ArrayFrames,
+    JoinedDifferences,
+    PretrainingRanges,
+    plan_generation,
+    pretraining_recipes,
+)
+
+RANGES = PretrainingRanges(**{**PretrainingRanges.default().model_dump(), "presses": 2, "depths": 2})
+
+
+def test_domains_share_the_solves_of_their_press():
+    recipes = pretraining_recipes(6, 9, RANGES)
+    plan = plan_generation(recipes)
+    two = plan_generation(recipes[:2])
+    assert set(plan.solves) == set(two.solves)
+    assert plan.frames == 54
+    gels = [recipe.elastomer for recipe in recipes]
+    assert len({gel.young_modulus_mpa for gel in gels}) == 6
+    assert len({(gel.poisson_ratio, gel.thickness_mm, gel.friction) for gel in gels}) == 2
+    assert len({recipe.illumination.model_dump_json() for recipe in recipes}) == 6
+
+
+def test_contacts_are_those_of_the_press_within_view():
+    for recipe in pretraining_recipes(4, 20, RANGES):
+        first, *poses = recipe.path.poses
+        assert (first.depth_mm, first.contact_class) == (0.0, 0)
+        assert len({(pose.depth_mm, pose.radius_mm) for pose in poses}) == RANGES.contacts
+        half_mm = np.array(recipe.sensor.camera.footprint_mm(recipe.size_px)) / 2
+        assert all((np.abs([pose.point_x_mm, pose.point_y_mm]) < half_mm).all() for pose in poses)
+        low, high = RANGES.sphere_diameter_mm
+        assert low <= recipe.indenter.diameter_mm <= high
+
+
+def parts(recipe):
+    """Return the factors of a domain, by name."""
+    camera = recipe.sensor.camera
+    return {
+        "gel": recipe.elastomer,
+        "sphere": recipe.indenter,
+        "light": (recipe.illumination, recipe.sensor.coating, camera.exposure),
+        "camera": camera.footprint_mm(recipe.size_px),
+        "blur": camera.point_spread_px,
+        "noise": (camera.full_well_electrons, camera.read_noise_electrons),
+        "markers": (recipe.markers, recipe.sensor.markers if recipe.markers else None),
+    }
+
+
+@pytest.mark.parametrize("factor", RANDOM_FACTORS)
+def test_a_factor_that_is_left_out_is_the_same_in_every_domain_and_the_others_as_before(factor):
+    ranges = RANGES.model_copy(update={"presses": 8, "sensors": ("paper",)})
+    drawn = [parts(recipe) for recipe in pretraining_recipes(8, 9, ranges)]
+    without = [parts(recipe) for recipe in pretraining_recipes(8, 9, ranges, without=[factor])]
+    assert all(domain[factor] == without[0][factor] for domain in without)
+    assert not all(domain[factor] == drawn[0][factor] for domain in drawn)
+    for domain, before in zip(without, drawn, strict=True):
+        for other in set(RANDOM_FACTORS) - {factor}:
+            if other == "camera":
+                assert domain[other] == pytest.approx(before[other])
+            else:
+                assert domain[other] == before[other]
+
+
+def test_other_seeds_draw_other_domains():
+    one, other = (pretraining_recipes(2, 9, RANGES, seed=seed)[0] for seed in (0, 1))
+    assert one == pretraining_recipes(5, 9, RANGES)[0]
+    assert one.elastomer != other.elastomer
+    assert one.path.poses != other.path.poses
+
+
+def test_bad_choices_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="without = 'sound': known are gel, sphere, light"):
+        pretraining_recipes(2, 9, RANGES, without=["sound"])
+    with pytest.raises(ValueError, match=r"frames_per_domain = 4: must be 5 or more"):
+        pretraining_recipes(2, 4, RANGES)
+    (tmp_path / "ranges.toml").write_text("view_mm = [20.0, 12.0]")
+    with pytest.raises(ValueError, match=r"ranges\.toml.*view_mm.*lowest and a highest"):
+        PretrainingRanges.load(tmp_path / "ranges.toml")
+    (tmp_path / "ranges.toml").write_text("presses = 3")
+    assert PretrainingRanges.load(tmp_path / "ranges.toml").presses == 3
+
+
+def domain(name: str, grey: int, force_n: float, **settings) -> ArrayFrames:
+    images = np.full((2, 8, 10, 3), grey + 20, np.uint8)
+    images[1] = grey - 10
+    forces = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, force_n]])
+    return ArrayFrames(name, images, np.full((8, 10, 3), grey, np.uint8), forces, **settings)
+
+
+def test_joined_pictures_are_relative_to_their_own_references():
+    joined = JoinedDifferences("all", [domain("a", 60, -2.0), domain("b", 180, -3.0)], (10, 8))
+    difference = joined.images().astype(int) - joined.reference
+    assert difference[:, 0, 0, 0].tolist() == [20, -10, 20, -10]
+    assert np.array_equal(joined.images_without_markers(), joined.images())
+    assert joined.force_n[:, 2].tolist() == [-1.0, -2.0, -1.0, -3.0]
+    inputs = joined.torch((10, 8), "difference").inputs([0, 2])
+    assert inputs[0].equal(inputs[1])
+
+
+def test_domains_that_declare_other_ranges_are_not_joined():
+    wide = ((-2.0, 2.0), (-2.0, 2.0), (-20.0, 0.0))
+    with pytest.raises(ValueError, match="b declares forces"):
+        JoinedDifferences("all", [domain("a", 60, -2.0), domain("b", 60, -2.0, force_range_n=wide)], (10, 8))
