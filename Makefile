@@ -15,7 +15,7 @@ help:
 	@echo "make setup        create .venv with gelgap and its tested dependencies, and install libosmesa6 if missing"
 	@echo "make demo         set up, then run the main job end to end: domains, adaptation, report (minutes)"
 	@echo "make test         set up, then lint and run the test suite"
-	@echo "make lint         ruff check and ruff format --check"
+	@echo "make lint         ruff check, ruff format --check, and mypy over the public names"
 	@echo "make wheel-check  build the wheel and try it from a fresh environment in another folder"
 
 setup: $(VENV)/.ready
@@ -36,6 +36,7 @@ test: setup lint
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python scripts/check_types.py
 
 format: setup
 	$(BIN)/ruff check --fix .

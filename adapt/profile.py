@@ -13,91 +13,101 @@ from gelgap.assets.toml_file import read_toml
 class Profile(Settings):
     """Network, input, optimiser, schedule and splits of a run; `settings` holds what a single method needs."""
 
-    name: str = Field("custom", description="name under which results are filed")
-    backbone: Literal["resnet18", "resnet50"] = Field("resnet18", description="feature encoder")
+    name: str = Field(default="custom", description="name under which results are filed")
+    backbone: Literal["resnet18", "resnet50"] = Field(default="resnet18", description="feature encoder")
     width: float = Field(
-        1.0, gt=0, le=2, description="factor on the number of channels of every backbone layer"
+        default=1.0, gt=0, le=2, description="factor on the number of channels of every backbone layer"
     )
-    feature_dim: int = Field(256, ge=2, le=4096, description="size of the transfer feature")
+    feature_dim: int = Field(default=256, ge=2, le=4096, description="size of the transfer feature")
     image_size_px: tuple[int, int] = Field(
-        (64, 48), description="width and height of the network's pictures, px"
+        default=(64, 48), description="width and height of the network's pictures, px"
     )
     pairing: Literal["channels", "stack", "difference"] = Field(
-        "channels",
+        default="channels",
         description="contact and reference picture as 6 channels, one above the other, or their difference",
     )
-    batch_size: int = Field(32, ge=2, le=4096, description="frames of each domain in a step")
-    source_epochs: int = Field(20, ge=1, description="epochs of stage 1 (source regression only)")
-    source_learning_rate: float = Field(0.1, gt=0, description="initial learning rate of stage 1")
-    adapt_epochs: int = Field(10, ge=1, description="epochs of stage 2; an epoch is one pass over the source")
-    adapt_learning_rate: float = Field(0.01, gt=0, description="initial learning rate of stage 2")
-    backbone_rate_factor: float = Field(
-        0.1, gt=0, le=1, description="learning rate of the backbone over the heads'"
+    batch_size: int = Field(default=32, ge=2, le=4096, description="frames of each domain in a step")
+    source_epochs: int = Field(default=20, ge=1, description="epochs of stage 1 (source regression only)")
+    source_learning_rate: float = Field(default=0.1, gt=0, description="initial learning rate of stage 1")
+    adapt_epochs: int = Field(
+        default=10, ge=1, description="epochs of stage 2; an epoch is one pass over the source"
     )
-    momentum: float = Field(0.9, ge=0, lt=1, description="momentum of SGD")
-    weight_decay: float = Field(5e-4, ge=0, description="weight decay of SGD")
-    rate_decay: float = Field(3e-4, ge=0, description="a in the learning rate's factor (1 + a·step)^−b")
-    rate_power: float = Field(0.75, ge=0, description="b in the learning rate's factor (1 + a·step)^−b")
-    regression_weight: float = Field(1.0, ge=0, description="λ_r of stage 2")
+    adapt_learning_rate: float = Field(default=0.01, gt=0, description="initial learning rate of stage 2")
+    backbone_rate_factor: float = Field(
+        default=0.1, gt=0, le=1, description="learning rate of the backbone over the heads'"
+    )
+    momentum: float = Field(default=0.9, ge=0, lt=1, description="momentum of SGD")
+    weight_decay: float = Field(default=5e-4, ge=0, description="weight decay of SGD")
+    rate_decay: float = Field(
+        default=3e-4, ge=0, description="a in the learning rate's factor (1 + a·step)^−b"
+    )
+    rate_power: float = Field(
+        default=0.75, ge=0, description="b in the learning rate's factor (1 + a·step)^−b"
+    )
+    regression_weight: float = Field(default=1.0, ge=0, description="λ_r of stage 2")
     classification_weight: float = Field(
-        1.0, ge=0, description="λ_c of stage 2, for methods with a classifier"
+        default=1.0, ge=0, description="λ_c of stage 2, for methods with a classifier"
     )
     classification_feedback: float = Field(
-        1.0,
+        default=1.0,
         ge=0,
         le=1,
         description="share of the classification gradient that reaches the features (the paper: 1); the classifier "
         "itself learns at full weight",
     )
-    transfer_weight: float = Field(1.0, ge=0, description="λ_t of stage 2 when the ramp has ended")
+    transfer_weight: float = Field(default=1.0, ge=0, description="λ_t of stage 2 when the ramp has ended")
     transfer_warmup: float = Field(
-        0.0, ge=0, lt=1, description="share of stage 2 with λ_t = 0, in which the classifier learns"
+        default=0.0, ge=0, lt=1, description="share of stage 2 with λ_t = 0, in which the classifier learns"
     )
     transfer_ramp: float = Field(
-        10.0, ge=0, description="γ of λ_t's ramp 2/(1+e^(−γp))−1 over the steps after the warm-up; 0: no ramp"
+        default=10.0,
+        ge=0,
+        description="γ of λ_t's ramp 2/(1+e^(−γp))−1 over the steps after the warm-up; 0: no ramp",
     )
     colour_mixing: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1,
         description="share of source frames whose colours are turned at random, a stand-in for other lights",
     )
     marker_hiding: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=1,
         description="share of training batches shown with their markers inpainted, in stage 2 the target's too",
     )
     input_standardisation: Literal["none", "domain"] = Field(
-        "none",
+        default="none",
         description="standardise each channel of the network's input by mean and standard deviation over the "
         "training pictures of its domain",
     )
     shift_px: int = Field(
-        0,
+        default=0,
         ge=0,
         le=64,
         description="training pictures of both domains are shifted at random by up to this many pixels, a stand-in for "
         "contacts elsewhere",
     )
     batch_statistics: Literal["joint", "mixed", "per_domain"] = Field(
-        "joint",
+        default="joint",
         description="stage 2 normalises source and target as one batch, or each by itself; then both are judged under "
         "the running statistics of the two (mixed), or each under its own (per_domain)",
     )
     source_holdout: float = Field(
-        0.1, ge=0, lt=1, description="share of the source kept out of training to measure source risk"
+        default=0.1, ge=0, lt=1, description="share of the source kept out of training to measure source risk"
     )
     target_split: tuple[float, float, float] = Field(
-        (0.6, 0.2, 0.2), description="target shares for training (unlabelled), validation and test"
+        default=(0.6, 0.2, 0.2), description="target shares for training (unlabelled), validation and test"
     )
     split_by: Literal["random", "point", "given"] = Field(
-        "random",
+        default="random",
         description="split at random by the run's seed, by contact point so that no near-duplicate crosses it, or as "
         "the data set states it",
     )
-    precision: Literal["float32", "bfloat16"] = Field("float32", description="of the backbone's arithmetic")
-    threads: int = Field(1, ge=1, le=256, description="CPU threads of one run")
+    precision: Literal["float32", "bfloat16"] = Field(
+        default="float32", description="of the backbone's arithmetic"
+    )
+    threads: int = Field(default=1, ge=1, le=256, description="CPU threads of one run")
     settings: dict[str, dict[str, Any]] = Field(
         default_factory=dict,
         description="by method: settings of the method that differ from its defaults",

@@ -1,7 +1,8 @@
 """The benchmarks: name, what each measures, and where. Adding one is a file and a line here.
 
 Every module has `run(quick: bool, out_dir: Path) -> None`, which measures, prints tables and writes what it found below
-`out_dir`. The modules of the adaptation benchmark also have a `PART`, which its report is made of.
+`out_dir`; one that `needs_data` also takes `data`, the folder of the user's clones. The modules of the adaptation
+benchmark also have a `PART`, which its report is made of.
 """
 
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ class Benchmark:
     module: str
     by_default: bool = True
     has_quick_form: bool = True
+    needs_data: bool = False
 
     @property
     def resumes(self) -> bool:
@@ -33,9 +35,10 @@ class Benchmark:
         """Import the benchmark's module."""
         return import_module(f"gelgap.benchmarks.{self.module}")
 
-    def run(self, quick: bool, out_dir: Path) -> None:
+    def run(self, quick: bool, out_dir: Path, data: Path | None = None) -> None:
         """Measure."""
-        self.load().run(quick=quick, out_dir=out_dir)
+        given = {"data": data} if self.needs_data else {}
+        self.load().run(quick=quick, out_dir=out_dir, **given)
 
 
 _BEGINS_ANEW = (
@@ -46,6 +49,7 @@ _BEGINS_ANEW = (
     "adaptation.losses",
     "adaptation.published_losses",
     "adaptation.speed",
+    "real.session_transfer",
 )
 BENCHMARKS = (
     Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
@@ -126,6 +130,13 @@ BENCHMARKS = (
         has_quick_form=False,
     ),
     Benchmark("adaptation", "speed", "training steps beside a plain loop", "adaptation.speed"),
+    Benchmark(
+        "real",
+        "sessions",
+        "force from one session's light to another's, on real grasps",
+        "real.session_transfer",
+        needs_data=True,
+    ),
 )
 
 

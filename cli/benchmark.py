@@ -9,7 +9,7 @@ import tyro
 
 from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, subjects
 from gelgap.cli.arguments import Flag, optional
-from gelgap.cli.rules import OutputFolder
+from gelgap.cli.rules import InputFolder, OutputFolder
 
 LOG = logging.getLogger(__name__)
 _PARTS = tuple(dict.fromkeys(benchmark.part for benchmark in BENCHMARKS if benchmark.part))
@@ -43,6 +43,8 @@ class Benchmark:
     what: Annotated[Literal[*_PARTS] | None, optional("PART", help=_help_on_parts())] = None
     quick: Flag = False
     """A short form: a small case or two of each table; a minute or two, for adaptation more."""
+    data: Annotated[Path | None, optional("PATH"), InputFolder("a folder with clones of real data")] = None
+    """Of real: the folder that holds the clones; of a missing one the benchmark says the line that gets it."""
     out: Annotated[Path, OutputFolder()] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 
@@ -51,10 +53,17 @@ class Benchmark:
         from gelgap.assets.sole_use import sole_use
 
         chosen = find_benchmarks(self.subject, self.what, self.quick)
+        if any(benchmark.needs_data for benchmark in chosen) != (self.data is not None):
+            what = (
+                "is missing; name the folder with clones of real data"
+                if self.data is None
+                else "takes no part"
+            )
+            raise ValueError(f"--data {what} (benchmark {self.subject})")
         with sole_use(self.out, f".lock-{self.subject}"):
             for benchmark in chosen:
                 LOG.info("measuring %s", benchmark.description)
-                benchmark.run(self.quick, self.out)
+                benchmark.run(self.quick, self.out, self.data)
 
     @property
     def when_stopped(self) -> str:

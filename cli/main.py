@@ -18,6 +18,7 @@ from gelgap.cli.adapt import Adapt
 from gelgap.cli.benchmark import Benchmark
 from gelgap.cli.cache import Cache
 from gelgap.cli.calibrate import Calibrate
+from gelgap.cli.convert import Convert
 from gelgap.cli.demo import Demo
 from gelgap.cli.export import Export
 from gelgap.cli.generate import Generate
@@ -53,6 +54,7 @@ COMMANDS = {
     "generate": Generate,
     "inspect": Inspect,
     "export": Export,
+    "convert": Convert,
     "calibrate": Calibrate,
     "pretrain": Pretrain,
     "adapt": Adapt,

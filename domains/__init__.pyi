@@ -2,6 +2,8 @@ from .acquisition import AcquisitionError as AcquisitionError
 from .cluster import dask_client as dask_client
 from .contacts import contact_points as contact_points
 from .contacts import paired_contacts as paired_contacts
+from .convert import ConvertedClip as ConvertedClip
+from .convert import convert as convert
 from .dataset import PAPER_FORCE_RANGE_N as PAPER_FORCE_RANGE_N
 from .dataset import ArrayFrames as ArrayFrames
 from .dataset import LabelledFrames as LabelledFrames

@@ -23,20 +23,20 @@ class AcquisitionError(Settings):
     """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
 
     point_offset_mm: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="offset of all contact points along x and along y, mm, 0 to 1"
+        default=0.0, description="offset of all contact points along x and along y, mm, 0 to 1"
     )
     depth_zero_mm: Annotated[float, Field(ge=0, le=0.5)] = Field(
-        0.0, description="error of the depth at which contact is taken to begin, mm, 0 to 0.5"
+        default=0.0, description="error of the depth at which contact is taken to begin, mm, 0 to 0.5"
     )
     tilt_deg: Annotated[float, Field(ge=0, le=3)] = Field(
-        0.0,
+        default=0.0,
         description="tilt of the pad about x and about y, degrees, 0 to 3; it changes the depth from point to point",
     )
     force_noise_n: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="noise of the force sensor per frame and axis, N, 0 to 1"
+        default=0.0, description="noise of the force sensor per frame and axis, N, 0 to 1"
     )
     force_bias_n: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="bias of the force sensor along each axis, N, 0 to 1"
+        default=0.0, description="bias of the force sensor along each axis, N, 0 to 1"
     )
 
 

@@ -191,4 +191,4 @@ OPTIONAL: dict[str, tuple[Column, ...]] = {column.name: (column,) for column in 
     "diagnostics": DIAGNOSTICS
 }
 """What a domain may also hold, by the names by which it is asked for."""
-OptionalColumn = Literal[tuple(OPTIONAL)]
+OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]

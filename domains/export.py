@@ -5,7 +5,6 @@ import io
 import json
 import logging
 import os
-import shutil
 import tarfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -13,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from gelgap.assets.sole_use import LOCK, sole_use
 from gelgap.domains import published
 from gelgap.domains.columns import OPTIONAL, Column
+from gelgap.domains.croissant import write_croissant
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import domain_folders, inspect_domain
+from gelgap.domains.new_folder import check_is_new, new_folder
 from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_codec import encode_jpeg, encode_png
 from gelgap.domains.shard_file import ShardFile
@@ -27,13 +27,19 @@ from gelgap.domains.stored import StoredFrames
 
 LOG = logging.getLogger(__name__)
 _SAMPLES_PER_TAR = 1000
+_TITLE = "Synthetic GelSight pictures with force labels"
+_WHAT_IT_IS = (
+    "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the sensor's picture. "
+    "Nothing here was measured on a real sensor."
+)
+_LICENCE = "other"
 
 
 def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[Path, ...]:
     """Write the domains at a path in another format and return what was written, one path per domain.
 
     `paper` is the published layout (JPEG pictures), `webdataset` tars of PNG and JSON, `huggingface` one folder with a
-    data card and one configuration per domain. Frames that did not converge are left out.
+    data card, Croissant metadata and one configuration per domain. Frames that did not converge are left out.
 
     Raises
     ------
@@ -43,39 +49,12 @@ def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[P
     if format_name not in FORMATS:
         raise ValueError(f"format {format_name!r} is unknown; known formats: {', '.join(FORMATS)}")
     out_dir = Path(out_dir)
-    _refuse_what_is_there(out_dir)
+    check_is_new(out_dir)
     domains = [open_domain(path) for path in domain_folders(folder)]
-    # Built beside its place and renamed when complete: an export is whole or not there.
-    building = out_dir.with_name(f".{out_dir.name}.building")
-    with sole_use(building):
-        _refuse_what_is_there(out_dir)
-        try:
-            _remove(path for path in building.iterdir() if not path.name.startswith(LOCK))
-            LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
-            FORMATS[format_name](domains, building)
-            _remove(building.glob(f"{LOCK}*"))
-            if out_dir.exists():
-                out_dir.rmdir()
-            building.rename(out_dir)
-        except OSError as error:
-            raise RuntimeError(f"cannot write {out_dir}: {error.strerror or error}") from error
-        finally:
-            shutil.rmtree(building, ignore_errors=True)
+    with new_folder(out_dir) as building:
+        LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
+        FORMATS[format_name](domains, building)
     return tuple(out_dir / name for name in sorted(path.name for path in out_dir.iterdir()))
-
-
-def _refuse_what_is_there(out_dir: Path) -> None:
-    if out_dir.exists() and any(out_dir.iterdir()):
-        raise ValueError(f"{out_dir} is not empty; name a new folder for the export")
-
-
-def _remove(paths: Iterable[Path]) -> None:
-    """Remove files and whole folders, such as those that a killed export has left."""
-    for path in list(paths):
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
 
 
 def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
@@ -93,9 +72,9 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
             indices = np.flatnonzero(members)
             if len(indices):
                 _paper_table(frames, folder / part, indices)
-                for number, index in enumerate(indices):
+                for number, frame in enumerate(indices):
                     # The same picture in two places takes its bytes once.
-                    os.link(unsplit / "images" / f"{index}.jpg", folder / part / "images" / f"{number}.jpg")
+                    os.link(unsplit / "images" / f"{frame}.jpg", folder / part / "images" / f"{number}.jpg")
 
 
 def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> None:
@@ -152,7 +131,7 @@ def _by_split(frames: LabelledFrames) -> dict[str, np.ndarray]:
 
 
 def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
-    """`<domain>/<split>-00000.parquet`, references, and `README.md`: a data card that `datasets` reads."""
+    """`<domain>/<split>-00000.parquet`, references, a data card that `datasets` reads, and `croissant.json`."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -181,12 +160,13 @@ def _huggingface(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
         for writer in writers.values():
             writer.close()
     (out_dir / "README.md").write_text(_data_card(domains), encoding="utf-8")
+    write_croissant(out_dir, _TITLE, _WHAT_IT_IS, _LICENCE)
 
 
 def _data_card(domains: list[GeneratedDomain]) -> str:
     front = [
         "---",
-        "license: other",
+        f"license: {_LICENCE}",
         "tags: [tactile, gelsight, simulation, force-estimation, domain-adaptation]",
     ]
     front += ["task_categories: [robotics]", "configs:"]
@@ -207,10 +187,9 @@ def _data_card(domains: list[GeneratedDomain]) -> str:
         )
     versions = ", ".join(f"{name} {number}" for name, number in domains[0].manifest["versions"].items())
     text = [
-        "# Synthetic GelSight pictures with force labels",
+        f"# {_TITLE}",
         "",
-        "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the sensor's picture. "
-        "Nothing here was measured on a real sensor.",
+        _WHAT_IT_IS,
         "",
         "| domain | frames | left out (not converged) | Young's modulus | illumination | markers | Fx / Fy / Fz in N |",
         "|---|---|---|---|---|---|---|",

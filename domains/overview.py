@@ -174,10 +174,10 @@ def _marker_flow(frames: LabelledFrames) -> _Image | None:
         return None
     sheared = int(np.linalg.norm(frames.force_n[:, :2], axis=1).argmax())
     rest = frames.marker_px(int(np.linalg.norm(frames.force_n, axis=1).argmin()))
+    moved = frames.marker_px(sheared) - rest
 
     def draw(figure: "Figure", frames: LabelledFrames) -> None:
         axes = figure.subplots()
-        moved = frames.marker_px(sheared) - rest
         axes.imshow(frames.picture(sheared))
         axes.quiver(*rest.T, *moved.T, angles="xy", scale_units="xy", scale=0.25, color="white", width=0.002)
         axes.set_axis_off()

@@ -50,24 +50,25 @@ class DomainRecipe(Settings):
     elastomer: Elastomer
     indenter: AnyIndenter = Sphere()
     path: DrawnPath | ContactPath | PosePath
-    quality: QualityName = Field("standard", description="quality of the physics")
+    quality: QualityName = Field(default="standard", description="quality of the physics")
     sensor: Sensor
     illumination: Illumination
     markers: bool = Field(description="whether the markers are seen")
     inpainted_from: str | None = Field(
-        None,
+        default=None,
         description="the domain with markers whose pictures these are, its markers inpainted; none: rendered",
     )
-    size_px: tuple[Side, Side] = Field((320, 240), description="width and height of the pictures")
+    size_px: tuple[Side, Side] = Field(default=(320, 240), description="width and height of the pictures")
     render_quality: Literal["draft", "standard", "fine"] = "standard"
-    columns: tuple[OptionalColumn, ...] = Field((), description="optional columns")
-    seed: int = Field(0, ge=0, description="seed of sensor noise, splits and acquisition errors")
+    columns: tuple[OptionalColumn, ...] = Field(default=(), description="optional columns")
+    seed: int = Field(default=0, ge=0, description="seed of sensor noise, splits and acquisition errors")
     contacts: ContactSampling = Field(
-        "paired", description="the same poses in every domain, or poses of its own"
+        default="paired", description="the same poses in every domain, or poses of its own"
     )
     acquisition: AcquisitionError = AcquisitionError()
     force_range_n: tuple[Interval, Interval, Interval] = Field(
-        PAPER_FORCE_RANGE_N, description="declared range of Fx, Fy, Fz in N, by which labels are normalised"
+        default=PAPER_FORCE_RANGE_N,
+        description="declared range of Fx, Fy, Fz in N, by which labels are normalised",
     )
 
     def configuration(self) -> dict[str, Any]:

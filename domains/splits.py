@@ -53,7 +53,8 @@ def split_frames(
         If the data set lacks what is asked for, or a part with a positive share would be empty.
     """
     (parts,) = _parts([frames], by, seed, [shares])
-    return tuple(np.flatnonzero(parts == part) for part in range(len(PARTS)))
+    train, validation, test = (np.flatnonzero(parts == part) for part in range(len(PARTS)))
+    return train, validation, test
 
 
 def split_domains(

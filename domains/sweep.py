@@ -33,9 +33,9 @@ class Factor(Settings):
 
     field: str
     change: Literal["set", "scale", "shift"] = "set"
-    values: tuple[Value, ...] = Field((), description="values for grid and one-at-a-time")
+    values: tuple[Value, ...] = Field(default=(), description="values for grid and one-at-a-time")
     range: tuple[float, float] | None = Field(
-        None, description="lowest and highest value for a Latin hypercube"
+        default=None, description="lowest and highest value for a Latin hypercube"
     )
 
     @model_validator(mode="after")
@@ -55,12 +55,14 @@ class Sweep(Settings):
     path: str = "smoke"
     method: Literal["grid", "one-at-a-time", "latin-hypercube"] = "grid"
     samples: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        8, description="number of variants of a Latin hypercube, and of draws without factors"
+        default=8, description="number of variants of a Latin hypercube, and of draws without factors"
     )
-    seed: Annotated[int, Field(ge=0)] = Field(0, description="seed of the Latin hypercube and the draws")
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="seed of the Latin hypercube and the draws"
+    )
     factors: tuple[Factor, ...] = ()
     variation: Variation | None = Field(
-        None,
+        default=None,
         description="how much LEDs and coat of every variant are drawn around the base's, before its factors",
     )
 

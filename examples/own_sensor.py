@@ -12,6 +12,7 @@ from gelgap.sim import Elastomer, Pose, Sphere, solve_pose
 
 def main(picture: Path, quality: str = "standard") -> np.ndarray:
     sensor = Sensor.load(Path(__file__).with_name("own_sensor.toml"))
+    assert sensor.illumination is not None, "the file describes LEDs as well"
     gel = Elastomer(young_modulus_mpa=0.25, poisson_ratio=0.485, friction=0.7, thickness_mm=4.25)
     state = solve_pose(gel, Sphere(diameter_mm=4.0), Pose(depth_mm=0.8, shear_x_mm=0.3), quality)
     renderer = MembraneRenderer(sensor, sensor.illumination, size_px=(320, 240))

@@ -16,35 +16,44 @@ class Camera(Settings):
     """A camera that looks along +z at the membrane; its optical axis meets the picture's centre."""
 
     position_mm: tuple[float, float, Annotated[float, Field(lt=-2.5, ge=-FARTHEST_MM)]] = Field(
-        (0.0, 0.0, -25.0), description="pinhole in the sensor frame; z < -2.5 mm, inside the sensor"
+        default=(0.0, 0.0, -25.0), description="pinhole in the sensor frame; z < -2.5 mm, inside the sensor"
     )
     horizontal_field_of_view_deg: float = Field(
-        26.991467, gt=1, lt=150, description="full angle across the picture's width, degrees"
+        default=26.991467, gt=1, lt=150, description="full angle across the picture's width, degrees"
     )
     radial_distortion: tuple[float, float] = Field(
-        (0.0, 0.0), description="k1, k2 of OpenCV's model on normalised image coordinates"
+        default=(0.0, 0.0), description="k1, k2 of OpenCV's model on normalised image coordinates"
     )
     vignetting: float = Field(
-        0.0, ge=0, le=0.9, description="relative loss of light in the picture's corner, growing with r²"
+        default=0.0,
+        ge=0,
+        le=0.9,
+        description="relative loss of light in the picture's corner, growing with r²",
     )
     point_spread_px: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=5,
         description="standard deviation of the point spread, in pixels of a 320 px wide picture",
     )
     full_well_electrons: float = Field(
-        10_000.0, ge=100, le=1e6, description="electrons at linear value 1: sets the shot noise"
+        default=10_000.0, ge=100, le=1e6, description="electrons at linear value 1: sets the shot noise"
     )
     read_noise_electrons: float = Field(
-        10.0, ge=0, le=1e4, description="standard deviation of the read noise, electrons"
+        default=10.0, ge=0, le=1e4, description="standard deviation of the read noise, electrons"
     )
-    exposure: float = Field(1.0, gt=0, le=1000, description="linear value per unit of camera radiance")
+    exposure: float = Field(
+        default=1.0, gt=0, le=1000, description="linear value per unit of camera radiance"
+    )
     sensitivity: str = Field(
-        "Nikon 5100 (NPL)", description="spectral sensitivities, a name of colour.MSDS_CAMERA_SENSITIVITIES"
+        default="Nikon 5100 (NPL)",
+        description="spectral sensitivities, a name of colour.MSDS_CAMERA_SENSITIVITIES",
     )
     white_balance_cct_k: float | None = Field(
-        None, ge=1000, le=25000, description="light that looks neutral, kelvin; none: equal-energy white"
+        default=None,
+        ge=1000,
+        le=25000,
+        description="light that looks neutral, kelvin; none: equal-energy white",
     )
 
     def focal_length_px(self, width_px: int) -> float:

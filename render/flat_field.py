@@ -33,15 +33,17 @@ class FlatField(Settings):
     """Where a sensor's flat field is, and how much of it a press brings out."""
 
     file: str = Field(min_length=1, description=".npz with ratio, perhaps loaded, beside the sensor file")
-    sha256: str = Field("", pattern="^([0-9a-f]{64})?$", description="of the file; checked if given")
+    sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$", description="of the file; checked if given")
     gain: tuple[tuple[float, ...], ...] = Field(
-        ((), (), ()), description="by channel: relative level by 1, x, y, x², xy, y² of the dent's place"
+        default=((), (), ()),
+        description="by channel: relative level by 1, x, y, x², xy, y² of the dent's place",
     )
-    volume_mm3: float = Field(1.0, gt=0, le=1e5, description="volume of the calibration's dents")
+    volume_mm3: float = Field(default=1.0, gt=0, le=1e5, description="volume of the calibration's dents")
     span_mm: tuple[float, float, float, float] = Field(
-        (-100.0, 100.0, -100.0, 100.0), description="x from, to, y from, to: the place is held at its edges"
+        default=(-100.0, 100.0, -100.0, 100.0),
+        description="x from, to, y from, to: the place is held at its edges",
     )
-    scale_mm: float = Field(10.0, gt=0.1, le=1000, description="length that x and y are divided by")
+    scale_mm: float = Field(default=10.0, gt=0.1, le=1000, description="length that x and y are divided by")
 
     @field_serializer("file", when_used="json")
     def _name(self, file: str) -> str:

@@ -19,10 +19,12 @@ class Illumination(Settings):
 
     name: str = ""
     description: str = ""
-    known: str = Field("", description="what public data say of the sensor that this is like")
-    assumed: str = Field("", description="what is assumed")
+    known: str = Field(default="", description="what public data say of the sensor that this is like")
+    assumed: str = Field(default="", description="what is assumed")
     leds: tuple[Led, ...] = Field(min_length=1, max_length=64)
-    scattered: Scattered | None = Field(None, description="light that comes from no LED directly; none: none")
+    scattered: Scattered | None = Field(
+        default=None, description="light that comes from no LED directly; none: none"
+    )
 
     @model_serializer(mode="wrap")
     def _without_what_is_off(self, as_dict: SerializerFunctionWrapHandler) -> dict:

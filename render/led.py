@@ -12,6 +12,7 @@ from gelgap.render.spectrum import Spectrum
 
 Vector = tuple[float, float, float]
 Length = Annotated[float, Field(gt=0, le=200)]
+LedKind = Literal["bar", "disc", "point"]
 
 
 class Slice(NamedTuple):
@@ -27,7 +28,7 @@ class Slice(NamedTuple):
 
 @dataclass(frozen=True)
 class LedShape:
-    """What distinguishes one kind of LED from another; a new kind is one more entry in `LED_SHAPES`.
+    """What distinguishes one kind of LED from another; a new kind is one more `LedKind` with its `LED_SHAPES`.
 
     `size_mm` gives the face's length along its level axis and its height across. `slices` cuts the face along the level
     axis into a given number of slices. A face radiates as Lambert's law says, a point (`is_point`) alike in all
@@ -54,7 +55,7 @@ def _ellipse_slices(count: int) -> list[Slice]:
     ]
 
 
-LED_SHAPES = {
+LED_SHAPES: dict[LedKind, LedShape] = {
     "bar": LedShape(lambda led: (led.length_mm, led.height_mm), _rectangle_slices),
     "disc": LedShape(lambda led: (led.diameter_mm, led.diameter_mm), _ellipse_slices),
     "point": LedShape(lambda led: (0.0, 0.0), lambda count: [Slice(0.0, 0.0, 0.0)], is_point=True),
@@ -70,7 +71,7 @@ class Emitter:
     directions, and its `radiance_rgb` is its intensity in linear camera RGB × mm².
     """
 
-    kind: str
+    kind: LedKind
     center_mm: np.ndarray
     normal: np.ndarray
     half_u_mm: np.ndarray
@@ -82,17 +83,19 @@ class Led(Settings):
     """One light source. A bar's length lies level (in a plane of constant z), its height across that."""
 
     name: str = ""
-    kind: Literal[*LED_SHAPES] = "bar"
+    kind: LedKind = "bar"
     position_mm: tuple[float, float, Annotated[float, Field(lt=0, ge=-300)]] = Field(
         description="centre in the sensor frame; z < 0, inside the sensor"
     )
-    facing: Vector = Field((0.0, 0.0, 1.0), description="direction that the emitting side faces, any length")
-    length_mm: Length = Field(1.0, description="length of a bar")
-    height_mm: Length = Field(1.0, description="height of a bar")
-    diameter_mm: Length = Field(1.0, description="diameter of a disc")
+    facing: Vector = Field(
+        default=(0.0, 0.0, 1.0), description="direction that the emitting side faces, any length"
+    )
+    length_mm: Length = Field(default=1.0, description="length of a bar")
+    height_mm: Length = Field(default=1.0, description="height of a bar")
+    diameter_mm: Length = Field(default=1.0, description="diameter of a disc")
     spectrum: Spectrum
     drive: float = Field(
-        1.0, ge=0, le=1e5, description="radiance at unit spectrum; a point's intensity in mm²"
+        default=1.0, ge=0, le=1e5, description="radiance at unit spectrum; a point's intensity in mm²"
     )
 
     @model_validator(mode="after")
@@ -139,4 +142,5 @@ class Led(Settings):
 
     def emitter(self, radiance_rgb: np.ndarray) -> Emitter:
         """Return the LED as an emitter of a radiance, (3,) in linear camera RGB."""
-        return Emitter(self.kind, np.array(self.position_mm), self.normal, *self.half_axes_mm(), radiance_rgb)
+        half_u_mm, half_v_mm = self.half_axes_mm()
+        return Emitter(self.kind, np.array(self.position_mm), self.normal, half_u_mm, half_v_mm, radiance_rgb)

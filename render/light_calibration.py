@@ -109,9 +109,9 @@ def calibrate_light(
     size = unknown_sphere_size(sensor, reference, presses, membranes, keep_camera=keep_camera)
     if size is not None:
         presses = [replace(press, sphere_diameter_mm=size.diameter_mm) for press in presses]
-    depths = [press.depth_mm for press in presses]
+    depths = [press.depth_mm for press in presses if press.depth_mm is not None]
     profiles = membranes(
-        {press.sphere_diameter_mm for press in presses}, None if None in depths else max(depths)
+        {press.sphere_diameter_mm for press in presses}, max(depths) if len(depths) == len(presses) else None
     )
     placed = place_presses(sensor.camera, reference, presses, profiles)
     rich = len(presses) >= FEWEST_FOR_ORDER_3

@@ -220,12 +220,21 @@ class MembraneRenderer:
         """Return the `picture` of the undeformed membrane."""
         return self._encoded(self.reference_linear(markers), rng)
 
-    def height_map_mm(self, x_mm, y_mm, displacement_mm, frame_name: str = "membrane") -> np.ndarray:
+    def height_map_mm(
+        self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"
+    ) -> np.ndarray:
         """Return float32 (h, w): how far the membrane in each pixel stands towards the camera (−z), in mm."""
         surface = self._surface(Membrane(x_mm, y_mm, displacement_mm, frame_name))
         return -self._gather(self._geometry(surface), surface.positions_mm)[..., 2]
 
-    def contact_mask(self, x_mm, y_mm, displacement_mm, contact, frame_name: str = "membrane") -> np.ndarray:
+    def contact_mask(
+        self,
+        x_mm: np.ndarray,
+        y_mm: np.ndarray,
+        displacement_mm: np.ndarray,
+        contact: np.ndarray,
+        frame_name: str = "membrane",
+    ) -> np.ndarray:
         """Return bool (h, w): pixels that see a part of the membrane in contact, given `contact` (ny, nx)."""
         contact = np.asarray(contact)
         if contact.shape != np.shape(displacement_mm)[:2]:
@@ -238,7 +247,9 @@ class MembraneRenderer:
         on_lattice = membrane.field_on(self.lattice, as_field).astype(np.float32)
         return self._gather(self._geometry(self._surface(membrane)), on_lattice)[..., 0] > 0.5
 
-    def marker_px(self, x_mm, y_mm, displacement_mm, frame_name: str = "membrane") -> np.ndarray:
+    def marker_px(
+        self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"
+    ) -> np.ndarray:
         """Return (rows, columns, 2): each dot's centre in the picture (pixel centres at +0.5); NaN: missing."""
         from scipy.ndimage import map_coordinates
 

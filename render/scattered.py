@@ -26,18 +26,21 @@ class Scattered(Settings):
     The place is (x, y) / `scale_mm`, held at the edges of `span_mm`: the ground that the calibration's presses covered.
     """
 
-    order: int = Field(0, ge=0, le=3, description="highest order of the harmonics; 0: none")
-    degree: int = Field(0, ge=0, le=2, description="highest degree of the place")
+    order: int = Field(default=0, ge=0, le=3, description="highest order of the harmonics; 0: none")
+    degree: int = Field(default=0, ge=0, le=2, description="highest degree of the place")
     coefficients: tuple[tuple[float, ...], ...] = Field(
-        ((), (), ()), description="by channel; harmonics × places, places fastest; each at most 5 in size"
+        default=((), (), ()),
+        description="by channel; harmonics × places, places fastest; each at most 5 in size",
     )
     ambient: tuple[tuple[float, ...], ...] = Field(
-        ((), (), ()), description="by channel: light of the flat membrane too, for 1, x and y; none if empty"
+        default=((), (), ()),
+        description="by channel: light of the flat membrane too, for 1, x and y; none if empty",
     )
     span_mm: tuple[float, float, float, float] = Field(
-        (-100.0, 100.0, -100.0, 100.0), description="x from, to, y from, to: the place is held at its edges"
+        default=(-100.0, 100.0, -100.0, 100.0),
+        description="x from, to, y from, to: the place is held at its edges",
     )
-    scale_mm: float = Field(10.0, gt=0.1, le=1000, description="length that x and y are divided by")
+    scale_mm: float = Field(default=10.0, gt=0.1, le=1000, description="length that x and y are divided by")
 
     @model_validator(mode="after")
     def _check(self) -> "Scattered":

@@ -20,23 +20,23 @@ Rgb = tuple[Reflectance, Reflectance, Reflectance]
 class Coating(Settings):
     """The reflecting coat on the membrane: (1 − specular) Lambertian + specular × rough plastic, of equal albedo."""
 
-    albedo: Rgb = Field((0.5, 0.5, 0.5), description="diffuse reflectance, camera RGB")
-    specular: Reflectance = Field(0.0, description="weight of the rough-plastic part")
-    roughness: float = Field(0.3, ge=0.1, le=0.8, description="Beckmann α of the rough-plastic part")
+    albedo: Rgb = Field(default=(0.5, 0.5, 0.5), description="diffuse reflectance, camera RGB")
+    specular: Reflectance = Field(default=0.0, description="weight of the rough-plastic part")
+    roughness: float = Field(default=0.3, ge=0.1, le=0.8, description="Beckmann α of the rough-plastic part")
 
 
 class Markers(Settings):
     """Printed dots, given in rest coordinates, so that they move and stretch with the membrane."""
 
     layout: Literal["grid", "none"] = "grid"
-    columns: int = Field(11, ge=1, le=200)
-    rows: int = Field(8, ge=1, le=200)
-    pitch_mm: float = Field(1.1, gt=0.05, le=20, description="distance between neighbours")
-    diameter_mm: float = Field(0.4, gt=0.01, le=10)
-    albedo: Rgb = Field((0.04, 0.04, 0.04), description="reflectance of the dots' paint")
-    jitter_mm: float = Field(0.0, ge=0, le=5, description="largest random offset along x and along y")
-    missing_fraction: float = Field(0.0, ge=0, le=1, description="share of dots that are not there")
-    seed: int = Field(0, ge=0, description="of jitter and missing dots")
+    columns: int = Field(default=11, ge=1, le=200)
+    rows: int = Field(default=8, ge=1, le=200)
+    pitch_mm: float = Field(default=1.1, gt=0.05, le=20, description="distance between neighbours")
+    diameter_mm: float = Field(default=0.4, gt=0.01, le=10)
+    albedo: Rgb = Field(default=(0.04, 0.04, 0.04), description="reflectance of the dots' paint")
+    jitter_mm: float = Field(default=0.0, ge=0, le=5, description="largest random offset along x and along y")
+    missing_fraction: float = Field(default=0.0, ge=0, le=1, description="share of dots that are not there")
+    seed: int = Field(default=0, ge=0, description="of jitter and missing dots")
 
 
 class Sensor(Settings):
@@ -44,13 +44,15 @@ class Sensor(Settings):
 
     name: str = ""
     description: str = ""
-    known: str = Field("", description="what public data say of the sensor that this is like")
-    assumed: str = Field("", description="what is assumed")
+    known: str = Field(default="", description="what public data say of the sensor that this is like")
+    assumed: str = Field(default="", description="what is assumed")
     camera: Camera = Camera()
     coating: Coating = Coating()
     markers: Markers = Markers()
-    illumination: Illumination | None = Field(None, description="the sensor's own LEDs")
-    flat_field: FlatField | None = Field(None, description="what the real reference shows beyond the model")
+    illumination: Illumination | None = Field(default=None, description="the sensor's own LEDs")
+    flat_field: FlatField | None = Field(
+        default=None, description="what the real reference shows beyond the model"
+    )
 
     @model_serializer(mode="wrap")
     def _without_what_is_off(self, as_dict: SerializerFunctionWrapHandler) -> dict:

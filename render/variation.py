@@ -18,13 +18,17 @@ class Variation(Settings):
     a third of it.
     """
 
-    led_position_mm: float = Field(0.3, ge=0, le=5, description="along each axis")
-    led_angle_deg: float = Field(3.0, ge=0, le=45, description="tilt of the facing about each axis")
-    led_drive: float = Field(0.1, ge=0, le=1, description="relative")
-    led_peak_nm: float = Field(3.0, ge=0, le=30, description="peak wavelength of coloured LEDs")
-    led_cct: float = Field(0.05, ge=0, le=0.5, description="colour temperature of white LEDs, relative")
-    albedo: float = Field(0.05, ge=0, le=0.5, description="of the coat, relative, all channels alike")
-    yellowing: float = Field(0.0, ge=0, le=0.9, description="greatest share of blue lost in an aged gel")
+    led_position_mm: float = Field(default=0.3, ge=0, le=5, description="along each axis")
+    led_angle_deg: float = Field(default=3.0, ge=0, le=45, description="tilt of the facing about each axis")
+    led_drive: float = Field(default=0.1, ge=0, le=1, description="relative")
+    led_peak_nm: float = Field(default=3.0, ge=0, le=30, description="peak wavelength of coloured LEDs")
+    led_cct: float = Field(
+        default=0.05, ge=0, le=0.5, description="colour temperature of white LEDs, relative"
+    )
+    albedo: float = Field(default=0.05, ge=0, le=0.5, description="of the coat, relative, all channels alike")
+    yellowing: float = Field(
+        default=0.0, ge=0, le=0.9, description="greatest share of blue lost in an aged gel"
+    )
 
 
 class _Draws:

@@ -9,18 +9,20 @@ from numpy.typing import NDArray
 
 from gelgap.sim.contact_radius import contact_radius_mm
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.base import Symmetry
+from gelgap.sim.indenters.base import Indenter, Symmetry
 from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, grid_axes
 from gelgap.sim.path import Pose
 from gelgap.sim.problem import PadEdges
 from gelgap.sim.scene import Scene
 from gelgap.sim.solution import Solution
-from gelgap.sim.surface import PolarTable, polar_table
+from gelgap.sim.surface import PolarPlaces, PolarTable, polar_table
 
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
 _INTERIOR_THICKNESSES = 2.4
 # Points of the membrane this near the indenter touch it.
 _TOUCHING_GAP_MM = 0.004
+# The gel bulges beside the indenter and can touch it this far outside of what it cuts.
+_BULGE_MM = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,14 +82,13 @@ def placed_state(
     """
     record, problem = solution.records[record_index], solution.problem
     x_mm, y_mm = grid_axes(half_extent_mm)
-    rest = np.stack(np.meshgrid(x_mm - pose.point_x_mm, y_mm - pose.point_y_mm), axis=-1) @ frame.to_sensor
-    position = _table(solution, record_index).at(rest[..., 0], rest[..., 1])
+    table = _table(solution, record_index)
+    point_mm, turn = (pose.point_x_mm, pose.point_y_mm), tuple(frame.to_sensor.ravel().tolist())
+    rest, places = _places(half_extent_mm, point_mm, turn, table.displacement_mm.shape, table.symmetric)
+    position = table.at(places)
     position[..., :2] += rest
     origin = record.indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
-    from_indenter = position - origin
-    nearest = problem.indenter.project(from_indenter)
-    contact = nearest.distance_mm < _TOUCHING_GAP_MM
-    displacement = origin + np.where(contact[..., None], nearest.points_mm, from_indenter)
+    displacement, contact = _on_indenter(problem.indenter, position, origin)
     displacement[..., :2] -= rest
     displacement[..., :2] = displacement[..., :2] @ frame.to_sensor.T
     modulus_ratio = elastomer.mujoco_moduli.young_modulus_mpa / problem.moduli.young_modulus_mpa
@@ -99,7 +100,7 @@ def placed_state(
         displacement_mm=displacement.astype(np.float32),
         contact=contact,
         force_n=np.array([*(frame.to_sensor @ force[:2]), force[2]]),
-        contact_radius_mm=contact_radius_mm(solution, record),
+        contact_radius_mm=_contact_radius_mm(solution, record_index),
         converged=record.converged,
         diagnostics=replace(record.diagnostics, elastic_energy_mj=energy),
     )
@@ -108,3 +109,38 @@ def placed_state(
 @lru_cache(maxsize=64)
 def _table(solution: Solution, record_index: int) -> PolarTable:
     return polar_table(solution, solution.records[record_index])
+
+
+@lru_cache(maxsize=64)
+def _contact_radius_mm(solution: Solution, record_index: int) -> float:
+    return contact_radius_mm(solution, solution.records[record_index])
+
+
+# Poses that follow one another often differ in depth alone.
+@lru_cache(maxsize=16)
+def _places(
+    half_extent_mm: tuple[float, float],
+    point_mm: tuple[float, float],
+    turn: tuple[float, ...],
+    shape: tuple[int, ...],
+    symmetric: bool,
+) -> tuple[NDArray[np.float64], PolarPlaces]:
+    """Return the sensor's grid around a point in the frame turned by `turn` (4,), and its places in polar tables."""
+    x_mm, y_mm = grid_axes(half_extent_mm)
+    rest = np.stack(np.meshgrid(x_mm - point_mm[0], y_mm - point_mm[1]), axis=-1) @ np.reshape(turn, (2, 2))
+    return rest, PolarPlaces.of(rest[..., 0], rest[..., 1], shape, symmetric)
+
+
+def _on_indenter(
+    indenter: Indenter, position_mm: NDArray[np.float64], origin_mm: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the positions (..., 3), those that touch moved onto the indenter's surface, and which touch."""
+    from_indenter = position_mm - origin_mm
+    reach_mm = indenter.penetration_radius_mm(indenter.deepest_mm) + _BULGE_MM
+    near = (np.abs(from_indenter[..., 0]) < reach_mm) & (np.abs(from_indenter[..., 1]) < reach_mm)
+    nearest = indenter.project(from_indenter[near])
+    touches = nearest.distance_mm < _TOUCHING_GAP_MM
+    contact = np.zeros(near.shape, dtype=bool)
+    contact[near] = touches
+    from_indenter[contact] = nearest.points_mm[touches]
+    return origin_mm + from_indenter, contact

@@ -25,11 +25,13 @@ def grid_axes(
 
     The grid reaches at least `half_extent_mm` from the centre along x and y, and never less far than by default.
     """
-    axes = []
-    for least_mm, wanted_mm in zip(GRID_HALF_EXTENT_MM, half_extent_mm, strict=True):
-        cells = math.ceil(max(least_mm, wanted_mm) / GRID_SPACING_MM - 1e-3)
-        axes.append(np.round(np.arange(-cells, cells + 1) * GRID_SPACING_MM, 9))
-    return tuple(axes)
+    x_mm, y_mm = map(_axis_mm, GRID_HALF_EXTENT_MM, half_extent_mm)
+    return x_mm, y_mm
+
+
+def _axis_mm(least_mm: float, wanted_mm: float) -> NDArray[np.float64]:
+    cells = math.ceil(max(least_mm, wanted_mm) / GRID_SPACING_MM - 1e-3)
+    return np.round(np.arange(-cells, cells + 1) * GRID_SPACING_MM, 9)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,9 @@ _INVWEIGHT_SCALE = 1e-3
 _CONTACT_MARGIN_MM = 0.2
 # Vertices up to this far outside of what the indenter passes over can touch it, since the gel bulges.
 _TOUCHING_MARGIN_MM = 0.4
+# Vertices have no extent; MuJoCo wants some inertia, which nothing turns: that of a box of half this edge.
+_INERTIA_BOX_MM = 1e-3
+_BODIES_PER_PART = 200
 _CONTACT = 'solref="1e-3 1" solimp="0.9999 0.9999 0.001 0.5 2"'
 
 
@@ -56,10 +59,10 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
 
     # Warnings would go to a log file in the user's folder; `mjData.warning` counts them all the same.
     mujoco.set_mju_user_warning(lambda message: None)
-    spec = mujoco.MjSpec.from_string(_xml(problem, mesh, moduli))
-    for flex in spec.flexes:
-        flex.elastic3d = 1
-    nodes = _add_nodes(spec, problem, mesh)
+    gel_mass_t = _MASS_RATIO * moduli.young_modulus_mpa * problem.thickness_mm
+    spec = mujoco.MjSpec.from_string(_indenter_xml(problem, mesh.symmetric, gel_mass_t))
+    nodes = _touchable(problem, mesh)
+    _add_gel(spec, mesh, moduli, gel_mass_t, nodes)
     with warnings.catch_warnings():
         # The compiler does not see that the flex is elastic through its strain energy alone.
         warnings.filterwarnings("ignore", message=".*has no equality constraints or passive forces.*")
@@ -80,7 +83,7 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
     model.flg_surfacevel = True
     vertex_of_geom = np.full(model.ngeom, -1)
     for vertex in nodes:
-        vertex_of_geom[model.geom(f"node_{vertex}").id] = vertex
+        vertex_of_geom[model.geom(f"gel_node_{vertex}").id] = vertex
     return GelModel(
         model=model,
         mesh=mesh,
@@ -93,16 +96,61 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
     )
 
 
-def _add_nodes(spec: Any, problem: ContactProblem, mesh: GelMesh) -> NDArray[np.int64]:
-    """Give a tiny geom to each vertex that the indenter can touch, and return these vertices."""
-    import mujoco
-
+def _touchable(problem: ContactProblem, mesh: GelMesh) -> NDArray[np.int64]:
+    """Return the vertices that the indenter can touch."""
     half_width_mm = problem.indenter.penetration_radius_mm(problem.indenter.deepest_mm)
     zone_mm = half_width_mm + problem.travel_mm + _TOUCHING_MARGIN_MM
-    nodes = mesh.surface[np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= zone_mm]
-    bodies = {body.name: body for body in spec.bodies}
-    for vertex in nodes:
-        bodies[f"gel_{vertex}"].add_geom(
+    return mesh.surface[np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= zone_mm]
+
+
+def _add_gel(spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes: NDArray[np.int64]) -> None:
+    """Add the flex, a body with three slides per vertex that is not bonded, and a tiny geom at each node."""
+    import mujoco
+
+    bonded, touchable = (np.isin(np.arange(len(mesh.vertices_mm)), some) for some in (mesh.bottom, nodes))
+    moving = np.flatnonzero(~bonded)
+    # Adding a joint takes as long as its model has bodies, so that parts of the gel are models of their own at first.
+    for part in np.array_split(moving, len(moving) // _BODIES_PER_PART + 1):
+        own = mujoco.MjSpec()
+        for vertex in part:
+            _add_vertex(
+                own, vertex, mesh.vertices_mm[vertex], gel_mass_t / len(bonded), bool(touchable[vertex])
+            )
+        spec.attach(own, frame=spec.worldbody.add_frame(), prefix="gel_")
+    spec.add_flex(
+        name="gel",
+        dim=3,
+        radius=1e-6,
+        contype=0,
+        conaffinity=0,
+        selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
+        elastic3d=1,
+        young=moduli.young_modulus_mpa,
+        poisson=moduli.poisson_ratio,
+        vertbody=["world" if own else f"gel_{vertex}" for vertex, own in enumerate(bonded)],
+        vert=np.where(bonded[:, None], mesh.vertices_mm, 0.0).ravel(),
+        elem=mesh.tetrahedra.ravel(),
+    )
+
+
+def _add_vertex(
+    spec: Any, vertex: int, place_mm: NDArray[np.float64], mass_t: float, touchable: bool
+) -> None:
+    """Add the body of a vertex to a part of the gel."""
+    import mujoco
+
+    body = spec.worldbody.add_body(
+        name=str(vertex),
+        pos=place_mm,
+        mass=mass_t,
+        inertia=np.full(3, 2 / 3 * mass_t * _INERTIA_BOX_MM**2),
+        ipos=np.zeros(3),
+        explicitinertial=True,
+    )
+    for axis in np.eye(3):
+        body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+    if touchable:
+        body.add_geom(
             name=f"node_{vertex}",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[1e-5, 0, 0],
@@ -111,19 +159,14 @@ def _add_nodes(spec: Any, problem: ContactProblem, mesh: GelMesh) -> NDArray[np.
             conaffinity=1,
             condim=3,
         )
-    return nodes
 
 
-def _xml(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> str:
-    points = " ".join(f"{value:.17g}" for value in mesh.vertices_mm.ravel())
-    elements = " ".join(map(str, mesh.tetrahedra.ravel()))
-    pinned = " ".join(map(str, mesh.bottom))
-    gel_mass = _MASS_RATIO * moduli.young_modulus_mpa * problem.thickness_mm
+def _indenter_xml(problem: ContactProblem, symmetric: bool, gel_mass_t: float) -> str:
     mass, spring = _RIGID_MASS_T, ""
     if problem.mount_stiffness_n_per_mm is not None:
         # Half a gel carries half the force, and its half of the spring.
-        stiffness = problem.mount_stiffness_n_per_mm / (2 if mesh.symmetric else 1)
-        mass, spring = _MOUNTED_MASS_RATIO * gel_mass, f'stiffness="{stiffness:.12g}"'
+        stiffness = problem.mount_stiffness_n_per_mm / (2 if symmetric else 1)
+        mass, spring = _MOUNTED_MASS_RATIO * gel_mass_t, f'stiffness="{stiffness:.12g}"'
     joints = "".join(
         f'<joint name="indenter_{name}" type="slide" axis="{axis}" {spring}/>'
         for name, axis in (("x", "1 0 0"), ("y", "0 1 0"), ("z", "0 0 1"))
@@ -138,12 +181,5 @@ def _xml(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> str:
             condim="3" friction="{problem.friction:.12g} 0 0" {_CONTACT} priority="1"
             margin="{_CONTACT_MARGIN_MM:.12g}"/>
     </body>
-    <flexcomp name="gel" type="direct" dim="3" dof="full" mass="{gel_mass:.12g}" radius="1e-6" inertiabox="1e-3"
-              point="{points}" element="{elements}">
-      <pin id="{pinned}"/>
-      <contact selfcollide="none" contype="0" conaffinity="0"/>
-      <edge equality="false"/>
-      <elasticity young="{moduli.young_modulus_mpa:.12g}" poisson="{moduli.poisson_ratio:.12g}"/>
-    </flexcomp>
   </worldbody>
 </mujoco>"""

@@ -29,9 +29,9 @@ _VERTICES = 3000
 _EXPONENT = 2.3
 # Seconds of a core per load step on a mesh of 3000 vertices, on a server of 2023; more where friction slides. Ordering
 # such a mesh and compiling its model takes time as well.
-_SECONDS_PER_STEP = 1.0
+_SECONDS_PER_STEP = 0.8
 _TRAVEL_FACTOR = 1.3
-_SECONDS_TO_BUILD = 0.4
+_SECONDS_TO_BUILD = 0.1
 
 
 @dataclass(frozen=True)

@@ -105,10 +105,11 @@ class SolvePlan:
     def _half_extent_mm(self, pose: Pose, wanted_mm: tuple[float, float]) -> tuple[float, float]:
         reach_mm = pose.radius_mm + _COVERED_RADII * self.indenter.penetration_radius_mm(pose.depth_mm)
         points_mm = pose.point_x_mm, pose.point_y_mm
-        return tuple(
+        x_mm, y_mm = (
             min(max(wanted, abs(point) + reach_mm), size / 2)
             for wanted, point, size in zip(wanted_mm, points_mm, self.elastomer.pad_size_mm, strict=True)
         )
+        return x_mm, y_mm
 
 
 # A problem, and for each pose that it serves the record and the frame to see it from.

@@ -23,23 +23,46 @@ class PolarTable:
     displacement_mm: NDArray[np.float32]
     symmetric: bool
 
-    def at(self, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Interpolate linearly at points around the contact point; beyond the table its rim holds."""
-        rows, columns, _ = self.displacement_mm.shape
-        row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
-        angle = np.arctan2(y_mm, x_mm)
-        column = np.abs(angle) / np.pi if self.symmetric else (angle / (2 * np.pi)) % 1.0
-        column = np.clip(column * (columns - 1), 0, columns - 1 - 1e-6)
-        i, j = row.astype(np.intp), column.astype(np.intp)
-        a, b = (row - i)[..., None], (column - j)[..., None]
-        flat = self.displacement_mm.reshape(-1, 3)
-        corner = i * columns + j
-        inner = flat[corner] * (1 - b) + flat[corner + 1] * b
-        outer = flat[corner + columns] * (1 - b) + flat[corner + columns + 1] * b
+    def at(self, places: "PolarPlaces") -> NDArray[np.float64]:
+        """Interpolate linearly at places that are those of a table of this shape and symmetry."""
+        a, b = places.outwards, places.onwards
+        inner = self._entries(places.corner) * (1 - b) + self._entries(places.corner + 1) * b
+        corner = places.corner + self.displacement_mm.shape[1]
+        outer = self._entries(corner) * (1 - b) + self._entries(corner + 1) * b
         value = inner * (1 - a) + outer * a
         if self.symmetric:
-            value[..., 1] *= np.sign(y_mm)
+            value[..., 1] *= places.side
         return value
+
+    def _entries(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
+        return np.take(self.displacement_mm.reshape(-1, 3), indices, axis=0)
+
+
+@dataclass(frozen=True)
+class PolarPlaces:
+    """Where points (...) around the contact point lie in tables of one shape; beyond a table its rim holds.
+
+    `corner` (...) is the entry before each point, `outwards` and `onwards` (..., 1) the shares of the way to the next
+    radius and angle, `side` (...) the sign of y.
+    """
+
+    corner: NDArray[np.intp]
+    outwards: NDArray[np.float64]
+    onwards: NDArray[np.float64]
+    side: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], shape: tuple[int, ...], symmetric: bool
+    ) -> "PolarPlaces":
+        """Find points in tables of this shape and symmetry."""
+        rows, columns, _ = shape
+        row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
+        angle = np.arctan2(y_mm, x_mm)
+        column = np.abs(angle) / np.pi if symmetric else (angle / (2 * np.pi)) % 1.0
+        column = np.clip(column * (columns - 1), 0, columns - 1 - 1e-6)
+        i, j = row.astype(np.intp), column.astype(np.intp)
+        return cls(i * columns + j, (row - i)[..., None], (column - j)[..., None], np.sign(y_mm))
 
 
 def polar_table(solution: Solution, record: Record) -> PolarTable:

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
+from real_clones import write_ball_clone, write_recordings, write_wedge_clone
 
 from gelgap.adapt import Profile
 from gelgap.cli.main import COMMANDS, main, parse
@@ -58,6 +59,7 @@ NOT_RUN = {
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|\"taxim)": "installs a package",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
+    r"git clone": "downloads; tests/real_clones.py writes such clones in small",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
     r"from dask_": "needs a cluster of that kind",
 }
@@ -278,6 +280,8 @@ def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_readme, tmp_path / "page")
     if any(snippet.text.startswith("gelgap calibrate") for snippet in snippets(page)):
         take_pictures_to_calibrate_with(tmp_path / "page")
+    if "gelgap convert" in page_text(page) or "--data clones" in page_text(page):
+        write_recordings_to_convert(tmp_path / "page")
     run_all(snippets(page), tmp_path / "page")
 
 
@@ -288,7 +292,15 @@ def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> Non
     folder = tmp_path / "help"
     shutil.copytree(after_the_readme, folder)
     take_pictures_to_calibrate_with(folder)
+    write_recordings_to_convert(folder)
     run_all(examples, folder)
+
+
+def write_recordings_to_convert(folder: Path) -> None:
+    """Write what `gelgap convert` and `gelgap benchmark real` need: clones in small, and somebody's own clips."""
+    write_wedge_clone(folder / "clones/EstimateModulus")
+    write_ball_clone(folder / "clones/gelsight", presses=3)
+    write_recordings(folder / "mine")
 
 
 def take_pictures_to_calibrate_with(folder: Path) -> None:

@@ -3,8 +3,10 @@
 import ast
 import inspect
 import re
+import tomllib
 from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 
 import pytest
 
@@ -25,6 +27,14 @@ def names_in_guide(room: str) -> dict[str, str]:
     rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", section, re.MULTILINE)
     assert len(rows) == len(dict(rows)), "a name is listed twice"
     return dict(rows)
+
+
+def test_every_room_that_installs_says_that_it_is_typed() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    assert [
+        room for room in settings["package-dir"].values() if not (ROOT / room / "py.typed").is_file()
+    ] == []
+    assert "py.typed" in settings["package-data"]["*"]
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -48,6 +58,35 @@ def is_described(thing: object) -> bool:
         return True
     text = vars(thing).get("__doc__") if inspect.isclass(thing) else thing.__doc__
     return bool(text) and not text.startswith(f"{thing.__name__}(")
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_what_is_public_says_its_types(room: str) -> None:
+    module = import_module(f"gelgap.{room}")
+    functions = [
+        function for name in names_in_stub(room) for function in public_functions(getattr(module, name))
+    ]
+    assert len(functions) > 5
+    assert [function.__qualname__ for function in functions if not is_annotated(function)] == []
+
+
+def public_functions(thing: object) -> list[FunctionType]:
+    """Return a function, or the public methods that a class itself defines."""
+    members = (
+        [thing]
+        if not inspect.isclass(thing)
+        else [value for name, value in vars(thing).items() if not name.startswith("_")]
+    )
+    plain = [getattr(member, "__func__", getattr(member, "fget", member)) for member in members]
+    return [
+        member for member in plain if inspect.isfunction(member) and member.__module__.startswith("gelgap.")
+    ]
+
+
+def is_annotated(function: FunctionType) -> bool:
+    """Whether a function's result and all its parameters but self and cls have types."""
+    parameters = inspect.signature(function).parameters.keys() - {"self", "cls"}
+    return parameters | {"return"} <= function.__annotations__.keys()
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -16,7 +16,7 @@ class MethodSettings(Settings):
     """Hyperparameters of one method (frozen); a method that has more declares its own."""
 
     transfer_weight: float | None = Field(
-        None, ge=0, description="λ_t at the end of the ramp; by default the profile's"
+        default=None, ge=0, description="λ_t at the end of the ramp; by default the profile's"
     )
 
     def final_weight(self, profile: Profile) -> float:

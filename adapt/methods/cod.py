@@ -85,8 +85,8 @@ class COD(Method):
     """Regression with the conditional operator discrepancy and MK-MMD on the transfer feature."""
 
     class Settings(MethodSettings):
-        ridge: float = Field(0.05, gt=0, description="regularisation of the conditional operators")
-        marginal: float = Field(1.0, ge=0, description="weight of the marginal MK-MMD")
+        ridge: float = Field(default=0.05, gt=0, description="regularisation of the conditional operators")
+        marginal: float = Field(default=1.0, ge=0, description="weight of the marginal MK-MMD")
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings

@@ -58,9 +58,9 @@ class ConditionalMMD(Method):
     """Regression with the conditional MMD and MK-MMD on the transfer feature."""
 
     class Settings(MethodSettings):
-        force_width: float = Field(0.1, gt=0, description="width of the kernel on normalised forces")
-        ridge: float = Field(0.01, gt=0, description="regularisation of the conditional embeddings")
-        marginal: float = Field(1.0, ge=0, description="weight of the marginal MK-MMD")
+        force_width: float = Field(default=0.1, gt=0, description="width of the kernel on normalised forces")
+        ridge: float = Field(default=0.01, gt=0, description="regularisation of the conditional embeddings")
+        marginal: float = Field(default=1.0, ge=0, description="weight of the marginal MK-MMD")
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings

@@ -45,8 +45,12 @@ class DAN(Method):
     """Regression with MK-MMD on the transfer feature."""
 
     class Settings(MethodSettings):
-        robust: bool = Field(False, description="median instead of mean squared distance as kernel bandwidth")
-        unbiased: bool = Field(False, description="U-statistic (may be negative) instead of V-statistic")
+        robust: bool = Field(
+            default=False, description="median instead of mean squared distance as kernel bandwidth"
+        )
+        unbiased: bool = Field(
+            default=False, description="U-statistic (may be negative) instead of V-statistic"
+        )
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return mk_mmd(source.features, target.features, self.settings.robust, self.settings.unbiased)

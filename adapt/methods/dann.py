@@ -68,7 +68,7 @@ class DANN(Method):
     applies_weight = True
 
     class Settings(MethodSettings):
-        hidden: int = Field(128, ge=1, description="width of the discriminator's two hidden layers")
+        hidden: int = Field(default=128, ge=1, description="width of the discriminator's two hidden layers")
 
     def __init__(self, settings: Settings, feature_dim: int, n_classes: int) -> None:
         super().__init__(settings, feature_dim, n_classes)

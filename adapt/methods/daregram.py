@@ -151,13 +151,13 @@ class _InverseSquare(torch.autograd.Function):
 
 
 class _Settings(MethodSettings):
-    angle: float = Field(0.05, ge=0, description="weight of the angle's part")
-    scale: float = Field(0.001, ge=0, description="weight of the scale's part")
+    angle: float = Field(default=0.05, ge=0, description="weight of the angle's part")
+    scale: float = Field(default=0.001, ge=0, description="weight of the scale's part")
 
 
 class _CutSettings(_Settings):
     threshold: float = Field(
-        0.9, gt=0, lt=1, description="share of the spectrum that the pseudo-inverse keeps"
+        default=0.9, gt=0, lt=1, description="share of the spectrum that the pseudo-inverse keeps"
     )
 
 
@@ -185,7 +185,7 @@ class TikhonovDAREGRAM(Method):
     """Regression with DARE-GRAM on Tikhonov-regularised inverses."""
 
     class Settings(_Settings):
-        ridge: float = Field(0.01, gt=0, description="regularisation over the mean eigenvalue")
+        ridge: float = Field(default=0.01, gt=0, description="regularisation over the mean eigenvalue")
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         s = self.settings

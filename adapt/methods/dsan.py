@@ -86,12 +86,14 @@ def coarse_classes(n_classes: int, radius_groups: int, angle_groups: int) -> np.
 class DSANSettings(MethodSettings):
     """Settings of all three forms."""
 
-    radius_groups: int = Field(1, ge=1, le=6, description="ranges of travel of a coarse class")
-    angle_groups: int = Field(4, ge=1, le=12, description="directions of travel of a coarse class")
+    radius_groups: int = Field(default=1, ge=1, le=6, description="ranges of travel of a coarse class")
+    angle_groups: int = Field(default=4, ge=1, le=12, description="directions of travel of a coarse class")
     force_width: float = Field(
-        0.1, gt=0, le=1, description="Gaussian width of a soft subdomain, in the normalised force"
+        default=0.1, gt=0, le=1, description="Gaussian width of a soft subdomain, in the normalised force"
     )
-    robust: bool = Field(False, description="median instead of mean squared distance as kernel bandwidth")
+    robust: bool = Field(
+        default=False, description="median instead of mean squared distance as kernel bandwidth"
+    )
 
 
 class DSAN(Method):

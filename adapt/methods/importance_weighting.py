@@ -31,8 +31,8 @@ class ImportanceWeighting(Method):
     """Regression on the source with weights 1 + λ_t(w − 1): λ_t = 1 is the weighted risk, 0 the plain one."""
 
     class Settings(MethodSettings):
-        hidden: int = Field(128, ge=1, description="width of the discriminator's two hidden layers")
-        largest_ratio: float = Field(10.0, gt=1, description="density ratios are cut here")
+        hidden: int = Field(default=128, ge=1, description="width of the discriminator's two hidden layers")
+        largest_ratio: float = Field(default=10.0, gt=1, description="density ratios are cut here")
 
     applies_weight = True
 

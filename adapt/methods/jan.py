@@ -34,7 +34,9 @@ class JAN(Method):
     """Regression with joint MMD over the transfer feature and the predicted force."""
 
     class Settings(MethodSettings):
-        robust: bool = Field(False, description="median instead of mean squared distance as kernel bandwidth")
+        robust: bool = Field(
+            default=False, description="median instead of mean squared distance as kernel bandwidth"
+        )
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return joint_mmd(

@@ -24,7 +24,9 @@ class MeanTeacher(Method):
     """Regression, and agreement with the teacher on the target; the result is the teacher."""
 
     class Settings(MethodSettings):
-        decay: float = Field(0.99, ge=0, lt=1, description="share of the teacher's weights that a step keeps")
+        decay: float = Field(
+            default=0.99, ge=0, lt=1, description="share of the teacher's weights that a step keeps"
+        )
 
     def begin(self, network: ForceNetwork) -> None:
         """Let the teacher start as the network that stage 1 trained."""

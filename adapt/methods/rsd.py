@@ -54,7 +54,9 @@ class RSD(Method):
     """Regression with the subspace distance in its stable form."""
 
     class Settings(MethodSettings):
-        ridge: float = Field(1e-3, gt=0, description="regularisation over the Gram matrix's mean eigenvalue")
+        ridge: float = Field(
+            default=1e-3, gt=0, description="regularisation over the Gram matrix's mean eigenvalue"
+        )
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return projection_distance(source.features, target.features, self.settings.ridge)

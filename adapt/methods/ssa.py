@@ -55,10 +55,10 @@ class SSA(Method):
 
     class Settings(MethodSettings):
         directions: int = Field(
-            20, ge=1, description="principal directions of the source's features to align"
+            default=20, ge=1, description="principal directions of the source's features to align"
         )
-        epochs: int = Field(3, ge=1, description="passes over the target")
-        learning_rate: float = Field(1e-3, gt=0, description="Adam's learning rate")
+        epochs: int = Field(default=3, ge=1, description="passes over the target")
+        learning_rate: float = Field(default=1e-3, gt=0, description="Adam's learning rate")
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Take the source's feature statistics, then train the normalisations on target pictures alone."""

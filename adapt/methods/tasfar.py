@@ -91,13 +91,16 @@ class TASFAR(Method):
     """Source-free self-training with a density of the target's labels."""
 
     class Settings(MethodSettings):
-        epochs: int = Field(3, ge=1, description="passes over the target")
-        learning_rate: float = Field(1e-4, gt=0, description="Adam's learning rate")
+        epochs: int = Field(default=3, ge=1, description="passes over the target")
+        learning_rate: float = Field(default=1e-4, gt=0, description="Adam's learning rate")
         block: float = Field(
-            0.05, gt=0, le=0.5, description="width of a block of the density, in the normalised force"
+            default=0.05, gt=0, le=0.5, description="width of a block of the density, in the normalised force"
         )
         confident_share: float = Field(
-            0.85, gt=0, lt=1, description="share of the source's frames whose spread counts as confident"
+            default=0.85,
+            gt=0,
+            lt=1,
+            description="share of the source's frames whose spread counts as confident",
         )
 
     def adapt(self, adaptation: Adaptation) -> None:

@@ -69,9 +69,11 @@ class UGA(Method):
 
     class Settings(MethodSettings):
         evidential_weight: float = Field(
-            0.001, ge=0, description="weight of the evidential loss; published: 1"
+            default=0.001, ge=0, description="weight of the evidential loss; published: 1"
         )
-        mixing_width: float = Field(0.2, gt=0, description="width of C-Mixup's Gaussian on normalised forces")
+        mixing_width: float = Field(
+            default=0.2, gt=0, description="width of C-Mixup's Gaussian on normalised forces"
+        )
 
     applies_weight = True
 

@@ -29,6 +29,7 @@ from gelgap.domains import (
     preset_recipes,
     shown_progress,
 )
+from gelgap.domains.picture_codec import encode_png
 
 READING_SIZE_PX = 64
 BATCH = 32
@@ -300,18 +301,22 @@ def png_costs(frames: LabelledFrames) -> list[PngCost]:
     import cv2
 
     some = range(0, len(frames), len(frames) // 10)
-    pictures = [np.ascontiguousarray(frames.picture(i)[..., ::-1]) for i in some]
+    pictures = [frames.picture(i) for i in some]
     level, strategy = cv2.IMWRITE_PNG_COMPRESSION, cv2.IMWRITE_PNG_STRATEGY
-    settings = {f"level {value}": [level, value] for value in (0, 1, 3, 6, 9)} | {
-        "level 1, run-length": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_RLE],
-        "level 1, Huffman only (used)": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY],
+    settings = {f"OpenCV, level {value}": [level, value] for value in (0, 1, 3, 6, 9)} | {
+        "OpenCV, run-length": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_RLE],
+        "OpenCV, Huffman only": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY],
     }
+    coders: dict[str, Callable[[np.ndarray], bytes]] = {
+        name: lambda picture, own=own: cv2.imencode(".png", picture[..., ::-1], own)[1].tobytes()
+        for name, own in settings.items()
+    } | {"Huffman only, average filter (used)": encode_png}
     costs = []
-    for name, setting in settings.items():
+    for name, encode in coders.items():
         sizes, times = [], []
         for picture in pictures:
             start = time.process_time()
-            _, data = cv2.imencode(".png", picture, setting)
+            data = encode(picture)
             times.append(time.process_time() - start)
             sizes.append(len(data))
         costs.append(PngCost(name, float(np.mean(sizes)) / 1e3, float(np.median(times)) * 1e3))

@@ -11,7 +11,8 @@ from gelgap.cli.main import main
 
 @pytest.mark.parametrize("benchmark", BENCHMARKS, ids=lambda benchmark: benchmark.module)
 def test_every_benchmark_has_the_protocol(benchmark):
-    assert inspect.signature(benchmark.load().run).bind(quick=True, out_dir=Path("out"))
+    data = {"data": Path("clones")} if benchmark.needs_data else {}
+    assert inspect.signature(benchmark.load().run).bind(quick=True, out_dir=Path("out"), **data)
     assert benchmark.description
     assert (benchmark.part is None) == (not parts_of(benchmark.subject))
 

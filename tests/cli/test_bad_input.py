@@ -29,6 +29,7 @@ RIGHT: dict[str, dict[str, list[str]]] = {
     "generate": {"domains": ["mb0i0"], "--out": ["data"]},
     "inspect": {"folder": ["real"]},
     "export": {"folder": ["real"], "--out": ["exported"]},
+    "convert": {"folder": ["real"], "--layout": ["recordings"], "--out": ["converted"]},
     "calibrate": {
         "presses": ["presses.toml"],
         "--reference": ["real/reference.png"],
@@ -50,6 +51,7 @@ BESIDE: dict[tuple[str, str], dict[str, list[str]]] = {
     ("generate", "--elastomer"): {"--name": ["own"]},
     ("generate", "--illumination"): {"--name": ["own"]},
     ("benchmark", "--what"): {"subject": ["adaptation"]},
+    ("benchmark", "--data"): {"subject": ["real"]},
 }
 """Where an option needs others than that."""
 
@@ -102,6 +104,7 @@ ALLOWED: dict[tuple[str | Rule, str], str] = {
     (OutputFolder(), "unicode"): "a folder may have such a name",
     (OutputFile(), "file"): "an output file is replaced",
     (OutputFile(), "unicode"): "a file may have such a name",
+    ("benchmark --data", "folder"): "which clones are missing is told when they are needed",
     ("generate --columns", "missing"): "no optional columns",
     ("pretrain --without", "missing"): "all is drawn",
     ("generate --name", "unknown"): ANY_NAME,
@@ -116,6 +119,7 @@ WORK = {
     "sim.plan": "Solve.run",
     "domains.generate": "_run",
     "domains.export": "_paper",
+    "domains.convert": "align",
     "domains.estimate": "_frame_costs",
     "adapt.runs": "Stage1.model",
     "adapt.source_training": "train",
@@ -301,3 +305,8 @@ def test_every_excuse_is_needed() -> None:
 def test_the_layouts_of_export_are_those_that_there_are() -> None:
     (option,) = (option for option in options_of(COMMANDS["export"]) if option.field == "format_name")
     assert set(get_args(option.type)) == set(import_module("gelgap.domains.export").FORMATS)
+
+
+def test_the_layouts_of_convert_are_those_that_there_are() -> None:
+    (option,) = (option for option in options_of(COMMANDS["convert"]) if option.field == "layout")
+    assert set(get_args(option.type)) == set(import_module("gelgap.domains.convert").LAYOUTS)

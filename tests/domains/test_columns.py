@@ -4,13 +4,14 @@ from typing import get_args
 import pytest
 
 from gelgap.cli.generate import OptionalColumn
+from gelgap.domains import columns
 from gelgap.domains.columns import IMAGE, LABELS, OPTIONAL, Column
 
 GUIDE = Path(__file__).parents[2] / "docs" / "data.md"
 
 
 def test_the_command_offers_every_optional_column():
-    assert get_args(OptionalColumn) == tuple(OPTIONAL)
+    assert get_args(OptionalColumn) == get_args(columns.OptionalColumn) == tuple(OPTIONAL)
 
 
 @pytest.mark.parametrize(

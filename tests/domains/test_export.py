@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gelgap.assets.checksums import file_sha256
 from gelgap.domains.export import export
 from gelgap.domains.opening import open_domain
 
@@ -53,6 +54,30 @@ def test_the_hugging_face_folder_loads_by_its_card(data: Path, tmp_path: Path):
     assert "| wmb0i0 | 26 | 0 | " in card
     assert "-0.5 + 0.0001 × code" in card
     assert "`elastic_energy_mj`" in card
+
+
+def test_the_croissant_metadata_names_every_file_and_column_and_is_valid(data: Path, tmp_path: Path):
+    export(data, "huggingface", tmp_path / "out")
+    metadata = json.loads((tmp_path / "out/croissant.json").read_text(encoding="utf-8"))
+    files = {file["contentUrl"]: file["sha256"] for file in metadata["distribution"]}
+    there = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").glob("*/*")}
+    assert files.keys() == there
+    assert files["mb0i0/reference.png"] == file_sha256(tmp_path / "out/mb0i0/reference.png")
+    fields = {
+        part["name"]: {field["name"]: field["description"] for field in part["field"]}
+        for part in metadata["recordSet"]
+    }
+    assert fields["mb0i1/test"]["fz_n"] == "the same; ≤ 0 in compression, N"
+    assert {"height_map", "marker_px", "residual"} <= fields["mb0i0/train"].keys()
+    croissant = pytest.importorskip("mlcroissant")
+    dataset = croissant.Dataset(jsonld=tmp_path / "out/croissant.json")
+    assert not dataset.metadata.issues.errors
+    (row, *others) = dataset.records("mb0i0/test")
+    assert len(others) == 4
+    original = open_domain(data / "mb0i0")
+    index = int(np.flatnonzero(original.columns["frame_id"] == row["mb0i0/test/frame_id"])[0])
+    assert row["mb0i0/test/fz_n"] == pytest.approx(original.force_n[index, 2])
+    assert np.array_equal(np.asarray(row["mb0i0/test/image"]), original.picture(index))
 
 
 def test_an_unknown_format_and_a_full_folder_are_refused(data: Path, tmp_path: Path):

@@ -1,0 +1,88 @@
+"""Sessions of the GelSight Wedge's grasps, converted once from the clone as `gelgap convert` does, and read back."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gelgap.domains import convert
+from gelgap.domains.clip import CONTACT_N
+from gelgap.domains.picture_codec import decode_picture, resized
+from gelgap.domains.picture_table import TABLE
+from gelgap.domains.stored import read_table
+
+LOG = logging.getLogger(__name__)
+CLONE = "EstimateModulus"
+GET_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
+_SIZE_PX = (80, 60)
+
+
+@dataclass(frozen=True)
+class Session:
+    """Pictures in contact of one session, which has one light: `clip` and `object` (n,) names, `fz_n` (n,).
+
+    `change` (n,) is the mean absolute difference of a picture from its clip's reference, in grey levels.
+    """
+
+    name: str
+    clip: np.ndarray
+    object: np.ndarray
+    fz_n: np.ndarray
+    change: np.ndarray
+
+    def of(self, clips: Sequence[str]) -> "Session":
+        """Return the pictures of some clips."""
+        return self._where(np.isin(self.clip, clips))
+
+    def of_objects(self, objects: Sequence[str]) -> "Session":
+        """Return the pictures of some objects."""
+        return self._where(np.isin(self.object, objects))
+
+    def _where(self, chosen: np.ndarray) -> "Session":
+        return Session(
+            self.name, self.clip[chosen], self.object[chosen], self.fz_n[chosen], self.change[chosen]
+        )
+
+
+def read_sessions(data: Path, names: Sequence[str], out_dir: Path) -> list[Session]:
+    """Read sessions from the clone in the folder `data`; `out_dir` keeps what is converted.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the clone is missing; the message has the line that gets it.
+    ValueError
+        If the clone has no such session.
+    """
+    clone, converted = data / CLONE, out_dir / "real" / "wedge"
+    if not clone.is_dir():
+        raise FileNotFoundError(f"{clone} is missing; get it: {GET_CLONE} {clone}")
+    if not converted.is_dir():
+        LOG.info("converting %s, once", clone)
+        convert(clone, "wedge", converted)
+    if missing := [name for name in names if not (converted / name).is_dir()]:
+        raise ValueError(f"{clone} has no session {missing[0]}; it has {', '.join(_folders(converted))}")
+    return [_read(converted / name) for name in names]
+
+
+def _folders(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if path.is_dir())
+
+
+def _read(folder: Path) -> Session:
+    rows = [row for row in read_table(folder / TABLE) if -float(row["fz_n"]) > CONTACT_N]
+    references = {name: _small(folder / name) for name in {row["reference"] for row in rows}}
+    change = [np.abs(_small(folder / row["picture"]) - references[row["reference"]]).mean() for row in rows]
+    return Session(
+        folder.name,
+        np.array([row["clip"] for row in rows]),
+        np.array([row["object"] for row in rows]),
+        np.array([float(row["fz_n"]) for row in rows]),
+        np.array(change),
+    )
+
+
+def _small(path: Path) -> np.ndarray:
+    return resized(decode_picture(path.read_bytes()), _SIZE_PX).astype(float)
