@@ -91,10 +91,15 @@ class Profile(Settings):
     target_split: tuple[float, float, float] = Field(
         (0.6, 0.2, 0.2), description="target shares for training (unlabelled), validation and test"
     )
-    split_by: Literal["random", "point", "given"] = Field(
+    split_by: str = Field(
         "random",
-        description="split at random by the run's seed, by contact point so that no near-duplicate crosses it, or as "
-        "the data set states it",
+        description="split at random by the run's seed, by contact point so that no near-duplicate crosses it, as the "
+        "data set states it (given), or by a column of the data such as clip or object",
+    )
+    stratify_by: str | None = Field(
+        None,
+        exclude_if=lambda value: value is None,
+        description="column of the data of which every part of a split gets its share of each value",
     )
     precision: Literal["float32", "bfloat16"] = Field("float32", description="of the backbone's arithmetic")
     threads: int = Field(1, ge=1, le=256, description="CPU threads of one run")
