@@ -60,6 +60,11 @@ class ForceModel:
     def device(self) -> torch.device:
         return next(self.network.parameters()).device
 
+    @property
+    def force_range_n(self) -> np.ndarray:
+        """The ranges of the labels (k, 2): of forces in N, (3, 2)."""
+        return np.array(self.labels.ranges)
+
     def features(self, frames: LabelledFrames) -> np.ndarray:
         """Return the transfer features (n, feature_dim) float32."""
         return self._infer(frames)[0]

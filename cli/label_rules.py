@@ -29,6 +29,8 @@ class LabelRanges:
 
     def problem(self, value: tuple[str, ...]) -> str | None:
         """Return what is wrong with the ranges."""
+        if not value:
+            return "name a label, its lower and its upper bound, as fz_n=-30:0"
         names = []
         for text in value:
             try:

@@ -119,6 +119,8 @@ class DataSet:
 
     def problem(self, value: Path | tuple[Path, ...]) -> str | None:
         if isinstance(value, tuple):
+            if not value:
+                return "name one folder, or several"
             problems = ((path, self.problem(path)) for path in value)
             found = next(((path, problem) for path, problem in problems if problem), None)
             return found and (found[1] if len(value) == 1 else f"{_short(found[0])} {found[1]}")

@@ -118,7 +118,7 @@ class LabelledFrames(ABC):
     @cached_property
     def force_n(self) -> np.ndarray:
         """Forces (n, 3) in N; a ValueError where an axis is absent."""
-        return self._stacked(FORCE_COLUMNS)
+        return self.values_of(FORCE_COLUMNS)
 
     @cached_property
     def labels(self) -> Labels:
@@ -128,9 +128,10 @@ class LabelledFrames(ABC):
     @cached_property
     def label_values(self) -> np.ndarray:
         """The labels (n, k), each in its unit."""
-        return self._stacked(self.labels.names)
+        return self.values_of(self.labels.names)
 
-    def _stacked(self, names: tuple[str, ...]) -> np.ndarray:
+    def values_of(self, names: tuple[str, ...]) -> np.ndarray:
+        """Return the values (n, k) of any labels; a ValueError where one is absent."""
         missing = [name for name in names if name not in self.columns]
         if missing:
             has = ", ".join(known_labels(self.columns)) or "none"
@@ -184,10 +185,7 @@ class LabelledFrames(ABC):
             what = "a force" if set(self.labels.names) <= set(FORCE_COLUMNS) else "a label"
             wrong, advice = "that is not a number", "take such frames out"
             if np.isfinite(value):
-                wrong, advice = (
-                    "outside the declared range",
-                    "labels are never clipped, declare a wider range",
-                )
+                wrong, advice = "outside the declared range", "labels are never clipped: give a wider one"
             raise ValueError(
                 f"domain {self.name}: {outside.any(axis=1).sum()} of {len(self)} frames have {what} {wrong}; "
                 f"first: frame {frame}, {symbol} = {value:.4g} {unit}, allowed {bounds}; {advice}"

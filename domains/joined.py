@@ -11,6 +11,9 @@ from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.labels import Range, hull, known_labels
 from gelgap.domains.opening import open_domain
 
+# Names of folders have at most 255 letters.
+_MOST_NAMES = 3
+
 
 def open_domains(folders: Path | str | Sequence[Path | str]) -> LabelledFrames:
     """Open a data set as `open_domain` does, or several, joined."""
@@ -36,14 +39,15 @@ def join_domains(domains: Sequence[LabelledFrames]) -> LabelledFrames:
 
 
 class JoinedFrames(LabelledFrames):
-    """The frames of several data sets in order; its name is theirs with + between them."""
+    """The frames of several data sets in order; its name is theirs with + between them, of many the first's."""
 
     def __init__(self, domains: Sequence[LabelledFrames]):
         self.domains = tuple(domains)
-        self.name = "+".join(frames.name for frames in domains)
+        names = [frames.name for frames in domains]
+        self.name = "+".join(names if len(names) <= _MOST_NAMES else [names[0], f"{len(names) - 1}-more"])
         shared = [name for name in domains[0].columns if all(name in frames.columns for frames in domains)]
         if not known_labels(shared):
-            raise ValueError(f"data sets {', '.join(frames.name for frames in domains)} share no label")
+            raise ValueError(f"data sets {', '.join(names)} share no label")
         self.columns = {name: np.concatenate([frames.columns[name] for frames in domains]) for name in shared}
         self.columns["reference_id"] = _counted_on(
             [frames.reference_id for frames in domains], [frames.reference_count for frames in domains]

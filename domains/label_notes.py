@@ -27,5 +27,5 @@ def label_notes(frames: LabelledFrames) -> list[str]:
 
 def outside(frames: LabelledFrames, labels: Labels) -> np.ndarray:
     """Return which frames (n,) have a label outside its range."""
-    values = np.stack([frames.columns[name] for name in labels.names], axis=1)
+    values = frames.values_of(labels.names)
     return ((values < labels.low) | (values > labels.high)).any(axis=1)

@@ -32,7 +32,7 @@ LABEL_NAMES = {
     "y_mm": ("ymm", "y"),
     "depth_mm": ("depthmm", "depth"),
 }
-NUMBERS = {"time_s": ("times", "time", "timestamp")}
+NUMBERS = {"time_s": ("times",)}
 WHOLE_NUMBERS = {"contact_class": ("contactclass", "class", "label"), "point_id": ("pointid", "point")}
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
 TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",)}

@@ -55,7 +55,7 @@ def to_skada(
             f"pictures of {source.name} and {target.name} become {w0}×{h0} and {w1}×{h1} px with size_px = {size_px}; "
             f"give size_px as width and height"
         )
-    forces_n = [frames.force_n[:, get_args(Axis).index(axis)] for frames in (source, target)]
+    forces_n = [frames.values_of((f"f{axis}_n",))[:, 0] for frames in (source, target)]
     if mask_target_labels:
         forces_n[1] = np.full(len(target), np.nan)
     return (

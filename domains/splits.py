@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gelgap.assets.names import shown
 from gelgap.domains.contacts import contact_points
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.random_streams import random_stream
@@ -135,7 +136,7 @@ def _parts(
     if by == "point":
         return _parts_by_group(domains, contact_points(*domains), "contact points", seed, shares, stratify_by)
     if by not in (None, *WAYS):
-        groups = _groups(domains, by, f"split {by!r} is unknown; known: {', '.join(WAYS)}, or a column")
+        groups = _groups(domains, by, "split_by", f"known: {', '.join(WAYS)}, or a column")
         return _parts_by_group(domains, groups, f"groups ({by})", seed, shares, stratify_by)
     found = []
     for frames, own in zip(domains, shares, strict=True):
@@ -186,13 +187,14 @@ def _parts_by_group(
     return found
 
 
-def _groups(domains: Sequence[LabelledFrames], column: str, unknown: str) -> list[np.ndarray]:
+def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: str) -> list[np.ndarray]:
     """Return the number (n,) of each frame's group, from 0; equal values of a column are one group, across domains."""
     for frames in domains:
         if column not in frames.columns:
             has = [name for name, values in frames.columns.items() if values.dtype.kind in "iuO"]
             raise ValueError(
-                f"data set {frames.name} has no column {column!r}: {unknown}, such as {', '.join(has)}"
+                f"{what} = {shown(column)}: data set {frames.name} has no such column; {known}, such as "
+                f"{', '.join(has)}"
             )
     values = np.concatenate([frames.columns[column] for frames in domains])
     numbers = np.unique(values.astype(str), return_inverse=True)[1].reshape(-1)
@@ -203,7 +205,7 @@ def _strata_of(
     domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], count: int, column: str
 ) -> np.ndarray:
     """Return the stratum (count,) of each group; a ValueError if a group has frames of several."""
-    strata = _groups(domains, column, "stratify by a column")
+    strata = _groups(domains, column, "stratify_by", "take a column")
     pairs = np.unique(np.stack([np.concatenate(groups), np.concatenate(strata)], axis=1), axis=0)
     if len(pairs) > len(np.unique(pairs[:, 0])):
         twice = pairs[1:, 0][np.diff(pairs[:, 0]) == 0][0]

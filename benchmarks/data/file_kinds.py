@@ -104,7 +104,7 @@ def _model(path: Path) -> Any:
     model = ForceModel.load(path)
     state = {name: tensor.numpy() for name, tensor in model.network.state_dict().items()}
     described = model.profile, model.n_classes, model.seed, model.source, model.target, model.method
-    return state, repr(model.labels), repr(described), repr(model.history)
+    return state, model.force_range_n, repr(described), repr(model.history)
 
 
 def _resumed(part: Path) -> Any:

@@ -18,6 +18,7 @@ from gelgap.domains import (
     open_domains,
     verify_domain,
     with_labels,
+    write_overview,
 )
 from gelgap.domains.labels import covering
 
@@ -232,8 +233,17 @@ def test_joined_data_sets_keep_their_references_and_pictures(tmp_path: Path):
     inputs = joined.torch((40, 32), "difference").inputs(np.arange(5))[:, 0, 0, 0] * 255 / 4
     assert inputs.tolist() == pytest.approx([0, 1, 0, 1, 2])
     assert join_domains([one]) is one
+    assert join_domains([one] * 5).name == "a+4-more"
     with pytest.raises(ValueError, match="a, c share no label"):
         join_domains([one, arrays("c", depth_mm=[1.0])])
     folders = [folder_of(tmp_path / name, [{"fz_n": -1.0}] * 2) for name in ("p", "q")]
     assert open_domains(folders).name == "p+q"
     assert open_domains(folders[0]).name == "p"
+
+
+def test_the_page_of_one_axis_shows_what_there_is(tmp_path: Path):
+    folder = folder_of(tmp_path / "wedge", [{"fz_n": -3.0 * k, "x_mm": 1.0} for k in range(5)])
+    page = write_overview(folder, tmp_path / "page.html").read_text()
+    assert "Fz, N" in page
+    assert "Fx" not in page
+    assert "(-12.00) N" in page

@@ -123,7 +123,7 @@ def test_paired_domains_share_their_split(data):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"by": "angle"}, "unknown; known: random, point, given"),
+        ({"by": "angle"}, "split_by = 'angle': .* has no such column; known: random, point, given"),
         ({"by": "point"}, "2 contact points are too few"),
         ({"shares": (0.5, 0.5, 0.5)}, "add up to 1"),
     ],
@@ -199,9 +199,13 @@ def test_strata_are_in_every_part_by_their_share(seed: int):
         (
             "clp",
             None,
-            r"clips has no column 'clp': split 'clp' is unknown; known: random, point, given, or a column",
+            r"split_by = 'clp': data set clips has no such column; known: random, point, given, or a col",
         ),
-        ("clip", "objects", "clips has no column 'objects': stratify by a column, such as .*clip, object"),
+        (
+            "clip",
+            "objects",
+            r"stratify_by = 'objects': data set clips has no such column; .* such as .*clip, object",
+        ),
         ("object", "clip", r"a group that stays whole has more than one clip \(0, 2\)"),
         ("given", "object", "states its split: it cannot be stratified"),
         ("clip", None, r"3 groups \(clip\) are too few for a validation share"),
