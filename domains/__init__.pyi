@@ -1,11 +1,10 @@
 from .acquisition import AcquisitionError as AcquisitionError
+from .array_frames import ArrayFrames as ArrayFrames
 from .cluster import dask_client as dask_client
 from .contacts import contact_points as contact_points
 from .contacts import paired_contacts as paired_contacts
 from .convert import ConvertedClip as ConvertedClip
 from .convert import convert as convert
-from .dataset import PAPER_FORCE_RANGE_N as PAPER_FORCE_RANGE_N
-from .dataset import ArrayFrames as ArrayFrames
 from .dataset import LabelledFrames as LabelledFrames
 from .domain import Domain as Domain
 from .domain import known_domains as known_domains
@@ -26,7 +25,13 @@ from .inspection import domain_folders as domain_folders
 from .inspection import gap_rows as gap_rows
 from .inspection import inspect_domain as inspect_domain
 from .inspection import verify_domain as verify_domain
-from .joined_differences import JoinedDifferences as JoinedDifferences
+from .joined import join_domains as join_domains
+from .joined import open_domains as open_domains
+from .label_notes import label_notes as label_notes
+from .labels import FORCE_COLUMNS as FORCE_COLUMNS
+from .labels import PAPER_FORCE_RANGE_N as PAPER_FORCE_RANGE_N
+from .labels import QUANTITIES as QUANTITIES
+from .labels import Labels as Labels
 from .opening import layout_problem as layout_problem
 from .opening import open_domain as open_domain
 from .overview import write_overview as write_overview
@@ -41,6 +46,9 @@ from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
+from .relabelled import force_classes as force_classes
+from .relabelled import with_labels as with_labels
+from .run_labels import labels_of_run as labels_of_run
 from .skada_arrays import to_skada as to_skada
 from .solved_profiles import CALIBRATION_GEL as CALIBRATION_GEL
 from .solved_profiles import sphere_profiles as sphere_profiles
