@@ -245,5 +245,5 @@ def test_the_page_of_one_axis_shows_what_there_is(tmp_path: Path):
     folder = folder_of(tmp_path / "wedge", [{"fz_n": -3.0 * k, "x_mm": 1.0} for k in range(5)])
     page = write_overview(folder, tmp_path / "page.html").read_text()
     assert "Fz, N" in page
-    assert "Fx" not in page
+    assert "Fx, N" not in page
     assert "(-12.00) N" in page
