@@ -82,24 +82,25 @@ def split_for_training(
 
 
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
-    """Return a sentence if the pictures of two domains have another aspect, so that training squeezes one.
+    """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
 
     Raises
     ------
     ValueError
         If the pictures of one have fewer pixels than training shows.
     """
-    sizes = [frames.size_px for frames in (source, target)]
     for frames in (source, target):
-        frames.reference_at(profile.image_size_px)
-    (w0, h0), (w1, h1) = sizes
-    if abs(w0 * h1 / (h0 * w1) - 1) <= _SAME_ASPECT:
-        return ()
-    width, height = profile.image_size_px
-    return (
-        f"pictures of {source.name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at {width}×{height} px "
-        "one is squeezed more than the other; crop them to one aspect",
-    )
+        frames.references_at(profile.image_size_px)
+    (width, height), (w1, h1) = profile.image_size_px, target.size_px
+    found = []
+    for frames in source.members:
+        w0, h0 = frames.size_px
+        if abs(w0 * h1 / (h0 * w1) - 1) > _SAME_ASPECT:
+            found.append(
+                f"pictures of {frames.name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at "
+                f"{width}×{height} px one is squeezed more than the other; crop them to one aspect"
+            )
+    return tuple(found)
 
 
 def check_classes(name: str, method: Method | type[Method], source: LabelledFrames) -> None:

@@ -101,6 +101,11 @@ class LabelledFrames(ABC):
         """Return the frames with these indices, in this order."""
         return FrameSubset(self, indices)
 
+    @property
+    def members(self) -> "tuple[LabelledFrames, ...]":
+        """The data sets that it is joined from; itself where it is one."""
+        return (self,)
+
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
 

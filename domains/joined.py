@@ -42,7 +42,7 @@ class JoinedFrames(LabelledFrames):
     """The frames of several data sets in order; its name is theirs with + between them, of many the first's."""
 
     def __init__(self, domains: Sequence[LabelledFrames]):
-        self.domains = tuple(domains)
+        self._members = tuple(domains)
         names = [frames.name for frames in domains]
         self.name = "+".join(names if len(names) <= _MOST_NAMES else [names[0], f"{len(names) - 1}-more"])
         shared = [name for name in domains[0].columns if all(name in frames.columns for frames in domains)]
@@ -65,37 +65,41 @@ class JoinedFrames(LabelledFrames):
         self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
 
     @property
+    def members(self) -> tuple[LabelledFrames, ...]:
+        return self._members
+
+    @property
     def reference(self) -> np.ndarray:
-        return self.domains[0].reference
+        return self._members[0].reference
 
     @property
     def reference_count(self) -> int:
-        return sum(frames.reference_count for frames in self.domains)
+        return sum(frames.reference_count for frames in self._members)
 
     def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         size = self.image_size_px(size_px)
-        return np.concatenate([frames.references_at(size, markers) for frames in self.domains])
+        return np.concatenate([frames.references_at(size, markers) for frames in self._members])
 
     def declared_range(self, name: str) -> Range | None:
-        return hull(frames.declared_range(name) for frames in self.domains)
+        return hull(frames.declared_range(name) for frames in self._members)
 
     @cached_property
     def digest(self) -> str:
-        found = [(frames.name, frames.digest, len(frames)) for frames in self.domains]
+        found = [(frames.name, frames.digest, len(frames)) for frames in self._members]
         return hashlib.sha256(repr(found).encode()).hexdigest()
 
     def picture(self, index: int) -> np.ndarray:
-        ends = np.cumsum([len(frames) for frames in self.domains])
+        ends = np.cumsum([len(frames) for frames in self._members])
         number = int(np.searchsorted(ends, index, side="right"))
-        return self.domains[number].picture(index - int(ends[number]) + len(self.domains[number]))
+        return self._members[number].picture(index - int(ends[number]) + len(self._members[number]))
 
     def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
         size = self.image_size_px(size_px)
-        return np.concatenate([frames.images(size) for frames in self.domains])
+        return np.concatenate([frames.images(size) for frames in self._members])
 
     def images_without_markers(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
         size = self.image_size_px(size_px)
-        return np.concatenate([frames.images_without_markers(size) for frames in self.domains])
+        return np.concatenate([frames.images_without_markers(size) for frames in self._members])
 
 
 def _counted_on(numbers: Sequence[np.ndarray], counts: Sequence[int]) -> np.ndarray:

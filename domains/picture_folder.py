@@ -1,6 +1,5 @@
 """Real data as people keep them: a folder of pictures and one CSV table with named columns, as of a GelSight Mini."""
 
-from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 
@@ -36,6 +35,7 @@ NUMBERS = {"time_s": ("times",)}
 WHOLE_NUMBERS = {"contact_class": ("contactclass", "class", "label"), "point_id": ("pointid", "point")}
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
 TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",)}
+COLUMNS = LABEL_NAMES | NUMBERS | WHOLE_NUMBERS | TEXTS
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
 REFERENCE_STEMS = ("reference", "ref", "background", "bg", "nocontact")
 REFERENCES = "references"
@@ -62,11 +62,7 @@ class PictureFolder(PictureFiles):
             raise ValueError(f"{self._table} has no rows; expected one per picture")
         header = [name for name in rows[0] if name]
         picture = _find(header, PICTURE_NAMES)
-        columns = {
-            ours: _find(header, names)
-            for ours, names in (LABEL_NAMES | NUMBERS | WHOLE_NUMBERS | TEXTS).items()
-        }
-        found = {ours: theirs for ours, theirs in columns.items() if theirs is not None}
+        found = {ours: theirs for ours, names in COLUMNS.items() if (theirs := _find(header, names))}
         self._check_header(header, picture, found)
         notes: list[str] = []
         self.picture_paths = [self._picture_path(row[picture]) for row in rows]
@@ -227,5 +223,5 @@ def _plain(name: str) -> str:
     return "".join(letter for letter in name.lower().split("(")[0] if letter.isalnum())
 
 
-def _find(header: Iterable[str], names: tuple[str, ...]) -> str | None:
+def _find(header: list[str], names: tuple[str, ...]) -> str | None:
     return next((column for column in header if _plain(column) in names), None)

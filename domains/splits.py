@@ -192,7 +192,7 @@ def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: st
     """Return the number (n,) of each frame's group, from 0; equal values of a column are one group, across domains."""
     for frames in domains:
         if column not in frames.columns:
-            has = [name for name, values in frames.columns.items() if values.dtype.kind in "iuO"]
+            has = [name for name, values in frames.columns.items() if values.dtype.kind in "iuOU"]
             raise ValueError(
                 f"{what} = {shown(column)}: data set {frames.name} has no such column; {known}, such as "
                 f"{', '.join(has)}"

@@ -24,7 +24,7 @@ from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_frames
 from gelgap.adapt.source_training import train_source
 from gelgap.adapt.splits import split_for_training
-from gelgap.domains import ArrayFrames
+from gelgap.domains import ArrayFrames, join_domains
 
 
 @pytest.fixture(scope="module")
@@ -211,6 +211,11 @@ def test_pictures_of_another_size_are_resized_and_too_small_ones_are_an_error(st
     )
     adapt_frames(source, tall, ["constant-mean"], stage1.profile)
     assert "40×32 px and those of wmb1i1 40×64 px" in caplog.messages[0]
+    caplog.clear()
+    adapt_frames(join_domains([tall, source]), source, ["constant-mean"], stage1.profile)
+    assert ["pictures of wmb1i1 are 40×64 px" in note for note in caplog.messages] == [True]
+    with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
+        adapt_frames(join_domains([source, small]), source, ["constant-mean"], stage1.profile)
 
 
 def test_unknown_method_lists_the_known_ones(stage1, source, target):
