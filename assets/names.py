@@ -1,9 +1,10 @@
 """Names and values in error sentences: what is unknown, what was probably meant, and no value at full length."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
 LONGEST_SHOWN = 80
+_MOST_LISTED = 12
 
 
 def unknown_name(what: str, name: str, known: Iterable[str], of_known: str = "known") -> str:
@@ -29,3 +30,14 @@ def shown(value: object) -> str:
     if len(text) <= LONGEST_SHOWN:
         return text
     return f"{text[: LONGEST_SHOWN // 2]}…{text[-LONGEST_SHOWN // 4 :]}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names side by side; of more than twelve the first two, the last, and how many there are.
+
+    >>> listed([f"d{number}" for number in range(60)])
+    'd0, d1, … d59 (60)'
+    """
+    if len(names) <= _MOST_LISTED:
+        return ", ".join(names)
+    return f"{names[0]}, {names[1]}, … {names[-1]} ({len(names)})"

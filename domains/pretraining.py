@@ -27,6 +27,8 @@ RANDOM_FACTORS: tuple[str, ...] = get_args(RandomFactor)
 """What is drawn, and can be left out to see what it matters."""
 
 Share = Annotated[float, Field(ge=0, le=1)]
+_Positive = Annotated[float, Field(gt=0)]
+PositiveInterval = tuple[_Positive, _Positive]
 # Contacts are interior wherever they lie in view, so that all of a press share its solves.
 _PAD_MM = (80.0, 80.0)
 # Contact points lie within this share of the view.
@@ -48,23 +50,23 @@ class PretrainingRanges(Settings):
     description: str = ""
     presses: int = Field(ge=1, le=10_000)
     depths: int = Field(ge=1, le=20)
-    young_modulus_mpa: Interval
+    young_modulus_mpa: PositiveInterval
     poisson_ratio: Interval
-    friction: Interval
-    thickness_mm: Interval
-    sphere_diameter_mm: Interval
-    deepest_by_thickness: Interval
+    friction: PositiveInterval
+    thickness_mm: PositiveInterval
+    sphere_diameter_mm: PositiveInterval
+    deepest_by_thickness: PositiveInterval
     travel_by_depth: Interval
     sensors: tuple[str, ...] = Field(min_length=1)
     illuminations: tuple[str, ...] = Field(min_length=1)
     variation: Variation
-    brightness: Interval = Field(description="factor on the exposure")
-    view_mm: Interval = Field(description="width that the picture shows")
+    brightness: PositiveInterval = Field(description="factor on the exposure")
+    view_mm: PositiveInterval = Field(description="width that the picture shows")
     point_spread_px: Interval
-    full_well_electrons: Interval
-    read_noise_electrons: Interval
+    full_well_electrons: PositiveInterval
+    read_noise_electrons: PositiveInterval
     with_markers: Share = Field(description="share of the domains whose gel has dots")
-    marker_pitch_mm: Interval
+    marker_pitch_mm: PositiveInterval
     force_range_n: tuple[Interval, Interval, Interval] = Field(description="declared by every domain")
 
     @field_validator("*")
@@ -96,7 +98,10 @@ class PretrainingRanges(Settings):
             If it is not valid TOML, a field is unknown, or a value is out of range.
         """
         with named_in_errors(path):
-            return cls(**{**cls.default().model_dump(), **read_toml(path)})
+            default, given = cls.default().model_dump(), read_toml(path)
+            if isinstance(variation := given.get("variation"), dict):
+                given["variation"] = default["variation"] | variation
+            return cls(**{**default, **given})
 
     @property
     def contacts(self) -> int:

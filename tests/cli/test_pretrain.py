@@ -1,13 +1,15 @@
 """`gelgap pretrain`: drawn domains, one network, and a checkpoint that training starts from."""
 
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from gelgap.adapt import ForceModel, Profile, train_source
 from gelgap.cli.main import main
-from gelgap.domains import domain_folders, open_domain
+from gelgap.cli.pretrain import Factor
+from gelgap.domains import RANDOM_FACTORS, domain_folders, open_domain
 
 
 def test_a_pretrained_network_is_where_training_starts(
@@ -40,6 +42,10 @@ def test_a_pretrained_network_is_where_training_starts(
     np.testing.assert_array_equal(started.force_range_n, pretrained.force_range_n)
     for one, other in zip(started.network.parameters(), pretrained.network.parameters(), strict=True):
         np.testing.assert_allclose(one.detach().cpu(), other.detach().cpu(), atol=1e-4)
+
+
+def test_what_can_be_left_out_is_what_is_drawn() -> None:
+    assert get_args(Factor) == RANDOM_FACTORS
 
 
 @pytest.mark.parametrize(

@@ -80,5 +80,13 @@ def test_bad_choices_are_refused(tmp_path):
     (tmp_path / "ranges.toml").write_text("view_mm = [20.0, 12.0]")
     with pytest.raises(ValueError, match=r"ranges\.toml.*view_mm.*lowest and a highest"):
         PretrainingRanges.load(tmp_path / "ranges.toml")
-    (tmp_path / "ranges.toml").write_text("presses = 3")
-    assert PretrainingRanges.load(tmp_path / "ranges.toml").presses == 3
+    (tmp_path / "ranges.toml").write_text("sphere_diameter_mm = [0.0, 12.0]")
+    with pytest.raises(ValueError, match=r"sphere_diameter_mm.*greater than 0"):
+        PretrainingRanges.load(tmp_path / "ranges.toml")
+
+
+def test_a_file_replaces_single_values(tmp_path):
+    (tmp_path / "ranges.toml").write_text("presses = 3\n[variation]\nled_drive = 0.0")
+    default, own = PretrainingRanges.default(), PretrainingRanges.load(tmp_path / "ranges.toml")
+    variation = default.variation.model_copy(update={"led_drive": 0.0})
+    assert own == default.model_copy(update={"presses": 3, "variation": variation})
