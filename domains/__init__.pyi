@@ -35,6 +35,7 @@ from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
+from .recipe_file import load_recipes as load_recipes
 from .skada_arrays import to_skada as to_skada
 from .solved_profiles import CALIBRATION_GEL as CALIBRATION_GEL
 from .solved_profiles import sphere_profiles as sphere_profiles

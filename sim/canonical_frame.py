@@ -3,13 +3,14 @@
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.contact_radius import contact_radius_mm
 from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.base import Symmetry
+from gelgap.sim.indenters.base import Indenter, Symmetry
 from gelgap.sim.membrane import MembraneState, grid_axes
 from gelgap.sim.path import Pose
 from gelgap.sim.problem import PadEdges
@@ -38,6 +39,10 @@ class CanonicalFrame:
     def travel_mm(self, pose: Pose) -> NDArray[np.float64]:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
+
+    def on_sensor(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a vector (3,) of this frame, such as a force, in the sensor's."""
+        return np.array([*(self.to_sensor @ vector[:2]), vector[2]])
 
 
 def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
@@ -71,30 +76,52 @@ def placed_state(
 ) -> MembraneState:
     """Return the membrane of a pose from the solution's record of it: moved to the pose's point, force by modulus."""
     record, problem = solution.records[record_index], solution.problem
-    x_mm, y_mm = grid_axes()
-    rest = np.stack(np.meshgrid(x_mm - pose.point_x_mm, y_mm - pose.point_y_mm), axis=-1) @ frame.to_sensor
-    position = _table(solution, record_index).at(rest[..., 0], rest[..., 1])
-    position[..., :2] += rest
-    origin = record.indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
-    from_indenter = position - origin
-    nearest = problem.indenter.project(from_indenter)
-    contact = nearest.distance_mm < _TOUCHING_GAP_MM
-    displacement = origin + np.where(contact[..., None], nearest.points_mm, from_indenter)
-    displacement[..., :2] -= rest
-    displacement[..., :2] = displacement[..., :2] @ frame.to_sensor.T
+    surface = placed_surface(
+        pose, frame, problem.indenter, _table(solution, record_index), record.indenter_mm
+    )
     modulus_ratio = elastomer.mujoco_moduli.young_modulus_mpa / problem.moduli.young_modulus_mpa
-    force = record.force_n * modulus_ratio
     energy = record.diagnostics.elastic_energy_mj * modulus_ratio
+    x_mm, y_mm = grid_axes()
     return MembraneState(
         x_mm=x_mm,
         y_mm=y_mm,
-        displacement_mm=displacement.astype(np.float32),
-        contact=contact,
-        force_n=np.array([*(frame.to_sensor @ force[:2]), force[2]]),
+        displacement_mm=surface.displacement_mm,
+        contact=surface.contact,
+        force_n=frame.on_sensor(record.force_n * modulus_ratio),
         contact_radius_mm=contact_radius_mm(solution, record),
         converged=record.converged,
         diagnostics=replace(record.diagnostics, elastic_energy_mj=energy),
     )
+
+
+class PlacedSurface(NamedTuple):
+    """The membrane on the rest grid, in the sensor's frame.
+
+    `displacement_mm` is (ny, nx, 3), `contact` (ny, nx), and `rest_mm` (ny, nx, 2) the grid's points in the canonical
+    frame.
+    """
+
+    displacement_mm: NDArray[np.float32]
+    contact: NDArray[np.bool_]
+    rest_mm: NDArray[np.float64]
+
+
+def placed_surface(
+    pose: Pose, frame: CanonicalFrame, indenter: Indenter, table: PolarTable, indenter_mm: NDArray[np.float64]
+) -> PlacedSurface:
+    """Return a table's membrane at a pose's point; what touches the indenter at `indenter_mm` (3,) lies on it."""
+    x_mm, y_mm = grid_axes()
+    rest = np.stack(np.meshgrid(x_mm - pose.point_x_mm, y_mm - pose.point_y_mm), axis=-1) @ frame.to_sensor
+    position = table.at(rest[..., 0], rest[..., 1])
+    position[..., :2] += rest
+    origin = indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+    from_indenter = position - origin
+    nearest = indenter.project(from_indenter)
+    contact = nearest.distance_mm < _TOUCHING_GAP_MM
+    displacement = origin + np.where(contact[..., None], nearest.points_mm, from_indenter)
+    displacement[..., :2] -= rest
+    displacement[..., :2] = displacement[..., :2] @ frame.to_sensor.T
+    return PlacedSurface(displacement.astype(np.float32), contact, rest)
 
 
 @lru_cache(maxsize=64)
