@@ -74,7 +74,8 @@ class ComparePanel:
 def gap_html(gap: Comparison, source: Shown, target: Shown) -> str:
     """Return the gap and the forces of both sides as HTML."""
     forces = [
-        " ".join(f"{value:+.2f}" for value in shown.solved.state.force_n + 0.0) for shown in (source, target)
+        " ".join(f"{value:+.2f}" for value in shown.solved.state.force_n.round(2) + 0.0)
+        for shown in (source, target)
     ]
     rows = (
         ("CIEDE2000, mean", f"{gap.colour_difference:.2f}"),

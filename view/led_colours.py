@@ -3,6 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gelgap.render import Camera, Illumination, Led, RgbSpectrum, encode
 
@@ -16,6 +17,12 @@ def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:
     lone = Led(position_mm=(0.0, 0.0, -10.0), spectrum=spectrum)
     red, green, blue = Illumination(leds=(lone,)).led_to_camera(camera)[0] / camera.exposure
     return float(red), float(green), float(blue)
+
+
+def led_to_camera(illumination: Illumination, camera: Camera) -> NDArray[np.float64]:
+    """Return `Illumination.led_to_camera`, (n_leds, 3), with each spectrum's colour computed once per camera."""
+    colours = [np.array(colour_of_spectrum(led.spectrum, camera)) * led.drive for led in illumination.leds]
+    return camera.exposure * np.array(colours)
 
 
 def swatch(led: Led) -> Rgb:

@@ -5,10 +5,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.render import Illumination, MembraneRenderer
-from gelgap.sim import MembraneState
+from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.sim import MembraneState, QualityName
 from gelgap.view.configuration import Configuration
-from gelgap.view.led_colours import colour_of_spectrum
+from gelgap.view.led_colours import led_to_camera
 
 SIZE_PX = (320, 240)
 NOISE_SEED = 0
@@ -27,12 +27,27 @@ class PictureMaker:
     """
 
     def __init__(self) -> None:
-        self._renderer = lru_cache(_KEPT_RENDERERS)(_renderer)
+        self._renderers: dict[tuple[Sensor, Illumination, QualityName], MembraneRenderer] = {}
         self._references = lru_cache(_KEPT_REFERENCES)(self._drawn_reference)
 
     def light(self, configuration: Configuration) -> MembraneRenderer:
         """Return the renderer of a configuration's light."""
         return self._renderer(configuration.sensor, configuration.illumination, configuration.quality)
+
+    def _renderer(self, sensor: Sensor, illumination: Illumination, quality: QualityName) -> MembraneRenderer:
+        key = sensor, illumination, quality
+        if key in self._renderers:
+            return self._renderers[key]
+        alike = [old for old in self._renderers if (old[0], old[2]) == (sensor, quality)]
+        colours = led_to_camera(illumination, sensor.camera)
+        if alike:
+            renderer = self._renderers[alike[-1]].relit(illumination, colours)
+        else:
+            renderer = MembraneRenderer(sensor, illumination, SIZE_PX, quality, colours)
+        if len(self._renderers) >= _KEPT_RENDERERS:
+            del self._renderers[next(iter(self._renderers))]
+        self._renderers[key] = renderer
+        return renderer
 
     def picture(self, configuration: Configuration, state: MembraneState) -> Picture:
         """Return the picture (240, 320, 3) of a membrane.
@@ -53,16 +68,12 @@ class PictureMaker:
             configuration.sensor, configuration.illumination, configuration.quality, shown
         )
 
-    def _drawn_reference(self, sensor, illumination, quality, markers) -> Picture:
+    def _drawn_reference(
+        self, sensor: Sensor, illumination: Illumination, quality: QualityName, markers: bool
+    ) -> Picture:
         return self._renderer(sensor, illumination, quality).reference(markers)
 
 
 def difference(picture: Picture, reference: Picture, gain: int = 2) -> Picture:
     """Return how a picture differs from the reference, around mid grey."""
     return np.clip(128 + gain * (picture.astype(np.int16) - reference), 0, 255).astype(np.uint8)
-
-
-def _renderer(sensor, illumination: Illumination, quality) -> MembraneRenderer:
-    camera = sensor.camera
-    colours = [led.drive * np.array(colour_of_spectrum(led.spectrum, camera)) for led in illumination.leds]
-    return MembraneRenderer(sensor, illumination, SIZE_PX, quality, camera.exposure * np.array(colours))

@@ -39,9 +39,9 @@ class Scene3d:
         self._illumination: Illumination | None = None
         self._chosen = 0
         server.scene.set_up_direction("+z")
-        server.initial_camera.position = (0.0, -17.0, 15.0)
-        server.initial_camera.look_at = (0.0, -0.8, -1.0)
-        server.initial_camera.fov = float(np.radians(50))
+        server.initial_camera.position = (0.0, -21.0, 17.0)
+        server.initial_camera.look_at = (0.0, -1.0, -1.0)
+        server.initial_camera.fov = float(np.radians(45))
         self._scene.add_grid(
             "/backing", 60.0, 60.0, cell_size=2.0, section_size=10.0, position=(0.0, 0.0, -8.0)
         )
