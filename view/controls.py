@@ -2,8 +2,8 @@
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
+from math import cos, radians, sin
 from typing import Any
 
 import viser
@@ -41,7 +41,7 @@ class Controls:
         self.chosen_led = 0
         self._gui, self._on_change, self._on_problem = gui, on_change, on_problem
         self._lock = threading.RLock()
-        self._filling = False
+        self._filling_thread: int | None = None
         with gui.add_folder("Contact"):
             self._add_contact()
         with gui.add_folder("Gel"):
@@ -112,29 +112,29 @@ class Controls:
         self.chosen_led = number
         self._apply(lambda: self._with_led({"position_mm": position_mm}))
 
-    def _changes(self, changed: Callable[[], Configuration]) -> Callable[[Any], None]:
+    def _changes(self, changed: Callable[[], Configuration]) -> Callable[[viser.GuiEvent], None]:
         """Return a callback that takes over what a knob changes."""
 
-        def callback(_: Any) -> None:
-            if not self._filling:
-                self._apply(changed)
+        def callback(event: viser.GuiEvent) -> None:
+            # Knobs that this class turns itself call back in the same thread.
+            if self._filling_thread != threading.get_ident():
+                self._apply(changed, event.target)
 
         return callback
 
-    def _apply(self, changed: Callable[[], Configuration]) -> None:
+    def _apply(self, changed: Callable[[], Configuration], turned: Any = None) -> None:
         with self._lock:
             try:
-                self.wanted = changed()
-                self.wanted.path_keys()
+                wanted = changed()
+                wanted.path_keys()
             except ValueError as error:
                 self._on_problem(str(error))
                 return
-            self._fill()
-        self._on_change(self.wanted)
+            self.wanted = wanted
+            self._fill(turned)
+        self._on_change(wanted)
 
     def _with_pose(self) -> Configuration:
-        from math import cos, radians, sin
-
         angle = radians(self.direction.value)
         pose = Pose(
             depth_mm=self.depth.value,
@@ -192,17 +192,18 @@ class Controls:
             quality=self.quality.value,
         )
 
-    @contextmanager
-    def _quietly(self) -> Iterator[None]:
-        """Turn knobs without hearing of it."""
-        self._filling = True
+    def _fill(self, turned: Any = None) -> None:
+        """Turn the knobs to what is wanted, but for the one that the user has just turned and may be turning still."""
+        self._filling_thread = threading.get_ident()
         try:
-            yield
+            for knob, value in self._values():
+                if knob is not turned:
+                    knob.value = value
         finally:
-            self._filling = False
+            self._filling_thread = None
 
-    def _fill(self) -> None:
-        """Turn the knobs to what is wanted, as a preset or a drag has made it."""
+    def _values(self) -> Iterator[tuple[Any, Any]]:
+        """Yield every knob with the value that is wanted; knobs whose range depends on it get their range."""
         wanted = self.wanted
         gel, light, pose = wanted.elastomer, wanted.illumination, wanted.pose
         self.chosen_led = min(self.chosen_led, len(light.leds) - 1)
@@ -210,28 +211,31 @@ class Controls:
         names = tuple(
             f"{number}: {each.name or each.kind}" for number, each in enumerate(light.leds, start=1)
         )
-        with self._quietly():
-            self.depth.value = pose.depth_mm
-            self.point_x.value, self.point_y.value = pose.point_x_mm, pose.point_y_mm
-            self.travel.value = round(pose.radius_mm, 6)
-            if pose.radius_mm:
-                self.direction.value = round(pose.angle_deg) % 360
-            self.elastomer.value = _preset_of("elastomers", gel, Elastomer.preset)
-            self.modulus.value = gel.young_modulus_mpa
-            self.friction.value = gel.friction
-            self.illumination.value = _preset_of("illuminations", light, Illumination.preset)
-            if self.led.options != names:
-                self.led.options = names
-            self.led.value = names[self.chosen_led]
-            most = max(self.drive.max, led.drive * _DRIVE_TIMES if led.drive > self.drive.max else 0.0)
-            self.drive.max = most
-            self.drive.value = led.drive
-            if _differ(self.colour.value, swatch(led)) and led.drive > 0:
-                self.colour.value = swatch(led)
-            self.place.value = led.position_mm
-            self.sensor.value = _preset_of("sensors", wanted.sensor, Sensor.preset)
-            self.markers.value, self.noise.value = wanted.markers, wanted.noise
-            self.quality.value = wanted.quality
+        if self.led.options != names:
+            self.led.options = names
+        if led.drive > self.drive.max:
+            self.drive.max = _DRIVE_TIMES * led.drive
+        yield from (
+            (self.depth, pose.depth_mm),
+            (self.travel, round(pose.radius_mm, 6)),
+            (self.point_x, pose.point_x_mm),
+            (self.point_y, pose.point_y_mm),
+            (self.elastomer, _preset_of("elastomers", gel, Elastomer.preset)),
+            (self.modulus, gel.young_modulus_mpa),
+            (self.friction, gel.friction),
+            (self.illumination, _preset_of("illuminations", light, Illumination.preset)),
+            (self.led, names[self.chosen_led]),
+            (self.drive, led.drive),
+            (self.place, led.position_mm),
+            (self.sensor, _preset_of("sensors", wanted.sensor, Sensor.preset)),
+            (self.markers, wanted.markers),
+            (self.noise, wanted.noise),
+            (self.quality, wanted.quality),
+        )
+        if pose.radius_mm:
+            yield self.direction, round(pose.angle_deg) % 360
+        if led.drive > 0 and _differ(self.colour.value, swatch(led)):
+            yield self.colour, swatch(led)
 
 
 def _preset_of(kind: str, values: Any, preset: Callable[[str], Any]) -> str:

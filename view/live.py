@@ -12,6 +12,8 @@ from gelgap.view.requests import PathRequest, PoseRequest
 
 # A pad's edges matter to a contact nearer to them than this many thicknesses (docs/physics.md).
 _EDGE_THICKNESSES = 2.4
+# Paths, and poses solved by themselves, that are kept: some MB each.
+_KEPT_SOLUTIONS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +56,12 @@ class LiveModel:
 
     def add_path(self, request: PathRequest, path: SolvedPath) -> None:
         """Take in the path of a gel, and of all gels that share it."""
-        self._paths[request.keys()] = path
+        _keep(self._paths, request.keys(), path)
         self._shown = None
 
     def add_pose(self, request: PoseRequest, solved: SolvedPose) -> None:
         """Take in a pose that was solved by itself."""
-        self._exact[request] = solved
+        _keep(self._exact, request, solved)
         self._shown = None
 
     def show(self, configuration: Configuration) -> Shown:
@@ -103,6 +105,14 @@ class LiveModel:
             said = "until this gel is solved: the one before, its force scaled by Young's modulus"
             return self._last_path.pose(elastomer, pose), said, False
         return SolvedPose.untouched(), "no contact is shown until this gel is solved", False
+
+
+def _keep(kept: dict, key: object, value: object) -> None:
+    """Keep one more; the oldest goes where there are too many."""
+    kept.pop(key, None)
+    if len(kept) >= _KEPT_SOLUTIONS:
+        del kept[next(iter(kept))]
+    kept[key] = value
 
 
 def _at_the_edge(configuration: Configuration) -> str:

@@ -20,6 +20,9 @@ COLOURINGS: tuple[Colouring, ...] = ("picture", "displacement", "pressure")
 _INDENTER_RGBA = (176, 184, 196, 255)
 # glTF counts in metres; PLY has no unit and gets millimetres.
 _METRES_PER_MM = 1e-3
+_ROUNDING = 1e-3
+# Of the page's membrane this share shines by itself, in the very colours of its texture; the rest is shaded.
+_SHINING_SHARE = 0.6
 
 
 def membrane_mesh(
@@ -31,8 +34,10 @@ def membrane_mesh(
     """
     points = _points(state, every)
     height, width = picture.shape[:2]
-    place = camera.project_px(points, (width, height)) / (width, height)
-    seen = ((place >= 0) & (place <= 1)).all(axis=-1)
+    place = np.clip(camera.project_px(points, (width, height)) / (width, height), 0, 1)
+    undeformed = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
+    at_rest = camera.project_px(undeformed[::every, ::every], (width, height)) / (width, height)
+    seen = ((at_rest > -_ROUNDING) & (at_rest < 1 + _ROUNDING)).all(axis=-1)
     return _textured(points, np.stack([place[..., 0], 1 - place[..., 1]], axis=-1), seen, picture)
 
 
@@ -104,8 +109,12 @@ def save_mesh(
 
 def glb(mesh: "trimesh.Trimesh") -> bytes:
     """Return one mesh as GLB in mm, as the page shows it."""
+    shown = mesh.copy()
+    material = shown.visual.material
+    material.baseColorFactor = [*[round(255 * (1 - _SHINING_SHARE))] * 3, 255]
+    material.emissiveTexture, material.emissiveFactor = material.baseColorTexture, [_SHINING_SHARE] * 3
     buffer = io.BytesIO()
-    mesh.export(buffer, file_type="glb")
+    shown.export(buffer, file_type="glb", include_normals=True)
     return buffer.getvalue()
 
 

@@ -36,6 +36,7 @@ class Page:
         port: int,
         make_solver: Callable[[Callable[[Answer], None]], Solver] = Solver,
     ) -> None:
+        start.path_keys()
         self._server = start_server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         self._model = LiveModel()
@@ -175,6 +176,8 @@ def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -
     Raises
     ------
     ValueError
-        If viser is not installed, or the port is taken.
+        If the gel is too thin for a path, the port is taken, or the host is not this machine's.
+    ImportError
+        If viser is not installed.
     """
     return Page(start, host, port)

@@ -1,5 +1,6 @@
 """The scene in three dimensions: membrane, indenter, and the LEDs, of which the chosen one can be dragged."""
 
+import contextlib
 import threading
 from collections.abc import Callable
 from itertools import count
@@ -20,8 +21,9 @@ _POINT_LED_RADIUS_MM = 0.5
 _GIZMO_MM = 3.0
 # A new membrane needs this long to appear; the one before stays until then.
 _OVERLAP_S = 0.15
-_INDENTER_COLOUR = (176, 184, 196)
+_INDENTER_COLOUR = (150, 165, 185)
 _NEAREST_LED_MM = -0.3
+_FLOOR_MM = 6.0
 
 MovedLed = Callable[[int, tuple[float, float, float]], None]
 
@@ -34,16 +36,25 @@ class Scene3d:
         self._moved_led = moved_led
         self._numbers = count()
         self._membrane: viser.GlbHandle | None = None
-        self._indenter = self._scene.add_icosphere("/indenter", 1.0, _INDENTER_COLOUR, opacity=0.35)
+        self._indenter = self._scene.add_icosphere("/indenter", 1.0, _INDENTER_COLOUR, opacity=0.4)
         self._leds: list[viser.TransformControlsHandle] = []
         self._illumination: Illumination | None = None
         self._chosen = 0
         server.scene.set_up_direction("+z")
-        server.initial_camera.position = (0.0, -21.0, 17.0)
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.initial_camera.position = (0.0, -22.0, 18.0)
         server.initial_camera.look_at = (0.0, -1.0, -1.0)
         server.initial_camera.fov = float(np.radians(45))
         self._scene.add_grid(
-            "/backing", 60.0, 60.0, cell_size=2.0, section_size=10.0, position=(0.0, 0.0, -8.0)
+            "/floor",
+            60.0,
+            60.0,
+            cell_size=2.0,
+            cell_color=(232, 232, 232),
+            section_size=10.0,
+            section_color=(205, 205, 205),
+            shadow_opacity=0.0,
+            position=(0.0, 0.0, -_FLOOR_MM),
         )
 
     def show(self, shown: Shown, colouring: Colouring) -> str:
@@ -122,9 +133,15 @@ class Scene3d:
         old = self._membrane
         self._membrane = self._scene.add_glb(f"/membrane{next(self._numbers)}", data)
         if old is not None:
-            timer = threading.Timer(_OVERLAP_S, old.remove)
+            timer = threading.Timer(_OVERLAP_S, _remove, [old])
             timer.daemon = True
             timer.start()
+
+
+def _remove(membrane: viser.GlbHandle) -> None:
+    """Take a membrane away, unless the page is closed by now."""
+    with contextlib.suppress(RuntimeError):
+        membrane.remove()
 
 
 def _form(led: Led) -> tuple:

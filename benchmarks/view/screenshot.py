@@ -16,7 +16,7 @@ from gelgap.render import Illumination, Sensor
 from gelgap.sim import Elastomer, Pose
 from gelgap.view import Configuration
 
-SIZE_PX = (1500, 860)
+SIZE_PX = (1560, 860)
 POSE = Pose(depth_mm=0.9, shear_x_mm=0.35, shear_y_mm=-0.15, point_x_mm=0.6, point_y_mm=0.3)
 JPEG_QUALITY = 82
 _PATIENCE_S = 900.0

@@ -1,7 +1,7 @@
 """A path gives the poses that were solved, what lies between them, and every modulus, point and direction."""
 
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,24 +13,22 @@ GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 STIFF = GEL.model_copy(update={"young_modulus_mpa": 0.9})
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small_grid(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A path of few poses, in a cache of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr(module, "PATH_DEPTHS_MM", (0.2, 0.4))
+        patch.setattr(module, "PATH_TRAVELS_MM", (0.0, 0.2))
+        yield
+
+
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def cache(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GELGAP_CACHE", str(folder))
-    monkeypatch.setattr(module, "PATH_DEPTHS_MM", (0.2, 0.4))
-    monkeypatch.setattr(module, "PATH_TRAVELS_MM", (0.0, 0.2))
-
-
-@pytest.fixture
-def plan(cache: None) -> SolvePlan:
+def plan(small_grid: None) -> SolvePlan:
     return plan_path(GEL, Sphere())
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def path(plan: SolvePlan) -> SolvedPath:
     return SolvedPath.from_solutions(plan, {solve.key: solve.run() for solve in plan.solves})
 
@@ -49,7 +47,9 @@ def test_solved_poses_are_given_back(plan: SolvePlan, path: SolvedPath) -> None:
 def test_a_pose_between_is_near_the_one_solved_by_itself(path: SolvedPath) -> None:
     pose = Pose(depth_mm=0.3, shear_x_mm=0.2)
     given, solved = path.pose(GEL, pose).state, solve_pose(GEL, Sphere(), pose, "draft")
-    np.testing.assert_allclose(given.force_n, solved.force_n, atol=0.05 * np.linalg.norm(solved.force_n))
+    assert given.force_n[2] == pytest.approx(solved.force_n[2], rel=0.03)
+    # At draft, few vertices carry the friction of a contact.
+    np.testing.assert_allclose(given.force_n, solved.force_n, atol=0.08 * np.linalg.norm(solved.force_n))
     assert np.abs(given.displacement_mm - solved.displacement_mm).max() < 0.03
 
 
