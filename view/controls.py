@@ -27,7 +27,8 @@ _DRIVE_TIMES = 4.0
 class Controls:
     """Builds the knobs; `wanted` is what they stand for, and `on_change` hears of each new configuration.
 
-    A value that is out of range leaves the configuration as it was, and `on_problem` gets a sentence.
+    A value that is out of range leaves the configuration as it was, and `on_problem` gets a sentence; an empty one says
+    that all is well again.
     """
 
     def __init__(
@@ -132,6 +133,7 @@ class Controls:
                 return
             self.wanted = wanted
             self._fill(turned)
+        self._on_problem("")
         self._on_change(wanted)
 
     def _with_pose(self) -> Configuration:

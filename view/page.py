@@ -15,7 +15,7 @@ from gelgap.view.pictures import difference
 from gelgap.view.readout import Readout
 from gelgap.view.requests import Answer, Failed, PathRequest, PoseRequest, Progress, Solved
 from gelgap.view.save_panel import SavePanel
-from gelgap.view.scene3d import Scene3d
+from gelgap.view.scene3d import Scene3d, colours_mean
 from gelgap.view.server import start_server
 from gelgap.view.solver import Solver
 
@@ -163,21 +163,9 @@ class Page:
             self._solver.request(request)
         shown = self._shown = self._model.show(configuration)
         reference = self._model.pictures.reference(configuration)
-        colours = self._scene.show(shown, self.controls.colouring.value)
+        colouring = self.controls.colouring.value
+        self._readout.show(shown, difference(shown.picture, reference), colours_mean(shown, colouring))
+        self._scene.show(shown, colouring)
         self._scene.show_leds(configuration.illumination, self.controls.chosen_led)
-        self._readout.show(shown, difference(shown.picture, reference), colours)
         if not self._wanted:
             self._compare.update(shown)
-
-
-def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -> Page:
-    """Open the page of a configuration; port 0 takes any free one.
-
-    Raises
-    ------
-    ValueError
-        If the gel is too thin for a path, the port is taken, or the host is not this machine's.
-    ImportError
-        If viser is not installed.
-    """
-    return Page(start, host, port)

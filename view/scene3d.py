@@ -4,15 +4,20 @@ import contextlib
 import threading
 from collections.abc import Callable
 from itertools import count
+from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
+from numpy.typing import NDArray
 from viser import transforms
 
 from gelgap.render import Illumination, Led
 from gelgap.view.led_colours import swatch
 from gelgap.view.live import Shown
 from gelgap.view.meshes import Colouring, coloured_mesh, glb, indenter_centre_mm, membrane_mesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 # The page shows every second point of the rest grid: a mesh that a browser takes in at once.
 _EVERY = 2
@@ -57,12 +62,11 @@ class Scene3d:
             position=(0.0, 0.0, -_FLOOR_MM),
         )
 
-    def show(self, shown: Shown, colouring: Colouring) -> str:
-        """Show a membrane, indenter and LEDs; return what the colours mean."""
+    def show(self, shown: Shown, colouring: Colouring) -> None:
+        """Show a membrane, indenter and LEDs."""
         configuration = shown.configuration
         pose, indenter = configuration.pose, configuration.indenter
-        mesh, meaning = _coloured(shown, colouring)
-        self._swap_membrane(glb(mesh))
+        self._swap_membrane(glb(_coloured(shown, colouring)))
         point = (pose.point_x_mm, pose.point_y_mm)
         centre = indenter_centre_mm(shown.solved, point, indenter)
         if pose.depth_mm == 0:
@@ -70,7 +74,6 @@ class Scene3d:
         self._indenter.position = tuple(centre)
         self._indenter.scale = indenter.radius_mm
         self.show_leds(configuration.illumination, self._chosen)
-        return meaning
 
     def show_leds(self, illumination: Illumination, chosen: int) -> None:
         """Show the LEDs, the chosen one with handles to drag it by."""
@@ -149,16 +152,24 @@ def _form(led: Led) -> tuple:
     return led.kind, led.length_mm, led.height_mm, led.diameter_mm, led.facing, led.spectrum, led.drive > 0
 
 
-def _coloured(shown: Shown, colouring: Colouring):
-    """Return the membrane's mesh and what its colours mean."""
+def _values(shown: Shown, colouring: Colouring) -> NDArray[np.floating]:
+    """Return what colours show, (ny, nx)."""
+    if colouring == "displacement":
+        return np.linalg.norm(shown.solved.state.displacement_mm, axis=-1)
+    return shown.solved.pressure_mpa
+
+
+def _coloured(shown: Shown, colouring: Colouring) -> "trimesh.Trimesh":
     state = shown.solved.state
     if colouring == "picture":
-        return membrane_mesh(state, shown.configuration.sensor.camera, shown.picture, _EVERY), ""
-    if colouring == "displacement":
-        values, unit = np.linalg.norm(state.displacement_mm, axis=-1), "mm"
-    else:
-        values, unit = shown.solved.pressure_mpa, "MPa"
-    most = float(values.max())
-    return coloured_mesh(
-        state, values, most, _EVERY
-    ), f"{colouring}: 0 (violet) to {most:.3g} {unit} (yellow)"
+        return membrane_mesh(state, shown.configuration.sensor.camera, shown.picture, _EVERY)
+    values = _values(shown, colouring)
+    return coloured_mesh(state, values, float(values.max()), _EVERY)
+
+
+def colours_mean(shown: Shown, colouring: Colouring) -> str:
+    """Return what the membrane's colours mean; nothing where it wears the picture."""
+    if colouring == "picture":
+        return ""
+    unit = {"displacement": "mm", "pressure": "MPa"}[colouring]
+    return f"{colouring}: 0 (violet) to {_values(shown, colouring).max():.3g} {unit} (yellow)"
