@@ -46,6 +46,7 @@ from .recipe import DomainRecipe as DomainRecipe
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
+from .recipe_file import load_recipes as load_recipes
 from .relabelled import force_classes as force_classes
 from .relabelled import with_labels as with_labels
 from .run_labels import labels_of_run as labels_of_run
