@@ -9,25 +9,31 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 
-.PHONY: help setup demo test lint format wheel-check clean
+.PHONY: help setup demo test lint format docs wheel-check clean
 
 help:
-	@echo "make setup        create .venv with gelgap and its tested dependencies, and install libosmesa6 if missing"
-	@echo "make demo         set up, then run the main job end to end: domains, adaptation, report (minutes)"
+	@echo "make setup        create .venv with gelgap, its tested dependencies and what tests need, and install libosmesa6 if missing"
+	@echo "make demo         create .venv with gelgap alone, then run the main job end to end: domains, adaptation, report (minutes)"
 	@echo "make test         set up, then lint and run the test suite"
 	@echo "make lint         ruff check, ruff format --check, and mypy over the public names"
+	@echo "make docs         make the site in build/site; its examples and notebooks run (minutes)"
 	@echo "make wheel-check  build the wheel and try it from a fresh environment in another folder"
 
 setup: $(VENV)/.ready
 
-$(VENV)/.ready: pyproject.toml constraints.txt scripts/install-osmesa
+$(VENV)/.installed: pyproject.toml constraints.txt scripts/install-osmesa scripts/set_up.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "gelgap needs Python >= 3.11; run: make PYTHON=python3.11 setup"; exit 1; }
 	scripts/install-osmesa
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
+	$(BIN)/python scripts/set_up.py .
 	touch $@
 
-demo: setup
+$(VENV)/.ready: $(VENV)/.installed
+	$(BIN)/python scripts/set_up.py '.[test]'
+	touch $@
+
+demo: $(VENV)/.installed
 	$(BIN)/gelgap demo
 
 test: setup lint
@@ -41,6 +47,11 @@ lint: setup
 format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: setup
+	$(BIN)/python scripts/set_up.py '.[docs]'
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --conf-dir docs --doctree-dir build/doctrees . build/site
+	@echo "open build/site/docs/index.html"
 
 wheel-check: setup
 	scripts/wheel-check

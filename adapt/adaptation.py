@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gelgap.adapt.batches import Draw, TrainingDomain, network_inputs, normalised_force, one_pass
+from gelgap.adapt.batches import Draw, TrainingDomain, network_inputs, normalised_labels, one_pass
 from gelgap.adapt.diagnosis import EpochRecord
 from gelgap.adapt.joint_stage import JointStage
 from gelgap.adapt.loop import train
@@ -21,8 +21,8 @@ from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.normalisation import estimate_statistics, input_statistics
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
-from gelgap.adapt.splits import check_classes, check_same_size
-from gelgap.domains import LabelledFrames
+from gelgap.adapt.splits import check_classes
+from gelgap.domains import LabelledFrames, with_labels
 
 
 def adapt(
@@ -42,7 +42,8 @@ def adapt(
     Parameters
     ----------
     source, target
-        Training frames of both domains. Only a method that declares `uses_target_labels` reads target labels.
+        Training frames of both domains. Only a method that declares `uses_target_labels` reads target labels. Which
+        labels, and in which ranges, is the model's.
     profile, seed
         Those of the stage-1 model unless given; the network's part of the profile must be the same.
     resume_file
@@ -53,14 +54,17 @@ def adapt(
     Raises
     ------
     ValueError
-        If the method is unknown, picture sizes differ, a used label is outside the declared range, or a
-        class-aware method is asked for on data without contact classes.
+        If the method is unknown, a used label is absent or outside the model's range, or a class-aware method is asked
+        for on data without contact classes.
     FeatureCollapse
         If the network becomes a constant predictor.
     """
     profile = model.profile if profile is None else profile
     seed = model.seed if seed is None else seed
     chosen = make_method(method, profile, model.n_classes)
+    source = with_labels(source, model.labels)
+    if chosen.uses_target_labels:
+        target = with_labels(target, model.labels)
     _check_frames(chosen, method, source, target)
     network = copy.deepcopy(model.network)
     adapted = replace(
@@ -82,8 +86,6 @@ def adapt(
 
 
 def _check_frames(method: Method, name: str, source: LabelledFrames, target: LabelledFrames) -> None:
-    if method.uses_target:
-        check_same_size(source, target)
     source.check_labels()
     if method.uses_target_labels:
         target.check_labels()
@@ -154,13 +156,13 @@ class _Workbench(Adaptation):
         estimate_statistics(self.network, pictures, self.seed)
 
     def source_mean(self) -> np.ndarray:
-        return normalised_force(self.source).mean(axis=0)
+        return normalised_labels(self.source).mean(axis=0)
 
     def source_batches(self, epoch: int) -> Iterator[Tensor]:
         return (inputs for _, inputs in self._one_pass(self.source, Draw.SOURCE_PASS, epoch))
 
     def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
-        force = torch.from_numpy(normalised_force(self.source)).to(self.device)
+        force = torch.from_numpy(normalised_labels(self.source)).to(self.device)
         for rows, inputs in self._one_pass(self.source, Draw.SOURCE_PASS, epoch):
             yield inputs, force[torch.from_numpy(rows)]
 

@@ -83,17 +83,17 @@ def one_pass(
         yield indices, pictures.inputs(indices)
 
 
-def normalised_force(frames: LabelledFrames) -> np.ndarray:
-    """Return forces (n, 3) float32, min-max normalised with the declared range to [0, 1]."""
-    low, high = np.asarray(frames.force_range_n, float).T
-    return ((frames.force_n.astype(np.float32) - low) / (high - low)).astype(np.float32)
+def normalised_labels(frames: LabelledFrames) -> np.ndarray:
+    """Return the labels (n, k) float32, min-max normalised with their ranges to [0, 1]."""
+    low, high = frames.labels.low, frames.labels.high
+    return ((frames.label_values.astype(np.float32) - low) / (high - low)).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class TrainingDomain:
     """One domain on the device: pictures always, labels only where training may use them.
 
-    force is (n, 3), normalised to [0, 1]; contact_class (n,); without_markers the same pictures with their dots
+    force is (n, k), labels normalised to [0, 1]; contact_class (n,); without_markers the same pictures with their dots
     inpainted, where training shows them.
     """
 
@@ -106,7 +106,7 @@ class TrainingDomain:
     def labelled(cls, frames: LabelledFrames, profile: Profile, device: torch.device) -> "TrainingDomain":
         """Return the frames with their labels."""
         domain = cls.unlabelled(frames, profile, device)
-        force = torch.from_numpy(normalised_force(frames)).to(device)
+        force = torch.from_numpy(normalised_labels(frames)).to(device)
         return replace(domain, force=force, contact_class=domain.pictures.contact_class)
 
     @classmethod

@@ -1,26 +1,44 @@
-"""Errors of force predictions: MAE and R² per axis, in newtons and as a share of the declared range."""
+"""Errors of predictions: MAE and R² of each label, in its unit and as a share of its range."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from gelgap.adapt.model import ForceModel
-from gelgap.domains import LabelledFrames
-
-AXES = ("x", "y", "z")
+from gelgap.domains import FORCE_COLUMNS, QUANTITIES, LabelledFrames, with_labels
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """Error of n predictions.
 
-    mae_n, mae_percent (of the full range) and r2 hold x, y, z; an axis whose true force is constant has r2 = nan.
+    mae (in each label's unit), mae_percent (of the full range) and r2 hold one number for each of `labels`; a label
+    whose true value is constant has r2 = nan.
     """
 
     n: int
-    mae_n: tuple[float, float, float]
-    mae_percent: tuple[float, float, float]
-    r2: tuple[float, float, float]
+    mae: tuple[float, ...]
+    mae_percent: tuple[float, ...]
+    r2: tuple[float, ...]
+    labels: tuple[str, ...] = FORCE_COLUMNS
+
+    @property
+    def unit(self) -> str | None:
+        """The unit that all labels share; None where they have several."""
+        units = {QUANTITIES[name].unit for name in self.labels}
+        return units.pop() if len(units) == 1 else None
+
+    @property
+    def mean_mae(self) -> float | None:
+        """Mean over the labels, in their unit; None where they have several."""
+        return None if self.unit is None else float(np.mean(self.mae))
+
+    @property
+    def mae_n(self) -> tuple[float, ...]:
+        """MAE of each axis of the force, N; a ValueError where other labels were predicted."""
+        if self.unit != "N":
+            raise ValueError(f"the labels {', '.join(self.labels)} are not all forces: take `mae`")
+        return self.mae
 
     @property
     def mean_mae_n(self) -> float:
@@ -29,43 +47,54 @@ class Evaluation:
 
     @property
     def mean_mae_percent(self) -> float:
-        """Mean over the axes, % of the full range."""
+        """Mean over the labels, % of the full range."""
         return float(np.mean(self.mae_percent))
 
 
 def evaluate_predictions(
-    true_n: np.ndarray, predicted_n: np.ndarray, force_range_n: np.ndarray
+    true: np.ndarray, predicted: np.ndarray, ranges: np.ndarray, labels: tuple[str, ...] = FORCE_COLUMNS
 ) -> Evaluation:
-    """Return the error of predicted forces (n, 3) in N; force_range_n is the declared range (3, 2).
+    """Return the error of predicted labels (n, k), each in its unit; ranges (k, 2) are theirs.
 
     Raises
     ------
     ValueError
         If there are no frames or a prediction is not finite.
     """
-    true_n, predicted_n = np.asarray(true_n, float), np.asarray(predicted_n, float)
-    if true_n.shape != predicted_n.shape or true_n.ndim != 2 or len(true_n) == 0:
-        raise ValueError(f"forces are {true_n.shape} and {predicted_n.shape}; both must be (n, 3) with n ≥ 1")
-    if not np.isfinite(predicted_n).all():
+    true, predicted = np.asarray(true, float), np.asarray(predicted, float)
+    if true.shape != predicted.shape or true.shape[1:] != (len(labels),) or len(true) == 0:
         raise ValueError(
-            f"{(~np.isfinite(predicted_n)).any(axis=1).sum()} of {len(true_n)} predictions are not finite"
+            f"labels are {true.shape} and predictions {predicted.shape}; both must be (n, {len(labels)}) with n ≥ 1"
         )
-    mae = np.abs(predicted_n - true_n).mean(axis=0)
-    width = np.diff(np.asarray(force_range_n, float), axis=1)[:, 0]
-    total = ((true_n - true_n.mean(axis=0)) ** 2).sum(axis=0)
-    residual = ((predicted_n - true_n) ** 2).sum(axis=0)
+    if not np.isfinite(predicted).all():
+        raise ValueError(
+            f"{(~np.isfinite(predicted)).any(axis=1).sum()} of {len(true)} predictions are not finite"
+        )
+    mae = np.abs(predicted - true).mean(axis=0)
+    width = np.diff(np.asarray(ranges, float), axis=1)[:, 0]
+    total = ((true - true.mean(axis=0)) ** 2).sum(axis=0)
+    residual = ((predicted - true) ** 2).sum(axis=0)
     r2 = np.where(total > 0, 1 - residual / np.where(total > 0, total, 1), np.nan)
     return Evaluation(
-        len(true_n), tuple(mae.tolist()), tuple((100 * mae / width).tolist()), tuple(r2.tolist())
+        len(true), tuple(mae.tolist()), tuple((100 * mae / width).tolist()), tuple(r2.tolist()), labels
     )
 
 
 def evaluate(model: ForceModel, frames: LabelledFrames) -> Evaluation:
-    """Return the error of a model on labelled frames."""
-    return evaluate_predictions(frames.force_n, model.predict_n(frames), frames.force_range_n)
+    """Return the error of a model on labelled frames, on the labels that it predicts."""
+    if frames.labels.names != model.labels.names:
+        frames = with_labels(frames, model.labels)
+    return evaluate_frames(frames, model.predict(frames))
+
+
+def evaluate_frames(frames: LabelledFrames, predicted: np.ndarray) -> Evaluation:
+    """Return the error of predictions (n, k) of the labels of frames."""
+    return evaluate_predictions(frames.label_values, predicted, frames.labels.ranges, frames.labels.names)
 
 
 def evaluate_constant_mean(train: LabelledFrames, frames: LabelledFrames) -> Evaluation:
-    """Return the error of predicting, for every frame, the mean force of the training frames."""
-    prediction = np.broadcast_to(train.force_n.astype(float).mean(axis=0), frames.force_n.shape)
-    return evaluate_predictions(frames.force_n, prediction, frames.force_range_n)
+    """Return the error of predicting, for every frame, the mean labels of the training frames."""
+    values = frames.label_values
+    return evaluate_frames(
+        frames, np.broadcast_to(train.label_values.astype(float).mean(axis=0), values.shape)
+    )

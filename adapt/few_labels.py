@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from gelgap.adapt.batches import Draw, generator, network_inputs, normalised_force
+from gelgap.adapt.batches import Draw, generator, network_inputs, normalised_labels
 from gelgap.adapt.loop import TrainingDiverged
 from gelgap.adapt.machine import autocast, torch_threads
 from gelgap.adapt.model import AffineCorrection, ForceModel
@@ -58,14 +58,14 @@ def fine_tune(
 ) -> ForceModel:
     """Return a copy of a model whose weights are trained on labelled frames of the domain it is for.
 
-    SGD on the squared error of all three axes, 100 steps of at most 32 frames at a constant rate of 0.01, the same for
+    SGD on the squared error of all labels, 100 steps of at most 32 frames at a constant rate of 0.01, the same for
     any number of frames and any adapted model. The batch normalisations keep their statistics, so that a single frame
     is enough. Seed: the model's unless given.
 
     Raises
     ------
     ValueError
-        If there are no frames, a force is outside the model's range, or the model has an affine correction.
+        If there are no frames, a label is outside the model's range, or the model has an affine correction.
     TrainingDiverged
         If the loss is no longer finite.
     """
@@ -76,7 +76,7 @@ def fine_tune(
         )
     network = copy.deepcopy(model.network).eval()
     pictures = network_inputs(frames, model.profile, model.device, model.input_statistics)
-    force = torch.from_numpy(normalised_force(frames)).to(model.device)
+    force = torch.from_numpy(normalised_labels(frames)).to(model.device)
     optimizer = torch.optim.SGD(network.parameters(), learning_rate, _MOMENTUM)
     rng = generator(Draw.FINE_TUNING, model.seed if seed is None else seed)
     with torch_threads(model.profile.threads):
@@ -94,37 +94,35 @@ def fine_tune(
 
 
 def affine_correction(model: ForceModel, frames: LabelledFrames) -> ForceModel:
-    """Return the model with each axis of its predictions corrected, F' = a·F + b, by labelled frames of its domain.
+    """Return the model with each label of its predictions corrected, F' = a·F + b, by labelled frames of its domain.
 
-    a and b are a ridge regression's that draws them to 1 and 0. One penalty serves all axes: the strongest whose
+    a and b are a ridge regression's that draws them to 1 and 0. One penalty serves all labels: the strongest whose
     leave-one-out error on the frames is within a standard error of the least (Breiman's rule), so that few labels
     change little unless they agree. A single frame gives b alone, half its error.
 
     Raises
     ------
     ValueError
-        If there are no frames, or a force is outside the model's range.
+        If there are no frames, or a label is outside the model's range.
     """
     _check(model, frames)
-    predicted_n = model.predict_n(frames)
-    scale_n = np.diff(np.asarray(model.force_range_n, float), axis=1)[:, 0] / 2
-    # Over the range's half-width: then both columns of the regression, and all axes, are of one size.
-    columns = np.stack([predicted_n / scale_n, np.ones_like(predicted_n)], axis=2)
-    error = (frames.force_n - predicted_n) / scale_n
+    predicted = model.predict(frames)
+    scale = (model.labels.high - model.labels.low) / 2
+    # Over the range's half-width: then both columns of the regression, and all labels, are of one size.
+    columns = np.stack([predicted / scale, np.ones_like(predicted)], axis=2)
+    error = (frames.label_values - predicted) / scale
     if len(frames) == 1:
-        change = np.stack([np.zeros(3), error[0] / 2], axis=1)
+        change = np.stack([np.zeros(len(scale)), error[0] / 2], axis=1)
     else:
         change = _ridge(columns, error, _penalty(columns, error))
-    correction = AffineCorrection(
-        tuple((1 + change[:, 0]).tolist()), tuple((change[:, 1] * scale_n).tolist())
-    )
+    correction = AffineCorrection(tuple((1 + change[:, 0]).tolist()), tuple((change[:, 1] * scale).tolist()))
     return replace(
         model, correction=correction if model.correction is None else correction.after(model.correction)
     )
 
 
 def _ridge(columns: np.ndarray, error: np.ndarray, penalty: float) -> np.ndarray:
-    """Return the coefficients (3, 2) of the axes, from columns (k, 3, 2) and errors (k, 3)."""
+    """Return the coefficients (l, 2) of the labels, from columns (k, l, 2) and errors (k, l)."""
     gram = np.einsum("kai,kaj->aij", columns, columns) + penalty * np.eye(2)
     return np.linalg.solve(gram, np.einsum("kai,ka->ai", columns, error)[..., None])[..., 0]
 
@@ -146,9 +144,9 @@ def _penalty(columns: np.ndarray, error: np.ndarray) -> float:
 def _check(model: ForceModel, frames: LabelledFrames) -> None:
     if len(frames) == 0:
         raise ValueError(f"there are no labelled frames of {frames.name}; at least 1 is needed")
-    if not np.array_equal(np.asarray(frames.force_range_n, float), model.force_range_n):
+    if frames.labels != model.labels:
         raise ValueError(
-            f"{frames.name} declares forces {np.asarray(frames.force_range_n).tolist()} N, the model "
-            f"{model.force_range_n.tolist()} N; they must have one range"
+            f"{frames.name} has the labels {frames.labels}, the model {model.labels}; they must have one range: "
+            "with_labels(frames, model.labels) gives the frames the model's"
         )
     frames.check_labels()

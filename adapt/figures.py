@@ -6,33 +6,38 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.adapt.evaluation import AXES
+from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 def force_scatter(
-    true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], path: str | Path | None = None
+    true_n: np.ndarray,
+    predicted_n: Mapping[str, np.ndarray],
+    path: str | Path | None = None,
+    labels: tuple[str, ...] = FORCE_COLUMNS,
 ) -> "Figure":
     """Draw predicted against true force, one row per method, one column per axis (the paper's figure 4).
 
-    true_n and every predicted_n are (n, 3) in N.
+    true_n and every predicted_n are (n, 3) in N, or (n, k) of other labels, each in its unit.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 2.8 * len(predicted_n)), layout="constrained")
-    grid = figure.subplots(len(predicted_n), 3, squeeze=False)
+    figure = Figure(figsize=(max(9, 3 * len(labels)), 2.8 * len(predicted_n)), layout="constrained")
+    grid = figure.subplots(len(predicted_n), len(labels), squeeze=False)
     for row, (method, predicted) in zip(grid, predicted_n.items(), strict=True):
-        for axis, axes in enumerate(row):
-            truth, guess = true_n[:, axis], predicted[:, axis]
+        for label, (name, axes) in enumerate(zip(labels, row, strict=True)):
+            truth, guess = true_n[:, label], predicted[:, label]
+            symbol, unit = QUANTITIES[name]
+            what = f"force, {unit}" if name in FORCE_COLUMNS else f"{symbol}, {unit}"
             limits = (min(truth.min(), guess.min()), max(truth.max(), guess.max()))
             axes.plot(limits, limits, color="0.6", linewidth=1)
             axes.scatter(truth, guess, s=6, alpha=0.6, linewidths=0)
             axes.set_aspect("equal", adjustable="datalim")
-            axes.set_title(f"{method}: F{AXES[axis]}, MAE {np.abs(truth - guess).mean():.3f} N", fontsize=9)
-            axes.set_xlabel("true force, N", fontsize=8)
-            axes.set_ylabel("predicted force, N", fontsize=8)
+            axes.set_title(f"{method}: {symbol}, MAE {np.abs(truth - guess).mean():.3f} {unit}", fontsize=9)
+            axes.set_xlabel(f"true {what}", fontsize=8)
+            axes.set_ylabel(f"predicted {what}", fontsize=8)
     return _saved(figure, path)
 
 

@@ -1,4 +1,4 @@
-"""A trained force model: predicts newtons, is saved and loaded."""
+"""A trained model: predicts forces or other labels, is saved and loaded."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,40 +13,40 @@ from gelgap.adapt.network import ForceNetwork, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import ChannelStatistics, LabelledFrames
+from gelgap.domains import FORCE_COLUMNS, ChannelStatistics, LabelledFrames, Labels
 
 _FORMAT = 1
 _INFERENCE_BATCH = 256
 
 
 class AffineCorrection(NamedTuple):
-    """A correction of each axis of predicted forces, F' = gain·F + offset_n."""
+    """A correction of each predicted label, F' = gain·F + offset, the offset in the label's unit."""
 
-    gain: tuple[float, float, float]
-    offset_n: tuple[float, float, float]
+    gain: tuple[float, ...]
+    offset: tuple[float, ...]
 
-    def __call__(self, force_n: np.ndarray) -> np.ndarray:
-        """Return corrected forces (n, 3), N."""
-        return np.multiply(force_n, self.gain) + self.offset_n
+    def __call__(self, predicted: np.ndarray) -> np.ndarray:
+        """Return corrected predictions (n, k)."""
+        return np.multiply(predicted, self.gain) + self.offset
 
     def after(self, first: "AffineCorrection") -> "AffineCorrection":
         """Return the correction that applies `first`, then this one."""
-        gain, offset_n = np.multiply(self.gain, first.gain), self(np.array(first.offset_n))
-        return AffineCorrection(tuple(gain.tolist()), tuple(offset_n.tolist()))
+        gain, offset = np.multiply(self.gain, first.gain), self(np.array(first.offset))
+        return AffineCorrection(tuple(gain.tolist()), tuple(offset.tolist()))
 
 
 @dataclass(frozen=True)
 class ForceModel:
-    """A network with what is needed to use it: `predict_n` maps frames to forces in newtons.
+    """A network with what is needed to use it: `predict` maps frames to labels, forces in newtons by default.
 
-    force_range_n (3, 2) is the source's declared range; source, target and method say how it was trained;
+    labels are those it was trained on, with their ranges; source, target and method say how it was trained;
     history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_statistics are those of the
     domain it is for, where the profile standardises the input; correction is what a few labels added.
     """
 
     network: ForceNetwork
     profile: Profile
-    force_range_n: np.ndarray
+    labels: Labels
     n_classes: int
     seed: int
     source: str
@@ -60,15 +60,34 @@ class ForceModel:
     def device(self) -> torch.device:
         return next(self.network.parameters()).device
 
+    @property
+    def force_range_n(self) -> np.ndarray:
+        """The ranges of the labels (k, 2): of forces in N, (3, 2)."""
+        return np.array(self.labels.ranges)
+
     def features(self, frames: LabelledFrames) -> np.ndarray:
         """Return the transfer features (n, feature_dim) float32."""
         return self._infer(frames)[0]
 
+    def predict(self, frames: LabelledFrames) -> np.ndarray:
+        """Return the predicted labels (n, k), each in its unit."""
+        low, high = self.labels.low, self.labels.high
+        predicted = low + self._infer(frames)[1].astype(float) * (high - low)
+        return predicted if self.correction is None else self.correction(predicted)
+
     def predict_n(self, frames: LabelledFrames) -> np.ndarray:
-        """Return the predicted forces (n, 3), N."""
-        low, high = np.asarray(self.force_range_n, float).T
-        force_n = low + self._infer(frames)[1].astype(float) * (high - low)
-        return force_n if self.correction is None else self.correction(force_n)
+        """Return the predicted forces (n, 3), N.
+
+        Raises
+        ------
+        ValueError
+            If the model predicts something else than all axes of the force.
+        """
+        if self.labels.names != FORCE_COLUMNS:
+            raise ValueError(
+                f"the model predicts {', '.join(self.labels.names)}, not Fx, Fy and Fz: use `predict`"
+            )
+        return self.predict(frames)
 
     @torch.inference_mode()
     def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +100,9 @@ class ForceModel:
             features.append(batch.float().cpu().numpy())
             predictions.append(self.network.regressor(batch).float().cpu().numpy())
         if not features:
-            return np.empty((0, self.profile.feature_dim), np.float32), np.empty((0, 3), np.float32)
+            return np.empty((0, self.profile.feature_dim), np.float32), np.empty(
+                (0, len(self.labels)), np.float32
+            )
         return np.concatenate(features), np.concatenate(predictions)
 
     def save(self, path: str | Path) -> None:
@@ -90,7 +111,7 @@ class ForceModel:
             "format": _FORMAT,
             "state": self.network.state_dict(),
             "profile": self.profile.model_dump_json(),
-            "force_range_n": np.asarray(self.force_range_n, float).tolist(),
+            **_labels_content(self.labels),
             "n_classes": self.n_classes,
             "seed": self.seed,
             "source": self.source,
@@ -134,15 +155,13 @@ def _fields(content: dict[str, Any]) -> dict[str, Any]:
     # Before a network of that size is made.
     if tuple(state["classifier.weight"].shape) != (n_classes, profile.feature_dim):
         raise ValueError(f"the classifier is {tuple(state['classifier.weight'].shape)}")
-    force_range_n = np.array(content["force_range_n"], dtype=float)
-    if force_range_n.shape != (3, 2) or not (np.diff(force_range_n) > 0).all():
-        raise ValueError(f"force_range_n = {content['force_range_n']!r}")
-    network = make_network(profile, n_classes, seed=0)
+    labels = _labels(content)
+    network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
     network.load_state_dict(state)
     return {
         "network": network,
         "profile": profile,
-        "force_range_n": force_range_n,
+        "labels": labels,
         "n_classes": n_classes,
         "seed": content["seed"],
         "source": content["source"],
@@ -150,8 +169,26 @@ def _fields(content: dict[str, Any]) -> dict[str, Any]:
         "method": content["method"],
         "history": tuple(content["history"]),
         "input_statistics": _statistics(content.get("input_statistics"), profile),
-        "correction": _correction(content.get("correction")),
+        "correction": _correction(content.get("correction"), len(labels)),
     }
+
+
+def _labels_content(labels: Labels) -> dict[str, Any]:
+    """Return a checkpoint's entries on the labels; those of forces have no names."""
+    ranges = [list(bounds) for bounds in labels.ranges]
+    if labels.names == FORCE_COLUMNS:
+        return {"force_range_n": ranges}
+    return {"labels": list(labels.names), "label_ranges": ranges}
+
+
+def _labels(content: dict[str, Any]) -> Labels:
+    names, key = FORCE_COLUMNS, "force_range_n"
+    if "labels" in content:
+        names, key = tuple(content["labels"]), "label_ranges"
+    ranges = np.array(content[key], dtype=float)
+    if ranges.shape != (len(names), 2):
+        raise ValueError(f"{key} = {content[key]!r}")
+    return Labels.of(dict(zip(names, ranges.tolist(), strict=True)))
 
 
 def _statistics(content: list[list[float]] | None, profile: Profile) -> ChannelStatistics | None:
@@ -163,8 +200,8 @@ def _statistics(content: list[list[float]] | None, profile: Profile) -> ChannelS
     return ChannelStatistics(mean, std)
 
 
-def _correction(content: list[list[float]] | None) -> AffineCorrection | None:
-    return None if content is None else AffineCorrection(*_two_rows("correction", content, 3))
+def _correction(content: list[list[float]] | None, n_labels: int) -> AffineCorrection | None:
+    return None if content is None else AffineCorrection(*_two_rows("correction", content, n_labels))
 
 
 def _two_rows(name: str, content: list[list[float]], columns: int) -> tuple[tuple[float, ...], ...]:

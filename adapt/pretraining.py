@@ -10,7 +10,7 @@ from gelgap.adapt.evaluation import Evaluation, evaluate, evaluate_constant_mean
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.runs import Stage1
-from gelgap.domains import JoinedDifferences, LabelledFrames, open_domain
+from gelgap.domains import LabelledFrames, join_domains, open_domain
 
 CHECKPOINT = "pretrained.pt"
 # The last of the domains are kept for judging: one in this many.
@@ -56,20 +56,18 @@ def pretrain(
     Raises
     ------
     ValueError
-        If there are fewer than two domains, the profile is unknown or does not pair by difference, or domains do not
-        fit together.
+        If there are fewer than two domains, the profile is unknown, or domains do not fit together.
     RuntimeError
         If another process is training it.
     """
     profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
-    profile.check_joins_domains()
     if len(folders) < 2:
         raise ValueError(f"{len(folders)} domains: pretraining needs 2 or more, the last to judge by")
     domains = [open_domain(folder) for folder in folders]
     within = [_within_range(domain) for domain in domains]
     held_out = max(1, len(domains) // _HELD_OUT_OF)
-    seen = JoinedDifferences("pretraining", within[:-held_out], profile.image_size_px)
-    unseen = JoinedDifferences("unseen", within[-held_out:], profile.image_size_px)
+    seen = join_domains(within[:-held_out])
+    unseen = join_domains(within[-held_out:])
     model, _ = Stage1(seen, profile, seed, out=Path(out_dir), progress=progress).model()
     checkpoint = Path(out_dir) / CHECKPOINT
     model.save(checkpoint)

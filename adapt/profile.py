@@ -99,10 +99,15 @@ class Profile(Settings):
     target_split: tuple[float, float, float] = Field(
         default=(0.6, 0.2, 0.2), description="target shares for training (unlabelled), validation and test"
     )
-    split_by: Literal["random", "point", "given"] = Field(
+    split_by: str = Field(
         default="random",
-        description="split at random by the run's seed, by contact point so that no near-duplicate crosses it, or as "
-        "the data set states it",
+        description="split at random by the run's seed, by contact point so that no near-duplicate crosses it, as the "
+        "data set states it (given), or by a column of the data such as clip or object",
+    )
+    stratify_by: str | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="column of the data of which every part of a split gets its share of each value",
     )
     precision: Literal["float32", "bfloat16"] = Field(
         default="float32", description="of the backbone's arithmetic"
@@ -144,14 +149,6 @@ class Profile(Settings):
     def judges_by_own_statistics(self) -> bool:
         """Whether stage 2 ends with batch statistics estimated on the domain that is judged, not the running ones."""
         return self.batch_statistics == "per_domain"
-
-    def check_joins_domains(self) -> None:
-        """Raise ValueError if a network of this profile cannot learn from domains with different references at once."""
-        if self.pairing != "difference":
-            raise ValueError(
-                f"pairing = {self.pairing!r} of profile {self.name}: must be 'difference' to train on several domains, "
-                "each of which has a reference of its own"
-            )
 
     def replace(self, **changes: Any) -> "Profile":
         """Return a checked copy with some fields changed."""

@@ -20,6 +20,7 @@ from gelgap.assets.json_file import read_json
 from gelgap.assets.plain_name import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import whole_file, write_whole
+from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 
 _RECORD = "run.json"
 _PREDICTIONS = "predictions.npz"
@@ -65,6 +66,11 @@ class Run:
     folder: Path | None = field(default=None, compare=False)
 
     @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the labels that it predicts."""
+        return self.target_test.labels
+
+    @property
     def group(self) -> str:
         """The adaptation group's name, such as "mb0i0 → wmb1i1"."""
         return f"{self.source} → {self.target}"
@@ -92,6 +98,7 @@ def write_run(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> Non
         np.savez_compressed(file, **arrays)
     model.save(run.folder / _MODEL)
     content = {name: value for name, value in asdict(run).items() if name != "folder"}
+    content |= {name: _evaluation_content(getattr(run, name)) for name in _EVALUATIONS}
     record = f"{json.dumps(_without_nan(content), indent=1, ensure_ascii=False)}\n".encode()
     sums = {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
     write_checksums(run.folder, sums | {_RECORD: hashlib.sha256(record).hexdigest()})
@@ -141,7 +148,7 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
 
     For the target's test frames and, as `source_…`, the source's held-out frames: `target_true_n` and
     `target_predicted_n` (n, 3) in N, and of the first 400 frames `target_features` (m, D) and
-    `target_features_force_n` (m, 3).
+    `target_features_force_n` (m, 3). A run with other labels has these in the same places, each in its unit.
 
     Raises
     ------
@@ -157,19 +164,19 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
         raise _damaged(path, problem)
     try:
         arrays = read_arrays(path)
-        _check_predictions(arrays)
+        _check_predictions(arrays, len(run.target_test.labels))
     except ValueError as error:
         raise _damaged(path, f"is damaged: {error}") from None
     return arrays
 
 
-def _check_predictions(arrays: dict[str, np.ndarray]) -> None:
+def _check_predictions(arrays: dict[str, np.ndarray], n_labels: int) -> None:
     """Raise ValueError if an array is missing, has another shape, or holds what is not a finite number."""
     missing = [name for name in _ARRAYS if name not in arrays]
     if missing:
         raise ValueError(f"it lacks {', '.join(missing)}")
     for name, values in arrays.items():
-        columns = values.shape[1] if name.endswith("_features") and values.ndim == 2 else 3
+        columns = values.shape[1] if name.endswith("_features") and values.ndim == 2 else n_labels
         if values.dtype.kind != "f" or values.shape[1:] != (columns,):
             raise ValueError(f"{name} is {values.dtype} {values.shape}, expected numbers (n, {columns})")
         if not np.isfinite(values).all():
@@ -215,9 +222,27 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
+def _evaluation_content(evaluation: Evaluation | None) -> dict[str, Any] | None:
+    """Return what a record holds of an evaluation; that of the force's three axes has no names of labels."""
+    if evaluation is None:
+        return None
+    content = asdict(evaluation)
+    if evaluation.labels != FORCE_COLUMNS:
+        return content
+    mae, _ = content.pop("mae"), content.pop("labels")
+    return {"n": content.pop("n"), "mae_n": mae, **content}
+
+
 def _evaluation(content: dict[str, Any]) -> Evaluation:
-    axes = {
-        name: tuple(math.nan if value is None else value for value in content[name])
-        for name in ("mae_n", "mae_percent", "r2")
-    }
-    return Evaluation(content["n"], **axes)
+    labels = tuple(content.get("labels", FORCE_COLUMNS))
+    if unknown := [name for name in labels if name not in QUANTITIES]:
+        raise ValueError(f"label {unknown[0]!r} is unknown")
+    mae, mae_percent, r2 = (
+        tuple(math.nan if value is None else value for value in content[name])
+        for name in ("mae" if "labels" in content else "mae_n", "mae_percent", "r2")
+    )
+    if {len(mae), len(mae_percent), len(r2)} != {len(labels)}:
+        raise ValueError(
+            f"an evaluation has other than {len(labels)} numbers for the labels {', '.join(labels)}"
+        )
+    return Evaluation(content["n"], mae, mae_percent, r2, labels)

@@ -1,7 +1,8 @@
 """Runs of several methods on two domains: one stage 1, then each method; what is finished is not repeated."""
 
+import logging
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +12,7 @@ import numpy as np
 
 from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.checkpoint import load_checkpoint
-from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_predictions
+from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_frames
 from gelgap.adapt.methods.names import method_names
 from gelgap.adapt.methods.registry import find_method, method_settings, use_method
 from gelgap.adapt.model import ForceModel
@@ -21,21 +22,25 @@ from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.run_key import run_key, stage1_key
 from gelgap.adapt.run_record import Run, is_finished, load_run, run_folder, versions, write_run
 from gelgap.adapt.source_training import train_source, untrained
-from gelgap.adapt.splits import SplitFrames, check_classes, check_same_size, split_for_training
+from gelgap.adapt.splits import SplitFrames, check_classes, size_notes, split_for_training
 from gelgap.assets.damage import set_aside
 from gelgap.assets.sole_use import sole_use
-from gelgap.domains import LabelledFrames, open_domain
+from gelgap.domains import LabelledFrames, label_notes, open_domain, open_domains
 
+LOG = logging.getLogger(__name__)
 FEATURES_KEPT = 400
 
 
 def adapt_folders(
-    source: str | Path,
+    source: str | Path | Sequence[str | Path],
     target: str | Path,
     methods: Iterable[str],
     profile: str | Profile = "smoke",
     seed: int = 0,
     *,
+    labels: Sequence[str] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    classes_from_force: int | None = None,
     weights: str | Path | None = None,
     out_dir: str | Path | None = None,
     progress: Progress = silent,
@@ -45,9 +50,11 @@ def adapt_folders(
     Parameters
     ----------
     source, target
-        Folders of domains that `gelgap.domains.open_domain` reads.
+        Folders of domains that `gelgap.domains.open_domain` reads; several sources are trained on together.
     methods
         Their names, or `module:Class` or `file.py:Class` of your own; the runs come in this order.
+    labels, ranges, classes_from_force
+        What is predicted, in which ranges, and contact classes: as for `split_for_training`.
     weights
         A gelgap checkpoint, or a torchvision ResNet state dictionary, to start stage 1 from.
     out_dir
@@ -57,15 +64,26 @@ def adapt_folders(
     Raises
     ------
     ValueError
-        If a method or the profile is unknown, picture sizes differ, a method needs contact classes that the source
-        has not, or a label is outside the declared range.
+        If a method, a label or the profile is unknown, pictures are smaller than training shows them, a method needs
+        contact classes that the source has not, or a label is absent or outside its range.
     RuntimeError
         If another process is writing one of these runs.
     """
     profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
     methods = _known(methods, profile)
-    domains = open_domain(source), open_domain(target)
-    return adapt_frames(*domains, methods, profile, seed, weights=weights, out_dir=out_dir, progress=progress)
+    return adapt_frames(
+        open_domains(source),
+        open_domain(target),
+        methods,
+        profile,
+        seed,
+        labels=labels,
+        ranges=ranges,
+        classes_from_force=classes_from_force,
+        weights=weights,
+        out_dir=out_dir,
+        progress=progress,
+    )
 
 
 def adapt_frames(
@@ -75,6 +93,9 @@ def adapt_frames(
     profile: Profile,
     seed: int = 0,
     *,
+    labels: Sequence[str] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    classes_from_force: int | None = None,
     weights: str | Path | None = None,
     out_dir: str | Path | None = None,
     progress: Progress = silent,
@@ -83,8 +104,22 @@ def adapt_frames(
     methods = _known(methods, profile)
     if weights is not None:
         load_checkpoint(Path(weights))  # refused before any picture is read
-    check_same_size(source, target)
-    frames = split_for_training(source, target, profile, seed)
+    notes = size_notes(source, target, profile)
+    frames = split_for_training(
+        source,
+        target,
+        profile,
+        seed,
+        labels=labels,
+        ranges=ranges,
+        classes_from_force=classes_from_force,
+    )
+    for note in (
+        *notes,
+        *frames.notes,
+        *(f"{d.name}: {n}" for d in (source, target) for n in label_notes(d)),
+    ):
+        LOG.warning("%s", note)
     for method in methods:
         check_classes(method, find_method(method), frames.source_train)
     out = None if out_dir is None else Path(out_dir)
@@ -248,7 +283,7 @@ class _Experiment:
         """Return the record of a run, and its predictions."""
         frames, start = self.frames, time.perf_counter()
         held_out, test = frames.source_held_out, frames.target_test
-        test_n = adapted.predict_n(test)
+        predicted = adapted.predict(test)
         run = Run(
             key=planned.key,
             source=held_out.name,
@@ -258,7 +293,7 @@ class _Experiment:
             profile=adapted.profile.model_dump(mode="json"),
             n_source=len(frames.source_train),
             n_target=len(frames.target_train),
-            target_test=evaluate_predictions(test.force_n, test_n, test.force_range_n),
+            target_test=evaluate_frames(test, predicted),
             target_constant_mean=evaluate_constant_mean(frames.source_train, test),
             source_held_out=None,
             source_constant_mean=None,
@@ -268,29 +303,29 @@ class _Experiment:
             versions=versions(),
             folder=planned.folder,
         )
-        arrays = _predictions("target", test, test_n)
+        arrays = _predictions("target", test, predicted)
         if len(held_out):
-            held_out_n = on_source.predict_n(held_out)
-            arrays |= _predictions("source", held_out, held_out_n)
+            of_source = on_source.predict(held_out)
+            arrays |= _predictions("source", held_out, of_source)
             run = replace(
                 run,
-                source_held_out=evaluate_predictions(held_out.force_n, held_out_n, held_out.force_range_n),
+                source_held_out=evaluate_frames(held_out, of_source),
                 source_constant_mean=evaluate_constant_mean(frames.source_train, held_out),
             )
         return replace(run, wall_s=wall_s | {"evaluate": time.perf_counter() - start}), arrays
 
 
-def _predictions(domain: str, frames: LabelledFrames, predicted_n: np.ndarray) -> dict[str, np.ndarray]:
+def _predictions(domain: str, frames: LabelledFrames, predicted: np.ndarray) -> dict[str, np.ndarray]:
     return {
-        f"{domain}_true_n": frames.force_n.astype(np.float32),
-        f"{domain}_predicted_n": predicted_n.astype(np.float32),
+        f"{domain}_true_n": frames.label_values.astype(np.float32),
+        f"{domain}_predicted_n": predicted.astype(np.float32),
     }
 
 
 def _features(domain: str, model: ForceModel, frames: LabelledFrames) -> dict[str, np.ndarray]:
-    """Return the features of the first frames, and their forces."""
+    """Return the features of the first frames, and their labels."""
     some = frames.take(np.arange(min(len(frames), FEATURES_KEPT)))
     return {
         f"{domain}_features": model.features(some).astype(np.float16),
-        f"{domain}_features_force_n": some.force_n.astype(np.float32),
+        f"{domain}_features_force_n": some.label_values.astype(np.float32),
     }

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -34,7 +33,7 @@ def train_source(
     resume_file: Path | None = None,
     progress: Progress = silent,
 ) -> ForceModel:
-    """Train a network on the source's forces alone.
+    """Train a network on the source's labels alone: its forces, or which `with_labels` gave it.
 
     Parameters
     ----------
@@ -48,15 +47,15 @@ def train_source(
     Raises
     ------
     ValueError
-        If a label lies outside the source's declared force range or there are fewer than two frames.
+        If a label lies outside its range or there are fewer than two frames.
     """
     source.check_labels()
     if len(source) < 2:
         raise ValueError(f"source {source.name} has {len(source)} frames; training needs at least 2")
     device = best_device()
-    network = make_network(profile, source.n_classes, seed).to(device)
+    network = make_network(profile, source.n_classes, seed, len(source.labels)).to(device)
     if weights is not None:
-        _load_start(network, Path(weights))
+        _load_start(network, Path(weights), source.labels.names)
     with torch_threads(profile.threads):
         domain = TrainingDomain.labelled(source, profile, device)
         stage = SourceStage(
@@ -77,7 +76,7 @@ def train_source(
 
 def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
     """Return the network as stage 1 begins with it, for methods that do not need its training."""
-    network = make_network(profile, source.n_classes, seed).to(best_device())
+    network = make_network(profile, source.n_classes, seed, len(source.labels)).to(best_device())
     return _model(network, source, profile, seed, (), None)
 
 
@@ -92,7 +91,7 @@ def _model(
     return ForceModel(
         network=network.eval(),
         profile=profile,
-        force_range_n=np.asarray(source.force_range_n, float),
+        labels=source.labels,
         n_classes=source.n_classes,
         seed=seed,
         source=source.name,
@@ -135,14 +134,30 @@ def regression_loss(activations: Activations) -> Tensor:
     return functional.mse_loss(activations.prediction, activations.force)
 
 
-def _load_start(network: ForceNetwork, path: Path) -> None:
-    """Start from a gelgap checkpoint, or load ImageNet weights into the backbone."""
+def _load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
+    """Start from a gelgap checkpoint, or load ImageNet weights into the backbone.
+
+    Of a checkpoint with other labels or classes the outputs for those in common are taken; the others start anew.
+    """
     if "state" not in load_checkpoint(path):
         load_imagenet_weights(network.backbone, path)
         return
     checkpoint = ForceModel.load(path)
+    state, own = checkpoint.network.state_dict(), network.state_dict()
+    if checkpoint.labels.names != labels:
+        pairs = [
+            (to, checkpoint.labels.names.index(name))
+            for to, name in enumerate(labels)
+            if name in checkpoint.labels.names
+        ]
+        for key in ("regressor.0.weight", "regressor.0.bias"):
+            known, state[key] = state[key], own[key].clone()
+            for to, at in pairs:
+                state[key][to] = known[at]
+    if checkpoint.n_classes != network.classifier.out_features:
+        state |= {key: own[key] for key in ("classifier.weight", "classifier.bias")}
     try:
-        network.load_state_dict(checkpoint.network.state_dict())
+        network.load_state_dict(state)
     except RuntimeError as error:
         raise ValueError(
             f"checkpoint {path} was trained with another network ({checkpoint.profile.backbone}, width "

@@ -3,13 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from gelgap.cli.arguments import load_profile, optional
+from gelgap.cli.label_rules import LabelRanges, label_names, parsed_range
 from gelgap.cli.rules import SEED, DataSet, InputFile, OneOf, OutputFolder, Preset
 
 if TYPE_CHECKING:
-    from gelgap.adapt import Run
+    from gelgap.adapt import Evaluation, Run
 
 CONSTANT_MEAN = "constant-mean"
 
@@ -35,18 +36,37 @@ class Adapt:
 
     For example:
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --out runs
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
     """
 
     when_stopped: ClassVar[str] = "finished runs and epochs are kept, run the same command again to go on"
 
-    source: Annotated[Path, DataSet()]
-    """Folder of the source domain."""
+    source: Annotated[tuple[Path, ...], DataSet()]
+    """Folder of the source domain, or several that are trained on together."""
     target: Annotated[Path, DataSet()]
     """Folder of the target domain."""
     method: Annotated[tuple[str, ...], MethodNames()] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
     profile: Annotated[str, Preset("profiles")] = "smoke"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
+    labels: Annotated[
+        tuple[str, ...] | None,
+        optional("NAME ...", "the axes of the force that both domains have"),
+        OneOf(label_names, several=True),
+    ] = None
+    """What is predicted: fx_n fy_n fz_n, mx_nmm my_nmm mz_nmm, x_mm y_mm, depth_mm."""
+    range: Annotated[
+        tuple[str, ...] | None, optional("NAME=LOW:HIGH ...", "as the data declare it"), LabelRanges()
+    ] = None
+    """Ranges by which labels of both domains are normalised, as fz_n=-30:0."""
+    split_by: Annotated[str | None, optional("COLUMN", "the profile's")] = None
+    """Split both domains at random, by contact point, as given, or by a column such as clip: whole groups."""
+    stratify: Annotated[str | None, optional("COLUMN")] = None
+    """Give every part of the split its share of each value of a column, such as object."""
+    classes: Annotated[
+        tuple[Literal["from-force"], int] | None, optional("from-force COUNT", "the source's own")
+    ] = None
+    """Contact classes of the source for methods that need them: so many of equal size, by Fz."""
     seed: Annotated[int, SEED] = 0
     """Seed of weights, splits and batches."""
     weights: Annotated[Path | None, optional("PATH", "from scratch"), InputFile("a checkpoint")] = None
@@ -57,6 +77,8 @@ class Adapt:
     def run(self, started: float) -> None:
         """Train, adapt, print one line per method."""
         profile = load_profile(self.profile)
+        changes = {"split_by": self.split_by, "stratify_by": self.stratify}
+        profile = profile.replace(**{name: value for name, value in changes.items() if value is not None})
         from gelgap.adapt import adapt_folders, console_progress
 
         with console_progress() as progress:
@@ -66,6 +88,9 @@ class Adapt:
                 self.method,
                 profile=profile,
                 seed=self.seed,
+                labels=self.labels,
+                ranges=None if self.range is None else dict(map(parsed_range, self.range)),
+                classes_from_force=None if self.classes is None else self.classes[1],
                 weights=self.weights,
                 out_dir=self.out,
                 progress=progress,
@@ -75,14 +100,12 @@ class Adapt:
 
 def _table(runs: "Sequence[Run]") -> str:
     """Return the error of each run beside that of the constant mean, and what went wrong."""
-    lines = [
-        f"{runs[0].group}, target test frames",
-        f"{'MAE in N':<16} {'Fx':>7} {'Fy':>7} {'Fz':>7} {'mean':>7}   {'R² Fx':>6} {'Fy':>6} {'Fz':>6}",
-    ]
+    lines = [f"{runs[0].group}, target test frames", _header(runs[0].target_test)]
     constant = ("constant mean", runs[0].target_constant_mean)
     methods = [(run.method, run.target_test) for run in runs if run.method != CONSTANT_MEAN]
     for name, error in [constant, *methods]:
-        errors = " ".join(f"{value:7.4f}" for value in (*error.mae_n, error.mean_mae_n))
+        mean = () if error.mean_mae is None else (error.mean_mae,)
+        errors = " ".join(f"{value:7.4f}" for value in (*error.mae, *mean))
         lines.append(f"{name:<16} {errors}   " + " ".join(f"{value:6.2f}" for value in error.r2))
     for run in runs:
         if run.problem:
@@ -90,3 +113,16 @@ def _table(runs: "Sequence[Run]") -> str:
         if run.skipped_steps:
             lines.append(f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite")
     return "\n".join(lines)
+
+
+def _header(error: "Evaluation") -> str:
+    """Return the names of the columns; labels of several units name theirs and have no mean."""
+    from gelgap.domains import QUANTITIES
+
+    known = [QUANTITIES[name] for name in error.labels]
+    first, *rest = [f"{what.symbol:>6}" for what in known]
+    r2 = " ".join([f"{'R² ' + first.strip():>6}", *rest])
+    if error.unit is None:
+        return f"{'MAE':<16} " + " ".join(f"{f'{what.symbol}/{what.unit}':>7}" for what in known) + f"   {r2}"
+    columns = [*(what.symbol for what in known), "mean"]
+    return f"{f'MAE in {error.unit}':<16} " + " ".join(f"{name:>7}" for name in columns) + f"   {r2}"

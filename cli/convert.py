@@ -61,14 +61,14 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         own = [clip for clip in clips if clip.session == session]
         lines += [
             f"{session:<{name_width}} {'pictures':>8} {'in contact':>10} {'dropped':>7} {'written':>7} "
-            f"{'lag':>4} {'r':>6}   RGB at rest"
+            f"{'lag':>4} {'r':>6} {'at 0':>6}   RGB at rest"
         ]
         if own[0].name != session:
             lines += [_line(clip.name, [clip], name_width) for clip in own]
         lines += [_line("together", own, name_width), ""]
     if any(clip.lag is not None for clip in clips):
         lines.append(
-            "lag: by how many pictures the forces trail, by the clip itself; r: how they correlate there"
+            "lag: by how many pictures the forces trail, by the clip itself; r: how the two correlate there and at 0"
         )
     noted = {
         "the largest lag that was tried fits best, so the clocks may differ by more": "lag_at_limit",
@@ -87,8 +87,9 @@ def _line(name: str, clips: "Sequence[ConvertedClip]", name_width: int) -> str:
     )
     colours = zip(*(clip.reference_rgb for clip in clips), strict=True)
     rgb = " ".join(f"{sum(channel) / len(clips):5.1f}" for channel in colours)
-    lag, correlation = "", ""
+    aligned = " " * 18
     if len(clips) == 1 and clips[0].lag is not None:
-        lag, correlation = f"{clips[0].lag}", f"{clips[0].correlation:.3f}"
+        clip = clips[0]
+        aligned = f"{clip.lag:4} {clip.correlation:6.3f} {clip.correlation_at_0:6.3f}"
     counts = f"{pictures:8} {in_contact:10} {dropped:7} {written:7}"
-    return f"{name:<{name_width}} {counts} {lag:>4} {correlation:>6}   {rgb}"
+    return f"{name:<{name_width}} {counts} {aligned}   {rgb}"

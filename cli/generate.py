@@ -58,6 +58,8 @@ class Generate:
     """A whole data set (see: gelgap presets datasets)."""
     sweep: Annotated[Path | None, optional("TOML"), InputFile("a TOML file")] = None
     """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
+    recipe: Annotated[Path | None, optional("TOML"), InputFile("a TOML file")] = None
+    """A TOML file of whole domains, with path, gels, lights and sensors, as `gelgap view` saves it."""
     elastomer: Annotated[str | None, optional("NAME", "the domain's"), Preset("elastomers")] = None
     """Another elastomer than the named domain's: a preset or a TOML file; needs --name."""
     illumination: Annotated[str | None, optional("NAME", "the domain's"), Preset("illuminations")] = None
@@ -119,10 +121,11 @@ class Generate:
             raise ValueError(
                 "--out is missing: name the folder that gets the domains, for example --out data"
             )
-        chosen = sum(map(bool, (self.domains, self.preset, self.sweep)))
+        chosen = sum(map(bool, (self.domains, self.preset, self.sweep, self.recipe)))
         if chosen > 1 or (chosen == 0 and self.name is None):
             raise ValueError(
-                "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file"
+                "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file, "
+                "a --recipe file"
             )
         own = [f"--{part}" for part in ("elastomer", "illumination") if getattr(self, part) is not None]
         if own and self.name is None:
@@ -130,10 +133,10 @@ class Generate:
                 f"--name is missing: a domain with {' and '.join(own)} of your own needs a name, "
                 "for example --name my-gel"
             )
-        if self.name is not None and (self.preset or self.sweep or len(self.domains) > 1):
+        if self.name is not None and (self.preset or self.sweep or self.recipe or len(self.domains) > 1):
             raise ValueError(
                 f"--name = {self.name!r}: names one domain; give it with one domain or none, "
-                "not with --preset or --sweep"
+                "not with --preset, --sweep or --recipe"
             )
         if self.workers is not None and self.scheduler is not None:
             raise ValueError(
@@ -142,7 +145,14 @@ class Generate:
 
     def _recipes(self) -> "tuple[tuple[DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
-        from gelgap.domains import Sweep, make_recipes, own_recipe, preset_recipes, sweep_variants
+        from gelgap.domains import (
+            Sweep,
+            load_recipes,
+            make_recipes,
+            own_recipe,
+            preset_recipes,
+            sweep_variants,
+        )
         from gelgap.sim import Sphere
 
         settings = {
@@ -159,6 +169,8 @@ class Generate:
         if self.sweep:
             variants = sweep_variants(Sweep.load(self.sweep), **settings)
             return tuple(variant.recipe for variant in variants), variants
+        if self.recipe:
+            return load_recipes(self.recipe, **settings), ()
         if self.preset:
             return preset_recipes(self.preset, **settings), ()
         if self.name is not None:

@@ -32,6 +32,7 @@ from gelgap.cli.render import Render
 from gelgap.cli.report import Report
 from gelgap.cli.rules import OutputFolder
 from gelgap.cli.speaking import speaking
+from gelgap.cli.view import View
 
 EXIT_FAILED_RUN = 1
 EXIT_BAD_INPUT = 2
@@ -51,6 +52,7 @@ COMMANDS = {
     "demo": Demo,
     "press": Press,
     "render": Render,
+    "view": View,
     "generate": Generate,
     "inspect": Inspect,
     "export": Export,
@@ -168,7 +170,7 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
     stops = _counted_stops()
     try:
         check_values(command)
-        check_cache(writes=isinstance(command, Benchmark | Demo | Generate | Press | Pretrain))
+        check_cache(writes=isinstance(command, Benchmark | Demo | Generate | Press | Pretrain | View))
         with speaking(getattr(command, "doing", f"{name}: reading and preparing")):
             command.run(started)
     except KeyboardInterrupt:

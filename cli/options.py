@@ -93,6 +93,8 @@ def _needs(kind: Any) -> str:
             return f"one of {', '.join(get_args(kind))}"
         case value if value is tuple and get_args(kind)[-1] is Ellipsis:
             return f"{_needs(get_args(kind)[0])}, or several"
+        case value if value is tuple and len(set(get_args(kind))) > 1:
+            return " and ".join(map(_needs, get_args(kind)))
         case value if value is tuple:
             return f"{len(get_args(kind))} {_needs(get_args(kind)[0]).removeprefix('a ')}s"
     return {int: "a whole number", float: "a number", Path: "a path", str: "a name"}[kind]

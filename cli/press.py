@@ -4,13 +4,17 @@ import json
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from gelgap.cli.arguments import Flag, load_elastomer, optional
 from gelgap.cli.rules import Between, OutputFile, Preset
 
+if TYPE_CHECKING:
+    from gelgap.sim import Pose, SolvedPose, Sphere
+
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
+MESH_PICTURE_PX = (640, 480)
 OVERRIDES = (
     "young_modulus_mpa",
     "poisson_ratio",
@@ -75,9 +79,12 @@ class Press:
     save: Annotated[Path | None, optional("PATH"), OutputFile()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
 
+    mesh: Annotated[Path | None, optional("PATH"), OutputFile((".glb", ".ply"))] = None
+    """Write the membrane, with the paper sensor's picture of it under illumination i0, and the sphere as a mesh."""
+
     def run(self, started: float) -> None:
         """Solve the scene and print it; `wall_s` counts from `started`, the start of the process."""
-        from gelgap.sim import Elastomer, Pose, Sphere, pose_for_force, solve_pose
+        from gelgap.sim import Elastomer, Pose, Sphere, pose_for_force, solve_in_full, solve_pose
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
@@ -99,6 +106,8 @@ class Press:
         state = solve_pose(elastomer, indenter, pose, quality=self.quality)
         if self.save is not None:
             state.save(self.save)
+        if self.mesh is not None:
+            _save_mesh(self.mesh, solve_in_full(elastomer, indenter, pose, self.quality), pose, indenter)
         report = {
             "force_n": [float(component) for component in state.force_n],
             "converged": bool(state.converged),
@@ -112,6 +121,17 @@ class Press:
             },
         }
         print(json.dumps(report) if self.json else _table(report))
+
+
+def _save_mesh(path: Path, solved: "SolvedPose", pose: "Pose", indenter: "Sphere") -> None:
+    """Write a pose's membrane with its picture, and the indenter."""
+    from gelgap.render import Illumination, MembraneRenderer, Sensor
+    from gelgap.view import save_mesh
+
+    sensor, state = Sensor.preset("paper"), solved.state
+    renderer = MembraneRenderer(sensor, Illumination.preset("i0"), MESH_PICTURE_PX)
+    picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
+    save_mesh(path, solved, (pose.point_x_mm, pose.point_y_mm), indenter, sensor.camera, picture)
 
 
 def _table(report: dict) -> str:

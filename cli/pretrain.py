@@ -84,7 +84,6 @@ class Pretrain:
         from gelgap.domains import shown_progress as shown_generation
 
         profile = load_profile(self.profile)
-        profile.check_joins_domains()
         ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
         domains, frames, size_px = self.domains, self.frames_per_domain, self.size
         if self.quick:

@@ -113,11 +113,17 @@ class TaximPackage:
 
 @dataclass(frozen=True)
 class DataSet:
-    """The folder of a domain, or of several if `several`, in a layout that is known."""
+    """The folder of a domain, or of several if `several`, in a layout that is known; of several folders, each."""
 
     several: bool = False
 
-    def problem(self, value: Path) -> str | None:
+    def problem(self, value: Path | tuple[Path, ...]) -> str | None:
+        if isinstance(value, tuple):
+            if not value:
+                return "name one folder, or several"
+            problems = ((path, self.problem(path)) for path in value)
+            found = next(((path, problem) for path, problem in problems if problem), None)
+            return found and (found[1] if len(value) == 1 else f"{_short(found[0])} {found[1]}")
         whats = "the folder of one domain, or of several," if self.several else "the folder of a domain"
         if missing := InputFolder(whats).problem(value):
             return missing

@@ -55,8 +55,8 @@ class Presses:
     def reference(self) -> np.ndarray:
         """The median of the pictures (h, w, 3), as a ball touches each place in few of them.
 
-        The repository's one picture without contact is older than two of the series, and further from their untouched
-        parts (4 grey levels) than this is (2).
+        The repository's `bg-0.jpg` is the same file in all series: some 4 grey levels from the untouched parts of the
+        later two, of which this is 2 away.
         """
         return np.median(self.pictures, axis=0).round().astype(np.uint8)
 

@@ -6,7 +6,7 @@ which lag does the change of the pictures go best with the force? No model is tr
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -30,7 +30,7 @@ class Clip:
     labels
         What was measured, arrays (m,) by the name of their column, forces among them; NaN where a value is a glitch.
     lags
-        The lags in frames that are possible; positive where the labels trail the pictures.
+        The lags in frames that are possible, 0 among them; positive where the labels trail the pictures.
     """
 
     name: str
@@ -59,26 +59,27 @@ class Clip:
         """Return how hard was pressed (n,) at a lag, N."""
         return pressing_n(self.labels_at(lag))
 
-    @cached_property
-    def before_contact(self) -> int:
-        """How many pictures come before any of the lags would let the contact begin."""
-        touched = np.any([self.pressing_at(lag) > CONTACT_N for lag in self.lags], axis=0)
-        return int(np.argmax(touched)) if touched.any() else len(touched)
-
-    @property
-    def reference_frames(self) -> int:
-        """How many first pictures make the reference: five if that many come before the contact, and one at least."""
-        return min(max(self.before_contact, 1), _REFERENCE_FRAMES)
-
 
 @dataclass(frozen=True)
 class AlignedClip:
-    """A clip with its reference (h, w, 3) and its lag in frames; `correlation` is that of pictures and force there."""
+    """A clip with its reference (h, w, 3), its lag in frames, and how pictures and force correlate there and at 0."""
 
     clip: Clip
     reference: np.ndarray
     lag: int
     correlation: float
+    correlation_at_0: float
+
+    @property
+    def at_rest(self) -> int:
+        """How many first pictures make the reference."""
+        return _at_rest(self.clip, self.lag)
+
+    @property
+    def begins_in_contact(self) -> bool:
+        """Whether the first picture that has a force is in contact already."""
+        pressed_n = self.clip.pressing_at(self.lag)
+        return bool(pressed_n[np.isfinite(pressed_n)][0] > CONTACT_N)
 
 
 def pressing_n(labels: dict[str, np.ndarray]) -> np.ndarray:
@@ -106,32 +107,39 @@ def align(clip: Clip) -> AlignedClip:
             f"clip {clip.name}: its pictures span {clip.time_s[0]:g}…{clip.time_s[-1]:g} s, its labels "
             f"{clip.label_time_s[0]:g}…{clip.label_time_s[-1]:g} s; count both from the same moment"
         )
-    reference = _reference(clip)
-    change = _change(clip, reference)
+    change = _change(clip)
     correlations = [_correlation(change, clip.pressing_at(lag)) for lag in clip.lags]
     if np.isnan(correlations).all():
         raise ValueError(
             f"clip {clip.name}: its force or its pictures do not change; take it out of the folder"
         )
     best = int(np.nanargmax(correlations))
-    return AlignedClip(clip, reference, clip.lags[best], correlations[best])
+    at_0 = correlations[clip.lags.index(0)]
+    lag = clip.lags[best]
+    first = list(islice(clip.pictures(), _at_rest(clip, lag)))
+    reference = np.median(first, axis=0).round().astype(np.uint8)
+    return AlignedClip(clip, reference, lag, correlations[best], at_0)
 
 
-def _reference(clip: Clip) -> np.ndarray:
-    """Return the median of the first pictures."""
-    first = [picture for _, picture in zip(range(clip.reference_frames), clip.pictures(), strict=False)]
-    return np.median(first, axis=0).round().astype(np.uint8)
+def _at_rest(clip: Clip, lag: int) -> int:
+    """Return how many first pictures come before the contact, less one as a lag may be wrong by one: 1 to 5."""
+    touches = clip.pressing_at(lag) > CONTACT_N
+    before = int(np.argmax(touches)) if touches.any() else len(touches)
+    return min(max(before - 1, 1), _REFERENCE_FRAMES)
 
 
-def _change(clip: Clip, reference: np.ndarray) -> np.ndarray:
-    """Return the mean absolute difference (n,) of each picture from the reference, grey levels, at 80×60 px."""
-    rest = resized(reference, _SIGNAL_PX).astype(float)
-    change = np.array([np.abs(resized(picture, _SIGNAL_PX) - rest).mean() for picture in clip.pictures()])
+def _change(clip: Clip) -> np.ndarray:
+    """Return the mean absolute difference (n,) of each picture from the first, grey levels, at 80×60 px."""
+    first, change = None, []
+    for picture in clip.pictures():
+        small = resized(picture, _SIGNAL_PX).astype(np.int16)
+        first = small if first is None else first
+        change.append(np.abs(small - first).mean())
     if len(change) != len(clip.time_s):
         raise ValueError(
             f"clip {clip.name} has {len(change)} pictures and {len(clip.time_s)} times of pictures"
         )
-    return change
+    return np.array(change)
 
 
 def _interpolated(

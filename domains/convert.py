@@ -25,8 +25,9 @@ _REFERENCE = "reference.png"
 class ConvertedClip:
     """What became of one clip, or of one series of presses.
 
-    `pictures` and `in_contact` are of the recording, `dropped` counts errors of the gauge and wrong marks, `written`
-    rows of the new table. The lag is in frames, positive where forces trail pictures; None where there is one clock.
+    `pictures` and `in_contact` count pictures of the recording, `dropped` errors of the gauge and wrong marks,
+    `written` rows of the new table. The lag is in frames, positive where forces trail pictures; the correlation of
+    pictures and force there and at lag 0 says how sure it is. It is None where nothing is measured in time.
     """
 
     domain: str
@@ -39,6 +40,7 @@ class ConvertedClip:
     reference_rgb: tuple[float, float, float]
     lag: int | None = None
     correlation: float | None = None
+    correlation_at_0: float | None = None
     lag_at_limit: bool = False
     begins_in_contact: bool = False
 
@@ -92,7 +94,7 @@ def _write_frames(aligned: AlignedClip, folder: Path, every: int) -> list[Pictur
     known = np.isfinite(np.stack(list(labels.values()))).all(axis=0)
     touches = known & (pressing_n(labels) > CONTACT_N)
     kept = np.flatnonzero(touches)[::every]
-    at_rest = np.flatnonzero(known[: clip.reference_frames] & ~touches[: clip.reference_frames])
+    at_rest = np.flatnonzero((known & ~touches)[: aligned.at_rest])
     chosen = {*at_rest.tolist(), *kept.tolist()}
     reference = write_picture(folder, f"{clip.name}/{_REFERENCE}", aligned.reference)
     return [
@@ -117,14 +119,15 @@ def _clip_facts(aligned: AlignedClip, written: int) -> ConvertedClip:
         session=clip.session,
         name=clip.name,
         pictures=len(clip.time_s),
-        in_contact=int((pressing_n(clip.labels) > CONTACT_N).sum()),
+        in_contact=int((clip.pressing_at(aligned.lag) > CONTACT_N).sum()),
         dropped=int((~np.isfinite(labels)).any(axis=0).sum()),
         written=written,
         reference_rgb=_mean_rgb(aligned.reference),
         lag=aligned.lag,
         correlation=aligned.correlation,
+        correlation_at_0=aligned.correlation_at_0,
         lag_at_limit=aligned.lag != 0 and aligned.lag in (clip.lags[0], clip.lags[-1]),
-        begins_in_contact=clip.before_contact == 0,
+        begins_in_contact=aligned.begins_in_contact,
     )
 
 

@@ -1,4 +1,4 @@
-"""The data set: labelled frames of one domain, in memory, on disk, or some frames of another."""
+"""The data set: labelled frames of one domain, and some frames of another."""
 
 import hashlib
 from abc import ABC, abstractmethod
@@ -9,6 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.domains.hidden_markers import without_markers
+from gelgap.domains.labels import (
+    FORCE_COLUMNS,
+    PAPER_FORCE_RANGE_N,
+    Labels,
+    Range,
+    covering,
+    known_labels,
+    usual_labels,
+)
 from gelgap.domains.picture_codec import resized
 
 if TYPE_CHECKING:
@@ -16,23 +25,22 @@ if TYPE_CHECKING:
 
     from gelgap.domains.paired_frames import PairedFrames, Pairing
 
-PAPER_FORCE_RANGE_N = ((-0.75, 0.75), (-0.75, 0.75), (-3.0, 0.0))
-"""The paper's fixed ranges of Fx, Fy, Fz in N, by which forces are normalised."""
-
 CONTACT_CLASSES = 361
 """How many contact classes the paper's grid has: without contact, and 5 depths × 6 radii × 12 directions."""
-
-FORCE_COLUMNS = ("fx_n", "fy_n", "fz_n")
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One labelled picture: `image` (h, w, 3) uint8 RGB, `force_n` (3,), the contact's class and point (−1: none)."""
+    """One labelled picture: `image` (h, w, 3) uint8 RGB, the contact's class and point (−1: none), and its labels.
+
+    `labels` are by name, each in its unit; `force_n` (3,) N is None where an axis of the force is absent.
+    """
 
     image: np.ndarray
-    force_n: np.ndarray
+    force_n: np.ndarray | None
     contact_class: int
     point_id: int
+    labels: dict[str, float]
 
 
 class LabelledFrames(ABC):
@@ -43,9 +51,12 @@ class LabelledFrames(ABC):
     name
         The domain's.
     columns
-        What is known of each frame, arrays (n,) by name; always `fx_n`, `fy_n` and `fz_n`.
+        What is known of each frame, arrays (n,) by name; at least one of them is a label (`QUANTITIES`). `reference_id`
+        says which of several reference pictures is a frame's own.
     force_range_n
-        Which forces the data set declares, (3, 2) N.
+        The range of each axis of the force, (3, 2) N.
+    declares_ranges
+        Whether the data set states these ranges; otherwise they were found in its frames.
     n_classes
         How many contact classes the labels may take.
     notes
@@ -57,6 +68,7 @@ class LabelledFrames(ABC):
     name: str
     columns: dict[str, np.ndarray]
     force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
+    declares_ranges: bool = True
     n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
@@ -64,7 +76,7 @@ class LabelledFrames(ABC):
     @property
     @abstractmethod
     def reference(self) -> np.ndarray:
-        """The picture without contact, (h, w, 3) uint8."""
+        """The picture without contact, (h, w, 3) uint8; the first one where frames have references of their own."""
 
     @property
     @abstractmethod
@@ -89,22 +101,58 @@ class LabelledFrames(ABC):
         """Return the frames with these indices, in this order."""
         return FrameSubset(self, indices)
 
+    @property
+    def members(self) -> "tuple[LabelledFrames, ...]":
+        """The data sets that it is joined from; itself where it is one."""
+        return (self,)
+
     def __len__(self) -> int:
-        return len(self.columns["fz_n"])
+        return len(next(iter(self.columns.values())))
 
     def __getitem__(self, index: int) -> Frame:
         index = range(len(self))[index]
+        known = known_labels(self.columns)
         return Frame(
             image=self.picture(index),
-            force_n=self.force_n[index],
+            force_n=self.force_n[index] if set(FORCE_COLUMNS) <= set(known) else None,
             contact_class=int(self.contact_class[index]),
             point_id=int(self.point_id[index]),
+            labels={name: float(self.columns[name][index]) for name in known},
         )
 
     @cached_property
     def force_n(self) -> np.ndarray:
-        """Forces (n, 3) in N."""
-        return np.stack([self.columns[name] for name in FORCE_COLUMNS], axis=1)
+        """Forces (n, 3) in N; a ValueError where an axis is absent."""
+        return self.values_of(FORCE_COLUMNS)
+
+    @cached_property
+    def labels(self) -> Labels:
+        """The labels with their ranges: the axes of the force that there are, or without any all other labels."""
+        return Labels.of({name: self.label_range(name) for name in usual_labels(self.columns)})
+
+    @cached_property
+    def label_values(self) -> np.ndarray:
+        """The labels (n, k), each in its unit."""
+        return self.values_of(self.labels.names)
+
+    def values_of(self, names: tuple[str, ...]) -> np.ndarray:
+        """Return the values (n, k) of any labels; a ValueError where one is absent."""
+        missing = [name for name in names if name not in self.columns]
+        if missing:
+            has = ", ".join(known_labels(self.columns)) or "none"
+            raise ValueError(f"data set {self.name} has no label {', '.join(missing)}; its labels: {has}")
+        return np.stack([self.columns[name] for name in names], axis=1)
+
+    def label_range(self, name: str) -> Range:
+        """Return the range of a label by itself: of a force `force_range_n`, of others what covers the frames'."""
+        if name not in FORCE_COLUMNS:
+            return covering(self.columns[name], None)
+        low, high = np.asarray(self.force_range_n, float)[FORCE_COLUMNS.index(name)].tolist()
+        return low, high
+
+    def declared_range(self, name: str) -> Range | None:
+        """Return the range that the data set states for a label; None if it states none."""
+        return self.label_range(name) if self.declares_ranges and name in FORCE_COLUMNS else None
 
     @property
     def contact_class(self) -> np.ndarray:
@@ -125,22 +173,27 @@ class LabelledFrames(ABC):
         return bool((self.contact_class >= 0).all())
 
     def check_labels(self) -> None:
-        """Check that every force lies in the declared range and every label is a contact class or −1.
+        """Check that every label is a number in its range, and every contact class is one or −1.
 
         Raises
         ------
         ValueError
             If one does not; the message names the first such frame.
         """
-        low, high = np.asarray(self.force_range_n, float).T
-        outside = ~((self.force_n >= low) & (self.force_n <= high))
+        low, high = self.labels.low, self.labels.high
+        values = self.label_values
+        outside = ~((values >= low) & (values <= high))
         if outside.any():
-            frame, axis = np.argwhere(outside)[0]
+            frame, label = np.argwhere(outside)[0]
+            value, (symbol, unit) = values[frame, label], self.labels.quantities[label]
+            bounds = f"[{low[label]:g}, {high[label]:g}] {unit}"
+            what = "a force" if set(self.labels.names) <= set(FORCE_COLUMNS) else "a label"
+            wrong, advice = "that is not a number", "take such frames out"
+            if np.isfinite(value):
+                wrong, advice = "outside the declared range", "labels are never clipped: give a wider one"
             raise ValueError(
-                f"domain {self.name}: {outside.any(axis=1).sum()} of {len(self)} frames have a force outside "
-                f"the declared range; first: frame {frame}, F{'xyz'[axis]} = "
-                f"{self.force_n[frame, axis]:.4g} N, allowed [{low[axis]:g}, {high[axis]:g}] N; "
-                f"labels are never clipped"
+                f"domain {self.name}: {outside.any(axis=1).sum()} of {len(self)} frames have {what} {wrong}; "
+                f"first: frame {frame}, {symbol} = {value:.4g} {unit}, allowed {bounds}; {advice}"
             )
         classes = self.contact_class
         if len(self) and not (classes.min() >= -1 and classes.max() < self.n_classes):
@@ -169,6 +222,24 @@ class LabelledFrames(ABC):
         """Return the reference picture as `images` returns pictures."""
         return resized(self.reference, self.image_size_px(size_px))
 
+    @property
+    def reference_id(self) -> np.ndarray:
+        """Which of `references_at` is a frame's own (n,)."""
+        return self.columns.get("reference_id", np.zeros(len(self), np.int64))
+
+    @property
+    def reference_count(self) -> int:
+        """How many reference pictures there are."""
+        return 1
+
+    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
+        """Return all reference pictures (r, h, w, 3) uint8 as `images` returns pictures; r is 1 unless frames differ.
+
+        Without `markers`, their dots are inpainted.
+        """
+        reference = self.reference if markers else without_markers(self.reference)
+        return resized(reference, self.image_size_px(size_px))[None]
+
     def torch(
         self,
         size_px: int | tuple[int, int] | None = 64,
@@ -182,97 +253,15 @@ class LabelledFrames(ABC):
         """
         from gelgap.domains.paired_frames import PairedFrames
 
-        reference = self.reference if markers else without_markers(self.reference)
         return PairedFrames(
             self.images(size_px) if markers else self.images_without_markers(size_px),
-            resized(reference, self.image_size_px(size_px)),
-            self.force_n,
+            self.references_at(size_px, markers),
+            self.label_values,
             self.contact_class,
             pairing,
             device,
+            reference_id=self.reference_id,
         )
-
-
-class ArrayFrames(LabelledFrames):
-    """Labelled frames in memory.
-
-    Parameters
-    ----------
-    images, reference
-        (n, h, w, 3) and (h, w, 3) uint8 RGB.
-    force_n
-        (n, 3) N.
-    force_range_n, n_classes
-        As in `LabelledFrames`.
-    contact_class, point_id, **columns
-        What else is known of each frame, (n,) each: `x_mm`, `y_mm`, `split`, ….
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit together.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        images: np.ndarray,
-        reference: np.ndarray,
-        force_n: np.ndarray,
-        contact_class: np.ndarray | None = None,
-        point_id: np.ndarray | None = None,
-        *,
-        force_range_n: np.ndarray = LabelledFrames.force_range_n,
-        n_classes: int = CONTACT_CLASSES,
-        **columns: np.ndarray,
-    ):
-        self.name, self.n_classes = name, n_classes
-        self.force_range_n = np.asarray(force_range_n, float)
-        self._images, self._reference = images, reference
-        stated = {"contact_class": contact_class, "point_id": point_id}
-        columns |= {label: values for label, values in stated.items() if values is not None}
-        self._check(force_n, columns)
-        self.columns = {label: force_n[:, axis] for axis, label in enumerate(FORCE_COLUMNS)} | columns
-
-    def _check(self, force_n: np.ndarray, columns: dict[str, np.ndarray]) -> None:
-        images, n = self._images, len(self._images)
-        if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
-            raise ValueError(
-                f"domain {self.name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"
-            )
-        if self._reference.shape != images.shape[1:]:
-            raise ValueError(
-                f"domain {self.name}: the reference picture is {self._reference.shape}, the images are "
-                f"{images.shape[1:]}; they must have one size"
-            )
-        for label, values in {"force_n": force_n, **columns}.items():
-            expected = (n, 3) if label == "force_n" else (n,)
-            if values.shape != expected:
-                raise ValueError(
-                    f"domain {self.name}: {label} has shape {values.shape}; {n} images need {expected}"
-                )
-        if self.force_range_n.shape != (3, 2) or not (np.diff(self.force_range_n) > 0).all():
-            raise ValueError(f"domain {self.name}: force_range_n must be (3, 2) with lower < upper bounds")
-
-    @property
-    def reference(self) -> np.ndarray:
-        return self._reference
-
-    @cached_property
-    def digest(self) -> str:
-        found = hashlib.sha256(self.name.encode())
-        for array in (self._images, self._reference, self.force_n, self.contact_class, self.point_id):
-            found.update(np.ascontiguousarray(array).data)
-        return found.hexdigest()
-
-    def picture(self, index: int) -> np.ndarray:
-        return self._images[index]
-
-    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        size = self.image_size_px(size_px)
-        if size == self.size_px:
-            return self._images
-        return np.stack([resized(image, size) for image in self._images])
 
 
 class FrameSubset(LabelledFrames):
@@ -282,7 +271,7 @@ class FrameSubset(LabelledFrames):
         self.whole = whole
         self.indices = np.arange(len(whole))[indices]
         self.name, self.force_range_n, self.n_classes = whole.name, whole.force_range_n, whole.n_classes
-        self.notes = whole.notes
+        self.declares_ranges, self.labels, self.notes = whole.declares_ranges, whole.labels, whole.notes
         self.columns = {name: values[self.indices] for name, values in whole.columns.items()}
         self._images: dict[tuple[int, int], np.ndarray] = {}
         self._without_markers: dict[tuple[int, int], np.ndarray] = {}
@@ -290,6 +279,16 @@ class FrameSubset(LabelledFrames):
     @property
     def reference(self) -> np.ndarray:
         return self.whole.reference
+
+    @property
+    def reference_count(self) -> int:
+        return self.whole.reference_count
+
+    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
+        return self.whole.references_at(size_px, markers)
+
+    def declared_range(self, name: str) -> Range | None:
+        return self.whole.declared_range(name)
 
     @cached_property
     def digest(self) -> str:

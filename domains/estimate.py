@@ -10,15 +10,13 @@ import numpy as np
 
 from gelgap.assets.names import listed
 from gelgap.domains.frame_pictures import group_by_picture, led_to_camera, picture_cells
-from gelgap.domains.generation_progress import SolveSize
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
+from gelgap.domains.time_left import START_S, SolveSize, Workload, frame_core_s
 from gelgap.sim import MembraneState, grid_axes, has_solution, known_pace, measured_pace
 
 LOG = logging.getLogger(__name__)
-# What a process needs before its first task, s, where solves take as long as the built-in figures of their pace, and
-# what a frame takes besides its pictures: the membrane, its table and Parquet, as shares of the pictures' own time.
-START_S = 4.0
+# What a frame takes besides its pictures: the membrane, its table and Parquet, as shares of the pictures' own time.
 FRAME_SHARE = 1.5
 
 
@@ -116,6 +114,21 @@ def solve_sizes(plan: GenerationPlan, measured: bool = False) -> dict[str, Solve
     problems = {key: solve.problem for key, solve in plan.solves.items() if not has_solution(key)}
     pace = measured_pace() if measured and problems else known_pace()
     return {key: SolveSize(problem.load_steps, pace.solve_s(problem)) for key, problem in problems.items()}
+
+
+def workload(plan: GenerationPlan, workers: int | None, busy: float) -> Workload:
+    """Return what a plan is expected to take on this machine, by its record; nothing is rendered for it."""
+    slowness = known_pace().slowness or 1.0
+    pixels = max((recipe.size_px[0] * recipe.size_px[1] for recipe in plan.recipes), default=0)
+    return Workload(
+        solves=solve_sizes(plan),
+        frames=plan.frames,
+        frame_core_s=frame_core_s(pixels, slowness),
+        workers=workers,
+        renderers=max(1, min(workers or 1, len(plan.batches))),
+        start_s=START_S * slowness,
+        busy=busy,
+    )
 
 
 def _frame_costs(plan: GenerationPlan) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from gelgap.assets.names import listed
 from gelgap.assets.sole_use import sole_use
 from gelgap.domains.cluster import SYNCHRONOUS, dask_client, run_in_process, run_on_cluster
 from gelgap.domains.domain import Domain
-from gelgap.domains.estimate import solve_sizes
+from gelgap.domains.estimate import workload
 from gelgap.domains.frame_pictures import led_to_camera
 from gelgap.domains.generation_progress import GenerationProgress
 from gelgap.domains.plan import GenerationPlan, plan_generation, solve_plan
@@ -26,6 +26,8 @@ from gelgap.domains.writer import DomainWriter
 from gelgap.sim import ContactPath, PosePath
 
 LOG = logging.getLogger(__name__)
+# A shorter piece of work says nothing of how busy the machine is.
+_TELLING_CORE_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -140,8 +142,11 @@ def generate_recipes(
         writers = _prepared_writers(recipes, out_dir, overwrite)
         skipped = tuple(name for name in names if writers[name].complete)
         LOG.info("planning %s", listed(names))
+        wall_start, core_start = time.perf_counter(), time.process_time()
         plan = plan_generation(recipes, {name: writer.finished for name, writer in writers.items()})
-        progress.begin(len(plan.solves), plan.frames, solve_sizes(plan), _worker_count(scheduler, workers))
+        busy = _busy(time.perf_counter() - wall_start, time.process_time() - core_start)
+        load = workload(plan, _worker_count(scheduler, workers), busy)
+        progress.begin(len(plan.solves), plan.frames, load)
         log = RunLog(out_dir)
         log.event("begin", domains=names, solves=len(plan.solves), frames=plan.frames, scheduler=scheduler)
         try:
@@ -177,10 +182,15 @@ def generate_recipes(
 
 
 def _worker_count(scheduler: str | None, workers: int | None) -> int | None:
-    """Return how many processes share the solves; None where a cluster of others decides."""
+    """Return how many processes share the work; None where a cluster of others decides."""
     if scheduler == SYNCHRONOUS:
         return 1
     return None if scheduler is not None else workers or len(os.sched_getaffinity(0))
+
+
+def _busy(wall_s: float, core_s: float) -> float:
+    """Return how many times slower the machine is than an idle one, as a piece of work on one core has shown."""
+    return max(1.0, wall_s / core_s) if core_s > _TELLING_CORE_S else 1.0
 
 
 def _prepared_writers(

@@ -4,29 +4,20 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any, TextIO
 
+from gelgap.domains.time_left import TimeLeft, Workload
+
 _SECONDS_BETWEEN_LINES = 10.0
-
-
-@dataclass(frozen=True)
-class SolveSize:
-    """The load steps of a solve, and the seconds of a core that they are expected to take."""
-
-    load_steps: int
-    core_s: float
-
-
-Sizes = Mapping[str, SolveSize]
+_LEAST_TOLD_S = 1.0
 
 
 class GenerationProgress:
     """How a generation reports its progress; this one is silent."""
 
-    def begin(self, solves: int, frames: int, sizes: Sizes | None = None, workers: int | None = None) -> None:
-        """Say how much is to be done: the sizes of solves by their keys, and how many processes share them."""
+    def begin(self, solves: int, frames: int, load: Workload | None = None) -> None:
+        """Say how much is to be done, and what it is expected to take; None where that is not known."""
 
     def stepped(self, solve: str, done: int) -> None:
         """Say how many load steps of a solve are done; it may come from another thread, and late."""
@@ -39,56 +30,56 @@ class GenerationProgress:
 
 
 class _Counts:
-    """What is done of all, in solves, load steps and frames."""
+    """What is done of all, in solves, load steps and frames, and how long the rest takes."""
 
-    def __init__(
-        self, solves: int = 0, frames: int = 0, sizes: Sizes | None = None, workers: int | None = None
-    ) -> None:
-        self.all_solves, self.all_frames, self._sizes, self._workers = solves, frames, sizes or {}, workers
+    def __init__(self, solves: int = 0, frames: int = 0, load: Workload | None = None) -> None:
+        self.all_solves, self.all_frames = solves, frames
         self.solves = self.frames = 0
-        self._steps: dict[str, int] = {}
-        self._rendering_since: float | None = None
+        self._left = TimeLeft(load) if load else None
+        self._start = time.monotonic()
+
+    @property
+    def passed_s(self) -> float:
+        return time.monotonic() - self._start
 
     @property
     def steps(self) -> int:
-        return sum(self._steps.values())
+        return self._left.steps if self._left else 0
 
     @property
     def all_steps(self) -> int:
-        return sum(size.load_steps for size in self._sizes.values())
+        return self._left.all_steps if self._left else 0
 
     @property
     def complete(self) -> bool:
         return (self.solves, self.frames) == (self.all_solves, self.all_frames)
 
     def step(self, solve: str, done: int) -> None:
-        known = self._steps.get(solve, 0)
-        self._steps[solve] = max(done, known)
+        if self._left:
+            self._left.step(solve, done, self.passed_s)
 
     def solve(self, solve: str) -> None:
         self.solves += 1
-        if solve in self._sizes:
-            self.step(solve, self._sizes[solve].load_steps)
-        self._rendering_since = self._rendering_since or time.monotonic()
+        if self._left:
+            self._left.solve(solve, self.passed_s)
+
+    def write(self, frames: int) -> None:
+        self.frames += frames
+        if self._left:
+            self._left.write(frames, self.passed_s)
 
     @property
     def left(self) -> str:
-        """How long the rest takes, in words: solving by what is expected, frames by those that there are."""
-        if self._workers is None or self.complete:
+        """How long the rest takes, in words; nothing where that is not known, or next to nothing."""
+        left_s = self._left.left_s(self.passed_s) if self._left and not self.complete else None
+        if left_s is None or left_s < _LEAST_TOLD_S:
             return ""
-        remaining_s = [
-            size.core_s * (1 - self._steps.get(key, 0) / size.load_steps) for key, size in self._sizes.items()
-        ]
-        # One solve is not shared: the longest is the least that it takes.
-        solving_s = max([sum(remaining_s) / self._workers, *remaining_s])
-        if not self.frames:
-            return f"; about {solving_s:.0f} s of solving left" if solving_s >= 1 else ""
-        passed_s = time.monotonic() - (self._rendering_since or time.monotonic())
-        return f"; about {solving_s + passed_s * (self.all_frames / self.frames - 1):.0f} s left"
+        return f"about {left_s:.0f} s left" if left_s < 90 else f"about {left_s / 60:.0f} min left"
 
     def __str__(self) -> str:
         steps = f"{self.steps}/{self.all_steps} load steps, " if self.all_steps else ""
-        return f"{self.solves}/{self.all_solves} solves, {steps}{self.frames}/{self.all_frames} frames"
+        left = f"; {self.left}" if self.left else ""
+        return f"{self.solves}/{self.all_solves} solves, {steps}{self.frames}/{self.all_frames} frames{left}"
 
 
 class PlainLines(GenerationProgress):
@@ -97,15 +88,13 @@ class PlainLines(GenerationProgress):
     def __init__(self, stream: TextIO):
         self._stream = stream
         self._counts = _Counts()
-        self._start = self._last = time.monotonic()
+        self._last = time.monotonic()
         self._lock = threading.Lock()
 
-    def begin(self, solves: int, frames: int, sizes: Sizes | None = None, workers: int | None = None) -> None:
+    def begin(self, solves: int, frames: int, load: Workload | None = None) -> None:
         with self._lock:
-            self._counts = _Counts(solves, frames, sizes, workers)
-            self._start = self._last = time.monotonic()
-            of = f" of {self._counts.all_steps} load steps" if self._counts.all_steps else ""
-            self._print(f"to do: {solves} solves{of}, {frames} frames{self._counts.left}")
+            self._counts, self._last = _Counts(solves, frames, load), time.monotonic()
+            self._print(f"to do: {self._counts}")
 
     def stepped(self, solve: str, done: int) -> None:
         with self._lock:
@@ -119,7 +108,7 @@ class PlainLines(GenerationProgress):
 
     def written(self, frames: int) -> None:
         with self._lock:
-            self._counts.frames += frames
+            self._counts.write(frames)
             self._tell()
 
     def _print(self, line: str) -> None:
@@ -129,22 +118,25 @@ class PlainLines(GenerationProgress):
         now = time.monotonic()
         if now - self._last >= _SECONDS_BETWEEN_LINES or self._counts.complete:
             self._last = now
-            self._print(f"{now - self._start:6.0f} s: {self._counts}{self._counts.left}")
+            self._print(f"{self._counts.passed_s:6.0f} s: {self._counts}")
 
 
 class _Bars(GenerationProgress):
-    """Bars of solves, of their load steps and of frames."""
+    """Bars of solves, of their load steps and of frames; the time left stands beside the first."""
 
     def __init__(self, bars: Any):
         self._bars = bars
         self._counts = _Counts()
-        self._tasks = {name: bars.add_task(name, total=None) for name in ("solves", "load steps", "frames")}
+        self._tasks = {
+            name: bars.add_task(name, total=None, left="") for name in ("solves", "load steps", "frames")
+        }
 
-    def begin(self, solves: int, frames: int, sizes: Sizes | None = None, workers: int | None = None) -> None:
-        self._counts = _Counts(solves, frames, sizes, workers)
+    def begin(self, solves: int, frames: int, load: Workload | None = None) -> None:
+        self._counts = _Counts(solves, frames, load)
         totals = {"solves": solves, "load steps": self._counts.all_steps, "frames": frames}
         for name, total in totals.items():
             self._bars.reset(self._tasks[name], total=total)
+        self._show()
 
     def stepped(self, solve: str, done: int) -> None:
         self._counts.step(solve, done)
@@ -155,7 +147,7 @@ class _Bars(GenerationProgress):
         self._show()
 
     def written(self, frames: int) -> None:
-        self._counts.frames += frames
+        self._counts.write(frames)
         self._show()
 
     def _show(self) -> None:
@@ -165,7 +157,8 @@ class _Bars(GenerationProgress):
             "frames": self._counts.frames,
         }
         for name, count in done.items():
-            self._bars.update(self._tasks[name], completed=count)
+            left = self._counts.left if name == "solves" else ""
+            self._bars.update(self._tasks[name], completed=count, left=left)
 
 
 @contextlib.contextmanager
@@ -176,14 +169,8 @@ def shown_progress(stream: TextIO | None = None) -> Iterator[GenerationProgress]
         yield PlainLines(stream)
         return
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), "{task.fields[left]}")
     with Progress("{task.description}", *columns, console=Console(file=stream)) as bars:
         yield _Bars(bars)

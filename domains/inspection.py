@@ -11,14 +11,33 @@ from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.domain_gaps import domain_gap
 from gelgap.domains.folder import MANIFEST, Damage, DomainFolder
 from gelgap.domains.generated import GeneratedDomain
+from gelgap.domains.label_notes import label_notes, outside
+from gelgap.domains.labels import FORCE_COLUMNS, QUANTITIES, Labels, Range, known_labels, usual_labels
 from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_damages import header_damages, table_damages
+from gelgap.domains.picture_folder import GROUPS
 from gelgap.domains.stored import PictureFiles
 
 
 @dataclass(frozen=True)
+class LabelFacts:
+    """A label's name, its range, and the extremes found (0 where no frame has a number)."""
+
+    name: str
+    range: Range
+    smallest: float
+    largest: float
+
+    def __str__(self) -> str:
+        return f"{QUANTITIES[self.name].symbol} {self.smallest:.3f}…{self.largest:.3f}"
+
+
+@dataclass(frozen=True)
 class DomainSummary:
-    """The facts of one domain: `frames` that can be read, the declared range of forces and the extremes found."""
+    """The facts of one domain: `frames` that can be read, and its labels with their ranges and extremes.
+
+    A generated domain's labels are its forces; `outside_range` counts frames with a label outside its range.
+    """
 
     folder: str
     name: str
@@ -27,25 +46,40 @@ class DomainSummary:
     size_px: tuple[int, int]
     points: int
     classes: int
-    force_range_n: tuple[tuple[float, float], ...]
-    force_min_n: tuple[float, ...]
-    force_max_n: tuple[float, ...]
+    groups: tuple[tuple[str, int], ...]
+    labels: tuple[LabelFacts, ...]
     outside_range: int
     optional_columns: tuple[str, ...]
     bytes: int
     notes: tuple[str, ...]
 
+    @property
+    def force_min_n(self) -> tuple[float, ...]:
+        """The lowest force along each axis that there is, N."""
+        return tuple(facts.smallest for facts in self.labels if facts.name in FORCE_COLUMNS)
+
+    @property
+    def force_max_n(self) -> tuple[float, ...]:
+        """The highest force along each axis that there is, N."""
+        return tuple(facts.largest for facts in self.labels if facts.name in FORCE_COLUMNS)
+
     def __str__(self) -> str:
-        forces = ", ".join(
-            f"F{axis} {low:.3f}…{high:.3f}"
-            for axis, low, high in zip("xyz", self.force_min_n, self.force_max_n, strict=True)
+        forces = [facts for facts in self.labels if facts.name in FORCE_COLUMNS]
+        others = [f"{facts} {QUANTITIES[facts.name].unit}" for facts in self.labels if facts not in forces]
+        outside_range = f"; {self.outside_range} frames outside the declared range"
+        told = [f"  forces   {', '.join(map(str, forces))} N{outside_range}"] if forces else []
+        told += [f"  labels   {', '.join(others)}{'' if forces else outside_range}"] if others else []
+        told += (
+            [f"  groups   {', '.join(f'{count} of {name}' for name, count in self.groups)}"]
+            if self.groups
+            else []
         )
         lines = [
             f"{self.name} ({self.folder})",
             f"  frames   {self.frames} of {self.size_px[0]}×{self.size_px[1]} px, {self.bytes / 1e6:.1f} MB; "
             f"{self.unconverged} left out (not converged)",
             f"  contacts {self.points} points, {self.classes} classes",
-            f"  forces   {forces} N; {self.outside_range} frames outside the declared range",
+            *told,
             f"  columns  {', '.join(self.optional_columns) or 'none beyond the standard ones'}",
         ]
         return "\n".join([*lines, *(f"  note     {note}" for note in self.notes)])
@@ -75,8 +109,10 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         As `open_domain`.
     """
     frames = open_domain(folder)
-    low, high = frames.force_range_n.T
-    forces = frames.force_n[np.isfinite(frames.force_n).all(axis=1)]
+    known = (
+        usual_labels(frames.columns) if isinstance(frames, GeneratedDomain) else known_labels(frames.columns)
+    )
+    facts = tuple(_facts(frames, name) for name in known)
     return DomainSummary(
         folder=str(folder),
         name=frames.name,
@@ -85,13 +121,12 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         size_px=frames.size_px,
         points=_distinct(frames.point_id),
         classes=_distinct(frames.contact_class),
-        force_range_n=tuple(tuple(axis) for axis in frames.force_range_n.tolist()),
-        force_min_n=tuple(forces.min(axis=0).tolist()) if len(forces) else (0.0,) * 3,
-        force_max_n=tuple(forces.max(axis=0).tolist()) if len(forces) else (0.0,) * 3,
-        outside_range=int(((frames.force_n < low) | (frames.force_n > high)).any(axis=1).sum()),
+        groups=tuple((name, len(set(frames.columns[name]))) for name in GROUPS if name in frames.columns),
+        labels=facts,
+        outside_range=int(outside(frames, Labels.of({label.name: label.range for label in facts})).sum()),
         optional_columns=frames.optional_columns if isinstance(frames, GeneratedDomain) else (),
         bytes=sum(path.stat().st_size for path in Path(folder).rglob("*") if _is_data(path)),
-        notes=(*frames.notes, *_label_notes(frames), *_picture_notes(frames)),
+        notes=(*frames.notes, *label_notes(frames), *_picture_notes(frames)),
     )
 
 
@@ -152,6 +187,12 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     return rows
 
 
+def _facts(frames: LabelledFrames, name: str) -> LabelFacts:
+    values = frames.columns[name][np.isfinite(frames.columns[name])]
+    extremes = (float(values.min()) + 0.0, float(values.max()) + 0.0) if len(values) else (0.0, 0.0)
+    return LabelFacts(name, frames.label_range(name), *extremes)
+
+
 def _colours(mean: float, percentile_95: float) -> str:
     return f"mean {mean:.2f}, 95th percentile {percentile_95:.2f}"
 
@@ -177,15 +218,3 @@ def _picture_notes(frames: LabelledFrames) -> list[str]:
     if not damages:
         return []
     return [f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}"]
-
-
-def _label_notes(frames: LabelledFrames) -> list[str]:
-    notes = []
-    if not np.isfinite(frames.force_n).all():
-        notes.append(
-            f"{int((~np.isfinite(frames.force_n)).any(axis=1).sum())} frames have a force that is not a number"
-        )
-    pulling = int((frames.force_n[:, 2] > 0).sum())
-    if pulling:
-        notes.append(f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one")
-    return notes

@@ -14,14 +14,15 @@ from gelgap.assets.pages import html_page
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import DomainSummary, gap_rows, inspect_domain
+from gelgap.domains.labels import FORCE_COLUMNS
 from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_codec import encode_png
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_AXES = ("Fx", "Fy", "Fz")
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
+_FORCES = frozenset(FORCE_COLUMNS)
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
         name=frames.name,
         counts=_counts(summary),
         notes=summary.notes,
-        force_histograms=_plot(_force_histograms, frames),
-        force_quantiles=_force_quantiles(frames),
+        label_histograms=_plot(_label_histograms, frames),
+        label_quantiles=_label_quantiles(frames),
         force_against_contact=_plot(_force_against_contact, frames),
         coverage=_plot(_coverage, frames),
         samples=_samples(frames),
@@ -65,6 +66,7 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
 
 
 def _counts(summary: DomainSummary) -> list[tuple[str, str]]:
+    what = "forces" if summary.force_min_n else "labels"
     return [
         ("frames", str(summary.frames)),
         ("left out, not converged", str(summary.unconverged)),
@@ -72,13 +74,14 @@ def _counts(summary: DomainSummary) -> list[tuple[str, str]]:
         ("contact classes", str(summary.classes)),
         ("picture", f"{summary.size_px[0]}×{summary.size_px[1]} px"),
         ("on disk", f"{summary.bytes / 1e6:.1f} MB"),
-        ("forces outside the declared range", str(summary.outside_range)),
+        (f"{what} outside the declared range", str(summary.outside_range)),
     ]
 
 
-def _force_quantiles(frames: LabelledFrames) -> list[tuple[str, ...]]:
-    quantiles = np.quantile(frames.force_n, [0, 0.05, 0.5, 0.95, 1], axis=0).T
-    return [(name, *(f"{value:.3f}" for value in row)) for name, row in zip(_AXES, quantiles, strict=True)]
+def _label_quantiles(frames: LabelledFrames) -> list[tuple[str, ...]]:
+    quantiles = np.quantile(frames.label_values, [0, 0.05, 0.5, 0.95, 1], axis=0).T
+    rows = zip(frames.labels.quantities, quantiles, strict=True)
+    return [(str(what), *(f"{value:.3f}" for value in row)) for what, row in rows]
 
 
 def _plot(draw: "Callable[[Figure, LabelledFrames], None]", frames: LabelledFrames) -> str:
@@ -98,18 +101,19 @@ def _base64(png: bytes) -> str:
     return base64.b64encode(png).decode()
 
 
-def _force_histograms(figure: "Figure", frames: LabelledFrames) -> None:
-    for axis, axes in enumerate(figure.subplots(1, 3)):
-        low, high = frames.force_range_n[axis]
-        axes.hist(frames.force_n[:, axis], bins=50, color=_COLOURS[axis])
-        axes.axvspan(low, high, color="#000", alpha=0.05, zorder=0)
-        axes.set_xlabel(f"{_AXES[axis]} in N (grey: declared range)")
+def _label_histograms(figure: "Figure", frames: LabelledFrames) -> None:
+    labels = frames.labels
+    for number, axes in enumerate(figure.subplots(1, len(labels), squeeze=False)[0]):
+        axes.hist(frames.label_values[:, number], bins=50, color=_COLOURS[number % len(_COLOURS)])
+        axes.axvspan(*labels.ranges[number], color="#000", alpha=0.05, zorder=0)
+        symbol, unit = labels.quantities[number]
+        axes.set_xlabel(f"{symbol} in {unit} (grey: declared range)")
         axes.set_ylabel("frames")
 
 
 def _force_against_contact(figure: "Figure", frames: LabelledFrames) -> None:
-    if not {"depth_mm", "radius_mm"} <= frames.columns.keys():
-        figure.text(0.5, 0.5, "the data set does not say depth and radius", ha="center")
+    if not {"depth_mm", "radius_mm", *_FORCES} <= frames.columns.keys():
+        figure.text(0.5, 0.5, "the data set does not say depth, radius and all forces", ha="center")
         return
     depth, radius = frames.columns["depth_mm"], frames.columns["radius_mm"]
     shear_n = np.hypot(frames.force_n[:, 0], frames.force_n[:, 1])
@@ -152,17 +156,18 @@ def _coverage(figure: "Figure", frames: LabelledFrames) -> None:
 def _samples(frames: LabelledFrames) -> list[_Image]:
     shown = [_Image(_base64(encode_png(frames.reference)), "reference")]
     for index in _sample_indices(frames):
-        force = ", ".join(f"{value:.2f}" for value in frames.force_n[index])
-        caption = f"class {frames.contact_class[index]}: ({force}) N"
+        values = ", ".join(f"{value:.2f}" for value in frames.label_values[index])
+        units = ", ".join(dict.fromkeys(what.unit for what in frames.labels.quantities))
+        caption = f"class {frames.contact_class[index]}: ({values}) {units}"
         shown.append(_Image(_base64(encode_png(frames.picture(index))), caption))
     return shown
 
 
 def _sample_indices(frames: LabelledFrames, count: int = 14) -> list[int]:
-    """Return frames of evenly spread classes, each at another point; without classes, of evenly spread force."""
+    """Return frames of evenly spread classes, each at another point; without classes, of an evenly spread label."""
     order = np.lexsort((frames.point_id, frames.contact_class))
     if not frames.has_classes:
-        order = np.argsort(frames.force_n[:, 2])
+        order = np.argsort(frames.label_values[:, -1])
     if not len(order):
         return []
     return [int(index) for index in order[np.unique(np.linspace(0, len(order) - 1, count).astype(int))]]

@@ -30,7 +30,7 @@ class ChannelStatistics(NamedTuple):
 
 
 class PairedFrames(Dataset):
-    """Inputs (C, h, w) float32 from a picture and the reference, forces (3,) in N, contact classes.
+    """Inputs (C, h, w) float32 from a picture and its reference, labels (k,) such as forces in N, contact classes.
 
     With a and r the contact and the reference picture in [0, 1]: `channels` puts the normalised r behind the normalised
     a (6 channels), `stack` below it (3 channels, twice the height, as the paper's code does); `difference` is 4·(a − r)
@@ -41,41 +41,48 @@ class PairedFrames(Dataset):
 
     Parameters
     ----------
-    images, reference
-        (n, h, w, 3) and (h, w, 3) uint8 RGB.
-    force_n, contact_class
-        (n, 3) N and (n,) integers, −1 unknown.
+    images, references
+        (n, h, w, 3) and (r, h, w, 3) uint8 RGB.
+    label_values, contact_class
+        (n, k), each label in its unit, and (n,) integers, −1 unknown.
     pairing
         How the reference is given.
     device
         Where pictures and labels are kept.
+    reference_id
+        (n,) which reference is a frame's own; by default the first.
     """
 
     def __init__(
         self,
         images: np.ndarray,
-        reference: np.ndarray,
-        force_n: np.ndarray,
+        references: np.ndarray,
+        label_values: np.ndarray,
         contact_class: np.ndarray,
         pairing: Pairing = "channels",
         device: torch.device | str = "cpu",
+        reference_id: np.ndarray | None = None,
     ):
         if pairing not in get_args(Pairing):
             raise ValueError(f"pairing {pairing!r} is unknown; known: {', '.join(get_args(Pairing))}")
         self.pairing = pairing
         self.statistics: ChannelStatistics | None = None
         self.images = torch.from_numpy(images).to(device)
-        self.force_n = torch.from_numpy(force_n.astype(np.float32)).to(device)
+        self.label_values = torch.from_numpy(label_values.astype(np.float32)).to(device)
         self.contact_class = torch.from_numpy(contact_class.astype(np.int64)).to(device)
         # All arithmetic is on (…, h, w, 3) as stored, which is a network's layout "channels last". Statistics per
         # pixel are faster than three numbers, along whose short axis nothing is vectorised.
-        self._reference = torch.from_numpy(reference.copy()).to(device).float().div_(255)
+        self._references = torch.from_numpy(references.copy()).to(device).float().div_(255)
         self._mean, self._std = (
-            torch.tensor(values, device=device).expand_as(self._reference).contiguous()
+            torch.tensor(values, device=device).expand_as(self._references[0]).contiguous()
             for values in (_MEAN, _STD)
         )
         if pairing != "difference":
-            self._reference.sub_(self._mean).div_(self._std)
+            self._references.sub_(self._mean).div_(self._std)
+        # A single reference needs no copy for each frame.
+        self._reference_id = (
+            None if len(references) == 1 else torch.from_numpy(reference_id.astype(np.int64)).to(device)
+        )
 
     def __len__(self) -> int:
         return len(self.images)
@@ -85,18 +92,20 @@ class PairedFrames(Dataset):
         return inputs[0], forces[0], classes[0]
 
     def batch(self, indices: Sequence[int] | np.ndarray | Tensor) -> Batch:
-        """Return inputs (B, C, h, w) float32, forces (B, 3) in N and contact classes (B,) of these frames."""
+        """Return inputs (B, C, h, w) float32, labels (B, k) and contact classes (B,) of these frames."""
         rows = torch.as_tensor(indices, device=self.images.device)
-        return self.inputs(rows), self.force_n[rows], self.contact_class[rows]
+        return self.inputs(rows), self.label_values[rows], self.contact_class[rows]
 
     def inputs(self, indices: Sequence[int] | np.ndarray | Tensor) -> Tensor:
         """Return the network's inputs (B, C, h, w) float32 for these frames, channels last in memory."""
-        pictures = self.images[torch.as_tensor(indices, device=self.images.device)].float().div_(255)
+        rows = torch.as_tensor(indices, device=self.images.device)
+        pictures = self.images[rows].float().div_(255)
+        own = self._references if self._reference_id is None else self._references[self._reference_id[rows]]
         if self.pairing == "difference":
-            pictures.sub_(self._reference).mul_(_DIFFERENCE_GAIN)
+            pictures.sub_(own).mul_(_DIFFERENCE_GAIN)
         else:
             pictures.sub_(self._mean).div_(self._std)
-            reference = self._reference.expand_as(pictures)
+            reference = own.expand_as(pictures)
             pictures = torch.cat([pictures, reference], dim=3 if self.pairing == "channels" else 1)
         if self.statistics is not None:
             mean, std = (torch.tensor(values, device=pictures.device) for values in self.statistics)

@@ -1,11 +1,12 @@
-"""What is wrong with pictures and forces that lie in a folder with a table."""
+"""What is wrong with pictures and labels that lie in a folder with a table."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from gelgap.domains.dataset import FORCE_COLUMNS
 from gelgap.domains.folder import Damage
+from gelgap.domains.labels import QUANTITIES, known_labels
+from gelgap.domains.picture_folder import PictureFolder
 from gelgap.domains.picture_header import check_picture
 from gelgap.domains.stored import PictureFiles, StoredFrames
 
@@ -27,7 +28,7 @@ def header_damages(frames: StoredFrames) -> list[Damage]:
 
 
 def table_damages(frames: PictureFiles) -> Iterator[Damage]:
-    """Yield every picture that cannot be decoded to the reference's size, and every force that is not a number."""
+    """Yield every picture that cannot be decoded to the reference's size, and every label that is not a number."""
     headers = header_damages(frames)
     wrong = {damage.file for damage in headers}
     yield from headers
@@ -37,9 +38,15 @@ def table_damages(frames: PictureFiles) -> Iterator[Damage]:
                 frames.picture(index)
             except ValueError as error:
                 yield Damage(frames.place_of(index), str(error).partition("; `gelgap")[0])
-    for index, axis in np.argwhere(~np.isfinite(frames.force_n)):
-        value = frames.columns[FORCE_COLUMNS[axis]][index]
-        yield Damage(frames.place_of(index), f"frame {index} has F{'xyz'[axis]} = {value} in the table")
+    for path in frames.reference_paths if isinstance(frames, PictureFolder) else ():
+        try:
+            frames.reference_picture(path)
+        except ValueError as error:
+            yield Damage(str(path.relative_to(frames.folder)), str(error))
+    for name in known_labels(frames.columns):
+        for index in np.flatnonzero(~np.isfinite(frames.columns[name])):
+            value, symbol = frames.columns[name][index], QUANTITIES[name].symbol
+            yield Damage(frames.place_of(index), f"frame {index} has {symbol} = {value} in the table")
 
 
 def _another_size(size_px: tuple[int, int], reference_px: tuple[int, int]) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains.dataset import FORCE_COLUMNS
+from gelgap.domains.labels import FORCE_COLUMNS
 from gelgap.domains.stored import PictureFiles, read_table
 
 REFERENCE = "ref.jpg"
@@ -33,6 +33,7 @@ class PublishedDomain(PictureFiles):
         parts = [part for part in PARTS if (self.folder / part / "images").is_dir()] or [UNSPLIT]
         if parts != [UNSPLIT] and (self.folder / UNSPLIT).is_dir():
             notes.append(f"{UNSPLIT}/ repeats the frames of {' and '.join(parts)}: not read")
+        self.further_files = [self.folder / REFERENCE, *(self._table(part) for part in parts)]
         rows = [(part, *row) for part in parts for row in self._read_part(part)]
         self.picture_paths = [path for _, path, _, _ in rows]
         forces = np.array([force for _, _, force, _ in rows], dtype=np.float64).reshape(-1, 3)
@@ -72,8 +73,11 @@ class PublishedDomain(PictureFiles):
     def reference(self) -> np.ndarray:
         return self.decoded_file(self.folder / REFERENCE)
 
+    def _table(self, part: str) -> Path:
+        return self.folder / part / "forcePosition" / "force.csv"
+
     def _read_part(self, part: str) -> list[tuple[Path, list[float], int | None]]:
-        table = self.folder / part / "forcePosition" / "force.csv"
+        table = self._table(part)
         try:
             rows = read_table(table)
         except FileNotFoundError:

@@ -17,8 +17,8 @@ from gelgap.domains.acquisition import (
     independent_poses,
 )
 from gelgap.domains.columns import OptionalColumn
-from gelgap.domains.dataset import PAPER_FORCE_RANGE_N
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
+from gelgap.domains.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import (
     AnyIndenter,

@@ -35,7 +35,7 @@ def to_skada(
     Returns
     -------
     X
-        (n, height·width·3) float32: each picture less its domain's reference picture, in [−1, 1], pixels row by row.
+        (n, height·width·3) float32: each picture less its reference picture, in [−1, 1], pixels row by row.
     y
         (n,) float64, force in N; NaN where masked, by which skada tells regression from classification.
     sample_domain
@@ -55,7 +55,7 @@ def to_skada(
             f"pictures of {source.name} and {target.name} become {w0}×{h0} and {w1}×{h1} px with size_px = {size_px}; "
             f"give size_px as width and height"
         )
-    forces_n = [frames.force_n[:, get_args(Axis).index(axis)] for frames in (source, target)]
+    forces_n = [frames.values_of((f"f{axis}_n",))[:, 0] for frames in (source, target)]
     if mask_target_labels:
         forces_n[1] = np.full(len(target), np.nan)
     return (
@@ -67,5 +67,7 @@ def to_skada(
 
 def _differences(frames: LabelledFrames, size_px: tuple[int, int]) -> np.ndarray:
     """Return every picture less the reference picture, (n, height·width·3) float32 in [−1, 1]."""
-    contact, reference = frames.images(size_px), frames.reference_at(size_px)
-    return np.subtract(contact, reference, dtype=np.float32).reshape(len(frames), -1) / 255
+    contact, references = frames.images(size_px), frames.references_at(size_px)
+    return (
+        np.subtract(contact, references[frames.reference_id], dtype=np.float32).reshape(len(frames), -1) / 255
+    )

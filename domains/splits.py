@@ -1,15 +1,16 @@
 """Dividing frames into training, validation and test frames: one seed, one split, for a domain alone or for two."""
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from gelgap.assets.names import shown
 from gelgap.domains.contacts import contact_points
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.random_streams import random_stream
 
-SplitBy = Literal["random", "point", "given"]
+WAYS = ("random", "point", "given")
 Shares = Sequence[float]
 PAPER_SHARES = (0.6, 0.2, 0.2)
 PARTS = ("train", "validation", "test")
@@ -38,21 +39,44 @@ def draw_parts(count: int, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarr
     return parts
 
 
+def draw_parts_in_strata(strata: np.ndarray, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarray:
+    """Return the part (m,) of frames or groups of which `strata` (m,) says what each belongs to.
+
+    Every stratum is shuffled and laid out evenly over [0, 1), each from another start, and the shares cut there: each
+    part has its share of every stratum, to one frame or group, and of all together.
+    """
+    random = random_stream(seed, "", "split")
+    names, members = np.unique(strata, return_inverse=True)
+    order = random.permutation(len(strata))
+    place = np.empty(len(strata))
+    for turn, stratum in enumerate(random.permutation(len(names))):
+        own = order[members[order] == stratum]
+        place[own] = (np.arange(len(own)) + (turn + 0.5) / len(names)) / len(own)
+    return np.searchsorted(np.cumsum(shares)[:-1], place, side="right")
+
+
 def split_frames(
-    frames: LabelledFrames, by: SplitBy | None = None, seed: int = 0, shares: Shares = PAPER_SHARES
+    frames: LabelledFrames,
+    by: str | None = None,
+    seed: int = 0,
+    shares: Shares = PAPER_SHARES,
+    stratify_by: str | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the indices of the training, validation and test frames: disjoint, complete, each sorted.
 
     `given` takes what the data set states (column `split`), whatever seed and shares. `random` is the paper's; since
     neighbouring poses look alike, it lets a network see near-duplicates of its test frames. `point` keeps each contact
-    point in one part. By default a split is given where the data set states one, and else random.
+    point in one part; the name of a column, such as `clip` or `object`, keeps all frames of equal value in one part. By
+    default a split is given where the data set states one, and else random. With `stratify_by`, a column too, each part
+    gets its share of every value of that column.
 
     Raises
     ------
     ValueError
-        If the data set lacks what is asked for, or a part with a positive share would be empty.
+        If the data set lacks what is asked for, or a part with a positive share would be empty, or a group would be
+        split by the strata.
     """
-    (parts,) = _parts([frames], by, seed, [shares])
+    (parts,) = _parts([frames], by, seed, [shares], stratify_by)
     train, validation, test = (np.flatnonzero(parts == part) for part in range(len(PARTS)))
     return train, validation, test
 
@@ -60,22 +84,23 @@ def split_frames(
 def split_domains(
     source: LabelledFrames,
     target: LabelledFrames,
-    by: SplitBy | None = None,
+    by: str | None = None,
     seed: int = 0,
     shares: Shares = PAPER_SHARES,
     held_out: float = 0.1,
+    stratify_by: str | None = None,
 ) -> DomainSplit:
     """Split a source into training and held-out frames, and a target into training, validation and test frames.
 
-    Each domain is divided as `split_frames` divides it. By `point`, the split is shared: a contact point that both
-    domains have is in the same part of both, and the source's held-out points are at least the target's test points, so
-    that no point of a test frame was trained on. Points that only one of the domains has are divided by themselves.
+    Each domain is divided as `split_frames` divides it. By `point` or a column, the split is shared: a group that both
+    domains have is in the same part of both, and the source's held-out groups are at least the target's test groups, so
+    that no group of a test frame was trained on. Groups that only one of the domains has are divided by themselves.
 
     Parameters
     ----------
     source, target
         The domains.
-    by, seed, shares
+    by, seed, shares, stratify_by
         As for `split_frames`; the shares are the target's.
     held_out
         Share of the source that is held out. A source that states its split holds out its test part, or nothing if this
@@ -86,9 +111,10 @@ def split_domains(
     ValueError
         As `split_frames`.
     """
-    if by == "point":
+    if by not in (None, "random", "given"):
         held_out = max(held_out, shares[_TEST])
-    of_source, of_target = _parts([source, target], by, seed, [(1 - held_out, 0.0, held_out), shares])
+    both = [(1 - held_out, 0.0, held_out), shares]
+    of_source, of_target = _parts([source, target], by, seed, both, stratify_by)
     is_held_out = (of_source == _TEST) & (held_out > 0)
     return DomainSplit(
         np.flatnonzero(~is_held_out),
@@ -98,24 +124,35 @@ def split_domains(
 
 
 def _parts(
-    domains: Sequence[LabelledFrames], by: SplitBy | None, seed: int, shares: Sequence[Shares]
+    domains: Sequence[LabelledFrames],
+    by: str | None,
+    seed: int,
+    shares: Sequence[Shares],
+    stratify_by: str | None,
 ) -> list[np.ndarray]:
     """Return the part (n,) of each domain's frames, with shares per domain."""
     for own in shares:
         if len(own) != 3 or min(own) < 0 or abs(sum(own) - 1) > 1e-9:
             raise ValueError(f"shares = {tuple(own)}: must be three numbers in [0, 1] that add up to 1")
     if by == "point":
-        return _parts_by_point(domains, seed, shares)
+        return _parts_by_group(domains, contact_points(*domains), "contact points", seed, shares, stratify_by)
+    if by not in (None, *WAYS):
+        groups = _groups(domains, by, "split_by", f"known: {', '.join(WAYS)}, or a column")
+        return _parts_by_group(domains, groups, f"groups ({by})", seed, shares, stratify_by)
     found = []
     for frames, own in zip(domains, shares, strict=True):
-        match by or ("given" if "split" in frames.columns else "random"):
-            case "given":
-                found.append(_stated_parts(frames))
-            case "random":
-                found.append(_parts_at_random(frames, seed, own))
-                _check_filled(frames, found[-1], own, f"{len(frames)} frames")
-            case _:
-                raise ValueError(f"split {by!r} is unknown; known: random, point, given")
+        if by == "given" or (by is None and "split" in frames.columns):
+            if stratify_by is not None:
+                raise ValueError(
+                    f"data set {frames.name} states its split: it cannot be stratified by {stratify_by}"
+                )
+            found.append(_stated_parts(frames))
+        elif stratify_by is None:
+            found.append(_parts_at_random(frames, seed, own))
+            _check_filled(frames, found[-1], own, f"{len(frames)} frames")
+        else:
+            each = [np.arange(len(frames))]
+            found += _parts_by_group([frames], each, "frames", seed, [own], stratify_by)
     return found
 
 
@@ -125,20 +162,63 @@ def _parts_at_random(frames: LabelledFrames, seed: int, shares: Shares) -> np.nd
     return drawn[frames.columns["frame_id"]] if frames.unconverged else drawn
 
 
-def _parts_by_point(
-    domains: Sequence[LabelledFrames], seed: int, shares: Sequence[Shares]
+def _parts_by_group(
+    domains: Sequence[LabelledFrames],
+    groups: Sequence[np.ndarray],
+    called: str,
+    seed: int,
+    shares: Sequence[Shares],
+    stratify_by: str | None,
 ) -> list[np.ndarray]:
-    """As `_parts`; the points of both domains, and those of one alone, are drawn as groups of their own."""
-    points = contact_points(*domains)
-    known_to = np.stack([np.isin(np.arange(np.concatenate(points).max() + 1), own) for own in points])
-    groups = np.unique(known_to, axis=1, return_inverse=True)[1].reshape(-1)
+    """As `_parts`, of frames with numbers of groups (n,); those that both domains have are drawn by themselves."""
+    count = int(np.concatenate(groups).max()) + 1
+    known_to = np.stack([np.isin(np.arange(count), own) for own in groups])
+    sharing = np.unique(known_to, axis=1, return_inverse=True)[1].reshape(-1)
+    strata = None if stratify_by is None else _strata_of(domains, groups, count, stratify_by)
     found = []
-    for frames, own_points, own_shares in zip(domains, points, shares, strict=True):
-        parts = np.empty(len(groups), dtype=np.int64)
-        for group in np.unique(groups):
-            parts[groups == group] = draw_parts(int((groups == group).sum()), seed, own_shares)
-        found.append(parts[own_points])
-        _check_filled(frames, found[-1], own_shares, f"{len(np.unique(own_points))} contact points")
+    for frames, own_groups, own_shares in zip(domains, groups, shares, strict=True):
+        parts = np.empty(count, dtype=np.int64)
+        for same in (sharing == kind for kind in np.unique(sharing)):
+            if strata is None:
+                parts[same] = draw_parts(int(same.sum()), seed, own_shares)
+            else:
+                parts[same] = draw_parts_in_strata(strata[same], seed, own_shares)
+        found.append(parts[own_groups])
+        _check_filled(frames, found[-1], own_shares, f"{len(np.unique(own_groups))} {called}")
+    return found
+
+
+def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: str) -> list[np.ndarray]:
+    """Return the number (n,) of each frame's group, from 0; equal values of a column are one group, across domains."""
+    for frames in domains:
+        if column not in frames.columns:
+            has = [name for name, values in frames.columns.items() if values.dtype.kind in "iuOU"]
+            raise ValueError(
+                f"{what} = {shown(column)}: data set {frames.name} has no such column; {known}, such as "
+                f"{', '.join(has)}"
+            )
+    values = np.concatenate([frames.columns[column] for frames in domains])
+    numbers = np.unique(values.astype(str), return_inverse=True)[1].reshape(-1)
+    return np.split(numbers, np.cumsum([len(frames) for frames in domains])[:-1])
+
+
+def _strata_of(
+    domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], count: int, column: str
+) -> np.ndarray:
+    """Return the stratum (count,) of each group; a ValueError if a group has frames of several."""
+    strata = _groups(domains, column, "stratify_by", "take a column")
+    pairs = np.unique(np.stack([np.concatenate(groups), np.concatenate(strata)], axis=1), axis=0)
+    if len(pairs) > len(np.unique(pairs[:, 0])):
+        twice = pairs[1:, 0][np.diff(pairs[:, 0]) == 0][0]
+        named = " and ".join(frames.name for frames in domains)
+        own = (f.columns[column][g == twice] for f, g in zip(domains, groups, strict=True))
+        values = ", ".join(sorted({str(value) for values in own for value in values}))
+        raise ValueError(
+            f"data set {named}: a group that stays whole has more than one {column} ({values}): stratify by a column "
+            "that is the same for all frames of a group, and give groups of two data sets different names"
+        )
+    found = np.empty(count, dtype=np.int64)
+    found[pairs[:, 0]] = pairs[:, 1]
     return found
 
 
@@ -146,12 +226,12 @@ def _stated_parts(frames: LabelledFrames) -> np.ndarray:
     stated = frames.columns.get("split")
     if stated is None or not set(stated) <= set(PARTS):
         raise ValueError(
-            f"data set {frames.name} gives no split into {', '.join(PARTS)}; split by random or point"
+            f"data set {frames.name} gives no split into {', '.join(PARTS)}; split by random, point or a column"
         )
     for part in ("train", "test"):
         if part not in stated:
             raise ValueError(
-                f"data set {frames.name} states a split without {part} frames; split by random or point"
+                f"data set {frames.name} states a split without {part} frames; split by random, point or a column"
             )
     return np.array([PARTS.index(part) for part in stated], dtype=np.int64)
 

@@ -131,13 +131,18 @@ def clear_picture_cache() -> int:
 
 
 class PictureFiles(StoredFrames):
-    """A data set whose pictures are files of their own, `picture_paths`, one per frame."""
+    """A data set whose pictures are files of their own, `picture_paths`, one per frame.
+
+    `further_files` are the others that decide what it holds: tables and reference pictures.
+    """
 
     picture_paths: list[Path]
+    further_files: list[Path]
 
     @cached_property
     def digest(self) -> str:
-        stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in self.picture_paths]
+        paths = [*self.picture_paths, *self.further_files]
+        stats = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in paths]
         return hashlib.sha256(repr(stats).encode()).hexdigest()
 
     def encoded_picture(self, index: int) -> bytes:

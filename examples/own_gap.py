@@ -1,13 +1,22 @@
-"""Your own domain gap: two domains that differ in modulus, friction and one LED's drive, and nothing else."""
+"""
+Your own domain gap
+===================
+
+Two domains that differ in modulus, friction and one LED's drive, and nothing else.
+"""
 
 import sys
 from pathlib import Path
 
-from gelgap.domains import generate_recipes, make_recipes
+import matplotlib.pyplot as plt
+
+from gelgap.domains import generate_recipes, make_recipes, open_domain
 from gelgap.sim import ContactPath
 
 
-def main(out_dir: Path, path: str | ContactPath = "smoke", quality: str = "standard", **settings) -> None:
+def main(
+    out_dir: Path | str = "data", path: str | ContactPath = "smoke", quality: str = "standard", **settings
+) -> None:
     (source,) = make_recipes(["wmb0i0"], path, inpainted=(), quality=quality, **settings)
     brighter = source.illumination.leds[0].model_copy(
         update={"drive": 1.5 * source.illumination.leds[0].drive}
@@ -22,7 +31,13 @@ def main(out_dir: Path, path: str | ContactPath = "smoke", quality: str = "stand
         }
     )
     print(generate_recipes([source, target], out_dir, scheduler="synchronous"))
+    panels = plt.figure(figsize=(8, 3)).subplots(1, 2)
+    for panel, recipe in zip(panels, (source, target), strict=True):
+        domain = open_domain(Path(out_dir) / recipe.name)
+        panel.imshow(domain.picture(len(domain) - 1))
+        panel.set_title(recipe.name)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "data"))
+    main(*sys.argv[1:])
+    plt.show()

@@ -1,4 +1,9 @@
-"""Your own adaptation method: align the mean features of both domains; one class and one registry line."""
+"""
+Your own adaptation method
+==========================
+
+Align the mean features of both domains; one class and one registry line.
+"""
 
 import sys
 from pathlib import Path

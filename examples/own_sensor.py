@@ -1,16 +1,22 @@
-"""Your own sensor: one TOML file describes camera, coating, markers and LEDs; a press shows what it sees."""
+"""
+Your own sensor
+===============
+
+One TOML file describes camera, coating, markers and LEDs; a press shows what it sees.
+"""
 
 import sys
 from pathlib import Path
 
 import cv2
+import matplotlib.pyplot as plt
 import numpy as np
 
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, Pose, Sphere, solve_pose
 
 
-def main(picture: Path, quality: str = "standard") -> np.ndarray:
+def main(picture: Path | str = "own_sensor.png", quality: str = "standard") -> np.ndarray:
     sensor = Sensor.load(Path(__file__).with_name("own_sensor.toml"))
     assert sensor.illumination is not None, "the file describes LEDs as well"
     gel = Elastomer(young_modulus_mpa=0.25, poisson_ratio=0.485, friction=0.7, thickness_mm=4.25)
@@ -23,4 +29,5 @@ def main(picture: Path, quality: str = "standard") -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "own_sensor.png"))
+    plt.imshow(main(*sys.argv[1:]))
+    plt.show()

@@ -111,6 +111,11 @@ class Led(Settings):
         return self
 
     @property
+    def face(self) -> tuple:
+        """What its light's distribution depends on: all but spectrum and drive."""
+        return self.kind, self.position_mm, self.facing, self.length_mm, self.height_mm, self.diameter_mm
+
+    @property
     def normal(self) -> np.ndarray:
         return np.asarray(self.facing) / np.linalg.norm(self.facing)
 

@@ -1,5 +1,6 @@
 """The façade: a deformed membrane in, what the camera inside the sensor sees out."""
 
+import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -83,22 +84,7 @@ class MembraneRenderer:
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.quality = quality
         self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm)
-        if linear_by_led_to_camera is None:
-            linear_by_led_to_camera = illumination.led_to_camera(sensor.camera)
-        self.linear_by_led_to_camera = np.asarray(linear_by_led_to_camera, float)
-        if self.linear_by_led_to_camera.shape != (len(illumination.leds), 3):
-            raise ValueError(
-                f"linear_by_led_to_camera has shape {self.linear_by_led_to_camera.shape}; this illumination asks for "
-                f"{(len(illumination.leds), 3)}"
-            )
-        emitters = illumination.emitters(sensor.camera, self.linear_by_led_to_camera)
         self._shadows = settings.shadows
-        self._leds = led_samples(emitters, self._shadows)
-        coating = sensor.coating
-        diffuse = self.linear_by_led_to_camera * np.asarray(coating.albedo) / np.pi
-        self._lambert_to_linear = ((1 - coating.specular) * diffuse).astype(np.float32)
-        self._base_to_linear = (coating.specular * diffuse).astype(np.float32)
-        self._highlight_to_linear = (coating.specular * self.linear_by_led_to_camera).astype(np.float32)
         self._marker_rest_mm = marker_rest_mm(sensor.markers).astype(np.float32)
         self._marker_ratio = (
             np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
@@ -106,16 +92,59 @@ class MembraneRenderer:
         self._gain = (
             imaging.vignetting_gain(sensor.camera, self.size_px) if sensor.camera.vignetting > 0 else None
         )
-        scattered, exposure = illumination.scattered, sensor.camera.exposure
-        self._scattered = None if scattered is None else ScatteredTable(scattered, self.lattice, exposure)
         self._flat_field = (
             None if sensor.flat_field is None else FlatFieldFilter(sensor.flat_field, self.size_px)
         )
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
+        self._take_colours(illumination, linear_by_led_to_camera)
+        self._take_scattered(illumination)
+        self._take_places(illumination)
+
+    def relit(
+        self, illumination: Illumination, linear_by_led_to_camera: np.ndarray | None = None
+    ) -> "MembraneRenderer":
+        """Return the renderer of the same sensor under another illumination.
+
+        It gives the pictures of a new one, sooner: what the illuminations have in common is not computed again, which
+        for LEDs in the same places is all but their colours.
+        """
+        other, before = copy.copy(self), self.illumination
+        other.illumination = illumination
+        other._take_colours(illumination, linear_by_led_to_camera)
+        if illumination.scattered != before.scattered:
+            other._take_scattered(illumination)
+        if [led.face for led in illumination.leds] != [led.face for led in before.leds]:
+            other._take_places(illumination)
+        return other
+
+    def _take_colours(self, illumination: Illumination, led_to_camera: np.ndarray | None) -> None:
+        """Compute what depends on the LEDs' colours."""
+        if led_to_camera is None:
+            led_to_camera = illumination.led_to_camera(self.sensor.camera)
+        self.linear_by_led_to_camera = np.asarray(led_to_camera, float)
+        if self.linear_by_led_to_camera.shape != (len(illumination.leds), 3):
+            raise ValueError(
+                f"linear_by_led_to_camera has shape {self.linear_by_led_to_camera.shape}; this illumination asks for "
+                f"{(len(illumination.leds), 3)}"
+            )
+        coating = self.sensor.coating
+        diffuse = self.linear_by_led_to_camera * np.asarray(coating.albedo) / np.pi
+        self._lambert_to_linear = ((1 - coating.specular) * diffuse).astype(np.float32)
+        self._base_to_linear = (coating.specular * diffuse).astype(np.float32)
+        self._highlight_to_linear = (coating.specular * self.linear_by_led_to_camera).astype(np.float32)
+
+    def _take_scattered(self, illumination: Illumination) -> None:
+        scattered, exposure = illumination.scattered, self.sensor.camera.exposure
+        self._scattered = None if scattered is None else ScatteredTable(scattered, self.lattice, exposure)
+
+    def _take_places(self, illumination: Illumination) -> None:
+        """Compute what depends on where the LEDs are: their light on the undeformed membrane."""
+        emitters = illumination.emitters(self.sensor.camera, self.linear_by_led_to_camera)
+        self._leds = led_samples(emitters, self._shadows)
         flat = self._surface_on_lattice(self._flat, "reference")
         light = direct_light(flat, self._leds, self._shadows, None)
         self._reference_irradiance = light.irradiance
-        self._reference_gloss = self._gloss(flat, light, None) if coating.specular > 0 else None
+        self._reference_gloss = self._gloss(flat, light, None) if self.sensor.coating.specular > 0 else None
 
     def _gloss(self, surface: Surface, light: Light, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness

@@ -29,3 +29,10 @@ from .press import solve_poses as solve_poses
 from .quality import QualityName as QualityName
 from .scene import Sharing as Sharing
 from .solution import Solution as Solution
+from .solved_path import PATH_DEPTHS_MM as PATH_DEPTHS_MM
+from .solved_path import PATH_TRAVELS_MM as PATH_TRAVELS_MM
+from .solved_path import SolvedPath as SolvedPath
+from .solved_path import SolvedPose as SolvedPose
+from .solved_path import plan_path as plan_path
+from .solved_path import solve_in_full as solve_in_full
+from .solved_path import solved_pose as solved_pose

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,10 @@ class CanonicalFrame:
     def travel_mm(self, pose: Pose) -> NDArray[np.float64]:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
+
+    def on_sensor(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a vector (3,) of this frame, such as a force, in the sensor's."""
+        return np.array([*(self.to_sensor @ vector[:2]), vector[2]])
 
 
 def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
@@ -81,29 +86,54 @@ def placed_state(
     Its grid reaches at least `half_extent_mm` from the sensor's centre along x and y.
     """
     record, problem = solution.records[record_index], solution.problem
-    x_mm, y_mm = grid_axes(half_extent_mm)
     table = _table(solution, record_index)
-    point_mm, turn = (pose.point_x_mm, pose.point_y_mm), tuple(frame.to_sensor.ravel().tolist())
-    rest, places = _places(half_extent_mm, point_mm, turn, table.displacement_mm.shape, table.symmetric)
-    position = table.at(places)
-    position[..., :2] += rest
-    origin = record.indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
-    displacement, contact = _on_indenter(problem.indenter, position, origin)
-    displacement[..., :2] -= rest
-    displacement[..., :2] = displacement[..., :2] @ frame.to_sensor.T
+    surface = placed_surface(pose, frame, problem.indenter, table, record.indenter_mm, half_extent_mm)
     modulus_ratio = elastomer.mujoco_moduli.young_modulus_mpa / problem.moduli.young_modulus_mpa
-    force = record.force_n * modulus_ratio
     energy = record.diagnostics.elastic_energy_mj * modulus_ratio
     return MembraneState(
-        x_mm=x_mm,
-        y_mm=y_mm,
-        displacement_mm=displacement.astype(np.float32),
-        contact=contact,
-        force_n=np.array([*(frame.to_sensor @ force[:2]), force[2]]),
+        x_mm=surface.x_mm,
+        y_mm=surface.y_mm,
+        displacement_mm=surface.displacement_mm,
+        contact=surface.contact,
+        force_n=frame.on_sensor(record.force_n * modulus_ratio),
         contact_radius_mm=_contact_radius_mm(solution, record_index),
         converged=record.converged,
         diagnostics=replace(record.diagnostics, elastic_energy_mj=energy),
     )
+
+
+class PlacedSurface(NamedTuple):
+    """The membrane on a rest grid, in the sensor's frame.
+
+    `x_mm` (nx,) and `y_mm` (ny,) are the grid's axes, `displacement_mm` is (ny, nx, 3), `contact` (ny, nx), and
+    `places` are the grid's points in the polar tables of the contact.
+    """
+
+    x_mm: NDArray[np.float64]
+    y_mm: NDArray[np.float64]
+    displacement_mm: NDArray[np.float32]
+    contact: NDArray[np.bool_]
+    places: PolarPlaces
+
+
+def placed_surface(
+    pose: Pose,
+    frame: CanonicalFrame,
+    indenter: Indenter,
+    table: PolarTable,
+    indenter_mm: NDArray[np.float64],
+    half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
+) -> PlacedSurface:
+    """Return a table's membrane at a pose's point; what touches the indenter at `indenter_mm` (3,) lies on it."""
+    point_mm, turn = (pose.point_x_mm, pose.point_y_mm), tuple(frame.to_sensor.ravel().tolist())
+    rest, places = _places(half_extent_mm, point_mm, turn, table.values.shape[:2], table.symmetric)
+    position = table.at(places)
+    position[..., :2] += rest
+    origin = indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+    displacement, contact = _on_indenter(indenter, position, origin)
+    displacement[..., :2] -= rest
+    displacement[..., :2] = displacement[..., :2] @ frame.to_sensor.T
+    return PlacedSurface(*grid_axes(half_extent_mm), displacement.astype(np.float32), contact, places)
 
 
 @lru_cache(maxsize=64)
@@ -128,7 +158,7 @@ def _places(
     """Return the sensor's grid around a point in the frame turned by `turn` (4,), and its places in polar tables."""
     x_mm, y_mm = grid_axes(half_extent_mm)
     rest = np.stack(np.meshgrid(x_mm - point_mm[0], y_mm - point_mm[1]), axis=-1) @ np.reshape(turn, (2, 2))
-    return rest, PolarPlaces.of(rest[..., 0], rest[..., 1], shape, symmetric)
+    return rest, PolarPlaces.of(rest, shape, symmetric)
 
 
 def _on_indenter(

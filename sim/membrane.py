@@ -39,7 +39,7 @@ class Diagnostics:
     """How a pose was solved, for labels and for trust.
 
     `residual` is the largest force on a free vertex and `imbalance` the difference of the forces on indenter and
-    backing, both over the indenter's force; `coulomb_excess` the largest |f_t| / (μ f_n) − 1 over the contact's
+    backing, both over the indenter's force; `coulomb_excess` the largest `|f_t| / (μ f_n) − 1` over the contact's
     vertices, −1 without friction; `tension` the largest pull on one of them over the largest push. `sticking_fraction`
     is the share of the normal force carried by vertices that stick; `slip_mm` the largest sideways slip of a vertex on
     the path so far; `elastic_energy_mj` the energy stored in the gel, mJ; `min_volume_ratio` the smallest element's

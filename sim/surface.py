@@ -15,27 +15,28 @@ _SECTORS = 64
 
 @dataclass(frozen=True)
 class PolarTable:
-    """Displacement of the membrane tabulated over material radius and angle around the contact point.
+    """A field of the membrane tabulated over material radius and angle around the contact point.
 
-    `displacement_mm` is (n_r, n_angle, 3); angles run over the half circle if `symmetric`, else over the whole.
+    `values` is (n_r, n_angle, 3) for a displacement in mm, (n_r, n_angle, 1) for a scalar; angles run over the half
+    circle if `symmetric`, else over the whole.
     """
 
-    displacement_mm: NDArray[np.float32]
+    values: NDArray[np.float32]
     symmetric: bool
 
     def at(self, places: "PolarPlaces") -> NDArray[np.float64]:
-        """Interpolate linearly at places that are those of a table of this shape and symmetry."""
+        """Interpolate linearly at places that are those of tables of this shape and symmetry."""
         a, b = places.outwards, places.onwards
         inner = self._entries(places.corner) * (1 - b) + self._entries(places.corner + 1) * b
-        corner = places.corner + self.displacement_mm.shape[1]
+        corner = places.corner + self.values.shape[1]
         outer = self._entries(corner) * (1 - b) + self._entries(corner + 1) * b
         value = inner * (1 - a) + outer * a
-        if self.symmetric:
+        if self.symmetric and value.shape[-1] == 3:
             value[..., 1] *= places.side
         return value
 
     def _entries(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
-        return np.take(self.displacement_mm.reshape(-1, 3), indices, axis=0)
+        return np.take(self.values.reshape(-1, self.values.shape[2]), indices, axis=0)
 
 
 @dataclass(frozen=True)
@@ -52,11 +53,10 @@ class PolarPlaces:
     side: NDArray[np.float64]
 
     @classmethod
-    def of(
-        cls, x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], shape: tuple[int, ...], symmetric: bool
-    ) -> "PolarPlaces":
-        """Find points in tables of this shape and symmetry."""
-        rows, columns, _ = shape
+    def of(cls, rest_mm: NDArray[np.float64], shape: tuple[int, ...], symmetric: bool) -> "PolarPlaces":
+        """Find points (..., 2) in tables of this shape and symmetry."""
+        rows, columns = shape[:2]
+        x_mm, y_mm = rest_mm[..., 0], rest_mm[..., 1]
         row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
         angle = np.arctan2(y_mm, x_mm)
         column = np.abs(angle) / np.pi if symmetric else (angle / (2 * np.pi)) % 1.0
@@ -70,10 +70,37 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
     from scipy.interpolate import CloughTocher2DInterpolator
     from scipy.spatial import cKDTree
 
-    problem = solution.problem
     rest, displacement, _ = solution.whole_surface(record)
-    low, high = rest.min(axis=0), rest.max(axis=0)
-    rim = float(np.hypot(*rest.T).max())
+    points = _polar_points(solution, rest)
+    values = CloughTocher2DInterpolator(rest, displacement)(points)
+    outside = np.isnan(values[..., 0])
+    values[outside] = displacement[cKDTree(rest).query(points[outside])[1]]
+    return PolarTable(values.astype(np.float32), solution.problem.symmetric)
+
+
+def pressure_table(solution: Solution, record: Record) -> PolarTable:
+    """Tabulate the normal pressure in MPa: the vertices' forces over their shares of the deformed surface's area."""
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import Delaunay
+
+    # Vertices in the plane of symmetry carry the force of one half, so that areas are those of this half as well.
+    rest = solution.rest_mm
+    triangulation = Delaunay(rest)
+    corners = triangulation.simplices
+    position = np.concatenate([rest, np.zeros((len(rest), 1))], axis=1) + record.displacement_mm
+    first, second, third = (position[corners[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
+    share = np.bincount(corners.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
+    pressure = np.maximum(record.normal_force_n, 0) / np.maximum(share, 1e-9)
+    values = LinearNDInterpolator(triangulation, pressure[:, None])(_polar_points(solution, rest))
+    return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
+
+
+def _polar_points(solution: Solution, rest_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where a table samples the membrane, (n_r, n_angle, 2)."""
+    problem = solution.problem
+    low, high = rest_mm.min(axis=0), rest_mm.max(axis=0)
+    rim = float(np.hypot(*rest_mm.T).max())
     extent = rim if problem.pad_mm is None else np.hypot(*np.maximum(-low, high))
     radius = _radius(np.arange(np.ceil(_row(np.array(extent))) + 1))
     half_circle = np.linspace(0, np.pi, _SECTORS + 1)
@@ -81,12 +108,7 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
     # The mesh is a polygon, cut at the pad's edges: points beyond it take the displacement of its rim.
     meshed = np.minimum(radius, 0.999 * rim * np.cos(np.pi / (2 * problem.mesh_size.sectors)))
     x, y = np.outer(meshed, np.cos(turn)), np.outer(meshed, np.sin(turn))
-    x, y = np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])
-    points = np.stack([x, y], -1)
-    values = CloughTocher2DInterpolator(rest, displacement)(points)
-    outside = np.isnan(values[..., 0])
-    values[outside] = displacement[cKDTree(rest).query(points[outside])[1]]
-    return PolarTable(values.astype(np.float32), problem.symmetric)
+    return np.stack([np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])], -1)
 
 
 def _row(radius_mm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,16 +7,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 README = "README.md"
+_NOTEBOOKS = "docs/notebooks"
 OTHER_PAGES = (
     "CONTRIBUTING.md",
     "CHANGELOG.md",
     "docs/results/README.md",
     *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+    *sorted(f"{_NOTEBOOKS}/{path.name}" for path in (ROOT / _NOTEBOOKS).glob("*.md")),
 )
 PAGES = (README, *OTHER_PAGES)
 _PROGRAMS = ("gelgap", "python", "make", "dask", "pip", "git")
 _COMMAND = re.compile(rf"({'|'.join(_PROGRAMS)}) \S")
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^```(?:\{code-cell\} )?(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _FILE_NAME = re.compile(r"# (\S+\.(?:toml|py))\n")
 
 
@@ -39,8 +41,10 @@ def page_text(page: str) -> str:
 
 
 def snippets(page: str) -> list[Snippet]:
-    """Return what a page's fenced blocks hold, from top to bottom."""
+    """Return what a page's fenced blocks hold, from top to bottom; the cells of a notebook are one program."""
     text = page_text(page)
+    if page.startswith(_NOTEBOOKS):
+        return [Snippet(page, "python", "\n".join(block[2] for block in FENCE.finditer(text)))]
     return [
         snippet
         for block in FENCE.finditer(text)

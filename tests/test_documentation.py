@@ -40,6 +40,7 @@ QUICKEST = {
     r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
     r"--preset smoke --quality draft": f"mb0i0 wmb1i1 --path tiny.toml {SMALL}",
     r"--sweep sweep.toml": f"--sweep sweep.toml {SMALL}",
+    r"--recipe gap.toml": f"--recipe gap.toml {SMALL}",
     r"--profile cpu": "--profile smoke",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
     r"adaptation/cpu": "adaptation/smoke",
@@ -57,7 +58,9 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
-    r"pip install (--no-deps taxim|\"taxim)": "installs a package",
+    r"pip install (--no-deps taxim|\"taxim|'gelgap\[view\]')": "installs a package",
+    r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",
+    r"python -m gelgap.benchmarks.view.screenshot": "needs a browser; tests/view/test_page.py opens one",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"git clone": "downloads; tests/real_clones.py writes such clones in small",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
@@ -132,6 +135,9 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark throughput --what estimates --quick": {
         "data.estimates.presses": lambda real: lambda quick: islice(real(quick), 1),
         "data.estimates.generations": lambda real: lambda folder, quick: islice(real(folder, quick), 1),
+    },
+    "gelgap benchmark view --quick": {
+        "view.latency.QUICK_REPEATS": lambda real: 1,
     },
     "gelgap benchmark stability --what physics --quick": {
         "physics.stability.QUICK_SCENES": lambda real: real[:1],

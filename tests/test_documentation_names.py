@@ -16,7 +16,7 @@ from gelgap.cli.main import COMMANDS, main
 PAGES = (
     "README.md",
     "CONTRIBUTING.md",
-    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+    *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").rglob("*.md")),
 )
 ROOMS = "sim|render|domains|adapt|benchmarks|assets|cli|tests|examples|scripts|docs"
 

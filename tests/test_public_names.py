@@ -11,7 +11,7 @@ from types import FunctionType
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = ("sim", "render", "domains", "adapt")
+ROOMS = ("sim", "render", "domains", "view", "adapt")
 
 
 def names_in_stub(room: str) -> list[str]:

@@ -36,13 +36,13 @@ class Adaptation(Protocol):
         """Replace the batch normalisations' statistics by those of the target's pictures."""
 
     def source_mean(self) -> np.ndarray:
-        """Return the mean normalised force (3,) of the source's frames."""
+        """Return the mean normalised labels (k,) of the source's frames."""
 
     def source_batches(self, epoch: int) -> Iterator[Tensor]:
         """Yield the network's inputs for the source's frames in shuffled batches, one pass."""
 
     def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
-        """Yield the same with their normalised forces (B, 3)."""
+        """Yield the same with their normalised labels (B, k)."""
 
     def target_batches(self, epoch: int) -> Iterator[Tensor]:
         """Yield the network's inputs for the target's frames in shuffled batches, one pass."""

@@ -1,8 +1,9 @@
 """CDAN: a domain discriminator on features that are conditioned on the prediction [1].
 
 The published discriminator sees the outer product of feature and class probabilities. Forces have no classes: here it
-is the outer product of the feature with (1, F̂), F̂ the normalised force without gradient, so that it sees the
-feature itself and how it goes with each axis. Entropy conditioning (CDAN+E) needs probabilities and is left out.
+is the outer product of the feature with (1, F̂), F̂ the normalised force (or other labels) without gradient, so that
+it sees the feature itself and how it goes with each axis. Entropy conditioning (CDAN+E) needs probabilities and is left
+out.
 
 [1] Long, Cao, Wang, Jordan, "Conditional adversarial domain adaptation", NeurIPS 2018.
 """
@@ -10,10 +11,8 @@ feature itself and how it goes with each axis. Entropy conditioning (CDAN+E) nee
 import torch
 from torch import Tensor
 
-from gelgap.adapt.methods.dann import DANN
-from gelgap.adapt.network import Activations
-
-_CONDITIONS = 4
+from gelgap.adapt.methods.dann import DANN, make_discriminator
+from gelgap.adapt.network import Activations, ForceNetwork
 
 
 def multilinear_map(features: Tensor, condition: Tensor) -> Tensor:
@@ -25,8 +24,15 @@ class CDAN(DANN):
     """Regression with a domain-adversarial loss on the feature, given the predicted force."""
 
     @classmethod
-    def discriminator_inputs(cls, feature_dim: int) -> int:
-        return _CONDITIONS * feature_dim
+    def discriminator_inputs(cls, feature_dim: int, n_labels: int = 3) -> int:
+        return (1 + n_labels) * feature_dim
+
+    def begin(self, network: ForceNetwork) -> None:
+        """Take a discriminator for the network's labels, where these are not the force's three axes."""
+        if network.n_labels != 3:
+            inputs = self.discriminator_inputs(self.feature_dim, network.n_labels)
+            discriminator = make_discriminator(inputs, self.settings.hidden)
+            self.discriminator = discriminator.to(network.classifier.weight.device)
 
     def conditioned(self, features: Tensor, activations: Activations) -> Tensor:
         prediction = activations.prediction.detach()

@@ -35,7 +35,7 @@ def conditional_operator_discrepancy(
     feature_kernel
         (n + m, n + m), source first.
     force_s, force_t
-        (n, 3) and (m, 3) normalised forces; no gradient flows through them.
+        (n, k) and (m, k) normalised labels; no gradient flows through them.
     ridge
         ε of the operators.
     """

@@ -5,7 +5,7 @@ normalisations are trained on unlabelled target pictures so that the target's fe
 have the source's mean and variance.
 
 Deviations from the authors' code: K is 20, not 100; three passes over the target, not one that
-predicts each batch as it comes; the weight α of a direction sums over the three outputs; at the end the running
+predicts each batch as it comes; the weight α of a direction sums over the outputs; at the end the running
 statistics are estimated anew on the target.
 
 [1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR 2025.

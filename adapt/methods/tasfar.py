@@ -31,7 +31,7 @@ _WITHIN_SIGMAS = 3.0
 
 
 class Calibration(NamedTuple):
-    """Per axis (3,), of the source: σ = intercept + slope·spread, and the spread that still counts as confident."""
+    """Per label (l,), of the source: σ = intercept + slope·spread, and the spread that still counts as confident."""
 
     intercept: Tensor
     slope: Tensor
@@ -39,7 +39,7 @@ class Calibration(NamedTuple):
 
 
 def calibrate(spread: np.ndarray, error: np.ndarray, confident_share: float) -> Calibration:
-    """Return what error (n, 3) a spread (n, 3) means: the line below which 68.27 % of the errors lie ([1], III-C)."""
+    """Return what error (n, l) a spread (n, l) means: the line below which 68.27 % of the errors lie ([1], III-C)."""
     from sklearn.linear_model import QuantileRegressor
 
     lines = []
@@ -56,14 +56,14 @@ def calibrate(spread: np.ndarray, error: np.ndarray, confident_share: float) -> 
 
 
 def block_masses(mean: Tensor, sigma: Tensor, edges: Tensor) -> Tensor:
-    """Return the mass (B, 3, K) of a Gaussian (B, 3) in each block between `edges` (K + 1,), cut at three sigmas."""
+    """Return the mass (B, l, K) of a Gaussian (B, l) in each block between `edges` (K + 1,), cut at three sigmas."""
     standard = ((edges - mean[..., None]) / sigma[..., None]).clamp(-_WITHIN_SIGMAS, _WITHIN_SIGMAS)
     masses = torch.special.ndtr(standard).diff(dim=2)
     return masses / masses.sum(dim=2, keepdim=True).clamp_min(1e-12)
 
 
 class PseudoLabels(NamedTuple):
-    """Pseudo-labels (B, 3) in the normalised force, and the weights (B, 3) with which they are learnt."""
+    """Pseudo-labels (B, l) in the normalised force, and the weights (B, l) with which they are learnt."""
 
     force: Tensor
     weight: Tensor
@@ -72,7 +72,7 @@ class PseudoLabels(NamedTuple):
 def pseudo_labels(
     prediction: Tensor, spread: Tensor, density: Tensor, edges: Tensor, calibration: Calibration
 ) -> PseudoLabels:
-    """Return the pseudo-labels of predictions (B, 3) under the density (3, K) of the target's forces ([1], III-D)."""
+    """Return the pseudo-labels of predictions (B, l) under the density (l, K) of the target's forces ([1], III-D)."""
     sigma = calibration.intercept + calibration.slope * spread
     masses = block_masses(prediction, sigma, edges)
     posterior = masses * density
@@ -138,8 +138,8 @@ class TASFAR(Method):
     def _density(
         self, adaptation: Adaptation, teacher: ForceNetwork, calibration: Calibration, edges: Tensor
     ) -> Tensor:
-        """Return the density (3, K) of the confident target predictions; even on an axis that has none."""
-        found = torch.zeros(3, len(edges) - 1).to(edges)
+        """Return the density (l, K) of the confident target predictions; even on an axis that has none."""
+        found = torch.zeros(teacher.n_labels, len(edges) - 1).to(edges)
         for inputs in adaptation.target_batches(0):
             prediction, spread = _uncertain(teacher, inputs)
             sigma = calibration.intercept + calibration.slope * spread
@@ -154,7 +154,7 @@ class TASFAR(Method):
 
 @torch.no_grad()
 def _uncertain(network: ForceNetwork, inputs: Tensor) -> tuple[Tensor, Tensor]:
-    """Return predictions (B, 3) and their standard deviation (B, 3) over draws of dropout on the feature.
+    """Return predictions (B, l) and their standard deviation (B, l) over draws of dropout on the feature.
 
     The same draws for every batch, so that a run does not depend on what was drawn before.
     """

@@ -24,13 +24,13 @@ from torch.nn import functional
 
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.methods.dan import mk_mmd
-from gelgap.adapt.network import Activations
+from gelgap.adapt.network import Activations, ForceNetwork
 
 _LEAST = 1e-5
 
 
 class Evidence(NamedTuple):
-    """Parameters (B, 3) of the normal-inverse-gamma distribution of each force: ν > 0, α > 1, β > 0."""
+    """Parameters (B, k) of the normal-inverse-gamma distribution of each label: ν > 0, α > 1, β > 0."""
 
     nu: Tensor
     alpha: Tensor
@@ -38,7 +38,7 @@ class Evidence(NamedTuple):
 
 
 def evidential_loss(force: Tensor, prediction: Tensor, evidence: Evidence) -> Tensor:
-    """Return the mean negative log-likelihood of forces (B, 3), regularised by |error|·(2ν + α) ([2], section 3).
+    """Return the mean negative log-likelihood of labels (B, k), regularised by |error|·(2ν + α) ([2], section 3).
 
     No gradient flows through the regulariser's error: it takes evidence away where the force is wrong.
     """
@@ -56,12 +56,21 @@ def evidential_loss(force: Tensor, prediction: Tensor, evidence: Evidence) -> Te
 
 
 def similar(queries: Tensor, pool: Tensor, width: float, uniform: Tensor) -> Tensor:
-    """Return for each force of `queries` (B, 3) the index of a near one of `pool` (P, 3), drawn by a Gaussian.
+    """Return for each row of `queries` (B, k) the index of a near one of `pool` (P, k), drawn by a Gaussian.
 
     uniform (B,) in [0, 1) decides the draw.
     """
     weights = torch.softmax(-torch.cdist(queries, pool).square() / (2 * width**2), dim=1)
     return torch.searchsorted(weights.cumsum(dim=1), uniform[:, None]).clamp(max=len(pool) - 1)[:, 0]
+
+
+def make_evidence_head(feature_dim: int, n_labels: int) -> nn.Linear:
+    """Return a head that gives the three parameters of each label; it begins the same in every run."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        head = nn.Linear(feature_dim, 3 * n_labels)
+    nn.init.zeros_(head.bias)
+    return head
 
 
 class UGA(Method):
@@ -79,14 +88,19 @@ class UGA(Method):
 
     def __init__(self, settings: Settings, feature_dim: int, n_classes: int) -> None:
         super().__init__(settings, feature_dim, n_classes)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(0)
-            self.evidence_head = nn.Linear(feature_dim, 9)
-        nn.init.zeros_(self.evidence_head.bias)
+        self.evidence_head = make_evidence_head(feature_dim, 3)
+
+    def begin(self, network: ForceNetwork) -> None:
+        """Take an evidence head for the network's labels, where these are not the force's three axes."""
+        if network.n_labels != 3:
+            head = make_evidence_head(self.feature_dim, network.n_labels)
+            self.evidence_head = head.to(network.classifier.weight.device)
 
     def evidence(self, features: Tensor) -> Evidence:
         """Return the evidence for the forces of features (B, D)."""
-        nu, alpha, beta = functional.softplus(self.evidence_head(features)).unflatten(1, (3, 3)).unbind(dim=2)
+        nu, alpha, beta = (
+            functional.softplus(self.evidence_head(features)).unflatten(1, (-1, 3)).unbind(dim=2)
+        )
         return Evidence(nu + _LEAST, alpha + 1 + _LEAST, beta + _LEAST)
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:

@@ -97,12 +97,12 @@ def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> flo
     from torch.nn import functional
 
     from gelgap.adapt import make_network
-    from gelgap.adapt.batches import network_inputs, normalised_force
+    from gelgap.adapt.batches import network_inputs, normalised_labels
     from gelgap.adapt.machine import torch_threads
 
     network = make_network(profile, 361, 0)
     pictures = network_inputs(frames, profile, "cpu")
-    force = torch.from_numpy(normalised_force(frames))
+    force = torch.from_numpy(normalised_labels(frames))
     optimizer = torch.optim.SGD(network.parameters(), lr=0.01, momentum=0.9, weight_decay=5e-4)
     network.train()
     times = []

@@ -24,7 +24,7 @@ from gelgap.adapt.run_record import load_predictions, load_runs
 from gelgap.adapt.runs import adapt_frames
 from gelgap.adapt.source_training import train_source
 from gelgap.adapt.splits import split_for_training
-from gelgap.domains import ArrayFrames
+from gelgap.domains import ArrayFrames, join_domains
 
 
 @pytest.fixture(scope="module")
@@ -190,15 +190,32 @@ def test_label_outside_the_declared_range_is_an_error(source, profile):
         train_source(altered(source, force_n=force), profile)
 
 
-def test_mismatched_picture_sizes_are_an_error(stage1, source, target):
+def test_pictures_of_another_size_are_resized_and_too_small_ones_are_an_error(stage1, source, target, caplog):
     small = altered(target, images=target.images()[:, :, :32], reference=target.reference[:, :32])
-    tall = altered(
-        source, images=source.images().repeat(2, axis=1), reference=source.reference.repeat(2, axis=0)
-    )
-    with pytest.raises(ValueError, match="source mb0i0 has 40×32 px pictures, target wmb1i1 has 32×32 px"):
+    with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
         adapt(stage1, source, small, "adabn")
-    with pytest.raises(ValueError, match="40×64"):
-        adapt(stage1, tall, target, "adabn")
+    with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
+        adapt_frames(source, small, ["constant-mean"], stage1.profile)
+    large = altered(
+        target,
+        images=target.images().repeat(2, axis=1).repeat(2, axis=2),
+        reference=target.reference.repeat(2, axis=0).repeat(2, axis=1),
+    )
+    same, resized = (adapt(stage1, source, frames, "adabn") for frames in (target, large))
+    np.testing.assert_array_equal(weights(same), weights(resized))
+    np.testing.assert_array_equal(same.predict_n(target), resized.predict_n(large))
+    adapt_frames(source, large, ["constant-mean"], stage1.profile)
+    assert not caplog.messages
+    tall = altered(
+        target, images=target.images().repeat(2, axis=1), reference=target.reference.repeat(2, axis=0)
+    )
+    adapt_frames(source, tall, ["constant-mean"], stage1.profile)
+    assert "40×32 px and those of wmb1i1 40×64 px" in caplog.messages[0]
+    caplog.clear()
+    adapt_frames(join_domains([tall, source]), source, ["constant-mean"], stage1.profile)
+    assert ["pictures of wmb1i1 are 40×64 px" in note for note in caplog.messages] == [True]
+    with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
+        adapt_frames(join_domains([source, small]), source, ["constant-mean"], stage1.profile)
 
 
 def test_unknown_method_lists_the_known_ones(stage1, source, target):

@@ -31,7 +31,7 @@ def test_the_demo_runs_end_to_end(tmp_path: Path) -> None:
         say=said.append,
     )
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/png;base64,") == page.count('<label class="picture">') == 3
     assert "http" not in page
     assert result.headline.split(":")[0] in page
     assert {row.domain for row in result.rows} == {SOURCE, TARGET}

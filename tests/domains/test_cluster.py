@@ -60,8 +60,8 @@ def test_workers_tell_the_client_their_load_steps(
         def __init__(self):
             self.begun, self.told, self.solves = {}, [], []
 
-        def begin(self, solves, frames, sizes=None, workers=None):
-            self.begun = sizes
+        def begin(self, solves, frames, load=None):
+            self.begun = load.solves
 
         def stepped(self, solve, done):
             self.told.append((solve, done))

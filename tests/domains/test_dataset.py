@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains.dataset import ArrayFrames
+from gelgap.domains.array_frames import ArrayFrames
 from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_codec import decode_picture, encode_png, resized
 from gelgap.sim import Diagnostics

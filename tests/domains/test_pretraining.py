@@ -5,8 +5,6 @@ import pytest
 
 from gelgap.domains import (
     RANDOM_FACTORS,
-    ArrayFrames,
-    JoinedDifferences,
     PretrainingRanges,
     plan_generation,
     pretraining_recipes,
@@ -92,26 +90,3 @@ def test_a_file_replaces_single_values(tmp_path):
     default, own = PretrainingRanges.default(), PretrainingRanges.load(tmp_path / "ranges.toml")
     variation = default.variation.model_copy(update={"led_drive": 0.0})
     assert own == default.model_copy(update={"presses": 3, "variation": variation})
-
-
-def domain(name: str, grey: int, force_n: float, **settings) -> ArrayFrames:
-    images = np.full((2, 8, 10, 3), grey + 20, np.uint8)
-    images[1] = grey - 10
-    forces = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, force_n]])
-    return ArrayFrames(name, images, np.full((8, 10, 3), grey, np.uint8), forces, **settings)
-
-
-def test_joined_pictures_are_relative_to_their_own_references():
-    joined = JoinedDifferences("all", [domain("a", 60, -2.0), domain("b", 180, -3.0)], (10, 8))
-    difference = joined.images().astype(int) - joined.reference
-    assert difference[:, 0, 0, 0].tolist() == [20, -10, 20, -10]
-    assert np.array_equal(joined.images_without_markers(), joined.images())
-    assert joined.force_n[:, 2].tolist() == [-1.0, -2.0, -1.0, -3.0]
-    inputs = joined.torch((10, 8), "difference").inputs([0, 2])
-    assert inputs[0].equal(inputs[1])
-
-
-def test_domains_that_declare_other_ranges_are_not_joined():
-    wide = ((-2.0, 2.0), (-2.0, 2.0), (-20.0, 0.0))
-    with pytest.raises(ValueError, match="b declares forces"):
-        JoinedDifferences("all", [domain("a", 60, -2.0), domain("b", 60, -2.0, force_range_n=wide)], (10, 8))

@@ -116,5 +116,5 @@ def test_without_a_reference_the_lightest_touch_takes_its_place(tmp_path: Path):
 def test_a_table_without_forces_says_what_it_has(tmp_path: Path):
     picture(tmp_path / "a.png", 1)
     table(tmp_path / "t.csv", [{"image": "a.png", "torque": 1}])
-    with pytest.raises(ValueError, match=r"lacks the columns fx_n, fy_n, fz_n; it has image, torque"):
+    with pytest.raises(ValueError, match=r"has no label.*\(fx_n, .*depth_mm\); it has image, torque"):
         open_domain(tmp_path)

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gelgap.domains.array_frames import ArrayFrames
 from gelgap.domains.contacts import contact_points, paired_contacts
-from gelgap.domains.dataset import ArrayFrames
 from gelgap.domains.opening import open_domain
 from gelgap.domains.splits import split_domains, split_frames
 
@@ -123,7 +123,7 @@ def test_paired_domains_share_their_split(data):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"by": "angle"}, "unknown; known: random, point, given"),
+        ({"by": "angle"}, "split_by = 'angle': .* has no such column; known: random, point, given"),
         ({"by": "point"}, "2 contact points are too few"),
         ({"shares": (0.5, 0.5, 0.5)}, "add up to 1"),
     ],
@@ -148,3 +148,69 @@ def test_without_poses_contacts_are_paired_by_point_and_class():
     assert second.tolist() == [0, 2]
     with pytest.raises(ValueError, match=r"points lacks x_mm, y_mm.*cannot be paired"):
         paired_contacts(pressed_at([-1, -1]), pressed_at([0, 1]))
+
+
+def clips(objects: list[str], frames: int = 4, name: str = "clips", session: str = "") -> ArrayFrames:
+    """Return frames of clips, one for each entry of `objects`."""
+    n = len(objects)
+    groups = {
+        "clip": np.repeat([f"{session}{k}" for k in range(n)], frames).astype(object),
+        "object": np.repeat(objects, frames).astype(object),
+    }
+    return pressed_at(np.arange(n * frames), name, **groups)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whole_groups_of_a_column_are_in_one_part(seed: int):
+    source, target = clips(["golf", "foam"] * 6), clips(["golf", "foam"] * 6, name="later", session="later ")
+    split = split_domains(source, target, "clip", seed)
+    owned = [set(target.columns["clip"][part]) for part in split[2:]]
+    assert sum(map(len, owned)) == 12
+    assert [len(part) for part in owned] == [7, 3, 2]
+    assert len(set(source.columns["clip"][split.source_held_out])) == 2
+    by_object = split_domains(
+        clips(["a", "b", "c", "d", "e"]), clips(["a", "b", "c", "d", "e"]), "object", seed
+    )
+    tested = set(np.repeat(list("abcde"), 4)[by_object.target_test])
+    assert len(tested) == 1
+    assert not tested & set(np.repeat(list("abcde"), 4)[by_object.source_train])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_strata_are_in_every_part_by_their_share(seed: int):
+    frames = clips(["a"] * 5 + ["b"] * 10 + ["c"] * 5)
+    for by in ("clip", "random"):
+        parts = split_frames(frames, by, seed, stratify_by="object")
+        assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(80))
+        counts = (
+            np.array([[np.sum(frames.columns["object"][part] == name) for name in "abc"] for part in parts])
+            / 4
+        )
+        if by == "clip":
+            assert counts.tolist() == [[3, 6, 3], [1, 2, 1], [1, 2, 1]]
+        assert np.allclose(counts, np.outer([0.6, 0.2, 0.2], [5, 10, 5]), atol=0.26)
+    four = split_frames(clips(["a", "b", "c", "d"] * 3), "clip", seed, stratify_by="object")
+    assert [len(part) // 4 for part in four] == [7, 3, 2]
+
+
+@pytest.mark.parametrize(
+    ("by", "stratify_by", "message"),
+    [
+        (
+            "clp",
+            None,
+            r"split_by = 'clp': data set clips has no such column; known: random, point, given, or a col",
+        ),
+        (
+            "clip",
+            "objects",
+            r"stratify_by = 'objects': data set clips has no such column; .* such as .*clip, object",
+        ),
+        ("object", "clip", r"a group that stays whole has more than one clip \(0, 2\)"),
+        ("given", "object", "states its split: it cannot be stratified"),
+        ("clip", None, r"3 groups \(clip\) are too few for a validation share"),
+    ],
+)
+def test_columns_that_cannot_split_are_refused(by, stratify_by, message):
+    with pytest.raises(ValueError, match=message):
+        split_frames(clips(["a", "b", "a"]), by, stratify_by=stratify_by)

@@ -1,0 +1,75 @@
+"""`gelgap view`: a page in the browser that shows one press live."""
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Annotated, ClassVar
+
+from gelgap.cli.arguments import (
+    Flag,
+    SensorName,
+    load_elastomer,
+    load_illumination,
+    load_sensor,
+    optional,
+)
+from gelgap.cli.rules import Between, Preset
+
+INSTALL = "pip install 'gelgap[view]'"
+
+
+@dataclass(frozen=True)
+class View:
+    """Open a page in the browser: turn gel, contact and light, and see picture and force change at once.
+
+    Only this machine can open the page, unless --host says otherwise. Ctrl-C ends it.
+
+    For example:
+      gelgap view
+      gelgap view --elastomer b1 --illumination i2 --port 9000 --no-browser
+    """
+
+    when_stopped: ClassVar[str] = "the page was not open yet; run the same command again"
+    # An open page is not work that takes long.
+    doing: ClassVar[str] = ""
+
+    elastomer: Annotated[str, Preset("elastomers")] = "e04"
+    """Elastomer preset or TOML file to begin with."""
+    illumination: Annotated[
+        str | None, optional("NAME", "the sensor's own, or i0"), Preset("illuminations")
+    ] = None
+    """Illumination preset or TOML file to begin with."""
+    sensor: SensorName = "paper"
+    """Sensor preset or TOML file to begin with."""
+    port: Annotated[int, Between(0, 65535)] = 8080
+    """Port of the page; 0 takes any free one."""
+    host: str = "127.0.0.1"
+    """Address that the page is served at; 0.0.0.0 lets the whole network turn the knobs."""
+    no_browser: Flag = False
+    """Only print the address."""
+
+    def run(self, started: float) -> None:
+        """Serve the page until Ctrl-C."""
+        if find_spec("viser") is None:
+            raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
+        import webbrowser
+
+        from gelgap.render import Illumination
+        from gelgap.view import Configuration, open_page
+
+        sensor = load_sensor(self.sensor)
+        if self.illumination is None:
+            illumination = sensor.illumination or Illumination.preset("i0")
+        else:
+            illumination = load_illumination(self.illumination)
+        configuration = Configuration(load_elastomer(self.elastomer), sensor, illumination)
+        page = open_page(configuration, self.host, self.port)
+        try:
+            print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
+            if not self.no_browser:
+                webbrowser.open(page.address)
+            page.wait()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            page.close()
+        print("the page is closed; solved physics is kept")

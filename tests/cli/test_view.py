@@ -1,0 +1,88 @@
+"""`gelgap view` refuses bad input with one sentence, and ends with one on Ctrl-C."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from gelgap.cli.main import main
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """Run the command, and return the one line that it ends with."""
+    with pytest.raises(SystemExit) as stop:
+        main(["view", "--no-browser", *arguments])
+    assert stop.value.code == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    return said.err
+
+
+def test_without_viser_it_says_how_to_install_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("gelgap.cli.view.find_spec", lambda name: None)
+    assert "pip install 'gelgap[view]'" in refused([], capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--sensor", "papre"], ("--sensor = 'papre'", "did you mean")),
+        (["--elastomer", "b9"], ("--elastomer = 'b9'", "known presets")),
+        (["--illumination", "i9"], ("--illumination = 'i9'", "known presets")),
+        (["--port", "70000"], ("--port = '70000'", "[0, 65535]")),
+        (["--port", "many"], ("--port",)),
+    ],
+)
+def test_bad_values_are_refused(
+    arguments: list[str], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = refused(arguments, capsys)
+    assert all(word in message for word in words)
+
+
+def test_a_gel_too_thin_for_the_path_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("viser")
+    thin = tmp_path / "thin.toml"
+    thin.write_text("young_modulus_mpa = 0.3\npoisson_ratio = 0.49\nfriction = 0.5\nthickness_mm = 0.8\n")
+    assert "depth_mm" in refused(["--elastomer", str(thin), "--port", "0"], capsys)
+
+
+def test_a_taken_port_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("viser")
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert f"--port = {port}: is taken" in refused(["--port", str(port)], capsys)
+
+
+def test_an_address_of_another_machine_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("viser")
+    assert "--host = '203.0.113.7'" in refused(["--host", "203.0.113.7", "--port", "0"], capsys)
+
+
+def test_it_serves_this_machine_and_ends_on_an_interrupt(tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    environment = os.environ | {"GELGAP_CACHE": str(tmp_path)}
+    words = [sys.executable, "-m", "gelgap.cli.start", "view", "--no-browser", "--port", "0"]
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as served:
+        line = served.stdout.readline()
+        address = line.split()[1]
+        assert address.startswith("http://127.0.0.1:")
+        with urllib.request.urlopen(address) as answer:
+            assert answer.status == 200
+        served.send_signal(signal.SIGINT)
+        out, err = served.communicate()
+    assert served.returncode == 0
+    assert out == "the page is closed; solved physics is kept\n"
+    assert err == ""

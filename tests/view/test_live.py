@@ -1,0 +1,134 @@
+"""The live model does what a change needs, and shows what a picture made anew shows."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.sim import Elastomer, Pose, SolvedPath, SolvedPose
+from gelgap.view import Configuration, LiveModel
+from gelgap.view.configuration import ALL_WORK, Work, needed_work
+from gelgap.view.pictures import SIZE_PX
+from gelgap.view.requests import PoseRequest
+
+SOFT = Elastomer.preset("e02")
+
+
+def brighter(start: Configuration) -> Configuration:
+    first, *others = start.illumination.leds
+    leds = (first.model_copy(update={"drive": 2 * first.drive}), *others)
+    return replace(start, illumination=start.illumination.model_copy(update={"leds": leds}))
+
+
+CHANGES: dict[str, tuple[Callable[[Configuration], Configuration], Work]] = {
+    "nothing": (lambda start: start, Work.NOTHING),
+    "drive": (brighter, Work.LIGHT | Work.PICTURE),
+    "sensor": (
+        lambda start: replace(start, sensor=Sensor.preset("digit-like")),
+        Work.LIGHT | Work.PICTURE,
+    ),
+    "markers": (lambda start: replace(start, markers=False), Work.PICTURE),
+    "noise": (lambda start: replace(start, noise=True), Work.PICTURE),
+    "modulus": (lambda start: replace(start, elastomer=SOFT), Work.FORCE),
+    "depth": (
+        lambda start: replace(start, pose=Pose(depth_mm=0.45)),
+        Work.FORCE | Work.MEMBRANE | Work.PICTURE,
+    ),
+    "friction": (
+        lambda start: replace(start, elastomer=start.elastomer.model_copy(update={"friction": 0.2})),
+        ALL_WORK,
+    ),
+    "modulus of a gel on a spring": (
+        lambda start: replace(start, elastomer=Elastomer.preset("b0")),
+        ALL_WORK,
+    ),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_change_needs_no_more_than_its_work(change: str, start: Configuration) -> None:
+    changed, work = CHANGES[change]
+    assert needed_work(start, changed(start)) == work
+
+
+@pytest.mark.parametrize("change", ["drive", "sensor", "markers", "noise", "depth"])
+def test_the_picture_is_that_of_a_renderer_made_anew(
+    change: str, model: LiveModel, start: Configuration
+) -> None:
+    model.show(start)
+    shown = model.show(CHANGES[change][0](start))
+    configuration, state = shown.configuration, shown.solved.state
+    renderer = MembraneRenderer(configuration.sensor, configuration.illumination, SIZE_PX)
+    rng = np.random.default_rng(0) if configuration.noise else None
+    anew = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm, configuration.markers, rng)
+    np.testing.assert_array_equal(shown.picture, anew)
+
+
+def test_light_leaves_the_physics_alone(model: LiveModel, start: Configuration) -> None:
+    before, after = model.show(start), model.show(brighter(start))
+    assert after.solved is before.solved
+    assert after.picture[..., 0].mean() > before.picture[..., 0].mean() + 5
+
+
+def test_modulus_scales_the_force_and_keeps_the_picture(model: LiveModel, start: Configuration) -> None:
+    before, after = model.show(start), model.show(replace(start, elastomer=SOFT))
+    np.testing.assert_allclose(after.solved.state.force_n, before.solved.state.force_n / 2, rtol=1e-9)
+    assert after.picture is before.picture
+
+
+def test_a_gel_without_a_path_says_so_and_shows_the_one_before(
+    model: LiveModel, start: Configuration, dent_path: SolvedPath
+) -> None:
+    other = CHANGES["friction"][0](start)
+    model.show(start)
+    shown = model.show(other)
+    assert "until this gel is solved" in shown.source
+    assert shown.solved.state.force_n[2] < 0
+    request = model.lacks(other)
+    assert request.elastomer == other.elastomer
+    model.add_path(request, dent_path)
+    assert model.lacks(other) is None
+    assert "interpolated" in model.show(other).source
+
+
+def test_before_anything_is_solved_the_membrane_is_flat(start: Configuration) -> None:
+    shown = LiveModel().show(start)
+    assert not shown.solved.state.displacement_mm.any()
+    assert "no contact is shown" in shown.source
+
+
+def test_a_pose_solved_by_itself_is_shown_until_the_contact_changes(
+    model: LiveModel, start: Configuration
+) -> None:
+    drawn = model.show(start)
+    model.add_pose(PoseRequest.of(start), SolvedPose.untouched())
+    exact = model.show(start)
+    assert exact.exact
+    assert exact.source == "this pose, solved at standard"
+    assert (exact.picture != drawn.picture).any()
+    assert model.show(replace(start, markers=False)).exact
+    moved = model.show(replace(start, pose=Pose(depth_mm=0.5)))
+    assert not moved.exact
+    assert moved.solved.state.force_n[2] < 0
+    assert model.show(start).exact
+
+
+def test_the_edge_of_the_pad_is_not_passed_over_in_silence(model: LiveModel, start: Configuration) -> None:
+    assert "edge" not in model.show(start).source
+    assert "edge" in model.show(replace(start, pose=Pose(depth_mm=0.5, point_x_mm=5.0))).source
+
+
+def test_a_pose_off_the_path_is_refused(model: LiveModel, start: Configuration) -> None:
+    with pytest.raises(ValueError, match=r"depth_mm = 1\.2: the path ends at 1 mm"):
+        model.show(replace(start, pose=Pose(depth_mm=1.2)))
+
+
+def test_an_illumination_with_other_leds_is_taken_over(model: LiveModel, start: Configuration) -> None:
+    model.show(start)
+    shown = model.show(replace(start, illumination=Illumination.preset("i2")))
+    assert shown.work == Work.LIGHT | Work.PICTURE
+    state = shown.solved.state
+    anew = MembraneRenderer(start.sensor, Illumination.preset("i2"), SIZE_PX)
+    np.testing.assert_array_equal(shown.picture, anew.picture(state.x_mm, state.y_mm, state.displacement_mm))

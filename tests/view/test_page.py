@@ -1,0 +1,157 @@
+"""The page in a real browser: knobs are turned, and picture and force change."""
+
+import queue
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gelgap.benchmarks.view.screenshot import browser_page, find_chromium
+from gelgap.sim import SolvedPath, SolvedPose
+from gelgap.view import Configuration
+from gelgap.view.requests import Answer, Failed, PathRequest, Progress, Request, Solved
+
+MISSING = [name for name in ("viser", "playwright") if find_spec(name) is None]
+if MISSING:
+    pytest.skip(f"{' and '.join(MISSING)} not installed", allow_module_level=True)
+
+needs_browser = pytest.mark.skipif(find_chromium() is None, reason="no Chromium: apt-get install chromium")
+
+
+class FakeSolver:
+    """Answers at once: with a path in closed form, or with a failure while `reason` is given."""
+
+    def __init__(self, on_answer: Callable[[Answer], None], path: SolvedPath) -> None:
+        self._on_answer, self._path = on_answer, path
+        self.requests: queue.Queue[Request] = queue.Queue()
+        self.reason = ""
+
+    def request(self, request: Request) -> None:
+        self.requests.put(request)
+        self._on_answer(Progress(request, 1, 2))
+        if self.reason:
+            self._on_answer(Failed(request, self.reason))
+            return
+        result = self._path if isinstance(request, PathRequest) else SolvedPose.untouched()
+        self._on_answer(Solved(request, result))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def page(start: Configuration, dent_path: SolvedPath) -> Iterator[Any]:
+    from gelgap.view.page import Page
+
+    page = Page(start, "127.0.0.1", 0, lambda on_answer: FakeSolver(on_answer, dent_path))
+    yield page
+    page.close()
+
+
+def settled(page: Any, sure: Callable[[], bool]) -> None:
+    """Let the model's thread work until something holds."""
+    done: queue.Queue[None] = queue.Queue()
+    for _ in range(200):
+        page.do(lambda: done.put(None))
+        done.get(timeout=300)
+        if sure():
+            return
+    raise AssertionError("the page did not come to show it")
+
+
+def test_turned_knobs_change_picture_and_force(page: Any) -> None:
+    settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
+    before = page.shown
+    page.controls.depth.value = 0.9
+    settled(page, lambda: page.shown.configuration.pose.depth_mm == 0.9)
+    assert page.shown.solved.state.force_n[2] < before.solved.state.force_n[2] < 0
+    assert (page.shown.picture != before.picture).any()
+    page.controls.elastomer.value = "e08"
+    settled(page, lambda: page.shown.configuration.elastomer.young_modulus_mpa == 0.8)
+    assert page.controls.modulus.value == 0.8
+    page.controls.move_led(1, (8.0, 1.0, -4.0))
+    settled(page, lambda: page.shown.configuration.illumination.leds[1].position_mm == (8.0, 1.0, -4.0))
+    assert page.controls.illumination.value == "own"
+    assert page.controls.place.value == (8.0, 1.0, -4.0)
+    page.controls.illumination.value = "i2"
+    settled(page, lambda: len(page.shown.configuration.illumination.leds) == 4)
+    page.controls.sensor.value = "digit-like"
+    settled(page, lambda: page.shown.configuration.sensor.name == "digit-like")
+    assert page.controls.illumination.value == "own"
+
+
+def test_what_cannot_be_leaves_the_page_as_it_was(page: Any) -> None:
+    settled(page, lambda: page.shown is not None)
+    wanted = page.controls.wanted
+    page.controls.move_led(0, (-11.0, 0.0, 1.0))
+    assert page.controls.wanted == wanted
+    assert "z" in page._readout.message.content
+
+
+def test_a_failed_solve_is_said_and_the_page_lives_on(page: Any) -> None:
+    settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
+    page._solver.reason = "it <did> not converge"
+    page.controls.friction.value = 0.2
+    settled(page, lambda: "the solve failed: it &lt;did&gt; not" in page._readout.message.content)
+    page._solver.reason = ""
+    page.controls.friction.value = 0.3
+    settled(page, lambda: "interpolated" in page.shown.source)
+    page.controls.solve.value = True
+    settled(page, lambda: page.shown.exact)
+
+
+def test_a_source_is_set_beside_the_target(page: Any) -> None:
+    settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
+    page.do(page._compare._keep)
+    page.controls.elastomer.value = "e08"
+    settled(page, lambda: ">2<" in page._compare._figures.content)
+    page.controls.illumination.value = "i2"
+    settled(page, lambda: ">0.00<" not in page._compare._figures.content)
+    page.do(page._compare._change_places)
+    settled(page, lambda: page.shown.configuration.elastomer.young_modulus_mpa == 0.4)
+    assert page.controls.elastomer.value == "e04"
+
+
+def test_a_domain_is_opened_and_a_missing_one_is_not(page: Any, tmp_path: Path) -> None:
+    import cv2
+
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((24, 32, 3), 40 * number, np.uint8))
+    cv2.imwrite(str(tmp_path / "ref.png"), np.zeros((24, 32, 3), np.uint8))
+    rows = "".join(f"{number}.png,0.1,0.2,-{number}\n" for number in range(3))
+    (tmp_path / "labels.csv").write_text(f"image,fx_n,fy_n,fz_n\n{rows}")
+    panel = page._data
+    panel.open(tmp_path / "nothing")
+    assert "does not exist" in panel._labels.content
+    panel.open(tmp_path)
+    panel._index.value = 2
+    assert "-2.000" in panel._labels.content, panel._labels.content
+    assert panel._picture.image.max() == 80
+
+
+@needs_browser
+def test_in_a_browser(page: Any) -> None:
+    with browser_page(page.address) as browser:
+        browser.get_by_text("interpolated").first.wait_for()
+
+        def force() -> str:
+            return browser.locator("tr", has_text="Fz").first.inner_text()
+
+        def picture() -> str:
+            return browser.locator("img").first.get_attribute("src")
+
+        force_before, picture_before = force(), picture()
+        depth = browser.get_by_role("slider").first
+        depth.focus()
+        for _ in range(5):
+            depth.press("ArrowRight")
+        browser.wait_for_function(
+            "before => !document.body.innerText.includes(before)", arg=force_before.split("\t")[-1]
+        )
+        settled(page, lambda: page.shown.configuration.pose.depth_mm == pytest.approx(0.65))
+        assert force() != force_before
+        browser.wait_for_function("before => document.querySelector('img').src != before", arg=picture_before)
+        assert browser.locator("canvas").count()

@@ -1,0 +1,144 @@
+"""The deformed membrane and the indenter as triangles with a picture on them, for the page and for files."""
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelgap.assets.whole_file import write_whole
+from gelgap.render import Camera
+from gelgap.sim import MembraneState, SolvedPose, Sphere
+
+if TYPE_CHECKING:
+    import trimesh
+
+MESH_SUFFIXES = (".glb", ".ply")
+Colouring = Literal["picture", "displacement", "pressure"]
+COLOURINGS: tuple[Colouring, ...] = ("picture", "displacement", "pressure")
+_INDENTER_RGBA = (176, 184, 196, 255)
+# glTF counts in metres; PLY has no unit and gets millimetres.
+_METRES_PER_MM = 1e-3
+_ROUNDING = 1e-3
+# Of the page's membrane this share shines by itself, in the very colours of its texture; the rest is shaded.
+_SHINING_SHARE = 0.6
+
+
+def membrane_mesh(
+    state: MembraneState, camera: Camera, picture: NDArray[np.uint8], every: int = 1
+) -> "trimesh.Trimesh":
+    """Return the part of a membrane that the camera sees, in mm, with the picture (h, w, 3) as its texture.
+
+    `every` keeps only each so many points of the grid along both axes.
+    """
+    points = _points(state, every)
+    height, width = picture.shape[:2]
+    place = np.clip(camera.project_px(points, (width, height)) / (width, height), 0, 1)
+    undeformed = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
+    at_rest = camera.project_px(undeformed[::every, ::every], (width, height)) / (width, height)
+    seen = ((at_rest > -_ROUNDING) & (at_rest < 1 + _ROUNDING)).all(axis=-1)
+    return _textured(points, np.stack([place[..., 0], 1 - place[..., 1]], axis=-1), seen, picture)
+
+
+def coloured_mesh(
+    state: MembraneState, values: NDArray[np.floating], most: float, every: int = 1
+) -> "trimesh.Trimesh":
+    """Return the whole membrane, in mm, coloured by values (ny, nx) from 0 to `most`."""
+    import matplotlib
+
+    points = _points(state, every)
+    rows, columns = points.shape[:2]
+    u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, 1 - (np.arange(rows) + 0.5) / rows)
+    shares = np.clip(values[::every, ::every] / max(most, 1e-9), 0, 1)
+    texture = (255 * matplotlib.colormaps["viridis"](shares)[..., :3]).astype(np.uint8)
+    return _textured(points, np.stack([u, v], axis=-1), np.ones((rows, columns), bool), texture)
+
+
+def indenter_mesh(indenter: Sphere, shape: tuple[float, float, float]) -> "trimesh.Trimesh":
+    """Return the indenter with its centre at a place, in mm."""
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=indenter.radius_mm)
+    mesh.apply_translation(shape)
+    mesh.visual.vertex_colors = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(mesh.vertices), 1))
+    return mesh
+
+
+def indenter_centre_mm(solved: SolvedPose, point_mm: tuple[float, float], indenter: Sphere) -> NDArray:
+    """Return where the centre (3,) of the indenter is."""
+    return np.array([*point_mm, indenter.origin_height_mm]) + solved.indenter_mm
+
+
+def mesh_bytes(membrane: "trimesh.Trimesh", indenter: "trimesh.Trimesh", suffix: str) -> bytes:
+    """Return both as the bytes of a file: `.glb`, textured, in metres, or `.ply`, coloured by vertex, in mm."""
+    import trimesh
+
+    if suffix == ".glb":
+        scene = trimesh.Scene({"membrane": membrane, "indenter": indenter})
+        return scene.scaled(_METRES_PER_MM).export(None, file_type="glb")
+    coloured = membrane.copy()
+    coloured.visual = membrane.visual.to_color()
+    return trimesh.util.concatenate([coloured, indenter]).export(None, file_type="ply")
+
+
+def save_mesh(
+    path: str | Path,
+    solved: SolvedPose,
+    point_mm: tuple[float, float],
+    indenter: Sphere,
+    camera: Camera,
+    picture: NDArray[np.uint8],
+) -> None:
+    """Write the deformed membrane, with the camera's picture (h, w, 3) on it, and the indenter to a GLB or PLY file.
+
+    Raises
+    ------
+    ValueError
+        If the name ends in neither .glb nor .ply.
+    RuntimeError
+        If the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        raise ValueError(f"path = {str(path)!r}: the name must end in {' or '.join(MESH_SUFFIXES)}")
+    centre = indenter_centre_mm(solved, point_mm, indenter)
+    meshes = membrane_mesh(solved.state, camera, picture), indenter_mesh(indenter, tuple(centre))
+    write_whole(Path(path), mesh_bytes(*meshes, suffix))
+
+
+def glb(mesh: "trimesh.Trimesh") -> bytes:
+    """Return one mesh as GLB in mm, as the page shows it."""
+    shown = mesh.copy()
+    material = shown.visual.material
+    material.baseColorFactor = [*[round(255 * (1 - _SHINING_SHARE))] * 3, 255]
+    material.emissiveTexture, material.emissiveFactor = material.baseColorTexture, [_SHINING_SHARE] * 3
+    buffer = io.BytesIO()
+    shown.export(buffer, file_type="glb", include_normals=True)
+    return buffer.getvalue()
+
+
+def _points(state: MembraneState, every: int) -> NDArray[np.float64]:
+    """Return the grid's points, deformed, (rows, columns, 3)."""
+    rest = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
+    return (rest + state.displacement_mm)[::every, ::every]
+
+
+def _textured(
+    points: NDArray, uv: NDArray, kept: NDArray[np.bool_], texture: NDArray[np.uint8]
+) -> "trimesh.Trimesh":
+    """Return the triangles whose corners are all kept, seen from above (+z)."""
+    import trimesh
+    from PIL import Image
+
+    index = np.arange(kept.size).reshape(kept.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)
+    faces = faces[kept.ravel()[faces].all(axis=1)]
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=Image.fromarray(texture), metallicFactor=0.0, roughnessFactor=0.9, doubleSided=True
+    )
+    visual = trimesh.visual.TextureVisuals(uv=uv.reshape(-1, 2), material=material)
+    mesh = trimesh.Trimesh(points.reshape(-1, 3), faces, visual=visual, process=False)
+    mesh.remove_unreferenced_vertices()
+    return mesh

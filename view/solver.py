@@ -1,0 +1,145 @@
+"""Solves in a process of their own, so that the page never waits; the newest request wins."""
+
+import contextlib
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+
+from gelgap.sim import (
+    PosePath,
+    Solution,
+    SolvedPath,
+    SolvedPose,
+    SolvePlan,
+    plan_path,
+    plan_solves,
+    solved_pose,
+)
+from gelgap.view.requests import Answer, Failed, PathRequest, PoseRequest, Progress, Request, Solved
+
+
+class Solver:
+    """One process that solves the newest request; `on_answer` hears of it in a thread of its own.
+
+    A process that dies is reported as a failure of what it solved, and the next request starts another.
+    """
+
+    def __init__(self, on_answer: Callable[[Answer], None]) -> None:
+        self._on_answer = on_answer
+        self._lock = threading.Lock()
+        self._process: multiprocessing.Process | None = None
+        self._connection: Connection | None = None
+        self._current: Request | None = None
+        self._closed = False
+
+    def request(self, request: Request) -> None:
+        """Have something solved instead of what is being solved now; the same once more changes nothing."""
+        with self._lock:
+            if self._closed or request == self._current:
+                return
+            self._current = request
+            if self._process is None:
+                self._start()
+            with contextlib.suppress(OSError):
+                self._connection.send(request)
+
+    def close(self) -> None:
+        """End the process, whatever it does."""
+        with self._lock:
+            self._closed = True
+            process = self._process
+        if process is not None:
+            process.terminate()
+            process.join()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self._process.start()
+        theirs.close()
+        threading.Thread(target=self._listen, args=(self._connection,), daemon=True).start()
+
+    def _listen(self, connection: Connection) -> None:
+        """Pass on the answers to the newest request."""
+        while True:
+            try:
+                answer: Answer = connection.recv()
+            except (EOFError, OSError):
+                break
+            with self._lock:
+                wanted = answer.request == self._current and not self._closed
+                if wanted and not isinstance(answer, Progress):
+                    self._current = None
+            if wanted:
+                self._on_answer(answer)
+        with self._lock:
+            lost, self._current, self._process = self._current, None, None
+            closed = self._closed
+        if lost is not None and not closed:
+            self._on_answer(Failed(lost, "the solving process ended before it was done; ask once more"))
+
+
+class Superseded(Exception):
+    """A newer request has come."""
+
+
+def _serve(connection: Connection) -> None:
+    """Answer requests until the other side is gone."""
+    # Ctrl-C is the page's to handle.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            request = connection.recv()
+            while connection.poll():
+                request = connection.recv()
+            with contextlib.suppress(Superseded):
+                connection.send(answer_to(request, connection))
+
+
+def answer_to(request: Request, connection: Connection) -> Answer:
+    """Solve a request and return what came out; sends its progress.
+
+    Raises
+    ------
+    Superseded
+        If another request has come.
+    """
+    try:
+        if isinstance(request, PathRequest):
+            return Solved(request, _path(request, connection))
+        return Solved(request, _pose(request, connection))
+    except Superseded:
+        raise
+    except Exception as error:
+        return Failed(request, str(error) or type(error).__name__)
+
+
+def _path(request: PathRequest, connection: Connection) -> SolvedPath:
+    plan = plan_path(request.elastomer, request.indenter)
+    return SolvedPath.from_solutions(plan, _solutions(request, plan, connection))
+
+
+def _pose(request: PoseRequest, connection: Connection) -> SolvedPose:
+    path = PosePath("pose", (request.pose,))
+    plan = plan_solves(request.elastomer, request.indenter, path, request.quality)
+    solutions = _solutions(request, plan, connection)
+    return solved_pose(plan, 0, next(iter(solutions.values()), None))
+
+
+def _solutions(request: Request, plan: SolvePlan, connection: Connection) -> dict[str, Solution]:
+    """Run the solves of a plan, and tell how many of their load steps are done."""
+    total = sum(solve.problem.load_steps for solve in plan.solves)
+    solutions, before = {}, 0
+
+    def tell(done: int, _: int) -> None:
+        if connection.poll():
+            raise Superseded
+        connection.send(Progress(request, before + done, total))
+
+    for solve in plan.solves:
+        solutions[solve.key] = solve.run(tell)
+        before += solve.problem.load_steps
+    return solutions
