@@ -8,6 +8,8 @@ from .few_labels import draw_labelled as draw_labelled
 from .few_labels import fine_tune as fine_tune
 from .figures import feature_tsne as feature_tsne
 from .figures import force_scatter as force_scatter
+from .finetuning import Finetuning as Finetuning
+from .finetuning import finetune as finetune
 from .loop import FeatureCollapse as FeatureCollapse
 from .loop import TrainingDiverged as TrainingDiverged
 from .methods.base import Adaptation as Adaptation

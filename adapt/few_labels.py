@@ -37,6 +37,11 @@ def draw_labelled(frames: LabelledFrames, k: int, seed: int) -> LabelledFrames:
     ValueError
         If there are fewer than k frames, or k < 1.
     """
+    return frames.take(labelled_rows(frames, k, seed))
+
+
+def labelled_rows(frames: LabelledFrames, k: int, seed: int) -> np.ndarray:
+    """Return the indices (k,) of the frames of `draw_labelled`."""
     n = len(frames)
     if not 1 <= k <= n:
         raise ValueError(f"k = {k} labelled frames of {frames.name}: must be 1 to {n}")
@@ -45,7 +50,7 @@ def draw_labelled(frames: LabelledFrames, k: int, seed: int) -> LabelledFrames:
     depth_mm = frames.columns.get("depth_mm")
     if depth_mm is not None:
         order = order[np.argsort(np.nan_to_num(depth_mm[order]), kind="stable")]
-    return frames.take(np.array([rng.choice(part) for part in np.array_split(order, k)]))
+    return np.array([rng.choice(part) for part in np.array_split(order, k)])
 
 
 def fine_tune(

@@ -21,6 +21,7 @@ from gelgap.cli.calibrate import Calibrate
 from gelgap.cli.convert import Convert
 from gelgap.cli.demo import Demo
 from gelgap.cli.export import Export
+from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
 from gelgap.cli.options import check_values
@@ -60,6 +61,7 @@ COMMANDS = {
     "calibrate": Calibrate,
     "pretrain": Pretrain,
     "adapt": Adapt,
+    "finetune": Finetune,
     "report": Report,
     "benchmark": Benchmark,
     "presets": Presets,

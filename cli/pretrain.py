@@ -56,7 +56,7 @@ class Pretrain:
     ranges: Annotated[Path | None, optional("TOML", "gelgap's own"), InputFile("a TOML file")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
     profile: Annotated[str, Preset("profiles")] = "cpu"
-    """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file; inputs are differences."""
+    """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
     quality: Literal["draft", "standard", "fine"] = "draft"
     """Quality of physics and pictures."""
     size: Annotated[tuple[int, int], PICTURE_SIDES] = (160, 120)

@@ -38,6 +38,7 @@ RIGHT: dict[str, dict[str, list[str]]] = {
     },
     "pretrain": {"--out": ["pretrained"], "--quick": []},
     "adapt": {"--source": ["real"], "--target": ["real"], "--out": ["runs"]},
+    "finetune": {"checkpoint": ["checkpoint.pt"], "--on": ["real"], "--test": ["real"], "--frames": ["2"]},
     "report": {"runs": ["finished"]},
     "benchmark": {"subject": ["physics"], "--out": ["results"]},
     "presets": {},
@@ -124,6 +125,7 @@ WORK = {
     "adapt.runs": "Stage1.model",
     "adapt.source_training": "train",
     "adapt.report": "load_runs",
+    "adapt.model": "ForceModel.load",
     "render.renderer": "MembraneRenderer.linear",
     "render.calibration": "_search",
     "benchmarks.registry": "Benchmark.run",
@@ -153,6 +155,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         '[[presses]]\npicture = "real/1.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\npoint_mm = [0, 0]\n'
     )
     (folder / "presses.toml").write_text(3 * press)
+    (folder / "checkpoint.pt").write_text("text")
     (folder / "finished").mkdir()
     (folder / "finished/run.json").write_text("{}")
     axis = np.linspace(-7, 7, 15)

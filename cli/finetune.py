@@ -1,0 +1,55 @@
+"""`gelgap finetune`: a checkpoint on a few labelled frames or clips of one's own."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+from gelgap.cli.arguments import optional
+from gelgap.cli.rules import SEED, Between, DataSet, InputFile, OutputFile
+
+
+@dataclass(frozen=True)
+class Finetune:
+    """Fine-tune a checkpoint on a few labelled frames or clips, and say its error on others before and after.
+
+    Labels that the data have and the network predicts are learnt, in the ranges of the network. All pictures of --on,
+    labelled or not, adapt its normalisation.
+
+    For example:
+      gelgap finetune runs/stage1/mb0i0-*.pt --on data/wmb1i1 --test data/wmb1i1 --frames 8 --out tuned.pt
+    """
+
+    when_stopped: ClassVar[str] = "nothing is kept, run the same command again to start over"
+
+    checkpoint: Annotated[tyro.conf.Positional[Path], InputFile("a checkpoint")]
+    """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
+    on: Annotated[Path, DataSet()]
+    """Folder of the data set of which some frames are learnt."""
+    test: Annotated[Path, DataSet()]
+    """Folder of the data set to judge by; if it is the same, by the frames that are not learnt."""
+    frames: Annotated[int | None, optional("K"), Between(1, 10_000_000)] = None
+    """Learn so many frames, spread over the commanded depths where these are known."""
+    clips: Annotated[int | None, optional("K"), Between(1, 10_000_000)] = None
+    """Or learn all frames of so many clips, told apart by the column `clip`."""
+    seed: Annotated[int, SEED] = 0
+    """Seed of the draw and of the training."""
+    out: Annotated[Path | None, optional("PATH"), OutputFile((".pt",))] = None
+    """Write the fine-tuned checkpoint here."""
+
+    def run(self, started: float) -> None:
+        """Fine-tune and print the errors."""
+        if (self.frames is None) == (self.clips is None):
+            raise ValueError(
+                "give one of --frames and --clips: how many labelled frames, or clips, are learnt"
+            )
+        from gelgap.adapt import finetune
+
+        found = finetune(
+            self.checkpoint, self.on, self.test, frames=self.frames, clips=self.clips, seed=self.seed
+        )
+        print(found)
+        if self.out is not None:
+            found.model.save(self.out)
+            print(f"wrote {self.out}")

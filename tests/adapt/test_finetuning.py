@@ -1,0 +1,68 @@
+"""A network on a few labelled frames or clips of other data, as somebody's own recordings."""
+
+from pathlib import Path
+
+import cv2
+import pytest
+
+from gelgap.adapt import ForceModel, evaluate, finetune, train_source
+from gelgap.cli.main import main
+from gelgap.domains import open_domain
+
+
+@pytest.fixture(scope="module")
+def checkpoint(source, profile, tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("checkpoint") / "pretrained.pt"
+    train_source(source, profile).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recordings(target, tmp_path_factory) -> Path:
+    """Eight clips of a softer gel, whose table has nothing but Fz."""
+    folder = tmp_path_factory.mktemp("recordings")
+    cv2.imwrite(str(folder / "reference.png"), target.reference[..., ::-1])
+    rows = ["image,fz_n,clip"]
+    for number, picture in enumerate(target.images()):
+        cv2.imwrite(str(folder / f"{number}.png"), picture[..., ::-1])
+        rows.append(f"{number}.png,{0.6 * target.force_n[number, 2]:.4f},clip-{number % 8}")
+    (folder / "table.csv").write_text("\n".join(rows))
+    return folder
+
+
+def test_a_few_labelled_clips_lower_the_error_on_the_others(checkpoint, recordings):
+    found = finetune(checkpoint, recordings, recordings, clips=2)
+    assert found.model.labels.names == ("fz_n",)
+    assert found.model.labels.ranges == ((-3.0, 0.0),)
+    assert (found.frames, found.after.n) == (24, 72)
+    assert found.after.mae[0] < 0.7 * found.before.mae[0]
+    assert found.after.mae[0] < found.constant_mean.mae[0]
+
+
+def test_the_command_prints_errors_and_keeps_the_network(checkpoint, recordings, tmp_path, capsys):
+    words = [str(checkpoint), "--on", str(recordings), "--test", str(recordings)]
+    main(["finetune", *words, "--frames", "10", "--out", str(tmp_path / "tuned.pt")])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["MAE", "on", "86", "other", "frames", "Fz/N"]
+    assert [line.split()[0] for line in lines[1:]] == ["mean", "no", "fine-tuned", "wrote"]
+    after = float(lines[3].split()[-1])
+    drawn_too = evaluate(ForceModel.load(tmp_path / "tuned.pt"), open_domain(recordings)).mae[0]
+    assert drawn_too == pytest.approx(after, rel=0.3)
+
+
+def test_bad_choices_are_refused(checkpoint, recordings, tmp_path):
+    with pytest.raises(ValueError, match=r"clips = 9 of .*: must be 1 to 8"):
+        finetune(checkpoint, recordings, recordings, clips=9)
+    with pytest.raises(ValueError, match="k = 97 labelled frames"):
+        finetune(checkpoint, recordings, recordings, frames=97)
+    with pytest.raises(ValueError, match="all of its 96 frames are drawn"):
+        finetune(checkpoint, recordings, recordings, frames=96)
+    with pytest.raises(ValueError, match="give one of the two"):
+        finetune(checkpoint, recordings, recordings, frames=3, clips=1)
+    table = (recordings / "table.csv").read_text().replace("fz_n", "mz_nmm")
+    (tmp_path / "torque").mkdir()
+    for path in recordings.glob("*.png"):
+        (tmp_path / "torque" / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "torque" / "table.csv").write_text(table)
+    with pytest.raises(ValueError, match="predicts fx_n, fy_n, fz_n, none of which both"):
+        finetune(checkpoint, tmp_path / "torque", recordings, frames=3)
