@@ -122,6 +122,8 @@ def adapt_frames(
         LOG.warning("%s", note)
     for method in methods:
         check_classes(method, find_method(method), frames.source_train)
+        if find_method(method).uses_target_labels:
+            frames.target_train.check_labels()
     out = None if out_dir is None else Path(out_dir)
     stage1 = Stage1(frames.source_train, profile, seed, weights, out, progress)
     return _Experiment(frames, stage1).runs(methods)

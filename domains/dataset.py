@@ -190,7 +190,10 @@ class LabelledFrames(ABC):
             what = "a force" if set(self.labels.names) <= set(FORCE_COLUMNS) else "a label"
             wrong, advice = "that is not a number", "take such frames out"
             if np.isfinite(value):
-                wrong, advice = "outside the declared range", "labels are never clipped: give a wider one"
+                wrong, advice = (
+                    "outside the declared range",
+                    "labels are never clipped: give a wider one (--range)",
+                )
             raise ValueError(
                 f"domain {self.name}: {outside.any(axis=1).sum()} of {len(self)} frames have {what} {wrong}; "
                 f"first: frame {frame}, {symbol} = {value:.4g} {unit}, allowed {bounds}; {advice}"

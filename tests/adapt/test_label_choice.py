@@ -233,3 +233,14 @@ def test_wrong_choices_are_refused(options, message, files, capsys):
         main(["adapt", "--source", pictures, "--target", pictures, *options])
     assert refused.value.code == 2
     assert message in capsys.readouterr().err
+
+
+def test_target_labels_beyond_the_range_stop_only_what_trains_on_them(
+    source, target, short, tmp_path, caplog
+):
+    deep = on(target, fz_n=2 * target.columns["fz_n"])
+    with pytest.raises(ValueError, match=r"domain wmb1i1: .* outside the declared range; .*never clipped"):
+        adapt_frames(on(source, "fz_n"), deep, ["source-only", "supervised"], short, out_dir=tmp_path)
+    assert not list(tmp_path.iterdir())
+    adapt_frames(on(source, "fz_n"), deep, ["constant-mean"], short)
+    assert "frames of wmb1i1 have a label beyond the range (fz_n=-3:0)" in caplog.messages[-1]
