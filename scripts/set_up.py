@@ -10,6 +10,8 @@ import sysconfig
 import tempfile
 import threading
 import time
+from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +47,7 @@ def missing_packages(what: list[str]) -> list[Package]:
     """Return what pip would install; it asks the index, and installs nothing."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
-        subprocess.run([*PIP, "--quiet", "--dry-run", "--report", str(report), *what], check=True)
+        run_pip(["--quiet", "--dry-run", "--report", str(report), *what])
         entries = json.loads(report.read_text(encoding="utf-8"))["install"]
     with ThreadPoolExecutor(16) as pool:
         sizes = list(pool.map(lambda entry: file_size(entry["download_info"]["url"]), entries))
@@ -103,20 +105,28 @@ def plain(name: str) -> str:
     return name.lower().replace("-", "_").replace(".", "_")
 
 
+def run_pip(arguments: list[str], hear: Callable[[str], None] = lambda line: None) -> None:
+    """Run pip; what it says is only for `hear`, unless it fails: then its last words are printed."""
+    last: deque[str] = deque(maxlen=40)
+    command = [*PIP, *arguments]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as pip:
+        for line in pip.stdout or ():
+            last.append(line)
+            hear(line)
+    if pip.returncode:
+        sys.stderr.writelines(last)
+        raise subprocess.CalledProcessError(pip.returncode, command)
+
+
 def install(what: list[str], progress: Progress) -> None:
-    """Run pip and tell the progress; what pip says of errors goes to standard error."""
+    """Install, and tell the progress meanwhile."""
     ended = threading.Event()
     threading.Thread(target=progress.tell, args=(ended,), daemon=True).start()
-    command = [*PIP, "--progress-bar", "off", *what]
     try:
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as pip:
-            for line in pip.stdout or ():
-                progress.hear(line)
+        run_pip(["--progress-bar", "off", *what], progress.hear)
     finally:
         ended.set()
-    if pip.returncode:
-        raise subprocess.CalledProcessError(pip.returncode, command)
-    print(progress)
+    print(progress, flush=True)
 
 
 def main(extras: str) -> None:

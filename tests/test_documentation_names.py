@@ -88,3 +88,18 @@ def test_links_to_sections_meet_a_heading(page: str) -> None:
 def slug(heading: str) -> str:
     """Return a heading's anchor, as GitHub makes it."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+def test_the_site_has_every_page_of_the_documentation() -> None:
+    listed = set(re.findall(r"^([\w./-]+)$", page_text("docs/index.md"), re.MULTILINE))
+    pages = {path.relative_to(ROOT / "docs").with_suffix("") for path in (ROOT / "docs").rglob("*.md")}
+    pages |= {
+        path.relative_to(ROOT / "docs").with_suffix("") for path in (ROOT / "docs/reference").glob("*.rst")
+    }
+    in_gallery = {page for page in pages if page.parts[0] == "gallery"}
+    assert {str(page) for page in pages - in_gallery} - listed == {"index"}
+    assert [
+        name
+        for name in listed
+        if not any((ROOT / "docs" / f"{name}{end}").is_file() for end in (".md", ".rst"))
+    ] in ([], ["gallery/index"])

@@ -1,6 +1,8 @@
 """What `make demo` says before and while it installs."""
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -47,3 +49,15 @@ def test_sizes_are_those_of_the_files_and_unknown_where_there_is_none(
     (tmp_path / "wheel").write_bytes(b"12345")
     assert set_up.file_size((tmp_path / "wheel").as_uri()) == 5
     assert set_up.file_size((tmp_path / "no wheel").as_uri()) is None
+
+
+def test_a_pip_that_fails_has_the_last_word(
+    set_up: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program = "import sys; print('Downloading a-1.whl'); print('ERROR: no such version', file=sys.stderr); sys.exit(3)"
+    monkeypatch.setattr(set_up, "PIP", (sys.executable, "-c", program))
+    heard = []
+    with pytest.raises(subprocess.CalledProcessError):
+        set_up.run_pip([], heard.append)
+    assert "Downloading a-1.whl\n" in heard
+    assert "ERROR: no such version" in capsys.readouterr().err

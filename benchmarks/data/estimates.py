@@ -9,7 +9,8 @@ from pathlib import Path
 
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.benchmarks.physics.cases import own_cache
-from gelgap.domains import DomainRecipe, estimate, generate_recipes, make_recipes
+from gelgap.domains import DomainRecipe, GenerationProgress, estimate, generate_recipes, make_recipes
+from gelgap.domains.time_left import TimeLeft, Workload
 from gelgap.sim import ContactPath, Elastomer, Pose, PosePath, Sharing, Sphere, plan_solves
 from gelgap.sim.pace import known_pace, measured_pace, timed_solve
 from gelgap.sim.problem import ContactProblem
@@ -20,6 +21,7 @@ AIM = 1.5
 COLUMNS = (
     *("work", "processes", "core s estimated", "taken", "over estimated"),
     *("wall s estimated", "taken", "over estimated"),
+    "true over told time left",
 )
 NOTE = (
     f"aim: between 1/{AIM:g} and {AIM:g}; a fresh cache, whose record begins with one short press; "
@@ -29,7 +31,10 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Guess:
-    """One piece of work: seconds of a core and of the clock, as estimated before and as taken."""
+    """One piece of work: seconds of a core and of the clock, as estimated before and as taken.
+
+    `left_ratio` is the true time left over the told one, where that is worst in the middle half of the time.
+    """
 
     work: str
     processes: int
@@ -37,6 +42,7 @@ class Guess:
     core_taken_s: float
     wall_estimated_s: float | None
     wall_taken_s: float
+    left_ratio: float | None = None
 
     @property
     def core_ratio(self) -> float:
@@ -48,7 +54,46 @@ class Guess:
         core = (self.core_estimated_s, self.core_taken_s, self.core_ratio)
         wall = self.wall_estimated_s
         ratio = None if wall is None else self.wall_taken_s / wall
-        return [self.work, self.processes, *core, wall, self.wall_taken_s, ratio]
+        return [self.work, self.processes, *core, wall, self.wall_taken_s, ratio, self.left_ratio]
+
+
+class ToldTimeLeft(GenerationProgress):
+    """Keeps what a generation tells of the time left: pairs of time passed and time left, s."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[float, float]] = []
+
+    def begin(self, solves: int, frames: int, load: Workload | None = None) -> None:
+        assert load is not None, "a local cluster's work is known"
+        self._left, self._start = TimeLeft(load), time.monotonic()
+
+    def stepped(self, solve: str, done: int) -> None:
+        self._left.step(solve, done, self._passed_s)
+        self._note()
+
+    def solved(self, solve: str = "") -> None:
+        self._left.solve(solve, self._passed_s)
+        self._note()
+
+    def written(self, frames: int) -> None:
+        self._left.write(frames, self._passed_s)
+        self._note()
+
+    def worst_ratio(self) -> float | None:
+        """Return true over told time left where it is furthest from 1, in the middle half of the time."""
+        end_s = max(passed_s for passed_s, _ in self.told)
+        middle = [pair for pair in self.told if 0.25 * end_s <= pair[0] <= 0.75 * end_s and pair[1] > 0]
+        ratios = [(end_s - passed_s) / left_s for passed_s, left_s in middle]
+        return max(ratios, key=lambda ratio: max(ratio, 1 / ratio), default=None)
+
+    @property
+    def _passed_s(self) -> float:
+        return time.monotonic() - self._start
+
+    def _note(self) -> None:
+        left_s = self._left.left_s(self._passed_s)
+        if left_s is not None:
+            self.told.append((self._passed_s, left_s))
 
 
 def run(quick: bool, out_dir: Path) -> None:
@@ -118,8 +163,10 @@ def generation(work: str, recipes: Sequence[DomainRecipe], out_dir: Path, worker
     """Estimate a generation as `--dry-run` does, and generate."""
     told = estimate(recipes, workers)
     core, wall = _core_s(), time.perf_counter()
-    generate_recipes(recipes, out_dir, workers=workers)
-    return Guess(work, workers, told.core_s, _core_s() - core, told.wall_s, time.perf_counter() - wall)
+    left = ToldTimeLeft()
+    generate_recipes(recipes, out_dir, workers=workers, progress=left)
+    taken_s = _core_s() - core, time.perf_counter() - wall
+    return Guess(work, workers, told.core_s, taken_s[0], told.wall_s, taken_s[1], left.worst_ratio())
 
 
 def _core_s() -> float:

@@ -7,6 +7,7 @@ import pytest
 
 from gelgap.benchmarks.common.records import Ledger
 from gelgap.benchmarks.data import faults, throughput
+from gelgap.benchmarks.data.estimates import ToldTimeLeft
 from gelgap.domains import preset_recipes
 
 
@@ -109,3 +110,9 @@ def test_a_file_that_differs_is_counted(tmp_path: Path, monkeypatch):
     generate(tmp_path / "whole", 1)
     trial = faults.Trial(tmp_path / "struck", tmp_path / "whole", 1)
     assert faults.measure("fault", lambda trial: False, [trial]).files_different == 3
+
+
+def test_the_told_time_left_is_compared_with_what_was_left() -> None:
+    told = ToldTimeLeft()
+    told.told = [(1.0, 90.0), (30.0, 35.0), (50.0, 60.0), (100.0, 1.0)]
+    assert told.worst_ratio() == pytest.approx(70 / 35)
