@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-from gelgap.render import picture_gap
 from gelgap.view.configuration import Configuration
 from gelgap.view.pictures import PictureMaker
 
@@ -23,11 +22,11 @@ class Comparison:
 
 def compare(source: Configuration, target: Configuration, pictures: PictureMaker) -> Comparison:
     """Return the gap between two configurations, as `gelgap.domains.domain_gap` has it for domains."""
-    colours = picture_gap(pictures.reference(source, False), pictures.reference(target, False))
+    mean, percentile_95 = pictures.colour_difference(source, target)
     marked = (source.markers, target.markers)
     return Comparison(
         target.elastomer.young_modulus_mpa / source.elastomer.young_modulus_mpa,
-        colours.mean,
-        colours.percentile_95,
+        mean,
+        percentile_95,
         {(False, True): "added", (True, False): "removed"}.get(marked, "equal"),
     )

@@ -21,8 +21,9 @@ _INDENTER_RGBA = (176, 184, 196, 255)
 # glTF counts in metres; PLY has no unit and gets millimetres.
 _METRES_PER_MM = 1e-3
 _ROUNDING = 1e-3
-# Of the page's membrane this share shines by itself, in the very colours of its texture; the rest is shaded.
-_SHINING_SHARE = 0.6
+# Of the page's membrane the first share shines by itself, in the very colours of its texture; the second is shaded. The
+# page's lights are bright, so that both together are less than 1.
+_SHINING_SHARE, _SHADED_SHARE = 0.55, 0.25
 
 
 def membrane_mesh(
@@ -111,7 +112,7 @@ def glb(mesh: "trimesh.Trimesh") -> bytes:
     """Return one mesh as GLB in mm, as the page shows it."""
     shown = mesh.copy()
     material = shown.visual.material
-    material.baseColorFactor = [*[round(255 * (1 - _SHINING_SHARE))] * 3, 255]
+    material.baseColorFactor = [*[round(255 * _SHADED_SHARE)] * 3, 255]
     material.emissiveTexture, material.emissiveFactor = material.baseColorTexture, [_SHINING_SHARE] * 3
     buffer = io.BytesIO()
     shown.export(buffer, file_type="glb", include_normals=True)

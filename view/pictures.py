@@ -1,11 +1,12 @@
 """What the camera sees of a membrane, with all that does not change between two pictures kept."""
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.render import Illumination, MembraneRenderer, Sensor, picture_gap
 from gelgap.sim import MembraneState, QualityName
 from gelgap.view.configuration import Configuration
 from gelgap.view.led_colours import led_to_camera
@@ -19,6 +20,19 @@ _KEPT_REFERENCES = 8
 Picture = NDArray[np.uint8]
 
 
+class Lit(NamedTuple):
+    """What a renderer belongs to."""
+
+    sensor: Sensor
+    illumination: Illumination
+    quality: QualityName
+
+    @classmethod
+    def of(cls, configuration: Configuration) -> "Lit":
+        """Return sensor, light and quality of a configuration."""
+        return cls(configuration.sensor, configuration.illumination, configuration.quality)
+
+
 class PictureMaker:
     """Makes pictures of configurations; call it from one thread only.
 
@@ -27,27 +41,13 @@ class PictureMaker:
     """
 
     def __init__(self) -> None:
-        self._renderers: dict[tuple[Sensor, Illumination, QualityName], MembraneRenderer] = {}
-        self._references = lru_cache(_KEPT_REFERENCES)(self._drawn_reference)
+        self._renderers: dict[Lit, MembraneRenderer] = {}
+        self._reference = lru_cache(_KEPT_REFERENCES)(self._drawn_reference)
+        self._gap = lru_cache(_KEPT_REFERENCES)(self._measured_gap)
 
     def light(self, configuration: Configuration) -> MembraneRenderer:
         """Return the renderer of a configuration's light."""
-        return self._renderer(configuration.sensor, configuration.illumination, configuration.quality)
-
-    def _renderer(self, sensor: Sensor, illumination: Illumination, quality: QualityName) -> MembraneRenderer:
-        key = sensor, illumination, quality
-        if key in self._renderers:
-            return self._renderers[key]
-        alike = [old for old in self._renderers if (old[0], old[2]) == (sensor, quality)]
-        colours = led_to_camera(illumination, sensor.camera)
-        if alike:
-            renderer = self._renderers[alike[-1]].relit(illumination, colours)
-        else:
-            renderer = MembraneRenderer(sensor, illumination, SIZE_PX, quality, colours)
-        if len(self._renderers) >= _KEPT_RENDERERS:
-            del self._renderers[next(iter(self._renderers))]
-        self._renderers[key] = renderer
-        return renderer
+        return self._renderer(Lit.of(configuration))
 
     def picture(self, configuration: Configuration, state: MembraneState) -> Picture:
         """Return the picture (240, 320, 3) of a membrane.
@@ -61,17 +61,37 @@ class PictureMaker:
         membrane = state.x_mm, state.y_mm, state.displacement_mm
         return self.light(configuration).picture(*membrane, configuration.markers, rng)
 
-    def reference(self, configuration: Configuration, markers: bool | None = None) -> Picture:
-        """Return the picture of the undeformed membrane without noise; by default with the markers that are shown."""
-        shown = configuration.markers if markers is None else markers
-        return self._references(
-            configuration.sensor, configuration.illumination, configuration.quality, shown
-        )
+    def reference(self, configuration: Configuration) -> Picture:
+        """Return the picture of the undeformed membrane without noise."""
+        return self._reference(Lit.of(configuration), configuration.markers)
 
-    def _drawn_reference(
-        self, sensor: Sensor, illumination: Illumination, quality: QualityName, markers: bool
-    ) -> Picture:
-        return self._renderer(sensor, illumination, quality).reference(markers)
+    def colour_difference(self, one: Configuration, other: Configuration) -> tuple[float, float]:
+        """Return CIEDE2000 between two pictures of the undeformed membrane: mean, and 95th percentile of the pixels.
+
+        They are without markers and noise.
+        """
+        return self._gap(Lit.of(one), Lit.of(other))
+
+    def _renderer(self, lit: Lit) -> MembraneRenderer:
+        if lit in self._renderers:
+            return self._renderers[lit]
+        colours = led_to_camera(lit.illumination, lit.sensor.camera)
+        alike = [old for old in self._renderers if (old.sensor, old.quality) == (lit.sensor, lit.quality)]
+        if alike:
+            renderer = self._renderers[alike[-1]].relit(lit.illumination, colours)
+        else:
+            renderer = MembraneRenderer(lit.sensor, lit.illumination, SIZE_PX, lit.quality, colours)
+        if len(self._renderers) >= _KEPT_RENDERERS:
+            del self._renderers[next(iter(self._renderers))]
+        self._renderers[lit] = renderer
+        return renderer
+
+    def _drawn_reference(self, lit: Lit, markers: bool) -> Picture:
+        return self._renderer(lit).reference(markers)
+
+    def _measured_gap(self, one: Lit, other: Lit) -> tuple[float, float]:
+        gap = picture_gap(self._reference(one, False), self._reference(other, False))
+        return gap.mean, gap.percentile_95
 
 
 def difference(picture: Picture, reference: Picture, gain: int = 2) -> Picture:

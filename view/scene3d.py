@@ -41,15 +41,15 @@ class Scene3d:
         self._moved_led = moved_led
         self._numbers = count()
         self._membrane: viser.GlbHandle | None = None
-        self._indenter = self._scene.add_icosphere("/indenter", 1.0, _INDENTER_COLOUR, opacity=0.4)
+        self._indenter = self._scene.add_icosphere("/indenter", 1.0, _INDENTER_COLOUR, opacity=0.3)
         self._leds: list[viser.TransformControlsHandle] = []
         self._illumination: Illumination | None = None
         self._chosen = 0
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(cast_shadow=False)
-        server.initial_camera.position = (0.0, -22.0, 18.0)
+        server.initial_camera.position = (0.0, -28.5, 27.5)
         server.initial_camera.look_at = (0.0, -1.0, -1.0)
-        server.initial_camera.fov = float(np.radians(45))
+        server.initial_camera.fov = float(np.radians(31))
         self._scene.add_grid(
             "/floor",
             60.0,

@@ -70,10 +70,12 @@ def take(path: Path, settle_s: float) -> None:
     from gelgap.view import open_page
 
     start = Configuration(Elastomer.preset("e04"), Sensor.preset("paper"), Illumination.preset("i0"), POSE)
-    opened = open_page(replace(start), port=0)
+    opened = open_page(replace(start, pose=replace(POSE, depth_mm=0.7)), port=0)
     try:
         with browser_page(opened.address) as page:
             page.get_by_text("interpolated").first.wait_for()
+            # The first picture takes longer than those that a knob gives.
+            opened.controls.depth.value = POSE.depth_mm
             time.sleep(settle_s)
             if (close := page.locator(".mantine-Notification-closeButton")).count():
                 close.first.click()

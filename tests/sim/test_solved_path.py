@@ -48,9 +48,9 @@ def test_a_pose_between_is_near_the_one_solved_by_itself(path: SolvedPath) -> No
     pose = Pose(depth_mm=0.3, shear_x_mm=0.2)
     given, solved = path.pose(GEL, pose).state, solve_pose(GEL, Sphere(), pose, "draft")
     assert given.force_n[2] == pytest.approx(solved.force_n[2], rel=0.03)
-    # At draft, few vertices carry the friction of a contact.
+    # At draft, few vertices carry a contact's friction, and where its rim slides is rough.
     np.testing.assert_allclose(given.force_n, solved.force_n, atol=0.08 * np.linalg.norm(solved.force_n))
-    assert np.abs(given.displacement_mm - solved.displacement_mm).max() < 0.04
+    assert np.abs(given.displacement_mm - solved.displacement_mm).max() < 0.05
 
 
 def test_force_is_that_of_the_modulus_where_gels_share_solves(plan: SolvePlan, path: SolvedPath) -> None:
