@@ -76,7 +76,8 @@ def finetune(
     """
     if (frames is None) == (clips is None):
         raise ValueError(f"frames = {frames}, clips = {clips}: give one of the two")
-    labelled, others = open_domain(on), open_domain(test)
+    labelled: LabelledFrames = open_domain(on)
+    others: LabelledFrames = open_domain(test)
     draw = labelled_rows if clips is None else _rows_of_clips
     drawn = draw(labelled, frames or clips or 0, seed)
     if Path(on).resolve() == Path(test).resolve():
