@@ -12,9 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
+from gelgap.adapt import Profile
+from gelgap.adapt.source_training import untrained
 from gelgap.cli.main import COMMANDS, main
 from gelgap.cli.options import Option, options_of
 from gelgap.cli.rules import OutputFile, OutputFolder, Rule
+from gelgap.domains import open_domain
 from gelgap.sim import MembraneState
 
 HUGE = "9" * 400
@@ -125,7 +128,7 @@ WORK = {
     "adapt.runs": "Stage1.model",
     "adapt.source_training": "train",
     "adapt.report": "load_runs",
-    "adapt.model": "ForceModel.load",
+    "adapt.finetuning": "with_statistics_of",
     "render.renderer": "MembraneRenderer.linear",
     "render.calibration": "_search",
     "benchmarks.registry": "Benchmark.run",
@@ -155,7 +158,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         '[[presses]]\npicture = "real/1.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\npoint_mm = [0, 0]\n'
     )
     (folder / "presses.toml").write_text(3 * press)
-    (folder / "checkpoint.pt").write_text("text")
+    profile = Profile.preset("smoke").replace(width=0.125, feature_dim=16)
+    untrained(open_domain(real), profile).save(folder / "checkpoint.pt")
     (folder / "finished").mkdir()
     (folder / "finished/run.json").write_text("{}")
     axis = np.linspace(-7, 7, 15)
