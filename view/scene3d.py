@@ -47,7 +47,7 @@ class Scene3d:
         self._chosen = 0
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(cast_shadow=False)
-        server.initial_camera.position = (0.0, -28.5, 27.5)
+        server.initial_camera.position = (0.0, -31.0, 29.0)
         server.initial_camera.look_at = (0.0, -1.0, -1.0)
         server.initial_camera.fov = float(np.radians(31))
         self._scene.add_grid(
