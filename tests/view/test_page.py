@@ -2,6 +2,7 @@
 
 import queue
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,13 @@ def test_turned_knobs_change_picture_and_force(page: Any) -> None:
     page.controls.sensor.value = "digit-like"
     settled(page, lambda: page.shown.configuration.sensor.name == "digit-like")
     assert page.controls.illumination.value == "own"
+
+
+def test_a_value_beyond_a_knob_widens_its_range(page: Any) -> None:
+    stiff = page.controls.wanted.elastomer.model_copy(update={"young_modulus_mpa": 8.0})
+    page.controls.set_configuration(replace(page.controls.wanted, elastomer=stiff))
+    assert (page.controls.modulus.value, page.controls.modulus.max) == (8.0, 16.0)
+    assert page.controls.elastomer.value == "own"
 
 
 def test_what_cannot_be_leaves_the_page_as_it_was(page: Any) -> None:
