@@ -21,7 +21,8 @@ MODULI_MPA = (0.05, 3.0)
 FRICTIONS = (0.0, 2.0)
 # Where contacts lie that the paper's camera sees.
 POINTS_MM = (5.0, 3.5)
-_DRIVE_TIMES = 4.0
+# A value beyond a knob's range makes the range this many times as large as the value.
+_ROOM = 2.0
 
 
 class Controls:
@@ -215,8 +216,15 @@ class Controls:
         )
         if self.led.options != names:
             self.led.options = names
-        if led.drive > self.drive.max:
-            self.drive.max = _DRIVE_TIMES * led.drive
+        ranged = (
+            (self.modulus, gel.young_modulus_mpa),
+            (self.friction, gel.friction),
+            (self.drive, led.drive),
+        )
+        for knob, value in ranged:
+            if value > knob.max:
+                knob.max = _ROOM * value
+            knob.min = min(knob.min, value)
         yield from (
             (self.depth, pose.depth_mm),
             (self.travel, round(pose.radius_mm, 6)),

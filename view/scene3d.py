@@ -45,9 +45,10 @@ class Scene3d:
         self._leds: list[viser.TransformControlsHandle] = []
         self._illumination: Illumination | None = None
         self._chosen = 0
+        self._held: int | None = None
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(cast_shadow=False)
-        server.initial_camera.position = (0.0, -28.5, 27.5)
+        server.initial_camera.position = (0.0, -31.0, 29.0)
         server.initial_camera.look_at = (0.0, -1.0, -1.0)
         server.initial_camera.fov = float(np.radians(31))
         self._scene.add_grid(
@@ -83,11 +84,8 @@ class Scene3d:
         if before is None or [_form(led) for led in before.leds] != [_form(led) for led in illumination.leds]:
             self._build_leds(illumination)
         for number, (led, control) in enumerate(zip(illumination.leds, self._leds, strict=True)):
-            if (
-                before is None
-                or number >= len(before.leds)
-                or led.position_mm != before.leds[number].position_mm
-            ):
+            # An LED that is being dragged is ahead of what is shown.
+            if number != self._held:
                 control.position = led.position_mm
             control.scale = _GIZMO_MM if number == chosen else 0.01
         self._illumination, self._chosen = illumination, chosen
@@ -127,6 +125,7 @@ class Scene3d:
 
     def _dragged(self, number: int) -> Callable[[viser.TransformControlsEvent], None]:
         def moved(event: viser.TransformControlsEvent) -> None:
+            self._held = None if event.phase == "end" else number
             self._moved_led(number, tuple(round(float(value), 2) for value in event.target.position))
 
         return moved

@@ -2,8 +2,10 @@
 
 import queue
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -81,6 +83,27 @@ def test_turned_knobs_change_picture_and_force(page: Any) -> None:
     page.controls.sensor.value = "digit-like"
     settled(page, lambda: page.shown.configuration.sensor.name == "digit-like")
     assert page.controls.illumination.value == "own"
+
+
+def test_a_dragged_led_is_not_put_back_under_the_hand(page: Any) -> None:
+    settled(page, lambda: page.shown is not None and page._scene._leds)
+    control = page._scene._leds[1]
+    for phase, place in (("start", (10.0, 0.0, -3.0)), ("update", (9.0, 0.5, -3.0))):
+        control.position = place
+        page._scene._dragged(1)(SimpleNamespace(phase=phase, target=control))
+    control.position = (8.0, 0.5, -3.0)
+    settled(page, lambda: page.shown.configuration.illumination.leds[1].position_mm == (9.0, 0.5, -3.0))
+    assert tuple(control.position) == (8.0, 0.5, -3.0)
+    assert page.controls.led.value.startswith("2:")
+    page._scene._dragged(1)(SimpleNamespace(phase="end", target=control))
+    settled(page, lambda: page.shown.configuration.illumination.leds[1].position_mm == (8.0, 0.5, -3.0))
+
+
+def test_a_value_beyond_a_knob_widens_its_range(page: Any) -> None:
+    stiff = page.controls.wanted.elastomer.model_copy(update={"young_modulus_mpa": 8.0})
+    page.controls.set_configuration(replace(page.controls.wanted, elastomer=stiff))
+    assert (page.controls.modulus.value, page.controls.modulus.max) == (8.0, 16.0)
+    assert page.controls.elastomer.value == "own"
 
 
 def test_what_cannot_be_leaves_the_page_as_it_was(page: Any) -> None:
