@@ -45,7 +45,7 @@ QUICKEST = {
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
     r"adaptation/cpu": "adaptation/smoke",
     r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
-    r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft"',
+    r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft")',
     r'path = "smoke"': 'path = "tiny.toml"',
 }
 """What makes a command, a code block or a file quick: a pattern, and what stands in its place."""

@@ -28,8 +28,8 @@ def start_server(host: str, port: int) -> viser.ViserServer:
 def _check_free(host: str, port: int) -> None:
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise ValueError(f"--host = {host!r}: is no address of this machine ({error.strerror})") from None
+    except (OSError, UnicodeError) as error:
+        raise ValueError(f"--host = {host!r}: is no address of this machine ({error})") from None
     with socket.socket(family, kind, protocol) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

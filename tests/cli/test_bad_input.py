@@ -46,12 +46,14 @@ RIGHT: dict[str, dict[str, list[str]]] = {
     "benchmark": {"subject": ["physics"], "--out": ["results"]},
     "presets": {},
     "cache": {},
+    "view": {"--port": ["0"], "--no-browser": []},
 }
 """What a command needs besides the option that is tried."""
 
 BESIDE: dict[tuple[str, str], dict[str, list[str]]] = {
     ("generate", "--preset"): {"domains": []},
     ("generate", "--sweep"): {"domains": []},
+    ("generate", "--recipe"): {"domains": []},
     ("generate", "--elastomer"): {"--name": ["own"]},
     ("generate", "--illumination"): {"--name": ["own"]},
     ("benchmark", "--what"): {"subject": ["adaptation"]},
@@ -133,6 +135,7 @@ WORK = {
     "render.calibration": "_search",
     "benchmarks.registry": "Benchmark.run",
     "cli.workflows.demo": "force_curve",
+    "view.server": "viser.ViserServer",
 }
 """Where work starts, by module."""
 
