@@ -139,6 +139,14 @@ BENCHMARKS = (
         "real.session_transfer",
         needs_data=True,
     ),
+    Benchmark(
+        "real",
+        "networks",
+        "the same with all methods of adaptation",
+        "real.networks",
+        by_default=False,
+        needs_data=True,
+    ),
 )
 
 

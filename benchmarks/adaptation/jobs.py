@@ -162,10 +162,14 @@ def open_pair(bench: Bench, job: TrainingJob) -> "tuple[GeneratedDomain, Generat
 
 def configuration_of(bench: Bench, job: TrainingJob) -> str:
     """Return a hash of all that the methods of a job's group have in common: profile and recipes of both domains."""
+    return configuration_hash(
+        job.profile(bench.profile), *(domain.recipe.key for domain in open_pair(bench, job))
+    )
+
+
+def configuration_hash(profile: "Profile", *data: Any) -> str:
+    """Return a hash of a profile without methods' settings, and of what says which data are used."""
     from gelgap.assets.json_file import canonical_json
 
-    profile = job.profile(bench.profile).model_dump(
-        mode="json", exclude={"name", "settings"}, exclude_defaults=True
-    )
-    content = [profile, *(domain.recipe.key for domain in open_pair(bench, job))]
-    return hashlib.sha256(canonical_json(content)).hexdigest()[:12]
+    common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
+    return hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]

@@ -9,6 +9,7 @@ from gelgap.benchmarks.adaptation.jobs import Bench, RunRecord, TrainingJob, con
 from gelgap.benchmarks.common.records import append_record, read_records
 
 Work = Callable[[Bench, TrainingJob], Any]
+Configuration = Callable[[Bench, TrainingJob], str]
 
 
 def missing_jobs(jobs: Iterable[TrainingJob], profile: str, done: Iterable[Any]) -> list[TrainingJob]:
@@ -18,9 +19,17 @@ def missing_jobs(jobs: Iterable[TrainingJob], profile: str, done: Iterable[Any])
 
 
 def run_missing(
-    bench: Bench, jobs: Sequence[TrainingJob], file: str, work: Work, kind: type = RunRecord
+    bench: Bench,
+    jobs: Sequence[TrainingJob],
+    file: str,
+    work: Work,
+    kind: type = RunRecord,
+    configuration: Configuration | None = None,
 ) -> list[Any]:
     """Do the jobs that the bench's record `file` lacks and return the records of all that are finished.
+
+    `configuration` is what all methods of a job's data, group and changes have in common: `configuration_of` unless
+    the data are no generated domains.
 
     Raises
     ------
@@ -30,7 +39,7 @@ def run_missing(
     path = bench.out / file
     found = read_records(path, kind)
     todo = missing_jobs(jobs, bench.profile, found)
-    _check_same_configuration(bench, set(jobs), found, path)
+    _check_same_configuration(bench, set(jobs), found, path, configuration or configuration_of)
     start = time.perf_counter()
     done = _one_by_one(bench, todo, work) if bench.workers == 1 else _on_workers(bench, todo, work)
     for count, record in enumerate(done, 1):
@@ -44,7 +53,7 @@ def run_missing(
 
 
 def _check_same_configuration(
-    bench: Bench, wanted: set[TrainingJob], found: Iterable[Any], path: Path
+    bench: Bench, wanted: set[TrainingJob], found: Iterable[Any], path: Path, configuration: Configuration
 ) -> None:
     configurations: dict[Any, str] = {}
     for record in found:
@@ -53,7 +62,7 @@ def _check_same_configuration(
             continue
         shared = (job.data, job.group, job.changes)
         if shared not in configurations:
-            configurations[shared] = configuration_of(bench, job)
+            configurations[shared] = configuration(bench, job)
         settings = job.profile(bench.profile).settings.get(job.method, {})
         if (record.configuration, record.settings) != (configurations[shared], settings):
             raise ValueError(

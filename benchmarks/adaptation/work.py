@@ -11,16 +11,15 @@ from gelgap.benchmarks.adaptation.jobs import Axes, Bench, RunRecord, TrainingJo
 
 if TYPE_CHECKING:
     from gelgap.adapt import Candidate, ForceModel, SplitFrames
-    from gelgap.domains import GeneratedDomain
+    from gelgap.domains import LabelledFrames
 
 _CONTROLS = {"adabn": "source-only", "no-transfer": "adabn", "classifier-only": "no-transfer"}
 
 
 @dataclass(frozen=True)
 class TrainedJob:
-    """A job's domains, frames and model (none where training stopped with a problem), and the stages' times, s."""
+    """A job's frames and model (none where training stopped with a problem), and the stages' times, s."""
 
-    domains: "tuple[GeneratedDomain, GeneratedDomain]"
     frames: "SplitFrames"
     model: "ForceModel | None"
     problem: str | None
@@ -29,22 +28,33 @@ class TrainedJob:
 
 
 def train_job(bench: Bench, job: TrainingJob) -> TrainedJob:
-    """Train both stages of a job; a collapse, or a loss that is not finite, is a result, not a failure."""
-    from gelgap.adapt import FeatureCollapse, Stage1, TrainingDiverged, adapt, find_method, split_for_training
+    """Split a job's domains and train both stages."""
+    from gelgap.adapt import split_for_training
 
-    profile, domains = job.profile(bench.profile), open_pair(bench, job)
-    frames = split_for_training(*domains, profile, job.seed)
-    shared = Stage1(frames.source_train, profile, job.seed, out=bench.out)
+    frames = split_for_training(*open_pair(bench, job), job.profile(bench.profile), job.seed)
+    return TrainedJob(frames, *train_stages(bench, job, frames.source_train, frames.target_train))
+
+
+def train_stages(
+    bench: Bench, job: TrainingJob, source: "LabelledFrames", target: "LabelledFrames"
+) -> "tuple[ForceModel | None, str | None, float, float]":
+    """Train both stages of a job on given frames; return the model, or else the problem, and the stages' times, s.
+
+    A collapse, or a loss that is not finite, is a result, not a failure.
+    """
+    from gelgap.adapt import FeatureCollapse, Stage1, TrainingDiverged, adapt, find_method
+
+    profile = job.profile(bench.profile)
+    shared = Stage1(source, profile, job.seed, out=bench.out)
     trained, stage1_s = shared.model() if find_method(job.method).needs_stage_1 else (shared.untrained(), 0.0)
-    pair, start = (frames.source_train, frames.target_train), time.perf_counter()
-    for part in pair:
+    for part in (source, target):
         part.images(profile.image_size_px)  # read before the clock starts
     start = time.perf_counter()
     try:
-        model, problem = adapt(trained, *pair, job.method, profile, job.seed), None
+        model, problem = adapt(trained, source, target, job.method, profile, job.seed), None
     except (FeatureCollapse, TrainingDiverged) as trouble:
         model, problem = None, str(trouble)
-    return TrainedJob(domains, frames, model, problem, stage1_s, time.perf_counter() - start)
+    return model, problem, stage1_s, time.perf_counter() - start
 
 
 def adapt_job(bench: Bench, job: TrainingJob) -> RunRecord:

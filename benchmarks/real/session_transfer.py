@@ -14,10 +14,7 @@ from gelgap.benchmarks.adaptation.statistics import bootstrap_interval
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.benchmarks.real.clip_folds import FOLDS, SEEDS, clip_folds
 from gelgap.benchmarks.real.plain_methods import PLAIN_METHODS, ForceMethod
-from gelgap.benchmarks.real.sessions import Session, read_sessions
-
-SESSIONS = ("2023-12-06", "2023-12-16")
-"""The two sessions with objects in common."""
+from gelgap.benchmarks.real.sessions import Session, converted_sessions, read_sessions
 
 
 @dataclass(frozen=True)
@@ -55,11 +52,7 @@ def measure(source: Session, target: Session, method: ForceMethod, seeds: tuple[
 def run(quick: bool, out_dir: Path, data: Path) -> None:
     """Measure both ways, print the table, and write `real-sessions.json` to `out_dir`."""
     seeds = SEEDS[:1] if quick else SEEDS
-    sessions = read_sessions(data, SESSIONS, out_dir)
-    shared = sorted(set(sessions[0].object) & set(sessions[1].object))
-    if not shared:
-        raise ValueError(f"the sessions {' and '.join(SESSIONS)} of {data} have no object in common")
-    both = [session.of_objects(shared) for session in sessions]
+    both = read_sessions(converted_sessions(data, out_dir))
     found = [
         measure(source, target, method, seeds)
         for source, target in (both, both[::-1])
@@ -79,7 +72,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
             )
             for one in found
         ],
-        f"GelSight Wedge, {', '.join(shared)}: "
+        f"GelSight Wedge, {', '.join(np.unique(both[0].object))}: "
         f"{' and '.join(f'{len(session.fz_n)} pictures of {len(np.unique(session.clip))} clips' for session in both)}. "
         f"Mean of clips; {FOLDS} folds by clip, {len(seeds)} seed(s), every seed with every fold.",
     )

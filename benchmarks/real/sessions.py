@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,8 @@ from gelgap.domains.stored import read_table
 LOG = logging.getLogger(__name__)
 CLONE = "EstimateModulus"
 GET_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
+SESSIONS = ("2023-12-06", "2023-12-16")
+"""The two sessions with objects in common."""
 _SIZE_PX = (80, 60)
 
 
@@ -46,15 +49,15 @@ class Session:
         )
 
 
-def read_sessions(data: Path, names: Sequence[str], out_dir: Path) -> list[Session]:
-    """Read sessions from the clone in the folder `data`; `out_dir` keeps what is converted.
+def converted_sessions(data: Path, out_dir: Path) -> Path:
+    """Return the folder of all sessions of the clone in the folder `data`, converted once and kept in `out_dir`.
 
     Raises
     ------
     FileNotFoundError
         If the clone is missing; the message has the line that gets it.
     ValueError
-        If the clone has no such session.
+        If the clone lacks one of the sessions that are compared.
     """
     clone, converted = data / CLONE, out_dir / "real" / "wedge"
     if not clone.is_dir():
@@ -62,9 +65,25 @@ def read_sessions(data: Path, names: Sequence[str], out_dir: Path) -> list[Sessi
     if not converted.is_dir():
         LOG.info("converting %s, once", clone)
         convert(clone, "wedge", converted)
-    if missing := [name for name in names if not (converted / name).is_dir()]:
+    if missing := [name for name in SESSIONS if not (converted / name).is_dir()]:
         raise ValueError(f"{clone} has no session {missing[0]}; it has {', '.join(_folders(converted))}")
-    return [_read(converted / name) for name in names]
+    return converted
+
+
+@cache
+def read_sessions(folder: Path) -> tuple[Session, Session]:
+    """Return the two sessions that are compared, of the objects that both have.
+
+    Raises
+    ------
+    ValueError
+        If they have no object in common.
+    """
+    first, second = (_read(folder / name) for name in SESSIONS)
+    shared = sorted(set(first.object) & set(second.object))
+    if not shared:
+        raise ValueError(f"the sessions {' and '.join(SESSIONS)} of {folder} have no object in common")
+    return first.of_objects(shared), second.of_objects(shared)
 
 
 def _folders(folder: Path) -> list[str]:

@@ -169,6 +169,20 @@ def test_records_of_another_configuration_are_not_gone_on_from(tmp_path, same_co
             run_missing(bench, jobs, RUNS, lambda bench, job: pytest.fail("measured"))
 
 
+def test_data_of_another_kind_say_themselves_what_their_configuration_is(tmp_path):
+    bench = Bench(tmp_path, tmp_path, "cpu", workers=1)
+    (job,) = jobs_of("paired", GROUPS[:1], ["source-only"], [0], BY_POINT)
+    append_record(tmp_path / RUNS, replace(record(GROUPS[0], "source-only", 0.1), configuration="own"))
+
+    def found(configuration: str):
+        work = lambda bench, job: pytest.fail("measured")  # noqa: E731
+        return run_missing(bench, [job], RUNS, work, configuration=lambda bench, job: configuration)
+
+    assert len(found("own")) == 1
+    with pytest.raises(ValueError, match="of another configuration"):
+        found("other")
+
+
 def test_records_of_two_configurations_are_not_compared(tmp_path):
     other = replace(record(GROUPS[0], "dann", 0.1), configuration="d")
     folder = written(tmp_path, [record(GROUPS[0], "dan", 0.1), other])
