@@ -16,11 +16,12 @@ from gelgap.sim import SolvedPath, SolvedPose
 from gelgap.view import Configuration
 from gelgap.view.requests import Answer, Failed, PathRequest, Progress, Request, Solved
 
-MISSING = [name for name in ("viser", "playwright") if find_spec(name) is None]
-if MISSING:
-    pytest.skip(f"{' and '.join(MISSING)} not installed", allow_module_level=True)
+pytest.importorskip("viser")
 
-needs_browser = pytest.mark.skipif(find_chromium() is None, reason="no Chromium: apt-get install chromium")
+needs_browser = pytest.mark.skipif(
+    find_spec("playwright") is None or find_chromium() is None,
+    reason="no browser: pip install playwright; apt-get install chromium",
+)
 
 
 class FakeSolver:
