@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from gelgap.adapt.evaluation import Evaluation, evaluate, evaluate_constant_mean
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.runs import Stage1
-from gelgap.domains import LabelledFrames, join_domains, open_domain
+from gelgap.domains import join_domains, open_domain, within_range
 
 CHECKPOINT = "pretrained.pt"
 # The last of the domains are kept for judging: one in this many.
@@ -64,7 +62,7 @@ def pretrain(
     if len(folders) < 2:
         raise ValueError(f"{len(folders)} domains: pretraining needs 2 or more, the last to judge by")
     domains = [open_domain(folder) for folder in folders]
-    within = [_within_range(domain) for domain in domains]
+    within = [within_range(domain) for domain in domains]
     held_out = max(1, len(domains) // _HELD_OUT_OF)
     seen = join_domains(within[:-held_out])
     unseen = join_domains(within[-held_out:])
@@ -78,9 +76,3 @@ def pretrain(
         held_out=evaluate(model, unseen),
         held_out_constant_mean=evaluate_constant_mean(seen, unseen),
     )
-
-
-def _within_range(frames: LabelledFrames) -> LabelledFrames:
-    """Return the frames whose forces lie within the declared range."""
-    low, high = np.asarray(frames.force_range_n, float).T
-    return frames.take(np.flatnonzero(((low <= frames.force_n) & (frames.force_n <= high)).all(axis=1)))

@@ -28,6 +28,7 @@ from .inspection import verify_domain as verify_domain
 from .joined import join_domains as join_domains
 from .joined import open_domains as open_domains
 from .label_notes import label_notes as label_notes
+from .label_notes import within_range as within_range
 from .labels import FORCE_COLUMNS as FORCE_COLUMNS
 from .labels import PAPER_FORCE_RANGE_N as PAPER_FORCE_RANGE_N
 from .labels import QUANTITIES as QUANTITIES

@@ -29,3 +29,8 @@ def outside(frames: LabelledFrames, labels: Labels) -> np.ndarray:
     """Return which frames (n,) have a label outside its range."""
     values = frames.values_of(labels.names)
     return np.any((values < labels.low) | (values > labels.high), axis=1)
+
+
+def within_range(frames: LabelledFrames) -> LabelledFrames:
+    """Return the frames whose labels lie within their ranges."""
+    return frames.take(np.flatnonzero(~outside(frames, frames.labels)))

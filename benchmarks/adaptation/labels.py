@@ -108,14 +108,19 @@ def label_job(bench: Bench, job: TrainingJob) -> LabelRecord:
 
 
 def label_points(model: "ForceModel", frames: "SplitFrames", seed: int) -> Iterable[LabelPoint]:
-    """Yield the errors on the target's test frames without labels, and with as many as its training part has."""
+    """Yield the errors on the target's test frames without labels, and with as many as its training part has.
+
+    Frames beyond the declared range, which nothing is trained on, are not among those drawn.
+    """
     from gelgap.adapt import affine_correction, draw_labelled, fine_tune
+    from gelgap.domains import within_range
 
     yield _point("none", 0, [model], frames)
+    candidates = within_range(frames.target_train)
     for labels in LABELS:
-        if labels > len(frames.target_train):
+        if labels > len(candidates):
             continue
-        drawn = [draw_labelled(frames.target_train, labels, DRAWS * seed + draw) for draw in range(DRAWS)]
+        drawn = [draw_labelled(candidates, labels, DRAWS * seed + draw) for draw in range(DRAWS)]
         tuned = [fine_tune(model, own) for own in drawn]
         yield _point("affine", labels, [affine_correction(model, own) for own in drawn], frames)
         yield _point("fine-tuning", labels, tuned, frames)
