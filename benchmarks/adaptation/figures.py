@@ -69,7 +69,7 @@ def plot_groups(results: Results, oracles: dict[tuple[str, str], GroupOracles]) 
     axes.hlines(pose, place - 0.4, place + 0.4, "k", label="pose oracle")
     axes.set_xticks(place, ["\n→ ".join(group) for group in results.groups], fontsize=8)
     axes.set_ylabel("target MAE, N")
-    figure.legend(loc="outside upper center", fontsize=8, ncols=len(shown) + 2)
+    figure.legend(loc="outside upper center", fontsize=8, ncols=(len(shown) + 3) // 2)
     return figure
 
 

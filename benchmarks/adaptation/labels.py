@@ -27,6 +27,7 @@ from gelgap.benchmarks.adaptation.work import train_job
 from gelgap.benchmarks.common.records import read_records
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes as PlotAxes
     from matplotlib.figure import Figure
 
     from gelgap.adapt import ForceModel, SplitFrames
@@ -221,32 +222,35 @@ def _closed_with(errors_n: Sequence[float], least_n: float) -> str:
 
 
 def plot_labels(nine: Sequence[LabelRecord], gaps: Sequence[LabelRecord]) -> "Figure":
-    """Draw error against labels: the nine groups' mean by method and way, and single gaps by one way."""
+    """Draw error against labels: the nine groups' mean by method and way, and single gaps by one way, as far as run."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
-    place = range(len(LABELS) + 1)
+    drawn = [(draw, records) for draw, records in ((_draw_nine, nine), (_draw_gaps, gaps)) if records]
+    figure = Figure(figsize=(5.5 * len(drawn), 3.8), layout="constrained")
+    panels = figure.subplots(1, len(drawn), sharey=True, squeeze=False)[0]
+    for axes, (draw, records) in zip(panels, drawn, strict=True):
+        draw(axes, records)
+        axes.set_xticks(range(len(LABELS) + 1), [str(n) for n in (0, *LABELS)])
+        axes.set_xlabel("labelled target frames")
+        axes.legend(fontsize=7)
+    panels[0].set(ylabel="target MAE, N", ylim=(0, None))
+    return figure
+
+
+def _draw_nine(axes: "PlotAxes", records: Sequence[LabelRecord]) -> None:
     for method, style in zip(METHODS, ("o--", "o-"), strict=True):
         for colour, way in enumerate(WAYS):
-            left.plot(place, curve(nine, method, way), style, color=f"C{colour}", label=f"{method}, {way}")
+            axes.plot(curve(records, method, way), style, color=f"C{colour}", label=f"{method}, {way}")
+    axes.set_title("nine groups, cpu profile")
+
+
+def _draw_gaps(axes: "PlotAxes", records: Sequence[LabelRecord]) -> None:
     sizes = {gap.domain: f"{gap.panel} × {gap.size:g}" for gap in design().gaps if gap.panel in PANELS}
-    for target in dict.fromkeys(record.job.target for record in gaps):
-        own = [record for record in gaps if record.job.target == target]
-        right.plot(
-            place,
-            curve(own, "source-only", "both"),
-            "o-",
-            label="no gap" if target == BASE else sizes[target],
-        )
-    left.set(title="nine groups, cpu profile", ylabel="target MAE, N", ylim=(0, None))
-    right.set(title="one gap, source-only, fine-tuned and corrected")
-    for axes in (left, right):
-        axes.set_xticks(place, [str(n) for n in (0, *LABELS)])
-        axes.set_xlabel("labelled target frames")
-        if axes.lines:
-            axes.legend(fontsize=7)
-    return figure
+    for target in dict.fromkeys(record.job.target for record in records):
+        own = [record for record in records if record.job.target == target]
+        name = "no gap" if target == BASE else sizes[target]
+        axes.plot(curve(own, "source-only", "both"), "o-", label=name)
+    axes.set_title("one gap, source-only, fine-tuned and corrected")
 
 
 PART = Part(measure, tables, figures)
