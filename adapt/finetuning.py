@@ -62,16 +62,16 @@ def finetune(
     on, test
         Folders of data sets; the same folder twice: what is not drawn is tested on.
     frames
-        Draw so many frames, as `draw_labelled` does.
+        How many frames to draw, as `draw_labelled` does.
     clips
-        Or draw so many clips by the column `clip`, and take all their frames.
+        Or how many clips to draw, by the column `clip`; all their frames are taken.
     seed
         Of the draw and of the training.
 
     Raises
     ------
     ValueError
-        If not one of frames and clips is given, there are not so many, the data sets lack the model's labels, or a
+        If not exactly one of frames and clips is given, there are fewer, the data sets lack the model's labels, or a
         label lies outside its range.
     """
     if (frames is None) == (clips is None):

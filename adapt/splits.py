@@ -49,7 +49,7 @@ def split_for_training(
     ranges
         Ranges of labels, by which both domains are normalised; by default `labels_of_run` finds them.
     classes_from_force
-        Give the source's training frames so many contact classes of equal size, by Fz or the first label.
+        Number of contact classes of equal size to give the source's training frames, by Fz or the first label.
 
     Raises
     ------

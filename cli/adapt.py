@@ -66,7 +66,7 @@ class Adapt:
     classes: Annotated[
         tuple[Literal["from-force"], int] | None, optional("from-force COUNT", "the source's own")
     ] = None
-    """Contact classes of the source for methods that need them: so many of equal size, by Fz."""
+    """Contact classes of the source for methods that need them: this many of equal size, by Fz."""
     seed: Annotated[int, SEED] = 0
     """Seed of weights, splits and batches."""
     weights: Annotated[Path | None, optional("PATH", "from scratch"), InputFile("a checkpoint")] = None

@@ -30,9 +30,9 @@ class Finetune:
     test: Annotated[Path, DataSet()]
     """Folder of the data set to judge by; if it is the same, by the frames that are not learnt."""
     frames: Annotated[int | None, optional("K"), Between(1, 10_000_000)] = None
-    """Learn so many frames, spread over the commanded depths where these are known."""
+    """Number of frames to learn, spread over the commanded depths where these are known."""
     clips: Annotated[int | None, optional("K"), Between(1, 10_000_000)] = None
-    """Or learn all frames of so many clips, told apart by the column `clip`."""
+    """Or number of clips to learn whole, told apart by the column `clip`."""
     seed: Annotated[int, SEED] = 0
     """Seed of the draw and of the training."""
     out: Annotated[Path | None, optional("PATH"), OutputFile((".pt",))] = None

@@ -71,7 +71,7 @@ class LabelColumn(Column):
 
 @dataclass(frozen=True)
 class ViewColumn(Column):
-    """A column made by the renderer; it is null where there is no picture."""
+    """A column made by the renderer; null in frames without a picture."""
 
     cell: Callable[[View], Any]
 

@@ -267,17 +267,13 @@ class LabelledFrames(ABC):
         )
 
 
-class FrameSubset(LabelledFrames):
-    """Some frames of a data set, `whole`, in the order of `indices` (n,)."""
+class DerivedFrames(LabelledFrames):
+    """Frames of another data set, `whole`, in part or changed; references and declared ranges are its."""
 
-    def __init__(self, whole: LabelledFrames, indices: np.ndarray):
+    def __init__(self, whole: LabelledFrames):
         self.whole = whole
-        self.indices = np.arange(len(whole))[indices]
         self.name, self.force_range_n, self.n_classes = whole.name, whole.force_range_n, whole.n_classes
         self.declares_ranges, self.labels, self.notes = whole.declares_ranges, whole.labels, whole.notes
-        self.columns = {name: values[self.indices] for name, values in whole.columns.items()}
-        self._images: dict[tuple[int, int], np.ndarray] = {}
-        self._without_markers: dict[tuple[int, int], np.ndarray] = {}
 
     @property
     def reference(self) -> np.ndarray:
@@ -292,6 +288,17 @@ class FrameSubset(LabelledFrames):
 
     def declared_range(self, name: str) -> Range | None:
         return self.whole.declared_range(name)
+
+
+class FrameSubset(DerivedFrames):
+    """Some frames of a data set, `whole`, in the order of `indices` (n,)."""
+
+    def __init__(self, whole: LabelledFrames, indices: np.ndarray):
+        super().__init__(whole)
+        self.indices = np.arange(len(whole))[indices]
+        self.columns = {name: values[self.indices] for name, values in whole.columns.items()}
+        self._images: dict[tuple[int, int], np.ndarray] = {}
+        self._without_markers: dict[tuple[int, int], np.ndarray] = {}
 
     @cached_property
     def digest(self) -> str:

@@ -39,8 +39,6 @@ class PictureRow:
 
 
 COLUMNS = tuple(field.name for field in fields(PictureRow))
-LABELS = COLUMNS[2:11]
-"""The columns that can be learned."""
 
 
 def write_picture(folder: Path, name: str, picture: np.ndarray) -> str:

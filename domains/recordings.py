@@ -13,8 +13,8 @@ import numpy as np
 from gelgap.assets.plain_name import stays_inside
 from gelgap.domains.clip import Clip, pressing_n
 from gelgap.domains.clip_names import object_of
+from gelgap.domains.labels import FORCE_COLUMNS, known_labels
 from gelgap.domains.picture_codec import as_colour, decode_picture
-from gelgap.domains.picture_table import LABELS
 from gelgap.domains.stored import read_table
 from gelgap.domains.video import VIDEOS, video_pictures, video_times_s
 
@@ -23,7 +23,6 @@ _LAYOUT = (
     "folder of pictures (press/) with a table picture, time_s in it"
 )
 _TIME = "time_s"
-_FORCES = LABELS[:3]
 _LAGS = range(-15, 16)
 
 
@@ -74,10 +73,11 @@ def _source(table: Path) -> Path:
 def _labels(table: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     rows = read_table(table)
     header = list(rows[0]) if rows else []
-    names = [name for name in LABELS if name in header]
-    if _TIME not in header or not set(names) & set(_FORCES):
+    names = known_labels(header)
+    if _TIME not in header or not set(names) & set(FORCE_COLUMNS):
         raise ValueError(
-            f"{table} must have the column {_TIME} and one of {', '.join(_FORCES)} at least; it has {', '.join(header)}"
+            f"{table} must have the column {_TIME} and one of {', '.join(FORCE_COLUMNS)} at least; "
+            f"it has {', '.join(header)}"
         )
     time_s, *values = (_numbers(rows, name, table) for name in (_TIME, *names))
     labels = dict(zip(names, values, strict=True))

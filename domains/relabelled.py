@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from gelgap.domains.dataset import LabelledFrames
-from gelgap.domains.labels import Labels, Range
+from gelgap.domains.dataset import DerivedFrames, LabelledFrames
+from gelgap.domains.labels import Labels
 
 
 def with_labels(frames: LabelledFrames, labels: Labels) -> LabelledFrames:
@@ -40,7 +40,7 @@ def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
     return Relabelled(train, contact_class=np.searchsorted(inner, values, side="right"), n_classes=count)
 
 
-class Relabelled(LabelledFrames):
+class Relabelled(DerivedFrames):
     """The frames of `whole` with other `labels`, or with other contact classes (n,) of which there are `n_classes`."""
 
     def __init__(
@@ -50,32 +50,17 @@ class Relabelled(LabelledFrames):
         contact_class: np.ndarray | None = None,
         n_classes: int | None = None,
     ):
-        self.whole = whole
-        self.name, self.notes, self.unconverged = whole.name, whole.notes, whole.unconverged
-        self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
-        self.n_classes = n_classes or whole.n_classes
+        super().__init__(whole)
+        self.unconverged = whole.unconverged
+        self.n_classes = n_classes or self.n_classes
         self.columns = (
             whole.columns if contact_class is None else whole.columns | {"contact_class": contact_class}
         )
-        self.labels = labels or whole.labels
+        self.labels = labels or self.labels
         self._changed = repr((self.labels, n_classes)).encode()
         self._changed += self.label_values.tobytes() + (
             b"" if contact_class is None else contact_class.tobytes()
         )
-
-    @property
-    def reference(self) -> np.ndarray:
-        return self.whole.reference
-
-    @property
-    def reference_count(self) -> int:
-        return self.whole.reference_count
-
-    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
-        return self.whole.references_at(size_px, markers)
-
-    def declared_range(self, name: str) -> Range | None:
-        return self.whole.declared_range(name)
 
     @cached_property
     def digest(self) -> str:

@@ -4,6 +4,7 @@ from .cache import cache_use as cache_use
 from .cache import clear_cache as clear_cache
 from .cache import has_solution as has_solution
 from .cache import load_solution as load_solution
+from .canonical_frame import is_interior as is_interior
 from .elastomer import Elastomer as Elastomer
 from .indenters.base import Indenter as Indenter
 from .indenters.registry import AnyIndenter as AnyIndenter

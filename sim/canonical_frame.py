@@ -47,6 +47,15 @@ class CanonicalFrame:
         return np.array([*(self.to_sensor @ vector[:2]), vector[2]])
 
 
+def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
+    """Return whether the pad's edges are too far from a contact point to matter."""
+    point_mm = pose.point_x_mm, pose.point_y_mm
+    to_edge_mm = min(
+        size / 2 - abs(place) for size, place in zip(elastomer.pad_size_mm, point_mm, strict=True)
+    )
+    return to_edge_mm >= _INTERIOR_THICKNESSES * elastomer.thickness_mm
+
+
 def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     """Return the frame of a pose, by the symmetries that pad and indenter have and `scene.sharing` allows.
 
@@ -56,8 +65,7 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     elastomer, sharing, symmetry = scene.elastomer, scene.sharing, scene.indenter.symmetry
     half_x, half_y = elastomer.pad_size_mm[0] / 2, elastomer.pad_size_mm[1] / 2
     x, y = pose.point_x_mm, pose.point_y_mm
-    to_edge = min(half_x - abs(x), half_y - abs(y))
-    interior = sharing.translation and to_edge >= _INTERIOR_THICKNESSES * elastomer.thickness_mm
+    interior = sharing.translation and is_interior(elastomer, pose)
     if interior and symmetry is Symmetry.REVOLUTION:
         angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
         cosine, sine = math.cos(angle), math.sin(angle)

@@ -196,7 +196,7 @@ class Controls:
         )
 
     def _fill(self, turned: Any = None) -> None:
-        """Turn the knobs to what is wanted, but for the one that the user has just turned and may be turning still."""
+        """Set all knobs to what is wanted, except the one that the user may still be turning."""
         self._filling_thread = threading.get_ident()
         try:
             for knob, value in self._values():

@@ -5,13 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from gelgap.sim import SolvedPath, SolvedPose
+from gelgap.sim import SolvedPath, SolvedPose, is_interior
 from gelgap.view.configuration import ALL_WORK, Configuration, Work, needed_work
 from gelgap.view.pictures import Picture, PictureMaker
 from gelgap.view.requests import PathRequest, PoseRequest
 
-# A pad's edges matter to a contact nearer to them than this many thicknesses (docs/physics.md).
-_EDGE_THICKNESSES = 2.4
 # Paths, and poses solved by themselves, that are kept: some MB each.
 _KEPT_SOLUTIONS = 16
 
@@ -116,11 +114,8 @@ def _keep(kept: dict, key: object, value: object) -> None:
 
 
 def _at_the_edge(configuration: Configuration) -> str:
-    pose, gel = configuration.pose, configuration.elastomer
-    point = (pose.point_x_mm, pose.point_y_mm)
-    to_edge = min(size / 2 - abs(at) for size, at in zip(gel.pad_size_mm, point, strict=True))
-    near = to_edge < _EDGE_THICKNESSES * gel.thickness_mm
-    return "; the pad's edge, which is near, is left out" if near else ""
+    interior = is_interior(configuration.elastomer, configuration.pose)
+    return "" if interior else "; the pad's edge, which is near, is left out"
 
 
 @dataclass

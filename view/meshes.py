@@ -31,7 +31,7 @@ def membrane_mesh(
 ) -> "trimesh.Trimesh":
     """Return the part of a membrane that the camera sees, in mm, with the picture (h, w, 3) as its texture.
 
-    `every` keeps only each so many points of the grid along both axes.
+    `every` keeps each `every`-th point of the grid along both axes.
     """
     points = _points(state, every)
     height, width = picture.shape[:2]

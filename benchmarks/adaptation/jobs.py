@@ -57,6 +57,10 @@ class TrainingJob:
         own = {**profile.settings.get(self.method, {}), **dict(self.settings)}
         return profile.replace(**dict(self.changes), settings={self.method: own} if own else {})
 
+    def method_settings(self, preset: str) -> dict[str, Any]:
+        """Return the method's own settings that differ from its defaults, those of the preset among them."""
+        return self.profile(preset).settings.get(self.method, {})
+
     def __str__(self) -> str:
         """Return what it is in a line of text."""
         differs = "".join(f"  {name} = {value}" for name, value in (*self.changes, *self.settings))

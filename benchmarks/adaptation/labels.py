@@ -104,7 +104,7 @@ def label_job(bench: Bench, job: TrainingJob) -> LabelRecord:
     """Adapt once, then use labelled frames of the target's training part in every way."""
     trained = train_job(bench, job)
     points = () if trained.model is None else tuple(label_points(trained.model, trained.frames, job.seed))
-    settings = job.profile(bench.profile).settings.get(job.method, {})
+    settings = job.method_settings(bench.profile)
     return LabelRecord(job, bench.profile, configuration_of(bench, job), settings, trained.problem, points)
 
 

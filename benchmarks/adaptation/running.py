@@ -63,7 +63,7 @@ def _check_same_configuration(
         shared = (job.data, job.group, job.changes)
         if shared not in configurations:
             configurations[shared] = configuration(bench, job)
-        settings = job.profile(bench.profile).settings.get(job.method, {})
+        settings = job.method_settings(bench.profile)
         if (record.configuration, record.settings) != (configurations[shared], settings):
             raise ValueError(
                 f"{path}: the record of {job} is of another configuration than profile {bench.profile} and the data "

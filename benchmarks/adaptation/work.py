@@ -106,9 +106,16 @@ def control_of(method: str) -> str | None:
     return "classifier-only" if found.uses_classifier else "no-transfer"
 
 
+def versions_line() -> str:
+    """Return the versions that a record names."""
+    from gelgap.adapt.run_record import versions
+
+    used = versions()
+    return f"gelgap {used['gelgap']}, torch {used['torch']}"
+
+
 def _record(bench: Bench, job: TrainingJob, trained: TrainedJob) -> RunRecord:
     from gelgap.adapt import as_judged_on_source, evaluate, evaluate_constant_mean
-    from gelgap.adapt.run_record import versions
 
     frames, model = trained.frames, trained.model
     constant = evaluate_constant_mean(frames.source_train, frames.target_test)
@@ -117,13 +124,12 @@ def _record(bench: Bench, job: TrainingJob, trained: TrainedJob) -> RunRecord:
     if model is not None:
         on_source = evaluate(as_judged_on_source(model, frames.source_train), frames.source_held_out)
     last = model.history[-1] if model is not None and model.history else {}
-    used = versions()
     return RunRecord(
         job=job,
         profile=bench.profile,
         configuration=configuration_of(bench, job),
-        versions=f"gelgap {used['gelgap']}, torch {used['torch']}",
-        settings=job.profile(bench.profile).settings.get(job.method, {}),
+        versions=versions_line(),
+        settings=job.method_settings(bench.profile),
         control=control_of(job.method),
         problem=trained.problem,
         mae_n=_axes(on_target.mae_n),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.benchmarks.adaptation.jobs import Bench, Changes, TrainingJob, configuration_hash
-from gelgap.benchmarks.adaptation.work import control_of, train_stages
+from gelgap.benchmarks.adaptation.work import control_of, train_stages, versions_line
 from gelgap.benchmarks.real.clip_folds import ClipFold, clip_folds
 from gelgap.benchmarks.real.sessions import Session, read_sessions
 from gelgap.domains.clip import CONTACT_N
@@ -99,21 +99,18 @@ def frames_of(bench: Bench, job: TrainingJob) -> FoldFrames:
 
 def adapt_fold(bench: Bench, job: TrainingJob) -> FoldRecord:
     """Do one run and return its record."""
-    from gelgap.adapt.run_record import versions
-
     frames = frames_of(bench, job)
     model, problem, stage1_s, stage2_s = train_stages(bench, job, frames.source_train, frames.target_train)
     test = frames.target_test
     constant = frames.source_train.label_values.mean(axis=0)
     error_n = np.abs((constant if model is None else model.predict(test)) - test.label_values)[:, 0]
     clips = test.columns["clip"]
-    used = versions()
     return FoldRecord(
         job=job,
         profile=bench.profile,
         configuration=fold_configuration(bench, job),
-        versions=f"gelgap {used['gelgap']}, torch {used['torch']}",
-        settings=job.profile(bench.profile).settings.get(job.method, {}),
+        versions=versions_line(),
+        settings=job.method_settings(bench.profile),
         control=control_of(job.method),
         problem=problem,
         clip_mae_n={

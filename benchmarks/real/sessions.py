@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.domains import convert
+from gelgap.domains import convert, wedge_grasps
 from gelgap.domains.clip import CONTACT_N
 from gelgap.domains.picture_codec import decode_picture, resized
 from gelgap.domains.picture_table import TABLE
@@ -16,7 +16,6 @@ from gelgap.domains.stored import read_table
 
 LOG = logging.getLogger(__name__)
 CLONE = "EstimateModulus"
-GET_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
 SESSIONS = ("2023-12-06", "2023-12-16")
 """The two sessions with objects in common."""
 _SIZE_PX = (80, 60)
@@ -61,7 +60,7 @@ def converted_sessions(data: Path, out_dir: Path) -> Path:
     """
     clone, converted = data / CLONE, out_dir / "real" / "wedge"
     if not clone.is_dir():
-        raise FileNotFoundError(f"{clone} is missing; get it: {GET_CLONE} {clone}")
+        raise FileNotFoundError(f"{clone} is missing; get it: {wedge_grasps.CLONE} {clone}")
     if not converted.is_dir():
         LOG.info("converting %s, once", clone)
         convert(clone, "wedge", converted)

@@ -116,7 +116,7 @@ def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(tmp_path:
 def made_up(
     bench: Bench, errors_n: dict[str, float], direction=DIRECTIONS[0], seeds=(0, 1)
 ) -> DirectionResults:
-    """Return results in which each method has the same error on all clips, but for what a clip and a seed add."""
+    """Return results in which a method's error is a number of its own, plus one for the clip and one for the seed."""
     sessions = {session.name: session for session in read_sessions(bench.data)}
     records = []
     for job in fold_jobs([direction], list(errors_n), seeds, range(FOLDS)):
