@@ -15,8 +15,9 @@ from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.compared import METHODS
 from gelgap.benchmarks.adaptation.data_sets import DESIGNS
 from gelgap.benchmarks.adaptation.jobs import Bench
+from gelgap.benchmarks.adaptation.leaderboard import Entry, read_entries
 from gelgap.benchmarks.adaptation.paper import GROUPS
-from gelgap.benchmarks.adaptation.results import CEILING, Results, load_results, mean_of
+from gelgap.benchmarks.adaptation.results import CEILING, mean_of
 from gelgap.benchmarks.adaptation.running import run_missing
 from gelgap.benchmarks.adaptation.statistics import bootstrap_interval
 from gelgap.benchmarks.adaptation.tables import interval, number
@@ -31,8 +32,10 @@ from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_session
 DIRECTIONS = (SESSIONS, SESSIONS[::-1])
 QUICK_METHODS = ("source-only", "adabn", "no-transfer")
 QUICK_CHANGES = (("source_epochs", 3), ("adapt_epochs", 2))
-SYNTHETIC_RECORDS = (Path("adaptation", "cpu"), Path("docs", "results", "runs"))
-"""Where the headline's records may lie: below --out, where the benchmark leaves them, and in the repository."""
+SYNTHETIC_RECORDS = Path("docs", "results", "records")
+"""The leaderboard's records: errors of the methods on the nine synthetic groups."""
+ALIKE = tuple(group for group in GROUPS if all(domain.startswith("wmb") for domain in group))
+"""The synthetic groups that are most like the real one: other light, other gain, no markers."""
 _START = "source-only"
 
 
@@ -103,7 +106,8 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     ]
     tables = [direction_table(direction) for direction in found]
     if not quick:
-        tables.append(order_table(found, [out_dir / SYNTHETIC_RECORDS[0], SYNTHETIC_RECORDS[1]]))
+        entries = read_entries(SYNTHETIC_RECORDS) if SYNTHETIC_RECORDS.is_dir() else []
+        tables.append(order_table(found, entries))
     for table in tables:
         table.show()
     write_json(out_dir / "real-networks.json", tables)
@@ -136,22 +140,22 @@ def direction_table(results: DirectionResults) -> ResultTable:
     )
 
 
-def order_table(directions: Sequence[DirectionResults], folders: Sequence[Path]) -> ResultTable:
-    """Kendall's τ between the orders of methods, both ways here and on the nine synthetic groups."""
+def order_table(directions: Sequence[DirectionResults], entries: Sequence[Entry]) -> ResultTable:
+    """Kendall's τ between the orders of methods, both ways here, and with those of the leaderboard's records."""
     first, second = directions
     rows, notes = [_order_row(f"{first.name} and back", first, second.methods, second.errors_n)], []
     for design in DESIGNS:
-        synthetic = _synthetic(folders, design)
-        if synthetic is None:
-            notes.append(
-                f"The nine groups with {design} contacts are not compared: no records of all their methods are there; "
-                "`gelgap benchmark adaptation --what groups` makes them."
-            )
+        own = [entry for entry in entries if entry.design == design]
+        if not own:
+            notes.append(f"No records of the nine groups with {design} contacts are in {SYNTHETIC_RECORDS}.")
             continue
-        rows += [
-            _order_row(f"{here.name} and nine groups, {design}", here, synthetic.methods, synthetic.errors_n)
-            for here in directions
-        ]
+        methods, errors_n = [entry.method for entry in own], np.array([entry.errors_n for entry in own])
+        for name, groups in (("nine groups", GROUPS), (f"{len(ALIKE)} groups without markers", ALIKE)):
+            chosen_n = errors_n[:, [GROUPS.index(group) for group in groups]]
+            rows += [
+                _order_row(f"{here.name} and {name}, {design}", here, methods, chosen_n)
+                for here in directions
+            ]
     return ResultTable(
         "Do methods come in the same order? Kendall's τ",
         ["orders", "methods", "τ", "95 % interval"],
@@ -214,15 +218,6 @@ def _closed(results: DirectionResults) -> str:
     return (
         f" {best}, the best in hindsight, closes {100 * share:.0f} % of the way from {_START} to {CEILING}."
     )
-
-
-def _synthetic(folders: Sequence[Path], design: str) -> Results | None:
-    """Return the first headline's results in which every group has a seed that all methods have finished."""
-    for folder in folders:
-        results = load_results(folder, design)
-        if len(results.groups) == len(GROUPS) and results.common.any(axis=1).all():
-            return results
-    return None
 
 
 def _order_row(name: str, here: DirectionResults, methods: Sequence[str], errors: np.ndarray) -> list[str]:

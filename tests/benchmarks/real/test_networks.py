@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from real_clones import write_wedge_clone
 
-from gelgap.benchmarks.adaptation.groups import jobs_of
-from gelgap.benchmarks.adaptation.jobs import BY_POINT, Bench, RunRecord
-from gelgap.benchmarks.adaptation.jobs import RUNS as SYNTHETIC_RUNS
+from gelgap.benchmarks.adaptation.groups import SEEDS
+from gelgap.benchmarks.adaptation.jobs import Bench
+from gelgap.benchmarks.adaptation.leaderboard import Entry, EntryRun
 from gelgap.benchmarks.adaptation.paper import GROUPS
-from gelgap.benchmarks.common.records import append_record, read_records
+from gelgap.benchmarks.common.records import read_records
 from gelgap.benchmarks.real import network_runs, networks
 from gelgap.benchmarks.real.clip_folds import FOLDS
 from gelgap.benchmarks.real.network_runs import (
@@ -144,16 +144,37 @@ def test_the_order_of_methods_is_compared_both_ways_and_with_the_nine_groups(ben
     errors_n = {"source-only": 4.0, "no-transfer": 3.0, "dan": 2.5, "dsan": 2.2, "supervised": 1.0}
     there = made_up(bench, errors_n)
     back = made_up(bench, {**errors_n, "supervised": 9.0}, DIRECTIONS[1])
-    alone = order_table([there, back], [tmp_path / "nothing"])
+    alone = order_table([there, back], [])
     assert [row[1:] for row in alone.rows] == [["4", "+1.00", "+1.00…+1.00"]]
-    assert "paired contacts are not compared" in alone.note
-    for job in jobs_of("paired", GROUPS, list(errors_n), (0, 1), BY_POINT):
-        record = RunRecord(job, "cpu", "c", mae_n=(0.1 / errors_n[job.method],) * 3)
-        append_record(tmp_path / SYNTHETIC_RUNS, record)
-    table = order_table([there, back], [tmp_path / "nothing", tmp_path])
-    assert [row[2] for row in table.rows] == ["+1.00", "-1.00", "-1.00"]
-    assert "paired contacts are not compared" not in table.note
-    assert "independent contacts are not compared" in table.note
+    assert "paired contacts are in" in alone.note
+    entries = [
+        Entry(
+            method=method,
+            design="paired",
+            profile="cpu",
+            settings={},
+            who="a test",
+            when="2026-11-22",
+            versions="",
+            runs=[
+                EntryRun(
+                    source=source,
+                    target=target,
+                    seed=seed,
+                    configuration="c",
+                    mae_n=(0.1 / error_n if (source, target) in networks.ALIKE else error_n,) * 3,
+                    r2=(0.0,) * 3,
+                )
+                for source, target in GROUPS
+                for seed in SEEDS
+            ],
+        )
+        for method, error_n in errors_n.items()
+    ]
+    table = order_table([there, back], entries)
+    assert [row[2] for row in table.rows] == ["+1.00", "+1.00", "+1.00", "-1.00", "-1.00"]
+    assert "with paired contacts" not in table.note
+    assert "with independent contacts are in" in table.note
 
 
 def test_an_order_that_cases_disagree_on_has_a_wide_interval():
