@@ -43,6 +43,7 @@ class Benchmark:
 
 _BEGINS_ANEW = (
     "data.estimates",
+    "data.stages",
     "render.accuracy",
     "physics.stability",
     "render.stability",
@@ -91,6 +92,13 @@ BENCHMARKS = (
     ),
     Benchmark("view", None, "from a knob of gelgap view to the picture", "view.latency"),
     Benchmark("throughput", "generation", "time to generate and to read domains", "data.throughput"),
+    Benchmark(
+        "throughput",
+        "stages",
+        "where the time of a data set goes, and how it scales",
+        "data.stages",
+        by_default=False,
+    ),
     Benchmark("throughput", "estimates", "estimated beside taken time", "data.estimates", by_default=False),
     Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),
     Benchmark(

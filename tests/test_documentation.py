@@ -137,6 +137,12 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "data.estimates.presses": lambda real: lambda quick: islice(real(quick), 1),
         "data.estimates.generations": lambda real: lambda folder, quick: islice(real(folder, quick), 1),
     },
+    "gelgap benchmark throughput --what stages --quick": {
+        "data.stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
+        "data.stages.generate_recipes": lambda real: (
+            lambda recipes, out, workers: real(recipes, out, scheduler="synchronous")
+        ),
+    },
     "gelgap benchmark view --quick": {
         "view.latency.QUICK_REPEATS": lambda real: 1,
     },
