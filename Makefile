@@ -9,7 +9,7 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 
-.PHONY: help setup demo test lint format docs wheel-check clean
+.PHONY: help setup demo test lint format docs links wheel-check clean
 
 help:
 	@echo "make setup        create .venv with gelgap, its tested dependencies and what tests need, and install libosmesa6 if missing"
@@ -17,6 +17,7 @@ help:
 	@echo "make test         set up, then lint and run the test suite"
 	@echo "make lint         ruff check, ruff format --check, and mypy over the public names"
 	@echo "make docs         make the site in build/site; its examples and notebooks run (minutes)"
+	@echo "make links        make the site, and follow its links to other sites; its own are checked by make docs"
 	@echo "make wheel-check  build the wheel and try it from a fresh environment in another folder"
 
 setup: $(VENV)/.ready
@@ -52,6 +53,9 @@ docs: setup
 	$(BIN)/python scripts/set_up.py '.[docs]'
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --conf-dir docs --doctree-dir build/doctrees . build/site
 	@echo "open build/site/docs/index.html"
+
+links: docs
+	$(BIN)/python scripts/check_links.py
 
 wheel-check: setup
 	scripts/wheel-check

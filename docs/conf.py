@@ -33,6 +33,10 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 1800
 nb_execution_in_temp = True
 
+# PyPI's pages answer programs with a challenge for browsers.
+linkcheck_ignore = [r"https://pypi\.org/project/"]
+linkcheck_timeout = 10
+
 default_role = "literal"
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
@@ -41,13 +45,14 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 
 # Examples write their data sets here, in their quickest form, and share its solves with the notebooks.
+root = Path(__file__).parents[1]
 work = Path(tempfile.gettempdir()) / "gelgap-docs"
 os.environ.setdefault("GELGAP_CACHE", str(work / "cache"))
 # What each example is run with; those of `own_method` are the domains that `own_gap` has made.
 ARGUMENTS = {
     "own_gap": [work / "own-gap", "smoke", "draft"],
     "own_method": [work / "own-gap/wmb0i0", work / "own-gap/harder-slippery-redder"],
-    "own_sensor": [work / "own-sensor.png", "draft"],
+    "own_sensor": [root / "examples/own_sensor.toml", work / "own-sensor.png", "draft"],
 }
 
 

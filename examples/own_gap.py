@@ -30,12 +30,13 @@ def main(
             ),
         }
     )
-    print(generate_recipes([source, target], out_dir, scheduler="synchronous"))
-    panels = plt.figure(figsize=(8, 3)).subplots(1, 2)
+    generate_recipes([source, target], out_dir, scheduler="synchronous")
+    panels = plt.figure(figsize=(8, 3.2), layout="constrained").subplots(1, 2)
     for panel, recipe in zip(panels, (source, target), strict=True):
         domain = open_domain(Path(out_dir) / recipe.name)
         panel.imshow(domain.picture(len(domain) - 1))
-        panel.set_title(recipe.name)
+        panel.set(title=recipe.name, xticks=[], yticks=[])
+        print(f"{recipe.name}: {len(domain)} frames, Fz down to {domain.force_n[:, 2].min():.2f} N")
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ Align the mean features of both domains; one class and one registry line.
 import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 from torch import Tensor
 
 from gelgap.adapt import Activations, Method, adapt_folders, register
@@ -24,9 +25,14 @@ register("linear-mmd", MeanMatching)
 
 
 def main(source: Path, target: Path, profile: str = "smoke") -> None:
-    for run in adapt_folders(source, target, ("source-only", "linear-mmd"), profile=profile):
+    runs = adapt_folders(source, target, ("source-only", "linear-mmd"), profile=profile)
+    for run in runs:
         print(f"{run.method:<14} mean error on the target {run.target_test.mean_mae_n:.3f} N")
+    axes = plt.figure(figsize=(5, 3), layout="constrained").subplots()
+    axes.bar([run.method for run in runs], [run.target_test.mean_mae_n for run in runs])
+    axes.set_ylabel("mean error on the target, N")
 
 
 if __name__ == "__main__":
     main(*map(Path, sys.argv[1:3]) if len(sys.argv) > 2 else (Path("data/mb0i0"), Path("data/wmb1i1")))
+    plt.show()

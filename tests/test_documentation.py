@@ -42,6 +42,8 @@ QUICKEST = {
     r"--sweep sweep.toml": f"--sweep sweep.toml {SMALL}",
     r"--recipe gap.toml": f"--recipe gap.toml {SMALL}",
     r"--profile cpu": "--profile smoke",
+    r"source_epochs=150": "source_epochs=4",
+    r"render.guide_pictures docs/pictures": "render.guide_pictures pictures --quality draft",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
     r"--what networks": "--what networks --quick",
     r"adaptation/cpu": "adaptation/smoke",

@@ -77,6 +77,16 @@ def exists(name: str) -> bool:
     return True
 
 
+def test_every_picture_has_its_command() -> None:
+    table = re.findall(
+        r"^\| (`docs/.*?) \| `(?:gelgap|python -m gelgap)", page_text("CONTRIBUTING.md"), re.MULTILINE
+    )
+    told = {name for cell in table for name in re.findall(r"`([^`]+)`", cell)}
+    pictures = {path for kind in ("*.png", "*.jpg", "*.svg") for path in (ROOT / "docs").rglob(kind)}
+    shown = {str(path.relative_to(ROOT)) for path in pictures if "gallery" not in path.parts}
+    assert told == shown
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_links_to_sections_meet_a_heading(page: str) -> None:
     for target, section in re.findall(r"\]\(([\w./-]*)#([\w-]+)\)", page_text(page)):

@@ -47,7 +47,7 @@ def test_own_method_trains(own_gap: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_own_sensor_sees_the_contact(tmp_path: Path) -> None:
-    pixels = load("own_sensor").main(tmp_path / "own.png", "draft")
+    pixels = load("own_sensor").main(EXAMPLES / "own_sensor.toml", tmp_path / "own.png", "draft")
     assert (tmp_path / "own.png").stat().st_size > 1000
     assert pixels.shape == (240, 320, 3)
     assert 20 < pixels.mean() < 235

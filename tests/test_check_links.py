@@ -1,0 +1,52 @@
+"""`make links` tells a page that is gone from a host that cannot be reached."""
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+SCRIPT = Path(__file__).parents[1] / "scripts/check_links.py"
+
+
+@pytest.fixture(scope="module")
+def check_links() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("check_links", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def entry(status: str, info: str = "") -> str:
+    """Return a line as Sphinx writes it."""
+    return json.dumps(
+        {"filename": "docs/a.md", "lineno": 3, "status": status, "uri": "https://a.example", "info": info}
+    )
+
+
+@pytest.mark.parametrize(
+    ("status", "info", "gone"),
+    [
+        ("broken", "404 Client Error: Not Found for url: https://a.example", True),
+        ("broken", "Anchor 'b' not found", True),
+        (
+            "broken",
+            "HTTPSConnectionPool(host='a.example', port=443): Max retries exceeded with url: /",
+            False,
+        ),
+        ("broken", "503 Server Error: Service Unavailable for url: https://a.example", False),
+        ("timeout", "Read timed out.", False),
+    ],
+)
+def test_a_link_that_fails_is_gone_or_out_of_reach(
+    check_links: ModuleType, status: str, info: str, gone: bool
+) -> None:
+    (link,) = check_links.failed_links(entry(status, info))
+    assert link.gone is gone
+    assert "docs/a.md:3: https://a.example" in str(link)
+
+
+def test_links_that_work_are_not_named(check_links: ModuleType) -> None:
+    lines = "\n".join(entry(status) for status in ("working", "redirected", "unchecked", "ignored"))
+    assert check_links.failed_links(lines) == []
