@@ -88,13 +88,13 @@ class Workers:
             _no_wait_when_stopped(pool),
         ):
             with _stops_held_back():
-                pending = {
-                    pool.submit(function, argument): file
+                pending = [
+                    pool.submit(_keep, function, argument, file)
                     for argument, file in files.items()
                     if read_kept(file) is None
-                }
+                ]
             for future in as_completed(pending):
-                write_whole(pending[future], result_bytes(future.result()))
+                future.result()
         return [result_from_bytes(file.read_bytes()) for file in files.values()]
 
     def forget(self) -> None:
@@ -104,6 +104,14 @@ class Workers:
     def _file(self, function: Callable[[Any], Any], argument: Any) -> Path:
         question = f"{_code_digest(inspect.getfile(function))} {function.__qualname__} {argument!r}"
         return self.folder / f"{hashlib.sha256(question.encode()).hexdigest()[:32]}.result"
+
+
+def _keep(function: Callable[[Any], Any], argument: Any, file: Path) -> None:
+    """Write a result to its file, in the process that found it.
+
+    Sent to the parent, one of megabytes that is cut off by the end of its sender would be waited for without end.
+    """
+    write_whole(file, result_bytes(function(argument)))
 
 
 def end_with_parent() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, write_json
+from gelgap.benchmarks.physics import cases as cases_of_benchmarks
 from gelgap.benchmarks.physics.cases import Case, Workers
 from gelgap.benchmarks.physics.presses import judge_press, press_case
 from gelgap.benchmarks.physics.reference import (
@@ -14,7 +15,7 @@ from gelgap.benchmarks.physics.reference import (
     no_slip_drags,
     press_references,
 )
-from gelgap.benchmarks.physics.surface_errors import normals, picture_psnr_db, surface_errors
+from gelgap.benchmarks.physics.surface_errors import normals, picture_psnr_db, rms, surface_errors
 from gelgap.sim import Elastomer, Pose, grid_axes
 
 
@@ -79,6 +80,18 @@ def test_a_case_that_was_finished_is_not_solved_again(tmp_path):
     assert again.processor_s == first.processor_s
     assert other.case == cases[1]
     assert other.states[0].force_n[2] < first.states[0].force_n[2] < 0
+
+
+def test_results_do_not_go_through_the_pipe_that_a_stop_may_cut(tmp_path, monkeypatch):
+    sent = []
+
+    def as_completed(futures):
+        sent.extend(future.result() for future in futures)
+        return futures
+
+    monkeypatch.setattr(cases_of_benchmarks, "as_completed", as_completed)
+    assert Workers(1, tmp_path).map(rms, [(3.0, 4.0), (1.0, 1.0)]) == [pytest.approx(12.5**0.5), 1.0]
+    assert sent == [None, None]
 
 
 def test_results_and_plot_are_written(tmp_path, capsys):
