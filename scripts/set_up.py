@@ -113,7 +113,8 @@ class Progress:
         words = line.split()
         if words[:1] in (["Downloading"], ["Processing"]) or words[:2] == ["Using", "cached"]:
             self._fetched += ".metadata" not in line
-        self._installing |= words[:1] == ["Installing"]
+        # Not the build dependencies of gelgap itself, which pip installs elsewhere before it fetches anything.
+        self._installing |= words[:2] == ["Installing", "collected"]
 
     def __str__(self) -> str:
         count = self._in_place() if self._installing else min(self._fetched, len(self._packages))

@@ -33,6 +33,7 @@ def test_progress_counts_files_that_pip_fetches_and_then_those_that_lie_in_place
 ) -> None:
     names = ("a-b", "c", "d")
     progress = set_up.Progress([set_up.Package(name, "1.0", None) for name in names], tmp_path)
+    progress.hear("  Installing build dependencies: started\n")
     progress.hear("  Downloading a_b-1.0-py3-none-any.whl.metadata (5 kB)\n")
     assert str(progress).endswith("0 of 3 packages fetched")
     progress.hear("Downloading a_b-1.0-py3-none-any.whl (5 MB)\n")
