@@ -9,11 +9,12 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 
-.PHONY: help setup demo test lint format docs links wheel-check clean
+.PHONY: help setup demo view test lint format docs links wheel-check clean
 
 help:
 	@echo "make setup        create .venv with gelgap, its tested dependencies and what tests need, and install libosmesa6 if missing"
 	@echo "make demo         create .venv with gelgap alone, then run the main job end to end: domains, adaptation, report (minutes)"
+	@echo "make view         create .venv with gelgap and viser, and open the page in the browser"
 	@echo "make test         set up, then lint and run the test suite"
 	@echo "make lint         ruff check, ruff format --check, and mypy over the public names"
 	@echo "make docs         make the site in build/site; its examples and notebooks run (minutes)"
@@ -34,8 +35,15 @@ $(VENV)/.ready: $(VENV)/.installed
 	$(BIN)/python scripts/set_up.py '.[test]'
 	touch $@
 
+$(VENV)/.view: $(VENV)/.installed
+	$(BIN)/python scripts/set_up.py '.[view]'
+	touch $@
+
 demo: $(VENV)/.installed
 	$(BIN)/gelgap demo
+
+view: $(VENV)/.view
+	$(BIN)/gelgap view
 
 test: setup lint
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile

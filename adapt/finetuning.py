@@ -12,17 +12,21 @@ from gelgap.adapt.evaluation import Evaluation, evaluate, evaluate_constant_mean
 from gelgap.adapt.few_labels import fine_tune, labelled_rows
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.normalisation import with_statistics_of
-from gelgap.domains import QUANTITIES, LabelledFrames, Labels, open_domain, with_labels
+from gelgap.domains import QUANTITIES, LabelledFrames, Labels, open_domain, with_labels, within_range
 
 CLIP = "clip"
 
 
 @dataclass(frozen=True)
 class Finetuning:
-    """A fine-tuned model, how many frames taught it, and errors on other frames: of their mean, before, and after."""
+    """A fine-tuned model, how many frames taught it, and errors on other frames: of their mean, before, and after.
+
+    `left_out` frames have a label that the model's range does not hold.
+    """
 
     model: ForceModel
     frames: int
+    left_out: int
     constant_mean: Evaluation
     before: Evaluation
     after: Evaluation
@@ -38,6 +42,8 @@ class Finetuning:
         lines = [f"{f'MAE on {self.after.n} other frames':<34} {columns}"]
         for name, error in errors.items():
             lines.append(f"{name:<34} " + " ".join(f"{value:8.4f}" for value in error.mae))
+        if self.left_out:
+            lines.append(f"left out: {self.left_out} frames with a label outside {self.model.labels}")
         return "\n".join(lines)
 
 
@@ -52,8 +58,9 @@ def finetune(
 ) -> Finetuning:
     """Fine-tune a checkpoint on labelled frames of a data set, and judge it on another, or on the rest of the same.
 
-    The labels are those of the model that both data sets have, in the model's ranges. Batch normalisations get the
-    statistics of all pictures of `on`, for which no label is needed, before and after.
+    The labels are those of the model that both data sets have, in the model's ranges. Frames beyond are left out and
+    counted, such as those of a gauge that reads a little above 0 at rest. Batch normalisations get the statistics of
+    all pictures of `on`, for which no label is needed, before and after.
 
     Parameters
     ----------
@@ -71,8 +78,8 @@ def finetune(
     Raises
     ------
     ValueError
-        If not exactly one of frames and clips is given, there are fewer, the data sets lack the model's labels, or a
-        label lies outside its range.
+        If not exactly one of frames and clips is given, there are fewer, the data sets lack the model's labels, or none
+        of the frames to learn or to test on lies within their ranges.
     """
     if (frames is None) == (clips is None):
         raise ValueError(f"frames = {frames}, clips = {clips}: give one of the two")
@@ -84,13 +91,20 @@ def finetune(
         others = others.take(np.setdiff1d(np.arange(len(others)), drawn))
         if not len(others):
             raise ValueError(f"{on}: all of its {len(drawn)} frames are drawn; leave some to test on")
+    before = len(drawn) + len(others)
     model = _of_common_labels(ForceModel.load(checkpoint), labelled, others)
-    few, others = with_labels(labelled.take(drawn), model.labels), with_labels(others, model.labels)
+    few, others = (within_range(with_labels(part, model.labels)) for part in (labelled.take(drawn), others))
+    if not (len(few) and len(others)):
+        raise ValueError(
+            f"{on}, {test}: no labelled, or no other frame lies within the model's {model.labels}"
+        )
+    left_out = before - len(few) - len(others)
     model = with_statistics_of(model, labelled)
     tuned = fine_tune(model, few, seed=seed)
     return Finetuning(
         model=replace(tuned, target=labelled.name),
         frames=len(few),
+        left_out=left_out,
         constant_mean=evaluate_constant_mean(few, others),
         before=evaluate(model, others),
         after=evaluate(tuned, others),

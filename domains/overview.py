@@ -19,6 +19,7 @@ from gelgap.domains.opening import open_domain
 from gelgap.domains.picture_codec import encode_png
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
@@ -85,11 +86,13 @@ def _label_quantiles(frames: LabelledFrames) -> list[tuple[str, ...]]:
 
 
 def _plot(draw: "Callable[[Figure, LabelledFrames], None]", frames: LabelledFrames) -> str:
-    """Return a plot as PNG in base64."""
+    """Return a plot as PNG in base64; an empty text if nothing was drawn."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.5, 3.2), layout="constrained")
     draw(figure, frames)
+    if not figure.axes:
+        return ""
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(False)
     out = io.BytesIO()
@@ -113,7 +116,6 @@ def _label_histograms(figure: "Figure", frames: LabelledFrames) -> None:
 
 def _force_against_contact(figure: "Figure", frames: LabelledFrames) -> None:
     if not {"depth_mm", "radius_mm", *_FORCES} <= frames.columns.keys():
-        figure.text(0.5, 0.5, "the data set does not say depth, radius and all forces", ha="center")
         return
     depth, radius = frames.columns["depth_mm"], frames.columns["radius_mm"]
     shear_n = np.hypot(frames.force_n[:, 0], frames.force_n[:, 1])
@@ -132,25 +134,31 @@ def _force_against_contact(figure: "Figure", frames: LabelledFrames) -> None:
 
 
 def _coverage(figure: "Figure", frames: LabelledFrames) -> None:
-    place, poses = figure.subplots(1, 2)
-    if {"x_mm", "y_mm"} <= frames.columns.keys():
-        shear_x, shear_y = (frames.columns.get(name, 0.0) for name in ("shear_x_mm", "shear_y_mm"))
-        place.scatter(
-            frames.columns["x_mm"] + shear_x, frames.columns["y_mm"] + shear_y, s=2, color=_COLOURS[2]
-        )
-        place.invert_yaxis()
-        place.set(xlabel="x, mm", ylabel="y, mm (down, as in the picture)", aspect="equal")
-    if frames.has_classes and (frames.point_id >= 0).all():
-        points, classes = np.unique(frames.point_id), np.unique(frames.contact_class)
-        counts = np.zeros((len(points), len(classes)))
-        np.add.at(
-            counts,
-            (np.searchsorted(points, frames.point_id), np.searchsorted(classes, frames.contact_class)),
-            1,
-        )
-        grey = poses.imshow(counts, aspect="auto", cmap="Greys", interpolation="nearest", vmin=0)
-        poses.set(xlabel="contact class (in order)", ylabel="contact point (in order)")
-        figure.colorbar(grey, ax=poses, label="frames")
+    known = {
+        _draw_places: {"x_mm", "y_mm"} <= frames.columns.keys(),
+        _draw_counts: frames.has_classes and bool((frames.point_id >= 0).all()),
+    }
+    drawn = [draw for draw, is_known in known.items() if is_known]
+    if drawn:
+        for draw, axes in zip(drawn, figure.subplots(1, len(drawn), squeeze=False)[0], strict=True):
+            draw(axes, frames)
+
+
+def _draw_places(axes: "Axes", frames: LabelledFrames) -> None:
+    shear_x, shear_y = (frames.columns.get(name, 0.0) for name in ("shear_x_mm", "shear_y_mm"))
+    axes.scatter(frames.columns["x_mm"] + shear_x, frames.columns["y_mm"] + shear_y, s=2, color=_COLOURS[2])
+    axes.invert_yaxis()
+    axes.set(xlabel="x, mm", ylabel="y, mm (down, as in the picture)", aspect="equal")
+
+
+def _draw_counts(axes: "Axes", frames: LabelledFrames) -> None:
+    points, point = np.unique(frames.point_id, return_inverse=True)
+    classes, contact_class = np.unique(frames.contact_class, return_inverse=True)
+    counts = np.zeros((len(points), len(classes)))
+    np.add.at(counts, (point, contact_class), 1)
+    grey = axes.imshow(counts, aspect="auto", cmap="Greys", interpolation="nearest", vmin=0)
+    axes.set(xlabel="contact class (in order)", ylabel="contact point (in order)")
+    axes.figure.colorbar(grey, ax=axes, label="frames")
 
 
 def _samples(frames: LabelledFrames) -> list[_Image]:
@@ -158,7 +166,9 @@ def _samples(frames: LabelledFrames) -> list[_Image]:
     for index in _sample_indices(frames):
         values = ", ".join(f"{value:.2f}" for value in frames.label_values[index])
         units = ", ".join(dict.fromkeys(what.unit for what in frames.labels.quantities))
-        caption = f"class {frames.contact_class[index]}: ({values}) {units}"
+        caption = f"({values}) {units}" if len(frames.labels) > 1 else f"{values} {units}"
+        if frames.contact_class[index] >= 0:
+            caption = f"class {frames.contact_class[index]}: {caption}"
         shown.append(_Image(_base64(encode_png(frames.picture(index))), caption))
     return shown
 

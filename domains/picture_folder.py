@@ -138,10 +138,12 @@ class PictureFolder(PictureFiles):
             if name in self.columns:
                 found[axis] = covering(self.columns[name], paper_range(name))
         if not np.array_equal(found, declared):
-            present = [
-                found[axis].tolist() for axis, name in enumerate(FORCE_COLUMNS) if name in self.columns
-            ]
-            notes.append(f"forces go beyond the paper's range: the declared range is {present} N")
+            ranges = (
+                f"{QUANTITIES[name].symbol} {found[axis][0]:g}…{found[axis][1]:g}"
+                for axis, name in enumerate(FORCE_COLUMNS)
+                if name in self.columns
+            )
+            notes.append(f"forces go beyond the paper's range: the declared range is {', '.join(ranges)} N")
         return found
 
     def _find_references(self, named: list[str] | None, notes: list[str]) -> list[Path]:

@@ -11,8 +11,9 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.request import Request, urlopen
@@ -47,7 +48,9 @@ def missing_packages(what: list[str]) -> list[Package]:
     """Return what pip would install; it asks the index, and installs nothing."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
-        run_pip(["--quiet", "--dry-run", "--report", str(report), *what])
+        asking = Asking()
+        with told(asking):
+            run_pip(["--dry-run", "--report", str(report), *what], asking.hear)
         entries = json.loads(report.read_text(encoding="utf-8"))["install"]
     with ThreadPoolExecutor(16) as pool:
         sizes = list(pool.map(lambda entry: file_size(entry["download_info"]["url"]), entries))
@@ -67,6 +70,36 @@ def announcement(packages: list[Package]) -> str:
     return f"to install: {len(packages)} packages, {total}" + (f" ({largest}, …)" if largest else "")
 
 
+@contextmanager
+def told(progress: object) -> Iterator[None]:
+    """Print a progress now and then, while something is done."""
+    ended = threading.Event()
+
+    def tell() -> None:
+        while not ended.wait(SECONDS_BETWEEN_LINES):
+            print(progress, flush=True)
+
+    threading.Thread(target=tell, daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+class Asking:
+    """How many packages pip has looked up in the index, by what it says."""
+
+    def __init__(self) -> None:
+        self._looked_up, self._start = 0, time.monotonic()
+
+    def hear(self, line: str) -> None:
+        """Take note of a line of pip's."""
+        self._looked_up += line.startswith(("Collecting ", "Requirement already satisfied: "))
+
+    def __str__(self) -> str:
+        return f"{time.monotonic() - self._start:6.0f} s: {self._looked_up} packages looked up"
+
+
 class Progress:
     """What pip has done of a list of packages, by what it says and by what lies in the environment."""
 
@@ -80,7 +113,8 @@ class Progress:
         words = line.split()
         if words[:1] in (["Downloading"], ["Processing"]) or words[:2] == ["Using", "cached"]:
             self._fetched += ".metadata" not in line
-        self._installing |= words[:1] == ["Installing"]
+        # Not the build dependencies of gelgap itself, which pip installs elsewhere before it fetches anything.
+        self._installing |= words[:2] == ["Installing", "collected"]
 
     def __str__(self) -> str:
         count = self._in_place() if self._installing else min(self._fetched, len(self._packages))
@@ -93,11 +127,6 @@ class Progress:
         return len(
             {plain(f"{package.name}-{package.version}.dist-info") for package in self._packages} & there
         )
-
-    def tell(self, ended: threading.Event) -> None:
-        """Print it now and then, until the installation has ended."""
-        while not ended.wait(SECONDS_BETWEEN_LINES):
-            print(self, flush=True)
 
 
 def plain(name: str) -> str:
@@ -120,12 +149,8 @@ def run_pip(arguments: list[str], hear: Callable[[str], None] = lambda line: Non
 
 def install(what: list[str], progress: Progress) -> None:
     """Install, and tell the progress meanwhile."""
-    ended = threading.Event()
-    threading.Thread(target=progress.tell, args=(ended,), daemon=True).start()
-    try:
+    with told(progress):
         run_pip(["--progress-bar", "off", *what], progress.hear)
-    finally:
-        ended.set()
     print(progress, flush=True)
 
 

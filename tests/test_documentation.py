@@ -41,7 +41,10 @@ QUICKEST = {
     r"--preset smoke --quality draft": f"mb0i0 wmb1i1 --path tiny.toml {SMALL}",
     r"--sweep sweep.toml": f"--sweep sweep.toml {SMALL}",
     r"--recipe gap.toml": f"--recipe gap.toml {SMALL}",
+    r"tuned.pt --profile cpu --split-by clip": "tuned.pt --profile smoke",
     r"--profile cpu": "--profile smoke",
+    r"--test later/later-clips --clips 7": "--test later/later-clips --clips 2",
+    r"own/mine --clips 5": "own/mine --clips 1",
     r"source_epochs=150": "source_epochs=4",
     r"render.guide_pictures docs/pictures": "render.guide_pictures pictures --quality draft",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
@@ -316,6 +319,7 @@ def write_recordings_to_convert(folder: Path) -> None:
     write_wedge_clone(folder / "clones/EstimateModulus")
     write_ball_clone(folder / "clones/gelsight", presses=3)
     write_recordings(folder / "mine")
+    write_recordings(folder / "later-clips")
 
 
 def take_pictures_to_calibrate_with(folder: Path) -> None:

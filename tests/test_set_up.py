@@ -3,6 +3,7 @@
 import importlib.util
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import ModuleType
 
@@ -32,6 +33,7 @@ def test_progress_counts_files_that_pip_fetches_and_then_those_that_lie_in_place
 ) -> None:
     names = ("a-b", "c", "d")
     progress = set_up.Progress([set_up.Package(name, "1.0", None) for name in names], tmp_path)
+    progress.hear("  Installing build dependencies: started\n")
     progress.hear("  Downloading a_b-1.0-py3-none-any.whl.metadata (5 kB)\n")
     assert str(progress).endswith("0 of 3 packages fetched")
     progress.hear("Downloading a_b-1.0-py3-none-any.whl (5 MB)\n")
@@ -41,6 +43,21 @@ def test_progress_counts_files_that_pip_fetches_and_then_those_that_lie_in_place
     (tmp_path / "a_b-1.0.dist-info").mkdir()
     (tmp_path / "c-0.9.dist-info").mkdir()
     assert str(progress).endswith("1 of 3 packages installed")
+
+
+def test_looking_up_packages_is_counted_and_told(
+    set_up: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asking = set_up.Asking()
+    for line in ("Collecting a>=1\n", "  Downloading a-1.whl\n", "Requirement already satisfied: b in /x\n"):
+        asking.hear(line)
+    monkeypatch.setattr(set_up, "SECONDS_BETWEEN_LINES", 0.001)
+    with set_up.told(asking):
+        for _ in range(1000):
+            if said := capsys.readouterr().out:
+                break
+            time.sleep(0.01)
+    assert said.splitlines()[0].endswith("2 packages looked up")
 
 
 def test_sizes_are_those_of_the_files_and_unknown_where_there_is_none(

@@ -39,6 +39,20 @@ def test_a_few_labelled_clips_lower_the_error_on_the_others(checkpoint, recordin
     assert found.after.mae[0] < found.constant_mean.mae[0]
 
 
+def test_frames_beyond_the_range_of_the_network_are_left_out_and_counted(checkpoint, recordings, tmp_path):
+    for path in recordings.glob("*.png"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    header, *rows = (recordings / "table.csv").read_text().splitlines()
+    for row in (3, 90):
+        name, _, clip = rows[row].split(",")
+        rows[row] = f"{name},0.14,{clip}"
+    (tmp_path / "table.csv").write_text("\n".join([header, *rows]))
+    found = finetune(checkpoint, tmp_path, tmp_path, frames=12)
+    assert found.left_out == 2
+    assert found.frames + found.after.n == 94
+    assert "left out: 2 frames with a label outside fz_n=-3:0" in str(found)
+
+
 def test_the_command_prints_errors_and_keeps_the_network(checkpoint, recordings, tmp_path, capsys):
     words = [str(checkpoint), "--on", str(recordings), "--test", str(recordings)]
     main(["finetune", *words, "--frames", "10", "--out", str(tmp_path / "tuned.pt")])

@@ -67,3 +67,17 @@ def test_a_page_of_real_data_leaves_out_what_is_not_known(tmp_path: Path, data: 
     page = write_overview(tmp_path / "out" / "mb0i1", tmp_path / "page.html").read_text()
     assert "<h2>Gap</h2>" not in page
     assert "generate with the column marker_px" in page
+
+
+def test_a_page_of_fz_alone_has_no_empty_plots_and_no_class(tmp_path: Path):
+    import cv2
+    import numpy as np
+
+    for name in ("0.png", "1.png", "reference.png"):
+        cv2.imwrite(str(tmp_path / name), np.full((24, 32, 3), 90, np.uint8))
+    (tmp_path / "frames.csv").write_text("picture,fz_n\n0.png,0.1\n1.png,-44.5\n")
+    page = write_overview(tmp_path, tmp_path / "page.html").read_text()
+    assert page.count("Not in this data set") == 3
+    assert "class -1" not in page
+    assert "-44.50 N" in page
+    assert "the declared range is Fz -44.5…0.1 N" in page
