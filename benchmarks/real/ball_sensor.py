@@ -65,6 +65,17 @@ def fitted_sensor(presses: Presses, path: Path) -> LightCalibration:
     return fit
 
 
+def fit_quality(fit: LightCalibration) -> str:
+    """Return in a line what the fit leaves, and how it predicts presses that it has not seen."""
+    unchanged, predicted = (
+        np.median([getattr(press, kind)[0] for press in fit.held_out]) for kind in ("unchanged", "refined")
+    )
+    return (
+        f"light fitted to {len(fit.names)} presses without their marks: {fit.rms_code_values:.1f} code values rms; "
+        f"inside held-out contacts the unchanged reference has {unchanged:.1f} dB, the prediction {predicted:.1f} dB"
+    )
+
+
 def _start(azimuths: np.ndarray) -> Sensor:
     """Return a sensor that shows the view from afar, with a bar for each colour outside of it."""
     sensor = start_sensor(SIZE_PX[0], azimuths, MM_PER_PX)

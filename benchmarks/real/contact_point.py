@@ -13,7 +13,7 @@ from gelgap.benchmarks.adaptation.jobs import configuration_hash
 from gelgap.benchmarks.adaptation.tables import interval
 from gelgap.benchmarks.common.records import append_record, read_records
 from gelgap.benchmarks.common.tables import write_json
-from gelgap.benchmarks.real.ball_sensor import fitted_sensor
+from gelgap.benchmarks.real.ball_sensor import fit_quality, fitted_sensor
 from gelgap.benchmarks.real.point_networks import (
     SCRATCH,
     Predicted,
@@ -40,6 +40,7 @@ from gelgap.benchmarks.real.synthetic_presses import (
     DRAWN,
     Amount,
     contact_points,
+    press_recipes,
     synthetic_presses,
 )
 from gelgap.domains import convert
@@ -89,8 +90,13 @@ class Trials:
     @cached_property
     def configuration(self) -> str:
         """A hash of all that the trials have in common."""
-        frames = self.presses.frames
-        return configuration_hash(self.plan.profile, vars(self.plan.amount), frames.label_values.tolist())
+        synthetic = [recipe.key for recipe in press_recipes(self.plan.amount, None)]
+        return configuration_hash(
+            self.plan.profile,
+            synthetic,
+            self.plan.steps_from_scratch,
+            self.presses.frames.label_values.tolist(),
+        )
 
     def records(self) -> list[PointRecord]:
         """Do the trials that have no record yet, and return the records of all."""
@@ -142,7 +148,7 @@ class Trials:
     def _fitted(self) -> Sensor:
         path = self.folder / "ball-sensor.toml"
         if not path.is_file():
-            fitted_sensor(ball_presses(self.clone, _FITTED_SERIES), path)
+            print(fit_quality(fitted_sensor(ball_presses(self.clone, _FITTED_SERIES), path)))
         return Sensor.load(path)
 
 

@@ -135,23 +135,32 @@ def _centroid(presses: RealPresses, draw: int, labels: int) -> np.ndarray:
     return presses.center_of_change_mm[presses.halves(draw)[1]]
 
 
-def _corrected_centroid(presses: RealPresses, draw: int, labels: int) -> np.ndarray:
-    """Regress the marks on the centroids linearly."""
-    few = presses.labelled(draw, labels)
-    columns = np.column_stack([np.ones(len(presses.clip)), presses.center_of_change_mm])
-    fitted = np.linalg.lstsq(columns[few], presses.frames.label_values[few], rcond=None)[0]
-    return columns[presses.halves(draw)[1]] @ fitted
+def _regressed_centroid(presses: RealPresses, draw: int, labels: int) -> np.ndarray:
+    return _regressed(presses, presses.center_of_change_mm, draw, labels)
 
 
 def _level(presses: RealPresses, draw: int, labels: int) -> np.ndarray:
     return presses.level_point_mm[presses.halves(draw)[1]]
 
 
+def _regressed_level(presses: RealPresses, draw: int, labels: int) -> np.ndarray:
+    return _regressed(presses, presses.level_point_mm, draw, labels)
+
+
+def _regressed(presses: RealPresses, seen_mm: np.ndarray, draw: int, labels: int) -> np.ndarray:
+    """Regress the marks on what a rule sees, linearly, and predict the tested presses."""
+    few = presses.labelled(draw, labels)
+    columns = np.column_stack([np.ones(len(seen_mm)), seen_mm])
+    fitted = np.linalg.lstsq(columns[few], presses.frames.label_values[few], rcond=None)[0]
+    return columns[presses.halves(draw)[1]] @ fitted
+
+
 PLAIN_METHODS = (
     PlainMethod("constant mean", FEW, _constant),
     PlainMethod("centroid of the change", (NO_LABELS,), _centroid),
-    PlainMethod("centroid, linear regression", FEW, _corrected_centroid),
+    PlainMethod("centroid, linear regression", FEW, _regressed_centroid),
     PlainMethod("point of no change", (NO_LABELS,), _level),
+    PlainMethod("point of no change, linear regression", FEW, _regressed_level),
 )
 
 

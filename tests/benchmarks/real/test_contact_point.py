@@ -14,9 +14,10 @@ from gelgap.benchmarks.real.ball_sensor import fitted_sensor
 from gelgap.benchmarks.real.contact_point import QUICK, point_table
 from gelgap.benchmarks.real.plain_points import center_of_change_px, dots_of, level_point_px
 from gelgap.benchmarks.real.point_trials import NO_LABELS, PLAIN_METHODS, PointRecord, RealPresses, record_of
+from gelgap.benchmarks.real.press_windows import WINDOW_PX, windows_of
 from gelgap.benchmarks.real.synthetic_presses import LABELS, VIEW_MM, Amount, contact_points, press_recipes
 from gelgap.cli.main import main
-from gelgap.domains import convert
+from gelgap.domains import ArrayFrames, convert
 from gelgap.domains.ball_presses import SERIES, ball_presses
 from gelgap.render import Sensor
 
@@ -93,6 +94,19 @@ def test_a_missed_target_stands_first(presses: RealPresses):
     assert table.note.startswith("Target of 0.3 mm with 20 labels missed: drawn light, x has 0.40 mm.")
     assert "Target of 0.5 mm with 0 labels reached" in table.note
     assert [row[1:3] for row in table.rows] == [[0, "0.200"], [20, "0.400"]]
+
+
+def test_a_window_and_its_label_say_where_the_point_is_and_nothing_changes_beyond_the_picture():
+    picture, rest = shaded_dent(25.0, 300.0)
+    points_mm = {"x_mm": np.array([-9.45]), "y_mm": np.array([14.05])}
+    windows = windows_of(ArrayFrames("corner", picture[None], rest, None, **points_mm))
+    assert (windows.centers_mm + windows.frames.label_values)[0] == pytest.approx([-9.45, 14.05])
+    assert windows.has_point[0]
+    seen = windows.frames.picture(0).astype(int) - windows.frames.reference
+    assert seen.shape == (WINDOW_PX, WINDOW_PX, 3)
+    assert not seen[:, :5].any()
+    assert not seen[-5:].any()
+    assert np.abs(seen).max() > 20
 
 
 def test_both_lights_have_the_same_presses_and_every_point_is_in_view():
