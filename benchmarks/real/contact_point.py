@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,7 @@ from gelgap.domains import convert
 from gelgap.domains.ball_presses import CLONE, SERIES, ball_presses
 from gelgap.render import Sensor
 
+Key = tuple[str, int, int]
 NAME, RECORDS = "gelsight", "points.jsonl"
 TARGETS_MM = {NO_LABELS: 0.5, 20: 0.3}
 """The mean distance that a network should stay below, by the number of labelled presses."""
@@ -114,31 +115,28 @@ class Trials:
                 print(f"{found.method}, {found.labels} labels, draw {key[2]}", flush=True)
         return [kept[key] for key in wanted]
 
-    def _pieces(self) -> Iterator[tuple[list[tuple[str, int, int]], Callable[[], Iterable[Predicted]]]]:
-        """Yield what records a piece of work makes, and the work."""
-        few = self.plan.few
+    def _pieces(self) -> Iterator[tuple[list[Key], Callable[[], Iterable[Predicted]]]]:
+        """Yield which records a piece of work makes, and the work."""
+        few, profile, steps = self.plan.few, self.plan.profile, self.plan.steps_from_scratch
         for draw in self.plan.draws:
             for method in PLAIN_METHODS:
-                for count in method.labels:
-                    if count in (NO_LABELS, *few):
-                        yield (
-                            [(method.name, count, draw)],
-                            lambda a=method, b=draw, c=count: [self._plain(a, b, c)],
-                        )
+                for count in sorted({NO_LABELS, *few} & set(method.labels)):
+                    yield [(method.name, count, draw)], partial(self._plain, method, draw, count)
         for draw in self.plan.draws:
             for light in self.plan.lights:
                 keys = [(name, count, draw) for name, count in methods_of(light, few)]
-                yield keys, lambda a=light, b=draw: transferred(a, self._model(a, b), self.presses, b, few)
+                yield keys, partial(self._transferred, light, draw)
             for count in few:
-                yield [(SCRATCH, count, draw)], lambda b=draw, c=count: [self._from_scratch(b, c)]
+                learn = partial(from_scratch, self.presses, profile, draw, count, steps)
+                yield [(SCRATCH, count, draw)], learn
 
-    def _plain(self, method: PlainMethod, draw: int, count: int) -> Predicted:
+    def _plain(self, method: PlainMethod, draw: int, count: int) -> Iterator[Predicted]:
         start = time.perf_counter()
         points_mm = method.predict(self.presses, draw, count)
-        return Predicted(method.name, count, points_mm, time.perf_counter() - start)
+        yield Predicted(method.name, count, points_mm, time.perf_counter() - start)
 
-    def _from_scratch(self, draw: int, count: int) -> Predicted:
-        return from_scratch(self.presses, self.plan.profile, draw, count, self.plan.steps_from_scratch)
+    def _transferred(self, light: str, draw: int) -> Iterator[Predicted]:
+        return transferred(light, self._model(light, draw), self.presses, draw, self.plan.few)
 
     def _model(self, light: str, draw: int) -> ForceModel:
         fitted = self._fitted() if light == CALIBRATED else None

@@ -84,11 +84,13 @@ def transferred(
             )
 
 
-def from_scratch(presses: RealPresses, profile: Profile, draw: int, count: int, steps: int) -> Predicted:
-    """Return what a network predicts that has only seen a few marked presses."""
+def from_scratch(
+    presses: RealPresses, profile: Profile, draw: int, count: int, steps: int
+) -> Iterator[Predicted]:
+    """Yield what a network predicts that has only seen a few marked presses."""
     labelled = _labelled(presses, draw, count)
     epochs = steps // max(1, len(labelled) // profile.batch_size)
-    return _predicted(
+    yield _predicted(
         SCRATCH,
         count,
         presses,

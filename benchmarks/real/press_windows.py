@@ -75,15 +75,10 @@ def _windows(frames: LabelledFrames, changes: list[np.ndarray], centers_mm: np.n
     middle_px = centers_mm / _MM_PER_PX + (np.array(SIZE_PX) - 1) / 2
     first_px = np.round(middle_px - (WINDOW_PX - 1) / 2).astype(int)
     centers_mm = (first_px + (WINDOW_PX - 1) / 2 - (np.array(SIZE_PX) - 1) / 2) * _MM_PER_PX
-    half = WINDOW_PX
-    padded = [np.pad(change, ((half, half), (half, half), (0, 0))) for change in changes]
-    cut = [
-        change[y + half : y + half + WINDOW_PX, x + half : x + half + WINDOW_PX]
-        for change, (x, y) in zip(padded, first_px, strict=True)
-    ]
+    cut = np.array([_cut(change, *first) for change, first in zip(changes, first_px, strict=True)])
     points_mm = np.stack([frames.columns[name] for name in _LABELS.names], axis=1)
     off_mm = points_mm - centers_mm
-    pictures = np.clip(_NO_CHANGE + np.array(cut), 0, 255).astype(np.uint8)
+    pictures = np.clip(_NO_CHANGE + cut, 0, 255).astype(np.uint8)
     windows = ArrayFrames(
         frames.name,
         pictures,
@@ -93,3 +88,9 @@ def _windows(frames: LabelledFrames, changes: list[np.ndarray], centers_mm: np.n
         y_mm=off_mm[:, 1],
     )
     return Windows(with_labels(windows, _LABELS), centers_mm)
+
+
+def _cut(change: np.ndarray, x: int, y: int) -> np.ndarray:
+    """Return the window whose first column and row are x and y."""
+    padded = np.pad(change, ((WINDOW_PX, WINDOW_PX), (WINDOW_PX, WINDOW_PX), (0, 0)))
+    return padded[y + WINDOW_PX : y + 2 * WINDOW_PX, x + WINDOW_PX : x + 2 * WINDOW_PX].copy()
