@@ -155,6 +155,14 @@ BENCHMARKS = (
         by_default=False,
         needs_data=True,
     ),
+    Benchmark(
+        "real",
+        "contact-point",
+        "where a ball touches, from synthetic presses to real ones",
+        "real.contact_point",
+        by_default=False,
+        needs_data=True,
+    ),
 )
 
 
