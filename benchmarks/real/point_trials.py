@@ -16,7 +16,7 @@ from gelgap.benchmarks.real.press_windows import Windows, windows_of
 from gelgap.domains import LabelledFrames
 from gelgap.domains.ball_presses import MM_PER_PX
 
-DRAWS = tuple(range(6))
+DRAWS = tuple(range(4))
 NO_LABELS, FEW = 0, (5, 20, 100)
 _LEVEL_RADIUS_PX = 16.0
 
