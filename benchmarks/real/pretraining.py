@@ -18,6 +18,7 @@ from gelgap.benchmarks.common.tables import write_json
 from gelgap.benchmarks.real.clip_folds import FOLDS, ClipFold
 from gelgap.benchmarks.real.few_label_draws import BUDGETS, Budget, few_labels
 from gelgap.benchmarks.real.few_label_runs import (
+    RATE,
     RUNS,
     STEPS,
     few_label_configuration,
@@ -27,13 +28,17 @@ from gelgap.benchmarks.real.few_label_runs import (
 from gelgap.benchmarks.real.network_runs import FoldRecord
 from gelgap.benchmarks.real.plain_methods import PLAIN_METHODS
 from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_sessions, read_sessions
-from gelgap.benchmarks.real.starts import PRETRAINED, SCRATCH, make_start
+from gelgap.benchmarks.real.starts import PRETRAINED, SCRATCH, pretrain_once
 
 TUNED_ON, COMPARED_ON = SESSIONS
-DRAWS = range(12)
-TUNING_DRAWS = range(3)
-TUNING_BUDGETS = (Budget(clips=1), Budget(clips=4), Budget(frames=16), Budget(clips=4, other_objects=True))
-RATES = (0.006, 0.02, 0.06, 0.2)
+DRAWS, MORE_DRAWS = range(6), range(6, 12)
+CLOSER = tuple(
+    budget for budget in BUDGETS if budget.other_objects or budget.clips in (1, 4) or budget.frames in (4, 16)
+)
+"""The budgets that get more draws."""
+TUNING_DRAWS = range(2)
+TUNING_BUDGETS = (Budget(clips=1), Budget(frames=16), Budget(clips=4, other_objects=True))
+RATES = {SCRATCH: (0.006, 0.02, 0.06, 0.2), PRETRAINED: (0.001, 0.002, 0.004, 0.008)}
 RESAMPLES = 4000
 ONE_CLIP = Budget(clips=1)
 WANTED_AT_ONE_CLIP, WANTED_WITH_OTHER_OBJECTS, ALLOWED = -25.0, -15.0, 5.0
@@ -62,17 +67,18 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     folder = converted_sessions(data, out_dir)
     profile = "smoke" if quick else "cpu"
     bench = Bench(folder, out_dir / "real" / f"pretraining-{profile}", profile, workers=1 if quick else None)
-    make_start(bench, PRETRAINED)
-    starts = (SCRATCH, PRETRAINED)
-    tuning_budgets, budgets, draws = TUNING_BUDGETS, BUDGETS, DRAWS
+    pretrain_once(bench)
+    tuning_budgets, budgets, closer, draws = TUNING_BUDGETS, BUDGETS, CLOSER, DRAWS
     rates, tuning_draws = RATES, TUNING_DRAWS
     if quick:
-        tuning_budgets, budgets, draws = TUNING_BUDGETS[:1], (BUDGETS[0], BUDGETS[-1]), range(2)
-        rates, tuning_draws = RATES[1:3], range(1)
-    tuning = few_label_jobs(TUNED_ON, tuning_budgets, dict.fromkeys(starts, rates), tuning_draws)
+        tuning_budgets, budgets, closer, draws = TUNING_BUDGETS[:1], (BUDGETS[0], BUDGETS[-1]), (), range(2)
+        rates, tuning_draws = {start: own[1:3] for start, own in RATES.items()}, range(1)
+    tuning = few_label_jobs(TUNED_ON, tuning_budgets, rates, tuning_draws)
     tried = run_missing(bench, tuning, RUNS, train_on_few_labels, FoldRecord, few_label_configuration)
-    chosen = {start: chosen_rate(tried, start) for start in starts}
-    jobs = few_label_jobs(COMPARED_ON, budgets, {start: (rate,) for start, rate in chosen.items()}, draws)
+    chosen = {start: chosen_rate(tried, start) for start in rates}
+    one_rate = {start: (rate,) for start, rate in chosen.items()}
+    jobs = few_label_jobs(COMPARED_ON, budgets, one_rate, draws)
+    jobs += few_label_jobs(COMPARED_ON, closer, one_rate, MORE_DRAWS)
     records = run_missing(bench, jobs, RUNS, train_on_few_labels, FoldRecord, few_label_configuration)
     session = next(one for one in read_sessions(folder) if one.name == COMPARED_ON)
     found = [budget_results(session, budget, records) for budget in budgets]
@@ -84,7 +90,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
 
 def rate_of(record: FoldRecord) -> float:
     """Return the learning rate of a run."""
-    return dict(record.job.changes)["source_learning_rate"]
+    return dict(record.job.changes)[RATE]
 
 
 def mean_by_rate(records: Sequence[FoldRecord], start: str) -> dict[float, float]:
@@ -160,16 +166,16 @@ def comparison_table(found: Sequence[BudgetResults], records: Sequence[FoldRecor
             ]
         )
     stopped = sum(record.problem is not None for record in records)
-    seconds = np.median([record.stage1_s for record in records])
+    seconds = np.median([record.stage2_s for record in records])
     return ResultTable(
         f"Few labels on real grasps, {COMPARED_ON}: MAE of Fz on clips that were not seen, N",
         ["labelled", *plain, SCRATCH, PRETRAINED, "difference", "95 % interval", "draws"],
         rows,
         f"{verdict(found)} Difference: the pretrained network's error over that from scratch; intervals: bootstrap "
         f"over clips and draws, paired. {FOLDS} draws test each clip once, or a draw tests all clips of one object. "
-        f"Both networks take {STEPS} steps, and then normalise by the unlabelled pictures of all clips but the tested "
-        f"ones; a training took {seconds:.1f} s. {stopped} of {len(records)} stopped and count with the constant's "
-        "error.",
+        f"Both networks take {STEPS} steps, and see the pictures of all clips but the tested ones without labels, to "
+        "normalise by: from scratch in every batch, pretrained before the first one. A training took "
+        f"{seconds:.1f} s. {stopped} of {len(records)} stopped and count with the constant's error.",
     )
 
 
@@ -192,15 +198,15 @@ def verdict(found: Sequence[BudgetResults]) -> str:
 
 def rate_table(tried: Sequence[FoldRecord], chosen: Mapping[str, float]) -> ResultTable:
     """The errors by which each start's learning rate was chosen."""
-    errors_n = {start: mean_by_rate(tried, start) for start in chosen}
-    rates = sorted({rate_of(record) for record in tried})
     budgets = list(dict.fromkeys(record.job.data for record in tried))
+    rows = []
+    for start, rate in chosen.items():
+        errors_n = mean_by_rate(tried, start)
+        tested = ", ".join(f"{other:g}: {error_n:.2f}" for other, error_n in errors_n.items())
+        rows.append([start, tested, f"{rate:g}"])
     return ResultTable(
         f"Learning rates, chosen on {TUNED_ON}: MAE of Fz, N",
-        ["start", *(f"{rate:g}" for rate in rates), "chosen"],
-        [
-            [start, *(number(own[rate], ".2f") for rate in rates), f"{chosen[start]:g}"]
-            for start, own in errors_n.items()
-        ],
+        ["start", "error at each rate", "chosen"],
+        rows,
         f"Mean over {', '.join(budgets)}, {len({record.job.seed for record in tried})} draw(s) of each.",
     )

@@ -1,29 +1,23 @@
-"""What training on few labels starts from: nothing, or what `gelgap pretrain` makes, all drawn or one factor not."""
+"""What training on few labels starts from: nothing, or the checkpoint that `gelgap pretrain` makes by default."""
 
 from pathlib import Path
 
 from gelgap.benchmarks.adaptation.jobs import Bench
 
 SCRATCH, PRETRAINED = "scratch", "pretrained"
-_WITHOUT = "without "
 _DOMAINS, _FRAMES = 60, 60
 _QUICK_DOMAINS, _QUICK_FRAMES, _QUICK_EPOCHS = 2, 12, 1
 
 
-def without(factor: str) -> str:
-    """Return the name of the start that is pretrained with a factor undrawn."""
-    return f"{_WITHOUT}{factor}"
-
-
 def checkpoint_of(bench: Bench, start: str) -> Path | None:
     """Return the checkpoint of a start, None for the one from scratch."""
-    return None if start == SCRATCH else bench.out / start.replace(" ", "-") / "pretrained.pt"
+    return None if start == SCRATCH else bench.out / start / "pretrained.pt"
 
 
-def make_start(bench: Bench, start: str) -> None:
+def pretrain_once(bench: Bench) -> None:
     """Generate the domains and pretrain, unless the checkpoint is there."""
-    checkpoint = checkpoint_of(bench, start)
-    if checkpoint is None or checkpoint.is_file():
+    checkpoint = checkpoint_of(bench, PRETRAINED)
+    if checkpoint.is_file():
         return
     from gelgap.adapt import Profile, console_progress, pretrain
     from gelgap.domains import PretrainingRanges, generate_recipes, pretraining_recipes, shown_progress
@@ -33,8 +27,7 @@ def make_start(bench: Bench, start: str) -> None:
     if bench.is_quick:
         ranges, profile = ranges.in_quick_form(), profile.replace(source_epochs=_QUICK_EPOCHS)
         domains, frames = _QUICK_DOMAINS, _QUICK_FRAMES
-    factors = [start.removeprefix(_WITHOUT)] if start.startswith(_WITHOUT) else []
-    recipes = pretraining_recipes(domains, frames, ranges, without=factors)
+    recipes = pretraining_recipes(domains, frames, ranges)
     folder = checkpoint.parent / "domains"
     scheduler = "synchronous" if bench.workers == 1 else None
     with shown_progress() as progress:

@@ -15,6 +15,7 @@ from gelgap.benchmarks.common.records import read_records
 from gelgap.benchmarks.real import few_label_runs, pretraining
 from gelgap.benchmarks.real.few_label_draws import BUDGETS, Budget, few_labels
 from gelgap.benchmarks.real.few_label_runs import (
+    RATE,
     RUNS,
     STEPS,
     few_label_configuration,
@@ -92,8 +93,8 @@ def test_every_training_takes_the_same_steps(bench: Bench, labelled: int):
     (job,) = few_label_jobs(SESSION, BUDGETS[:1], {SCRATCH: (0.1,)}, [0])
     profile = profile_of(replace(bench, profile="cpu"), job, labelled)
     per_epoch = steps_per_epoch(labelled, profile.batch_size)
-    assert STEPS <= profile.source_epochs * per_epoch < STEPS + per_epoch
-    assert profile.source_learning_rate == 0.1
+    assert STEPS <= profile.adapt_epochs * per_epoch < STEPS + per_epoch
+    assert profile.adapt_learning_rate == 0.1
 
 
 def test_a_start_is_where_training_begins(bench: Bench, session: Session, monkeypatch):
@@ -122,7 +123,7 @@ def test_a_training_that_stops_counts_with_the_mean_of_the_labels(
     def stops(*_, **__):
         raise adapt.TrainingDiverged("not finite")
 
-    monkeypatch.setattr(adapt, "train_source", stops)
+    monkeypatch.setattr(adapt, "adapt", stops)
     (job,) = few_label_jobs(SESSION, [Budget(frames=8)], {SCRATCH: (0.1,)}, [0])
     record = few_label_runs.train_on_few_labels(bench, job)
     assert record.problem == "not finite"
@@ -156,7 +157,7 @@ def test_the_rate_of_least_error_is_chosen():
     jobs = few_label_jobs(SESSION, BUDGETS[:2], {SCRATCH: (0.1, 0.2), PRETRAINED: (0.1,)}, [0])
     errors_n = {0.1: 2.0, 0.2: 1.0}
     records = [
-        FoldRecord(job, "cpu", "c", "v", {}, None, None, {"a": errors_n[job.changes[1][1]]}, 1.0, 0.0)
+        FoldRecord(job, "cpu", "c", "v", {}, None, None, {"a": errors_n[dict(job.changes)[RATE]]}, 1.0, 0.0)
         for job in jobs
     ]
     assert chosen_rate(records, SCRATCH) == 0.2
