@@ -16,7 +16,7 @@ from gelgap.domains import QUANTITIES, LabelledFrames, Labels, open_domain, with
 
 CLIP = "clip"
 STEPS = 200
-LEARNING_RATE = 2e-3
+LEARNING_RATE = 4e-3
 """Of a network from elsewhere, whose outputs may be far off: at 0.01 some end as a constant, on few and like frames."""
 
 

@@ -43,7 +43,7 @@ QUICKEST = {
     r"--recipe gap.toml": f"--recipe gap.toml {SMALL}",
     r"--profile cpu": "--profile smoke",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
-    r"--what networks": "--what networks --quick",
+    r"--what (networks|pretraining)(?= --data)": r"--what \1 --quick",
     r"adaptation/cpu": "adaptation/smoke",
     r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
     r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft")',

@@ -31,10 +31,8 @@ from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_session
 from gelgap.benchmarks.real.starts import PRETRAINED, SCRATCH, pretrain_once
 
 TUNED_ON, COMPARED_ON = SESSIONS
-DRAWS, MORE_DRAWS = range(6), range(6, 12)
-CLOSER = tuple(
-    budget for budget in BUDGETS if budget.other_objects or budget.clips in (1, 4) or budget.frames in (4, 16)
-)
+DRAWS, MORE_DRAWS = range(3), range(3, 12)
+CLOSER = (Budget(clips=1), Budget(frames=4), Budget(clips=4, other_objects=True))
 """The budgets that get more draws."""
 TUNING_DRAWS = range(2)
 TUNING_BUDGETS = (Budget(clips=1), Budget(frames=16), Budget(clips=4, other_objects=True))

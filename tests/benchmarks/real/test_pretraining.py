@@ -148,7 +148,7 @@ def test_missed_targets_come_first():
         for budget, share in ((Budget(clips=1), 0.7), (Budget(frames=4), 1.1), (BUDGETS[-1], 0.9))
     ]
     assert verdict(found) == (
-        "Missed: 4 frames +10 % (+10…+10; at most +5); 9 clips of other objects -10 % (-10…-10; at most -15). "
+        "Missed: 4 frames +10 % (+10…+10; at most +5); 4 clips of other objects -10 % (-10…-10; at most -15). "
         "Met: 1 clip -30 % (-30…-30; at most -25)."
     )
 
@@ -176,6 +176,6 @@ def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(tmp_path:
     monkeypatch.setattr(pretraining, "train_on_few_labels", lambda bench, job: pytest.fail("trained again"))
     main(command)
     table, rates = json.loads((tmp_path / "out/real-pretraining.json").read_text())
-    assert [row[0] for row in table["rows"]] == ["1 clip", "9 clips of other objects"]
+    assert [row[0] for row in table["rows"]] == ["1 clip", "4 clips of other objects"]
     assert table["note"].startswith(("Missed:", "Met:"))
     assert [row[0] for row in rates["rows"]] == [SCRATCH, PRETRAINED]
