@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.jobs import Bench
+from gelgap.benchmarks.adaptation.jobs import Bench, TrainingJob
 from gelgap.benchmarks.adaptation.results import mean_of
 from gelgap.benchmarks.adaptation.running import run_missing
 from gelgap.benchmarks.adaptation.tables import interval, number
@@ -31,16 +31,41 @@ from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_session
 from gelgap.benchmarks.real.starts import PRETRAINED, SCRATCH, pretrain_once
 
 TUNED_ON, COMPARED_ON = SESSIONS
-DRAWS, MORE_DRAWS = range(3), range(3, 12)
-CLOSER = (Budget(clips=1), Budget(frames=4), Budget(clips=4, other_objects=True))
-"""The budgets that get more draws."""
-TUNING_DRAWS = range(2)
-TUNING_BUDGETS = (Budget(clips=1), Budget(frames=16), Budget(clips=4, other_objects=True))
-RATES = {SCRATCH: (0.006, 0.02, 0.06, 0.2), PRETRAINED: (0.001, 0.002, 0.004, 0.008)}
 RESAMPLES = 4000
 ONE_CLIP = Budget(clips=1)
 WANTED_AT_ONE_CLIP, WANTED_WITH_OTHER_OBJECTS, ALLOWED = -25.0, -15.0, 5.0
 """Targets of the relative difference, %: at one clip, with an object left out, and the worst at any budget."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is trained: candidates of the learning rates on some draws, then each budget, and some with more draws."""
+
+    rates: Mapping[str, Sequence[float]]
+    tuning_budgets: Sequence[Budget]
+    tuning_draws: Sequence[int]
+    budgets: Sequence[Budget]
+    draws: Sequence[int]
+    closer: Sequence[Budget] = ()
+    more_draws: Sequence[int] = ()
+
+
+FULL = Plan(
+    rates={SCRATCH: (0.006, 0.02, 0.06, 0.2), PRETRAINED: (0.001, 0.002, 0.004, 0.008)},
+    tuning_budgets=(ONE_CLIP, Budget(frames=16), Budget(clips=4, other_objects=True)),
+    tuning_draws=range(2),
+    budgets=BUDGETS,
+    draws=range(3),
+    closer=(ONE_CLIP, Budget(frames=4), Budget(clips=4, other_objects=True)),
+    more_draws=range(3, 12),
+)
+QUICK = Plan(
+    rates={SCRATCH: (0.02, 0.06), PRETRAINED: (0.002, 0.004)},
+    tuning_budgets=(ONE_CLIP,),
+    tuning_draws=range(1),
+    budgets=(ONE_CLIP, Budget(clips=4, other_objects=True)),
+    draws=range(2),
+)
 
 
 @dataclass(frozen=True)
@@ -63,23 +88,20 @@ class BudgetResults:
 def run(quick: bool, out_dir: Path, data: Path) -> None:
     """Pretrain, do the runs that have no record yet, print the tables, and write `real-pretraining.json`."""
     folder = converted_sessions(data, out_dir)
-    profile = "smoke" if quick else "cpu"
+    profile, plan = ("smoke", QUICK) if quick else ("cpu", FULL)
     bench = Bench(folder, out_dir / "real" / f"pretraining-{profile}", profile, workers=1 if quick else None)
     pretrain_once(bench)
-    tuning_budgets, budgets, closer, draws = TUNING_BUDGETS, BUDGETS, CLOSER, DRAWS
-    rates, tuning_draws = RATES, TUNING_DRAWS
-    if quick:
-        tuning_budgets, budgets, closer, draws = TUNING_BUDGETS[:1], (BUDGETS[0], BUDGETS[-1]), (), range(2)
-        rates, tuning_draws = {start: own[1:3] for start, own in RATES.items()}, range(1)
-    tuning = few_label_jobs(TUNED_ON, tuning_budgets, rates, tuning_draws)
-    tried = run_missing(bench, tuning, RUNS, train_on_few_labels, FoldRecord, few_label_configuration)
-    chosen = {start: chosen_rate(tried, start) for start in rates}
-    one_rate = {start: (rate,) for start, rate in chosen.items()}
-    jobs = few_label_jobs(COMPARED_ON, budgets, one_rate, draws)
-    jobs += few_label_jobs(COMPARED_ON, closer, one_rate, MORE_DRAWS)
-    records = run_missing(bench, jobs, RUNS, train_on_few_labels, FoldRecord, few_label_configuration)
+
+    def trained(jobs: list[TrainingJob]) -> list[FoldRecord]:
+        return run_missing(bench, jobs, RUNS, train_on_few_labels, FoldRecord, few_label_configuration)
+
+    tried = trained(few_label_jobs(TUNED_ON, plan.tuning_budgets, plan.rates, plan.tuning_draws))
+    chosen = {start: chosen_rate(tried, start) for start in plan.rates}
+    rates = {start: (rate,) for start, rate in chosen.items()}
+    jobs = few_label_jobs(COMPARED_ON, plan.budgets, rates, plan.draws)
+    records = trained(jobs + few_label_jobs(COMPARED_ON, plan.closer, rates, plan.more_draws))
     session = next(one for one in read_sessions(folder) if one.name == COMPARED_ON)
-    found = [budget_results(session, budget, records) for budget in budgets]
+    found = [budget_results(session, budget, records) for budget in plan.budgets]
     tables = [comparison_table(found, records), rate_table(tried, chosen)]
     for table in tables:
         table.show()
