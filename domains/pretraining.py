@@ -47,10 +47,10 @@ _QUICK = {
 class PretrainingRanges(Settings):
     """What is drawn for pretraining, each value evenly from its range, those of gels and noise evenly in the logarithm.
 
-    `presses` gels × spheres are solved at `depths` depths each, down to `deepest_by_thickness`; at each depth the
-    indenter also travels by `travel_by_depth`. LEDs and coat are drawn by `variation` around a sensor's own light, or
-    for a sensor without one around an illumination; the LEDs' colours change places. Frames with a force outside
-    `force_range_n` are not trained on.
+    `presses` gels × spheres are solved at `depths` depths each, down to `deepest_by_thickness`, spaced so that forces
+    are about evenly spread; at each depth the indenter also travels by `travel_by_depth`. LEDs and coat are drawn by
+    `variation` around a sensor's own light, or for a sensor without one around an illumination; the LEDs' colours
+    change places. Frames with a force outside `force_range_n` are not trained on.
     """
 
     description: str = ""
