@@ -15,6 +15,9 @@ from gelgap.adapt.normalisation import with_statistics_of
 from gelgap.domains import QUANTITIES, LabelledFrames, Labels, open_domain, with_labels, within_range
 
 CLIP = "clip"
+STEPS = 200
+LEARNING_RATE = 4e-3
+"""Of a network from elsewhere, whose outputs may be far off: at 0.01 some end as a constant, on few and like frames."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def finetune(
 
     The labels are those of the model that both data sets have, in the model's ranges. Frames beyond are left out and
     counted, such as those of a gauge that reads a little above 0 at rest. Batch normalisations get the statistics of
-    all pictures of `on`, for which no label is needed, before and after.
+    all pictures of `on`, for which no label is needed, before and after; then all weights take 200 steps.
 
     Parameters
     ----------
@@ -92,7 +95,7 @@ def finetune(
         if not len(others):
             raise ValueError(f"{on}: all of its {len(drawn)} frames are drawn; leave some to test on")
     before = len(drawn) + len(others)
-    model = _of_common_labels(ForceModel.load(checkpoint), labelled, others)
+    model = of_common_labels(ForceModel.load(checkpoint), labelled, others)
     few, others = (within_range(with_labels(part, model.labels)) for part in (labelled.take(drawn), others))
     if not (len(few) and len(others)):
         raise ValueError(
@@ -100,7 +103,7 @@ def finetune(
         )
     left_out = before - len(few) - len(others)
     model = with_statistics_of(model, labelled)
-    tuned = fine_tune(model, few, seed=seed)
+    tuned = fine_tune(model, few, steps=STEPS, learning_rate=LEARNING_RATE, seed=seed)
     return Finetuning(
         model=replace(tuned, target=labelled.name),
         frames=len(few),
@@ -122,7 +125,7 @@ def _rows_of_clips(frames: LabelledFrames, k: int, seed: int) -> np.ndarray:
     return np.flatnonzero(np.isin(frames.columns[CLIP].astype(str), chosen))
 
 
-def _of_common_labels(model: ForceModel, *data: LabelledFrames) -> ForceModel:
+def of_common_labels(model: ForceModel, *data: LabelledFrames) -> ForceModel:
     """Return the model with those of its labels alone that all data sets have."""
     names = model.labels.names
     at = [k for k, name in enumerate(names) if all(name in frames.columns for frames in data)]

@@ -163,6 +163,14 @@ BENCHMARKS = (
         by_default=False,
         needs_data=True,
     ),
+    Benchmark(
+        "real",
+        "pretraining",
+        "few labels, from scratch and pretrained on drawn domains",
+        "real.pretraining",
+        by_default=False,
+        needs_data=True,
+    ),
 )
 
 

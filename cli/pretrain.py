@@ -19,14 +19,8 @@ from gelgap.cli.rules import (
 )
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
-# Of --quick: shallow presses of a small sphere, and a network that learns little.
+# Of --quick: a network that learns little.
 QUICK_DOMAINS, QUICK_FRAMES, QUICK_EPOCHS = 2, 12, 2
-QUICK_RANGES = {
-    "presses": 1,
-    "depths": 1,
-    "sphere_diameter_mm": (3.0, 3.0),
-    "deepest_by_thickness": (0.05, 0.05),
-}
 
 
 @dataclass(frozen=True)
@@ -87,7 +81,7 @@ class Pretrain:
         ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
         domains, frames, size_px = self.domains, self.frames_per_domain, self.size
         if self.quick:
-            ranges = PretrainingRanges(**{**ranges.model_dump(), **QUICK_RANGES})
+            ranges = ranges.in_quick_form()
             profile = profile.replace(source_epochs=QUICK_EPOCHS)
             domains, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, profile.image_size_px
         if any(side < trained for side, trained in zip(size_px, profile.image_size_px, strict=True)):

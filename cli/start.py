@@ -1,4 +1,4 @@
-"""The `gelgap` script: one that is stopped while it still loads its parts ends with a sentence as well."""
+"""The `gelgap` script: one that is stopped while it loads its parts or reads its arguments ends with a sentence, too."""
 
 import sys
 import time
@@ -11,10 +11,11 @@ def start() -> None:
     started = time.perf_counter()
     try:
         from gelgap.cli.main import main
+
+        main(started=started)
     except KeyboardInterrupt:
         print("gelgap: interrupted before anything was done; run the same command again", file=sys.stderr)
         raise SystemExit(EXIT_INTERRUPTED) from None
-    main(started=started)
 
 
 if __name__ == "__main__":

@@ -36,15 +36,21 @@ _SHARE_OF_VIEW = 0.7
 # Deeper than this share of its radius a sphere is not pressed.
 _DEEPEST_BY_RADIUS = 0.6
 _DOTS_BY_PITCH = 0.35
+_QUICK = {
+    "presses": 1,
+    "depths": 1,
+    "sphere_diameter_mm": (3.0, 3.0),
+    "deepest_by_thickness": (0.05, 0.05),
+}
 
 
 class PretrainingRanges(Settings):
     """What is drawn for pretraining, each value evenly from its range, those of gels and noise evenly in the logarithm.
 
-    `presses` gels × spheres are solved at `depths` depths each, down to `deepest_by_thickness`; at each depth the
-    indenter also travels by `travel_by_depth`. LEDs and coat are drawn by `variation` around a sensor's own light, or
-    for a sensor without one around an illumination; the LEDs' colours change places. Frames with a force outside
-    `force_range_n` are not trained on.
+    `presses` gels × spheres are solved at `depths` depths each, down to `deepest_by_thickness`, spaced so that forces
+    are about evenly spread; at each depth the indenter also travels by `travel_by_depth`. LEDs and coat are drawn by
+    `variation` around a sensor's own light, or for a sensor without one around an illumination; the LEDs' colours
+    change places. Frames with a force outside `force_range_n` are not trained on.
     """
 
     description: str = ""
@@ -102,6 +108,10 @@ class PretrainingRanges(Settings):
             if isinstance(variation := given.get("variation"), dict):
                 given["variation"] = default["variation"] | variation
             return cls(**{**default, **given})
+
+    def in_quick_form(self) -> Self:
+        """Return these ranges with one shallow press of a small sphere: to see that all works, not to learn."""
+        return type(self)(**{**self.model_dump(), **_QUICK})
 
     @property
     def contacts(self) -> int:
@@ -207,7 +217,8 @@ def _press(number: int, ranges: PretrainingRanges, draws: _Draws) -> _Press:
     }
     wanted_mm = thickness_mm * _between(ranges.deepest_by_thickness, deepest)
     deepest_mm = min(wanted_mm, _DEEPEST_BY_RADIUS * sphere.radius_mm)
-    shares = np.arange(1, ranges.depths + 1) / ranges.depths
+    # Force grows about as the square of the depth: then it is spread evenly.
+    shares = np.sqrt(np.arange(1, ranges.depths + 1) / ranges.depths)
     depths_mm = np.round(deepest_mm * shares, 3).tolist()
     travel_by_depth = _between(ranges.travel_by_depth, travel)
     contacts = [(depth, round(part * depth, 3)) for depth in depths_mm for part in (0.0, travel_by_depth)]

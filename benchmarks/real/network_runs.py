@@ -89,12 +89,18 @@ def frames_of(bench: Bench, job: TrainingJob) -> FoldFrames:
     from gelgap.domains import force_classes
 
     fold = fold_of(bench, job)
-    source, target = (_in_contact(bench.data / name) for name in job.group)
+    source, target = (bench.data / name for name in job.group)
     return FoldFrames(
-        force_classes(_of_clips(source, fold.source), CLASSES),
-        _of_clips(target, fold.target),
-        _of_clips(target, fold.test),
+        force_classes(frames_in_contact(source, fold.source), CLASSES),
+        frames_in_contact(target, fold.target),
+        frames_in_contact(target, fold.test),
     )
+
+
+def frames_in_contact(folder: Path, session: Session) -> "LabelledFrames":
+    """Return a session's pictures of some clips, in the order that `session` has them, with Fz as their only label."""
+    frames = _in_contact(folder)
+    return frames.take(np.flatnonzero(np.isin(frames.columns["clip"].astype(str), np.unique(session.clip))))
 
 
 def adapt_fold(bench: Bench, job: TrainingJob) -> FoldRecord:
@@ -103,8 +109,6 @@ def adapt_fold(bench: Bench, job: TrainingJob) -> FoldRecord:
     model, problem, stage1_s, stage2_s = train_stages(bench, job, frames.source_train, frames.target_train)
     test = frames.target_test
     constant = frames.source_train.label_values.mean(axis=0)
-    error_n = np.abs((constant if model is None else model.predict(test)) - test.label_values)[:, 0]
-    clips = test.columns["clip"]
     return FoldRecord(
         job=job,
         profile=bench.profile,
@@ -113,12 +117,16 @@ def adapt_fold(bench: Bench, job: TrainingJob) -> FoldRecord:
         settings=job.method_settings(bench.profile),
         control=control_of(job.method),
         problem=problem,
-        clip_mae_n={
-            str(clip): round(float(error_n[clips == clip].mean()), 5) for clip in dict.fromkeys(clips)
-        },
+        clip_mae_n=clip_mae_n(constant if model is None else model.predict(test), test),
         stage1_s=round(stage1_s, 2),
         stage2_s=round(stage2_s, 2),
     )
+
+
+def clip_mae_n(predicted: np.ndarray, tested: "LabelledFrames") -> dict[str, float]:
+    """Return the MAE on each clip, N, of predictions (n, 1) of Fz, or of one for all."""
+    error_n, clips = np.abs(predicted - tested.label_values)[:, 0], tested.columns["clip"]
+    return {str(clip): round(float(error_n[clips == clip].mean()), 5) for clip in dict.fromkeys(clips)}
 
 
 def fold_configuration(bench: Bench, job: TrainingJob) -> str:
@@ -141,7 +149,3 @@ def _in_contact(folder: Path) -> "LabelledFrames":
     frames = open_domain(folder)
     pressed = frames.take(np.flatnonzero(-frames.columns["fz_n"] > CONTACT_N))
     return with_labels(pressed, Labels.of({"fz_n": FZ_RANGE_N}))
-
-
-def _of_clips(frames: "LabelledFrames", session: Session) -> "LabelledFrames":
-    return frames.take(np.flatnonzero(np.isin(frames.columns["clip"].astype(str), np.unique(session.clip))))

@@ -36,13 +36,14 @@ class Session:
 
     def of(self, clips: Sequence[str]) -> "Session":
         """Return the pictures of some clips."""
-        return self._where(np.isin(self.clip, clips))
+        return self.take(np.isin(self.clip, clips))
 
     def of_objects(self, objects: Sequence[str]) -> "Session":
         """Return the pictures of some objects."""
-        return self._where(np.isin(self.object, objects))
+        return self.take(np.isin(self.object, objects))
 
-    def _where(self, chosen: np.ndarray) -> "Session":
+    def take(self, chosen: np.ndarray) -> "Session":
+        """Return some of the pictures, by a mask (n,) or by indices."""
         return Session(
             self.name, self.clip[chosen], self.object[chosen], self.fz_n[chosen], self.change[chosen]
         )

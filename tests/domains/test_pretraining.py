@@ -10,7 +10,14 @@ from gelgap.domains import (
     pretraining_recipes,
 )
 
-RANGES = PretrainingRanges(**{**PretrainingRanges.default().model_dump(), "presses": 2, "depths": 2})
+RANGES = PretrainingRanges(
+    **{
+        **PretrainingRanges.default().model_dump(),
+        "presses": 2,
+        "depths": 2,
+        "young_modulus_mpa": (0.1, 0.4),
+    }
+)
 
 
 def test_domains_share_the_solves_of_their_press():
@@ -34,6 +41,13 @@ def test_contacts_are_those_of_the_press_within_view():
         assert all((np.abs([pose.point_x_mm, pose.point_y_mm]) < half_mm).all() for pose in poses)
         low, high = RANGES.sphere_diameter_mm
         assert low <= recipe.indenter.diameter_mm <= high
+
+
+def test_depths_spread_the_force_evenly():
+    ranges = RANGES.model_copy(update={"depths": 4})
+    for recipe in pretraining_recipes(2, 20, ranges):
+        depths_mm = np.unique([pose.depth_mm for pose in recipe.path.poses])
+        np.testing.assert_allclose((depths_mm / depths_mm[-1]) ** 2, [0, 0.25, 0.5, 0.75, 1], atol=0.01)
 
 
 def parts(recipe):
