@@ -39,15 +39,13 @@ WANTED_AT_ONE_CLIP, WANTED_WITH_OTHER_OBJECTS, ALLOWED = -25.0, -15.0, 5.0
 
 @dataclass(frozen=True)
 class Plan:
-    """What is trained: candidates of the learning rates on some draws, then each budget, and some with more draws."""
+    """What is trained: candidates of the learning rates on some draws, then every budget on others."""
 
     rates: Mapping[str, Sequence[float]]
     tuning_budgets: Sequence[Budget]
     tuning_draws: Sequence[int]
     budgets: Sequence[Budget]
     draws: Sequence[int]
-    closer: Sequence[Budget] = ()
-    more_draws: Sequence[int] = ()
 
 
 FULL = Plan(
@@ -55,9 +53,7 @@ FULL = Plan(
     tuning_budgets=(ONE_CLIP, Budget(frames=16), Budget(clips=4, other_objects=True)),
     tuning_draws=range(2),
     budgets=BUDGETS,
-    draws=range(3),
-    closer=(ONE_CLIP, Budget(frames=4), Budget(clips=4, other_objects=True)),
-    more_draws=range(3, 12),
+    draws=range(12),
 )
 QUICK = Plan(
     rates={SCRATCH: (0.02, 0.06), PRETRAINED: (0.002, 0.004)},
@@ -98,8 +94,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     tried = trained(few_label_jobs(TUNED_ON, plan.tuning_budgets, plan.rates, plan.tuning_draws))
     chosen = {start: chosen_rate(tried, start) for start in plan.rates}
     rates = {start: (rate,) for start, rate in chosen.items()}
-    jobs = few_label_jobs(COMPARED_ON, plan.budgets, rates, plan.draws)
-    records = trained(jobs + few_label_jobs(COMPARED_ON, plan.closer, rates, plan.more_draws))
+    records = trained(few_label_jobs(COMPARED_ON, plan.budgets, rates, plan.draws))
     session = next(one for one in read_sessions(folder) if one.name == COMPARED_ON)
     found = [budget_results(session, budget, records) for budget in plan.budgets]
     tables = [comparison_table(found, records), rate_table(tried, chosen)]
