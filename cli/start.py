@@ -1,4 +1,4 @@
-"""The `gelgap` script: one that is stopped while it loads its parts or reads its arguments ends with a sentence, too."""
+"""The `gelgap` script: one that is stopped while it loads its parts or reads its arguments ends with a sentence."""
 
 import sys
 import time

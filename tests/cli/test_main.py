@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gelgap.cli.main import COMMANDS, main
+from gelgap.cli.start import start
 
 
 def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -225,3 +226,17 @@ def test_ctrl_c_waits_for_the_import_of_torch_which_would_abort(tmp_path):
     code = IMPORT_STOPPED.format(folder=str(tmp_path))
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ended.stdout.split() == ["imported", "stopped", "True"], ended.stderr
+
+
+def test_a_command_stopped_while_it_reads_its_arguments_ends_with_a_sentence(monkeypatch, capsys):
+    def stopped(arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("gelgap.cli.main.parse", stopped)
+    with pytest.raises(SystemExit) as stop:
+        start()
+    assert stop.value.code == 130
+    assert (
+        capsys.readouterr().err
+        == "gelgap: interrupted before anything was done; run the same command again\n"
+    )
