@@ -171,6 +171,14 @@ BENCHMARKS = (
         by_default=False,
         needs_data=True,
     ),
+    Benchmark(
+        "real",
+        "randomisation",
+        "what matters in the synthetic data, one factor of randomisation at a time",
+        "real.randomisation",
+        by_default=False,
+        needs_data=True,
+    ),
 )
 
 

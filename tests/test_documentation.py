@@ -48,7 +48,7 @@ QUICKEST = {
     r"source_epochs=150": "source_epochs=4",
     r"render.guide_pictures docs/pictures": "render.guide_pictures pictures --quality draft",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
-    r"--what (networks|contact-point|pretraining)(?= --data)": r"--what \1 --quick",
+    r"--what (networks|contact-point|pretraining|randomisation)(?= --data)": r"--what \1 --quick",
     r"adaptation/cpu": "adaptation/smoke",
     r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
     r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft")',

@@ -87,20 +87,21 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     profile, plan = ("smoke", QUICK) if quick else ("cpu", FULL)
     bench = Bench(folder, out_dir / "real" / f"pretraining-{profile}", profile, workers=1 if quick else None)
     pretrain_once(bench)
-
-    def trained(jobs: list[TrainingJob]) -> list[FoldRecord]:
-        return run_missing(bench, jobs, RUNS, train_on_few_labels, FoldRecord, few_label_configuration)
-
-    tried = trained(few_label_jobs(TUNED_ON, plan.tuning_budgets, plan.rates, plan.tuning_draws))
+    tried = trained(bench, few_label_jobs(TUNED_ON, plan.tuning_budgets, plan.rates, plan.tuning_draws))
     chosen = {start: chosen_rate(tried, start) for start in plan.rates}
     rates = {start: (rate,) for start, rate in chosen.items()}
-    records = trained(few_label_jobs(COMPARED_ON, plan.budgets, rates, plan.draws))
+    records = trained(bench, few_label_jobs(COMPARED_ON, plan.budgets, rates, plan.draws))
     session = next(one for one in read_sessions(folder) if one.name == COMPARED_ON)
     found = [budget_results(session, budget, records) for budget in plan.budgets]
     tables = [comparison_table(found, records), rate_table(tried, chosen)]
     for table in tables:
         table.show()
     write_json(out_dir / "real-pretraining.json", tables)
+
+
+def trained(bench: Bench, jobs: list[TrainingJob]) -> list[FoldRecord]:
+    """Do the trainings that have no record yet, and return the records of all."""
+    return run_missing(bench, jobs, RUNS, train_on_few_labels, FoldRecord, few_label_configuration)
 
 
 def rate_of(record: FoldRecord) -> float:

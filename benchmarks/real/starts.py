@@ -1,10 +1,11 @@
-"""What training on few labels starts from: nothing, or the checkpoint that `gelgap pretrain` makes by default."""
+"""What training on few labels starts from: nothing, or a checkpoint of `gelgap pretrain`, perhaps with less drawn."""
 
 from pathlib import Path
 
 from gelgap.benchmarks.adaptation.jobs import Bench
 
 SCRATCH, PRETRAINED = "scratch", "pretrained"
+_WITHOUT = "without-"
 _DOMAINS, _FRAMES = 60, 60
 _QUICK_DOMAINS, _QUICK_FRAMES, _QUICK_EPOCHS = 2, 12, 1
 
@@ -14,9 +15,14 @@ def checkpoint_of(bench: Bench, start: str) -> Path | None:
     return None if start == SCRATCH else bench.out / start / "pretrained.pt"
 
 
-def pretrain_once(bench: Bench) -> None:
-    """Generate the domains and pretrain, unless the checkpoint is there."""
-    checkpoint = checkpoint_of(bench, PRETRAINED)
+def without(factor: str) -> str:
+    """Return the name of the start for whose pretraining one factor is the same in all domains."""
+    return f"{_WITHOUT}{factor}"
+
+
+def pretrain_once(bench: Bench, start: str = PRETRAINED) -> None:
+    """Generate the domains of a start and pretrain, unless the checkpoint is there."""
+    checkpoint = checkpoint_of(bench, start)
     if checkpoint.is_file():
         return
     from gelgap.adapt import Profile, console_progress, pretrain
@@ -27,7 +33,8 @@ def pretrain_once(bench: Bench) -> None:
     if bench.is_quick:
         ranges, profile = ranges.in_quick_form(), profile.replace(source_epochs=_QUICK_EPOCHS)
         domains, frames = _QUICK_DOMAINS, _QUICK_FRAMES
-    recipes = pretraining_recipes(domains, frames, ranges)
+    undrawn = [start.removeprefix(_WITHOUT)] if start.startswith(_WITHOUT) else []
+    recipes = pretraining_recipes(domains, frames, ranges, without=undrawn)
     folder = checkpoint.parent / "domains"
     scheduler = "synchronous" if bench.workers == 1 else None
     with shown_progress() as progress:
