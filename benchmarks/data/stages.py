@@ -1,6 +1,7 @@
 """Where the time of a data set goes, stage by stage, beside the least that each could take; and how it scales."""
 
 import cProfile
+import inspect
 import pstats
 import shutil
 import time
@@ -23,10 +24,15 @@ from gelgap.domains import (
     preset_recipes,
 )
 from gelgap.domains.frame_pictures import led_to_camera
+from gelgap.domains.hidden_markers import without_markers
+from gelgap.domains.picture_codec import encode_png
 from gelgap.domains.plan import FrameBatch, GenerationPlan
+from gelgap.domains.schema import encode_shard
 from gelgap.domains.shard import render_batch
-from gelgap.render import MembraneRenderer
-from gelgap.sim import ContactPath, known_pace, load_solution
+from gelgap.render import MembraneRenderer, imaging
+from gelgap.render.displacement import Membrane
+from gelgap.render.shaded_surface import shared_surface
+from gelgap.sim import ContactPath, SolvePlan, known_pace, load_solution
 
 GEL_DOMAINS = ("mb0i0", "wmb0i0")
 """The domains whose frames are taken apart: two of the paper's, of one gel, the second with its dots inpainted."""
@@ -34,17 +40,17 @@ POINTS = {"small": (4, 1), "large": (8, 4)}
 """Columns and rows of contact points, 16 frames each, of a generation of one shard and of one of four."""
 TABLED_WORKERS = (1, 2, 4, 8, 16, 32, 64)
 REPEATS = 5
-STAGES: Mapping[str, Sequence[tuple[str, str]]] = {
-    "membrane": (("sim/plan.py", "state"), ("render/displacement.py", "displacement_on")),
-    "light": (("render/renderer.py", "_radiance"), ("render/shaded_surface.py", "shared_surface")),
-    "raster": (("render/renderer.py", "_geometry"),),
-    "pixels and dots": (("render/renderer.py", "_gather"), ("render/renderer.py", "_paint_markers")),
-    "noise": (("render/imaging.py", "sensor_noise"),),
-    "8 bits": (("render/imaging.py", "encode"),),
-    "inpainting": (("domains/hidden_markers.py", "without_markers"),),
-    "PNG": (("domains/picture_codec.py", "encode_png"),),
-    "Parquet": (("domains/schema.py", "encode_shard"),),
-    "write": (("domains/folder.py", "write_file"),),
+STAGES: Mapping[str, Sequence[Callable]] = {
+    "membrane": (SolvePlan.state, Membrane.displacement_on),
+    "light": (MembraneRenderer._radiance, shared_surface),
+    "raster": (MembraneRenderer._geometry,),
+    "pixels and dots": (MembraneRenderer._gather, MembraneRenderer._paint_markers),
+    "noise": (imaging.sensor_noise,),
+    "8 bits": (imaging.encode,),
+    "inpainting": (without_markers,),
+    "PNG": (encode_png,),
+    "Parquet": (encode_shard,),
+    "write": (DomainFolder.write_file,),
 }
 """What each stage of a frame is made of: functions, none of which calls another of them."""
 
@@ -177,14 +183,14 @@ def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:
     return {name: share * frame_ms for name, share in shares.items()}
 
 
-def _share(stats: pstats.Stats, functions: Sequence[tuple[str, str]]) -> float:
+def _share(stats: pstats.Stats, functions: Sequence[Callable]) -> float:
     """Return the share of the whole time that some functions took with all that they call."""
-    found_s = sum(
-        cumulative_s
-        for (file, _, name), (_, _, _, cumulative_s, _) in stats.stats.items()
-        for end, wanted in functions
-        if name == wanted and file.endswith(f"gelgap/{end}")
-    )
+    found_s = 0.0
+    for function in functions:
+        code = inspect.unwrap(function).__code__
+        place = code.co_filename, code.co_firstlineno, code.co_name
+        _, _, _, cumulative_s, _ = stats.stats.get(place, (0, 0, 0.0, 0.0, {}))
+        found_s += cumulative_s
     return found_s / stats.total_tt
 
 

@@ -1,24 +1,30 @@
-"""The table of cost: that its stages are functions that exist, and the model of how a data set scales."""
+"""The table of cost: its stages, its floors, and the model of how a data set scales."""
 
-import ast
 from pathlib import Path
 
 import pytest
 
-import gelgap
-from gelgap.benchmarks.data.stages import STAGES, Generated, Scaling, fitted, floors_ms, recipes_of
+from gelgap.benchmarks.data.stages import (
+    STAGES,
+    Generated,
+    Scaling,
+    fitted,
+    floors_ms,
+    recipes_of,
+    small_solve,
+    stages_ms,
+)
 from gelgap.domains import plan_generation
 
-FUNCTIONS = [function for functions in STAGES.values() for function in functions]
 
-
-@pytest.mark.parametrize(("file", "name"), FUNCTIONS)
-def test_a_stage_is_made_of_functions_that_exist(file: str, name: str):
-    path = next(Path(place, file) for place in gelgap.__path__ if Path(place, file).is_file())
-    defined = [
-        node.name for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)
-    ]
-    assert defined.count(name) == 1
+def test_each_stage_of_a_frame_is_found_in_its_profile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))
+    plan = plan_generation(recipes_of("small", "draft"))
+    small_solve(plan)
+    ms = stages_ms(plan.batches[0], tmp_path)
+    assert ms.keys() == {*STAGES, "labels, rest"}
+    assert all(value > 0 for value in ms.values())
+    assert ms["labels, rest"] < 0.3 * sum(ms.values())
 
 
 def test_the_model_of_scaling_is_found_again_from_two_generations():
