@@ -40,8 +40,8 @@ class Estimate:
 
     @property
     def core_s(self) -> float:
-        """Processor time of all processes: the workers, and the one that starts them, which prepares as long."""
-        return self.start_s * (self.workers + 1) + self.solve_core_s + self.frame_core_s
+        """Processor time of all processes; a start is this one's preparation, and then as much by each worker."""
+        return self.start_s / 2 * (self.workers + 1) + self.solve_core_s + self.frame_core_s
 
     @property
     def wall_s(self) -> float:

@@ -56,4 +56,4 @@ def test_time_is_that_of_starting_solving_and_rendering():
         start_s=3.0,
     )
     assert plan.wall_s == pytest.approx(2 * (3 + 20 + 8 / 2))
-    assert plan.core_s == pytest.approx(3 * 3 + 30 + 8)
+    assert plan.core_s == pytest.approx(1.5 * 3 + 30 + 8)
