@@ -108,7 +108,7 @@ def test_a_value_beyond_a_knob_widens_its_range(page: Any) -> None:
 
 
 def test_what_cannot_be_leaves_the_page_as_it_was(page: Any) -> None:
-    settled(page, lambda: page.shown is not None)
+    settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
     wanted = page.controls.wanted
     page.controls.move_led(0, (-11.0, 0.0, 1.0))
     assert page.controls.wanted == wanted
