@@ -24,6 +24,7 @@ from gelgap.cli.export import Export
 from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
+from gelgap.cli.interruption import EXIT_INTERRUPTED, before_any_work
 from gelgap.cli.options import check_values
 from gelgap.cli.parser_messages import command_name, empty_value, refusal
 from gelgap.cli.presets import Presets
@@ -37,7 +38,6 @@ from gelgap.cli.view import View
 
 EXIT_FAILED_RUN = 1
 EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
 
 DESCRIPTION = """Synthetic GelSight data with a domain gap that is known and under control.
 
@@ -167,7 +167,8 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
     if arguments == ["--version"]:
         print(f"gelgap {version('gelgap')}")
         return
-    command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
+    with before_any_work():
+        command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
     name = type(command).__name__.lower()
     stops = _counted_stops()
     try:

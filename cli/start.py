@@ -1,21 +1,16 @@
-"""The `gelgap` script: one that is stopped while it loads its parts or reads its arguments ends with a sentence."""
+"""The `gelgap` script: one that is stopped while it still loads its parts ends with a sentence as well."""
 
-import sys
 import time
 
-EXIT_INTERRUPTED = 130
+from gelgap.cli.interruption import before_any_work
 
 
 def start() -> None:
     """Load the command line and run it."""
     started = time.perf_counter()
-    try:
+    with before_any_work():
         from gelgap.cli.main import main
-
-        main(started=started)
-    except KeyboardInterrupt:
-        print("gelgap: interrupted before anything was done; run the same command again", file=sys.stderr)
-        raise SystemExit(EXIT_INTERRUPTED) from None
+    main(started=started)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import numpy as np
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.common.tables import write_json
 from gelgap.benchmarks.physics.cases import own_cache
+from gelgap.benchmarks.render.speed import median_ms
 from gelgap.domains import (
     DomainFolder,
     DomainRecipe,
@@ -173,8 +174,7 @@ def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:
             (folder / shard.domain).mkdir(parents=True, exist_ok=True)
             DomainFolder(folder / shard.domain).write_file(shard.file, shard.data)
 
-    work()  # numba compiles, and renderers are kept
-    frame_ms = 1e3 * _median_s(work) / (len(batch) * len(batch.recipes))
+    frame_ms = median_ms(work, REPEATS, time.process_time) / (len(batch) * len(batch.recipes))
     profiler = cProfile.Profile(time.process_time)
     profiler.runcall(work)
     stats = pstats.Stats(profiler)
@@ -216,16 +216,7 @@ def floors_ms(recipe: DomainRecipe, folder: Path) -> dict[str, tuple[float, str]
         "Parquet": (lambda: bytearray(raw), "copying the bytes of the picture"),
         "write": (lambda: file.write_bytes(packed), "giving the bytes of the file to the system"),
     }
-    return {name: (1e3 * _median_s(job, REPEATS), what) for name, (job, what) in work.items()}
-
-
-def _median_s(work: Callable[[], object], repeats: int = 3) -> float:
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return float(np.median(times))
+    return {name: (median_ms(job, REPEATS, time.process_time), what) for name, (job, what) in work.items()}
 
 
 def generated(plan: GenerationPlan, folder: Path, workers: int) -> Generated:

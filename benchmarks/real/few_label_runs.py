@@ -10,7 +10,7 @@ from gelgap.benchmarks.adaptation.jobs import Bench, TrainingJob, configuration_
 from gelgap.benchmarks.adaptation.work import versions_line
 from gelgap.benchmarks.real.few_label_draws import Budget, few_labels
 from gelgap.benchmarks.real.network_runs import FZ_RANGE_N, FoldRecord, clip_mae_n, frames_in_contact
-from gelgap.benchmarks.real.sessions import Session, read_sessions
+from gelgap.benchmarks.real.sessions import session_named
 from gelgap.benchmarks.real.starts import checkpoint_of
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def train_on_few_labels(bench: Bench, job: TrainingJob) -> FoldRecord:
     """Train on what a draw labels, and return the errors on what it tests."""
     from gelgap.adapt import FeatureCollapse, TrainingDiverged
 
-    session = session_of(bench, job)
+    session = session_named(bench.data, job.target)
     drawn = few_labels(session, Budget.of(job.data), job.seed)
     frames = frames_in_contact(bench.data / session.name, session)
     labelled, known, tested = (frames.take(rows) for rows in (drawn.labelled, drawn.known, drawn.tested))
@@ -116,20 +116,15 @@ def profile_of(bench: Bench, job: TrainingJob, labelled: int) -> "Profile":
     return profile.replace(adapt_epochs=math.ceil(steps / steps_per_epoch(labelled, profile.batch_size)))
 
 
-def session_of(bench: Bench, job: TrainingJob) -> Session:
-    """Return the session that a job labels a part of."""
-    return next(session for session in read_sessions(bench.data) if session.name == job.target)
-
-
 def few_label_configuration(bench: Bench, job: TrainingJob) -> str:
     """Return a hash of profile, range, steps, the session's forces, and of the network that a job starts from."""
     from gelgap.assets.checksums import file_sha256
 
-    session, checkpoint = session_of(bench, job), checkpoint_of(bench, job.source)
+    checkpoint = checkpoint_of(bench, job.source)
     return configuration_hash(
         job.profile(bench.profile),
         FZ_RANGE_N,
         STEPS,
-        [session.name, session.clip.tolist(), session.fz_n.tolist()],
+        session_named(bench.data, job.target).key,
         None if checkpoint is None else file_sha256(checkpoint),
     )

@@ -11,7 +11,7 @@ import numpy as np
 from gelgap.benchmarks.adaptation.jobs import Bench, Changes, TrainingJob, configuration_hash
 from gelgap.benchmarks.adaptation.work import control_of, train_stages, versions_line
 from gelgap.benchmarks.real.clip_folds import ClipFold, clip_folds
-from gelgap.benchmarks.real.sessions import Session, read_sessions
+from gelgap.benchmarks.real.sessions import Session, session_named
 from gelgap.domains.clip import CONTACT_N
 
 if TYPE_CHECKING:
@@ -129,17 +129,23 @@ def clip_mae_n(predicted: np.ndarray, tested: "LabelledFrames") -> dict[str, flo
     return {str(clip): round(float(error_n[clips == clip].mean()), 5) for clip in dict.fromkeys(clips)}
 
 
+def errors_by_clip(records: Sequence[FoldRecord], clips: Sequence[str], seeds: Sequence[int]) -> np.ndarray:
+    """Return the MAE of Fz (clips, seeds) that records of one method have, N; NaN where there is none."""
+    found = np.full((len(clips), len(seeds)), np.nan)
+    for record in records:
+        for clip, error_n in record.clip_mae_n.items():
+            found[clips.index(clip), seeds.index(record.job.seed)] = error_n
+    return found
+
+
 def fold_configuration(bench: Bench, job: TrainingJob) -> str:
     """Return a hash of all that the methods have in common: profile, range, classes, and both sessions' forces."""
-    forces = [
-        [session.name, session.clip.tolist(), session.fz_n.tolist()] for session in _sessions(bench, job)
-    ]
+    forces = [session.key for session in _sessions(bench, job)]
     return configuration_hash(job.profile(bench.profile), FZ_RANGE_N, CLASSES, forces)
 
 
 def _sessions(bench: Bench, job: TrainingJob) -> Iterator[Session]:
-    by_name = {session.name: session for session in read_sessions(bench.data)}
-    return (by_name[name] for name in job.group)
+    return (session_named(bench.data, name) for name in job.group)
 
 
 @cache

@@ -23,11 +23,18 @@ from gelgap.benchmarks.adaptation.statistics import bootstrap_interval
 from gelgap.benchmarks.adaptation.tables import interval, number
 from gelgap.benchmarks.common.tables import write_json
 from gelgap.benchmarks.real.clip_folds import FOLDS, SEEDS
-from gelgap.benchmarks.real.network_runs import RUNS, FoldRecord, adapt_fold, fold_configuration, fold_jobs
+from gelgap.benchmarks.real.network_runs import (
+    RUNS,
+    FoldRecord,
+    adapt_fold,
+    errors_by_clip,
+    fold_configuration,
+    fold_jobs,
+)
 from gelgap.benchmarks.real.orders import order_agreement
 from gelgap.benchmarks.real.plain_methods import PLAIN_METHODS
 from gelgap.benchmarks.real.session_transfer import measure
-from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_sessions, read_sessions
+from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_sessions, session_named
 
 DIRECTIONS = (SESSIONS, SESSIONS[::-1])
 QUICK_METHODS = ("source-only", "adabn", "no-transfer")
@@ -70,12 +77,9 @@ class DirectionResults:
     @cached_property
     def errors_n(self) -> np.ndarray:
         """The MAE of Fz (methods, clips, seeds), N; NaN where a run is missing."""
-        found = np.full((len(self.methods), len(self.clips), len(self.seeds)), np.nan)
-        for record in self.records:
-            method, seed = self.methods.index(record.job.method), self.seeds.index(record.job.seed)
-            for clip, error_n in record.clip_mae_n.items():
-                found[method, self.clips.index(clip), seed] = error_n
-        return found
+        return np.array(
+            [errors_by_clip(self.runs_of(method), self.clips, self.seeds) for method in self.methods]
+        )
 
     def of(self, method: str) -> np.ndarray:
         """Return the errors (clips, seeds) of one method, N."""
@@ -97,10 +101,10 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     else:
         jobs = fold_jobs(directions, METHODS, SEEDS, range(FOLDS))
     records = run_missing(bench, jobs, RUNS, adapt_fold, FoldRecord, fold_configuration)
-    sessions = {session.name: session for session in read_sessions(folder)}
     found = [
         DirectionResults(
-            *(sessions[name] for name in group), [record for record in records if record.job.group == group]
+            *(session_named(folder, name) for name in group),
+            [record for record in records if record.job.group == group],
         )
         for group in directions
     ]

@@ -3,7 +3,7 @@
 Learning rates are chosen for each start on the other session, whose clips are in no table.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,9 +25,9 @@ from gelgap.benchmarks.real.few_label_runs import (
     few_label_jobs,
     train_on_few_labels,
 )
-from gelgap.benchmarks.real.network_runs import FoldRecord
+from gelgap.benchmarks.real.network_runs import FoldRecord, errors_by_clip
 from gelgap.benchmarks.real.plain_methods import PLAIN_METHODS
-from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_sessions, read_sessions
+from gelgap.benchmarks.real.sessions import SESSIONS, converted_sessions, session_named
 from gelgap.benchmarks.real.starts import PRETRAINED, SCRATCH, pretrain_once
 
 TUNED_ON, COMPARED_ON = SESSIONS
@@ -83,20 +83,37 @@ class BudgetResults:
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
     """Pretrain, do the runs that have no record yet, print the tables, and write `real-pretraining.json`."""
-    folder = converted_sessions(data, out_dir)
-    profile, plan = ("smoke", QUICK) if quick else ("cpu", FULL)
-    bench = Bench(folder, out_dir / "real" / f"pretraining-{profile}", profile, workers=1 if quick else None)
+    bench, plan = bench_and_plan(quick, out_dir, data)
     pretrain_once(bench)
-    tried = trained(bench, few_label_jobs(TUNED_ON, plan.tuning_budgets, plan.rates, plan.tuning_draws))
+    tried = tuning_records(bench, plan, plan.rates)
     chosen = {start: chosen_rate(tried, start) for start in plan.rates}
-    rates = {start: (rate,) for start, rate in chosen.items()}
-    records = trained(bench, few_label_jobs(COMPARED_ON, plan.budgets, rates, plan.draws))
-    session = next(one for one in read_sessions(folder) if one.name == COMPARED_ON)
-    found = [budget_results(session, budget, records) for budget in plan.budgets]
+    records = compared(bench, plan.budgets, chosen, plan.draws)
+    found = [budget_results(bench, budget, records) for budget in plan.budgets]
     tables = [comparison_table(found, records), rate_table(tried, chosen)]
     for table in tables:
         table.show()
     write_json(out_dir / "real-pretraining.json", tables)
+
+
+def bench_and_plan(quick: bool, out_dir: Path, data: Path) -> tuple[Bench, Plan]:
+    """Return where trainings on few labels are kept, and which there are."""
+    profile, plan = ("smoke", QUICK) if quick else ("cpu", FULL)
+    out = out_dir / "real" / f"pretraining-{profile}"
+    return Bench(converted_sessions(data, out_dir), out, profile, workers=1 if quick else None), plan
+
+
+def tuning_records(bench: Bench, plan: Plan, starts: Iterable[str]) -> list[FoldRecord]:
+    """Train with every candidate of the learning rates, on the session that is in no table; return the records."""
+    rates = {start: plan.rates[start] for start in starts}
+    return trained(bench, few_label_jobs(TUNED_ON, plan.tuning_budgets, rates, plan.tuning_draws))
+
+
+def compared(
+    bench: Bench, budgets: Sequence[Budget], rates: Mapping[str, float], draws: Sequence[int]
+) -> list[FoldRecord]:
+    """Train each start with its learning rate, on the session that is compared; return the records."""
+    candidates = {start: (rate,) for start, rate in rates.items()}
+    return trained(bench, few_label_jobs(COMPARED_ON, budgets, candidates, draws))
 
 
 def trained(bench: Bench, jobs: list[TrainingJob]) -> list[FoldRecord]:
@@ -125,18 +142,16 @@ def chosen_rate(records: Sequence[FoldRecord], start: str) -> float:
     return min(errors_n, key=errors_n.get)
 
 
-def budget_results(session: Session, budget: Budget, records: Sequence[FoldRecord]) -> BudgetResults:
+def budget_results(bench: Bench, budget: Budget, records: Sequence[FoldRecord]) -> BudgetResults:
     """Return the errors of networks and plain methods on the clips that each draw tests."""
     own = [record for record in records if record.job.data == budget.name]
+    session = session_named(bench.data, own[0].job.target)
     clips, draws = np.unique(session.clip).tolist(), sorted({record.job.seed for record in own})
-    names = (
-        *dict.fromkeys(record.job.source for record in own),
-        *(method.name for method in PLAIN_METHODS[:2]),
-    )
-    errors_n = {name: np.full((len(clips), len(draws)), np.nan) for name in names}
-    for record in own:
-        for clip, error_n in record.clip_mae_n.items():
-            errors_n[record.job.source][clips.index(clip), draws.index(record.job.seed)] = error_n
+    errors_n = {
+        start: errors_by_clip([record for record in own if record.job.source == start], clips, draws)
+        for start in dict.fromkeys(record.job.source for record in own)
+    }
+    errors_n |= {method.name: np.full((len(clips), len(draws)), np.nan) for method in PLAIN_METHODS[:2]}
     for column, draw in enumerate(draws):
         drawn = few_labels(session, budget, draw)
         labelled, test = session.take(drawn.labelled), session.take(drawn.tested)

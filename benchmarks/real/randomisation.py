@@ -4,23 +4,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.jobs import Bench
 from gelgap.benchmarks.adaptation.tables import interval, number
 from gelgap.benchmarks.common.tables import write_json
 from gelgap.benchmarks.real.few_label_draws import Budget
-from gelgap.benchmarks.real.few_label_runs import few_label_jobs
 from gelgap.benchmarks.real.pretraining import (
     COMPARED_ON,
-    FULL,
-    QUICK,
-    TUNED_ON,
     BudgetResults,
+    bench_and_plan,
     budget_results,
     chosen_rate,
+    compared,
     relative_difference,
-    trained,
+    tuning_records,
 )
-from gelgap.benchmarks.real.sessions import converted_sessions, read_sessions
 from gelgap.benchmarks.real.starts import PRETRAINED, pretrain_once, without
 from gelgap.domains import RANDOM_FACTORS
 
@@ -33,22 +29,16 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
 
     The learning rate is that which `pretraining` chooses for what is pretrained with all factors drawn.
     """
-    folder = converted_sessions(data, out_dir)
-    profile, plan = ("smoke", QUICK) if quick else ("cpu", FULL)
-    bench = Bench(folder, out_dir / "real" / f"pretraining-{profile}", profile, workers=1 if quick else None)
-    factors, budgets, draws = (
-        (RANDOM_FACTORS[:1], BUDGETS[:1], range(1)) if quick else (RANDOM_FACTORS, BUDGETS, DRAWS)
-    )
+    bench, plan = bench_and_plan(quick, out_dir, data)
+    factors, budgets, draws = (RANDOM_FACTORS, BUDGETS, DRAWS)
+    if quick:
+        factors, budgets, draws = (RANDOM_FACTORS[:1], BUDGETS[:1], range(1))
     starts = [PRETRAINED, *map(without, factors)]
     for start in starts:
         pretrain_once(bench, start)
-    rates = {PRETRAINED: plan.rates[PRETRAINED]}
-    tried = trained(bench, few_label_jobs(TUNED_ON, plan.tuning_budgets, rates, plan.tuning_draws))
-    rate = chosen_rate(tried, PRETRAINED)
-    jobs = few_label_jobs(COMPARED_ON, budgets, dict.fromkeys(starts, (rate,)), draws)
-    records = trained(bench, jobs)
-    session = next(one for one in read_sessions(folder) if one.name == COMPARED_ON)
-    table = factor_table([budget_results(session, budget, records) for budget in budgets], starts)
+    rate = chosen_rate(tuning_records(bench, plan, [PRETRAINED]), PRETRAINED)
+    records = compared(bench, budgets, dict.fromkeys(starts, rate), draws)
+    table = factor_table([budget_results(bench, budget, records) for budget in budgets], starts)
     table.show()
     write_json(out_dir / "real-randomisation.json", table)
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,11 @@ class Session:
     object: np.ndarray
     fz_n: np.ndarray
     change: np.ndarray
+
+    @property
+    def key(self) -> list[Any]:
+        """What a training on it depends on: its name, and the clip and the force of each picture."""
+        return [self.name, self.clip.tolist(), self.fz_n.tolist()]
 
     def of(self, clips: Sequence[str]) -> "Session":
         """Return the pictures of some clips."""
@@ -84,6 +90,11 @@ def read_sessions(folder: Path) -> tuple[Session, Session]:
     if not shared:
         raise ValueError(f"the sessions {' and '.join(SESSIONS)} of {folder} have no object in common")
     return first.of_objects(shared), second.of_objects(shared)
+
+
+def session_named(folder: Path, name: str) -> Session:
+    """Return one of the two sessions that are compared."""
+    return next(session for session in read_sessions(folder) if session.name == name)
 
 
 def _folders(folder: Path) -> list[str]:

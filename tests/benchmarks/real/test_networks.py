@@ -90,7 +90,7 @@ def test_the_configuration_is_that_of_profile_and_sessions(bench: Bench, monkeyp
     assert found != fold_configuration(bench, replace(job, changes=(("source_epochs", 2),)))
     first, second = read_sessions(bench.data)
     stronger = replace(second, fz_n=1.1 * second.fz_n)
-    monkeypatch.setattr(network_runs, "read_sessions", lambda folder: (first, stronger))
+    monkeypatch.setattr("gelgap.benchmarks.real.sessions.read_sessions", lambda folder: (first, stronger))
     assert found != fold_configuration(bench, job)
 
 

@@ -127,7 +127,7 @@ def test_a_training_that_stops_counts_with_the_mean_of_the_labels(
     (job,) = few_label_jobs(SESSION, [Budget(frames=8)], {SCRATCH: (0.1,)}, [0])
     record = few_label_runs.train_on_few_labels(bench, job)
     assert record.problem == "not finite"
-    found = budget_results(session, Budget(frames=8), [record])
+    found = budget_results(bench, Budget(frames=8), [record])
     np.testing.assert_allclose(found.errors_n[SCRATCH], found.errors_n["constant mean"], atol=1e-4)
 
 
