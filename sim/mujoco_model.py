@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.material import Moduli
+from gelgap.sim.mesh.for_problem import touchable_vertices
 from gelgap.sim.mesh.pad import GelMesh
 from gelgap.sim.problem import ContactProblem
 
@@ -23,8 +24,6 @@ _PLANE_INERTIA_T = 1e12
 _INVWEIGHT_SCALE = 1e-3
 # Vertices this near the indenter are constrained not to enter it.
 _CONTACT_MARGIN_MM = 0.2
-# Vertices up to this far outside of what the indenter passes over can touch it, since the gel bulges.
-_TOUCHING_MARGIN_MM = 0.4
 # Vertices have no extent; MuJoCo wants some inertia, which nothing turns: that of a box of half this edge.
 _INERTIA_BOX_MM = 1e-3
 _BODIES_PER_PART = 200
@@ -61,7 +60,7 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
     mujoco.set_mju_user_warning(lambda message: None)
     gel_mass_t = _MASS_RATIO * moduli.young_modulus_mpa * problem.thickness_mm
     spec = mujoco.MjSpec.from_string(_indenter_xml(problem, mesh.symmetric, gel_mass_t))
-    nodes = _touchable(problem, mesh)
+    nodes = touchable_vertices(problem, mesh)
     _add_gel(spec, mesh, moduli, gel_mass_t, nodes)
     with warnings.catch_warnings():
         # The compiler does not see that the flex is elastic through its strain energy alone.
@@ -94,13 +93,6 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
         indenter_qpos=slice(first_qpos, first_qpos + 3),
         indenter_geom=model.geom("indenter").id,
     )
-
-
-def _touchable(problem: ContactProblem, mesh: GelMesh) -> NDArray[np.int64]:
-    """Return the vertices that the indenter can touch."""
-    half_width_mm = problem.indenter.penetration_radius_mm(problem.indenter.deepest_mm)
-    zone_mm = half_width_mm + problem.travel_mm + _TOUCHING_MARGIN_MM
-    return mesh.surface[np.hypot(*mesh.vertices_mm[mesh.surface, :2].T) <= zone_mm]
 
 
 def _add_gel(spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes: NDArray[np.int64]) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.audit import audit_contact
+from gelgap.sim.contact_newton import ContactNewton
 from gelgap.sim.extrapolation import GeometricSeries
 from gelgap.sim.friction import FrictionalContacts
 from gelgap.sim.material import mesh_moduli
@@ -43,7 +44,7 @@ class State:
 class StaticNewton:
     """Gel and indenter on their way through load steps."""
 
-    def __init__(self, gel: GelModel, problem: ContactProblem) -> None:
+    def __init__(self, gel: GelModel, problem: ContactProblem, *, condense: bool = True) -> None:
         import mujoco
 
         self._mujoco = mujoco
@@ -57,6 +58,8 @@ class StaticNewton:
         self.snapped = False
         self.iterations = 0
         self._rigid = problem.mount_stiffness_n_per_mm is None
+        self._condense = condense
+        self._contact_newton: ContactNewton | None = None
 
     def state(self) -> State:
         """Return the present state, to come back to."""
@@ -131,7 +134,7 @@ class StaticNewton:
             data.contact.includemargin[:] = 0
             self.contacts.impose_friction(self.active)
             mujoco.mj_makeConstraint(model, data)
-        mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
+        self._accelerate()
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
         if self._rigid:
@@ -141,6 +144,22 @@ class StaticNewton:
         self.active = np.zeros(model.ngeom, dtype=bool)
         self.active[self.contacts.nodes[pushed]] = True
         return float(gap_mm[pushed].max(initial=0.0))
+
+    def _accelerate(self) -> None:
+        """Let MuJoCo solve for the accelerations."""
+        mujoco, model, data = self._mujoco, self.gel.model, self.data
+        if not (data.ncon and self._condense):
+            mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
+            return
+        # With an endless tolerance MuJoCo sets up its solver's problem, and the solver ends where it starts.
+        model.opt.tolerance = np.inf
+        mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
+        self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
+        data.qacc_warmstart[:] = self._contact_newton.acceleration()
+        largest_n = THRESHOLDS.largest_gradient * np.linalg.norm(data.efc_force)
+        model.opt.tolerance = largest_n / (model.stat.meaninertia * model.nv)
+        mujoco.mj_fwdConstraint(model, data)
+        model.opt.tolerance = 0
 
     def _add_slip(self, start: State, moved_mm: float) -> bool:
         """Add what nodes that stayed in touch slid in the load step; return whether a loaded one ran away."""

@@ -1,5 +1,8 @@
 """The mesh that a contact problem needs: fine where the gel will be touched, coarse elsewhere."""
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gelgap.sim.mesh.pad import GelMesh, layer_heights_mm, pad_mesh
 from gelgap.sim.mesh.plane import DiscGrid
 from gelgap.sim.mesh.scale import mesh_scale
@@ -18,7 +21,14 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
     from gelgap.sim.mesh.ordering import ordered_for_elimination
 
     mesh = unordered_mesh(problem)
-    return ordered_for_elimination(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])
+    return ordered_for_elimination(mesh, touchable_vertices(problem, mesh))
+
+
+def touchable_vertices(problem: ContactProblem, mesh: GelMesh) -> NDArray[np.int64]:
+    """Return the surface vertices that the indenter can touch on its way."""
+    from gelgap.sim.mesh.ordering import touchable
+
+    return touchable(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])
 
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:

@@ -6,16 +6,16 @@ from scipy import sparse
 
 from gelgap.sim.mesh.pad import GelMesh
 
+# Vertices up to this far outside of what the indenter passes over can touch it, since the gel bulges.
+_TOUCHING_MARGIN_MM = 0.4
 
-def ordered_for_elimination(
-    mesh: GelMesh, penetration_radius_mm: float, segments_mm: NDArray[np.float64]
-) -> GelMesh:
+
+def ordered_for_elimination(mesh: GelMesh, touchable: NDArray[np.int64]) -> GelMesh:
     """Renumber the vertices in reverse order of elimination.
 
     MuJoCo eliminates from the last vertex to the first, and an update of the factor for a contact takes as long as
-    there are vertices that depend on the contact's. So surface vertices within the penetration radius of the straight
-    `segments_mm` (n, 2, 2), along which the indenter travels over the plane, are numbered first, the nearest at the
-    front; the rest follow in reverse order of elimination, the bonded ones at the end.
+    there are vertices that depend on the contact's. So the `touchable` ones are numbered first; the rest follow in
+    reverse order of elimination, the bonded ones at the end.
     """
     vertices, tetrahedra = mesh.vertices_mm, mesh.tetrahedra
     count = len(vertices)
@@ -26,18 +26,24 @@ def ordered_for_elimination(
         ),
         shape=(count, count),
     ).tocsr()
-    group = np.full(count, 1)
-    distance = _distance_to_segments(vertices[:, :2], segments_mm)
-    group[mesh.surface[distance[mesh.surface] <= penetration_radius_mm]] = 0
-    group[mesh.bottom] = 2
-    moving = np.flatnonzero(group < 2)
-    touched = np.flatnonzero(group[moving] == 0)
-    last = touched[np.argsort(-distance[moving][touched], kind="stable")]
-    elimination = elimination_order(pairs[moving][:, moving], last)
-    order = np.concatenate([moving[elimination[::-1]], np.flatnonzero(group == 2)])
+    moving = np.setdiff1d(np.arange(count), mesh.bottom)
+    elimination = elimination_order(pairs[moving][:, moving], np.flatnonzero(np.isin(moving, touchable)))
+    order = np.concatenate([moving[elimination[::-1]], mesh.bottom])
     number = np.empty(count, dtype=np.int32)
     number[order] = np.arange(count, dtype=np.int32)
     return GelMesh(vertices[order], number[tetrahedra], mesh.symmetric)
+
+
+def touchable(
+    mesh: GelMesh, penetration_radius_mm: float, segments_mm: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Return the surface vertices that an indenter can touch.
+
+    They lie within its penetration radius, and a margin, of straight `segments_mm` (n, 2, 2), from start to end, along
+    which it travels over the plane. What friction drags along is touched no further out.
+    """
+    distance_mm = _distance_to_segments(mesh.vertices_mm[mesh.surface, :2], segments_mm)
+    return mesh.surface[distance_mm <= penetration_radius_mm + _TOUCHING_MARGIN_MM]
 
 
 def _distance_to_segments(

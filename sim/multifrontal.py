@@ -1,0 +1,205 @@
+"""Condensation of a gel's linear equation onto its kept vertices, by a multifrontal Cholesky factor of all others.
+
+LAPACK does the arithmetic on dense fronts (Duff & Reid 1983, ACM Trans. Math. Softw. 9:302; Liu 1992, SIAM Rev. 34:82).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import blas, lapack
+
+from gelgap.sim.assembly_tree import Group, Ints, assembly_tree
+
+Floats = NDArray[np.float64]
+
+_AXES = np.arange(3)
+
+
+@dataclass(frozen=True)
+class _Front:
+    """The dense matrix of a group: its `own` triangle (c, c) and what is `below` (r, c), which become the factor's.
+
+    `update` (r, r) is what elimination leaves of the rest; it is added to the parent's front at `places` (r,). Its
+    memory belongs to a later front as soon as the parent has it. `own_dofs` and `row_dofs` say where all this stands.
+    """
+
+    own: Floats
+    below: Floats
+    update: Floats
+    own_dofs: Ints
+    row_dofs: Ints
+    children: tuple[int, ...]
+    places: Ints
+
+
+class Condensation:
+    """Condenses A x = b, symmetric and positive definite with three dofs per vertex, onto the kept vertices.
+
+    A is a sparse matrix whose values change while its pattern does not, plus a diagonal.
+
+    Parameters
+    ----------
+    pattern
+        The sparse matrix (n, n), of any values, with both of its triangles.
+    first_dof
+        The first dof of each vertex (v,) in the order of elimination.
+    kept
+        How many vertices, the last ones, are kept.
+    """
+
+    def __init__(self, pattern: sparse.csr_array, first_dof: Ints, kept: int) -> None:
+        position = np.full(pattern.shape[0], -1)
+        position[(first_dof[:, None] + _AXES).ravel()] = np.arange(3 * len(first_dof))
+        groups = assembly_tree(_graph(pattern, position, len(first_dof)), kept)
+        self._factor, self._fronts = _fronts(groups, first_dof)
+        self._source, self._target = _targets(pattern, position, groups)
+        self.kept_dofs = self._fronts[-1].own_dofs
+
+    def condense(self, values: Floats, diagonal: Floats, right_side: Floats) -> tuple[Floats, Floats]:
+        """Return the condensed matrix (k, k), of which only the lower triangle counts, and right side (k,).
+
+        `values` are the sparse matrix's in its own order, `diagonal` (n,) is added, `right_side` (n,) is b.
+
+        Raises
+        ------
+        FloatingPointError
+            If the matrix is not positive definite.
+        """
+        self._factor[:] = 0
+        self._factor[self._target] = values[self._source]
+        self._right_side = np.array(right_side)
+        for front in self._fronts:
+            np.einsum("ii->i", front.own)[:] += diagonal[front.own_dofs]
+            front.update[:] = 0
+            for child in front.children:
+                _extend_add(front.own, front.below, front.update, self._fronts[child].update, self._fronts[child].places)
+            if front is not self._fronts[-1]:
+                self._eliminate(front)
+        kept = self._fronts[-1]
+        return kept.own, self._right_side[kept.own_dofs]
+
+    def expand(self, kept: Floats) -> Floats:
+        """Return x (n,) from its kept dofs (k,), after `condense`; 0 where there is no vertex."""
+        solution = self._right_side
+        solution[self.kept_dofs] = kept
+        for front in self._fronts[-2::-1]:
+            left = solution[front.own_dofs] - solution[front.row_dofs] @ front.below
+            solution[front.own_dofs] = blas.dtrsv(front.own, left, lower=1, trans=1)
+        return solution
+
+    def _eliminate(self, front: _Front) -> None:
+        _, failed = lapack.dpotrf(front.own, lower=1, clean=0, overwrite_a=1)
+        if failed:
+            raise FloatingPointError("the gel's stiffness is not positive definite")
+        blas.dtrsm(1.0, front.own, front.below, side=1, lower=1, trans_a=1, overwrite_b=1)
+        blas.dsyrk(-1.0, front.below, beta=1.0, c=front.update, lower=1, overwrite_c=1)
+        own = blas.dtrsv(front.own, self._right_side[front.own_dofs], lower=1)
+        self._right_side[front.own_dofs] = own
+        self._right_side[front.row_dofs] -= front.below @ own
+
+
+def _graph(pattern: sparse.csr_array, position: Ints, vertices: int) -> sparse.csr_array:
+    """Return which vertices are coupled, (v, v), in the order of elimination."""
+    rows = position[np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))] // 3
+    columns = position[pattern.indices] // 3
+    both = (rows >= 0) & (columns >= 0)
+    pairs = sparse.coo_array((np.ones(both.sum(), bool), (rows[both], columns[both])), shape=(vertices, vertices))
+    return pairs.tocsr()
+
+
+def _fronts(groups: list[Group], first_dof: Ints) -> tuple[Floats, list[_Front]]:
+    """Return the memory of the factor, and the fronts as views on it."""
+    sizes = [(3 * len(group.columns), 3 * len(group.rows)) for group in groups]
+    factor = np.zeros(sum(own * (own + below) for own, below in sizes))
+    updates = _update_matrices(groups)
+    parent = {child: group for group in groups for child in group.children}
+    fronts, end = [], 0
+    for number, (group, (own, below)) in enumerate(zip(groups, sizes, strict=True)):
+        middle, begin, end = end + own * own, end, end + own * (own + below)
+        places = np.empty(0, np.int64)
+        if number in parent:
+            both = np.concatenate([parent[number].columns, parent[number].rows])
+            order = np.argsort(both)
+            places = _dofs(3 * order[np.searchsorted(both[order], group.rows)])
+        fronts.append(
+            _Front(
+                own=factor[begin:middle].reshape((own, own), order="F"),
+                below=factor[middle:end].reshape((below, own), order="F"),
+                update=updates[number],
+                own_dofs=_dofs(first_dof[group.columns]),
+                row_dofs=_dofs(first_dof[group.rows]),
+                children=group.children,
+                places=places,
+            )
+        )
+    return factor, fronts
+
+
+def _update_matrices(groups: list[Group]) -> list[Floats]:
+    """Return the groups' update matrices; groups as deep in the tree share memory if their parents differ."""
+    depth = [0] * len(groups)
+    begin = [0] * len(groups)
+    size = [(3 * len(group.rows)) ** 2 for group in groups]
+    needed = [0] * (len(groups) + 1)
+    for number in reversed(range(len(groups))):
+        offset = 0
+        for child in groups[number].children:
+            depth[child], begin[child] = depth[number] + 1, offset
+            offset += size[child]
+        needed[depth[number] + 1] = max(needed[depth[number] + 1], offset)
+    memory = [np.empty(length) for length in needed]
+    return [
+        memory[depth[number]][begin[number] : begin[number] + size[number]].reshape(
+            (3 * len(group.rows), -1 if len(group.rows) else 0), order="F"
+        )
+        for number, group in enumerate(groups)
+    ]
+
+
+def _targets(pattern: sparse.csr_array, position: Ints, groups: list[Group]) -> tuple[Ints, Ints]:
+    """Return which of the sparse matrix's values go into the factor's memory, and where to."""
+    rows = position[np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))]
+    columns = position[pattern.indices]
+    group_of = np.empty(len(position) // 3 + 1, dtype=np.int64)
+    place_in_group = np.empty_like(group_of)
+    for number, group in enumerate(groups):
+        group_of[group.columns] = number
+        place_in_group[group.columns] = np.arange(len(group.columns))
+    lower = np.flatnonzero((columns >= 0) & (rows >= columns))
+    lower = lower[np.argsort(group_of[columns[lower] // 3], kind="stable")]
+    ends = np.searchsorted(group_of[columns[lower] // 3], np.arange(len(groups) + 1))
+    target, begin = np.empty(len(lower), dtype=np.int64), 0
+    for number, group in enumerate(groups):
+        some = lower[ends[number] : ends[number + 1]]
+        own, below = 3 * len(group.columns), 3 * len(group.rows)
+        row, column = rows[some], 3 * place_in_group[columns[some] // 3] + columns[some] % 3
+        inside = group_of[row // 3] == number
+        in_own = begin + 3 * place_in_group[row // 3] + row % 3 + column * own
+        in_below = 3 * np.searchsorted(group.rows, row // 3) + row % 3 + column * below + begin + own * own
+        target[ends[number] : ends[number + 1]] = np.where(inside, in_own, in_below)
+        begin += own * (own + below)
+    return lower, target
+
+
+def _dofs(first_dof: Ints) -> Ints:
+    """Return the dofs (3 n,) of vertices from their first ones (n,)."""
+    return (first_dof[:, None] + _AXES).ravel()
+
+
+@njit(cache=True)
+def _extend_add(own: Floats, below: Floats, update: Floats, child: Floats, places: Ints) -> None:
+    """Add a child's update matrix (n, n), its lower triangle, at `places` (n,) of a front."""
+    size = own.shape[0]
+    for column in range(len(places)):
+        to = places[column]
+        for row in range(column, len(places)):
+            place = places[row]
+            if place < size:
+                own[place, to] += child[row, column]
+            elif to < size:
+                below[place - size, to] += child[row, column]
+            else:
+                update[place - size, to - size] += child[row, column]
