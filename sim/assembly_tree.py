@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-# A subtree with at most this many vertices becomes one group: many small groups cost more than the zeros of a large one.
+# A subtree with at most this many vertices becomes one group: many small ones cost more than the zeros of a large one.
 _SMALLEST_GROUP = 32
 # A group takes in a child if at most this share of what it has then is zeros.
 _LARGEST_SHARE_OF_ZEROS = 0.2
@@ -86,6 +86,10 @@ def _postordered(root: _Branch) -> list[Group]:
     order.reverse()
     number = {id(branch): index for index, branch in enumerate(order)}
     return [
-        Group(np.sort(branch.columns), branch.rows, tuple(sorted(number[id(child)] for child in branch.children)))
+        Group(
+            np.sort(branch.columns),
+            branch.rows,
+            tuple(sorted(number[id(child)] for child in branch.children)),
+        )
         for branch in order
     ]

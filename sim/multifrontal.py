@@ -20,10 +20,11 @@ _AXES = np.arange(3)
 
 @dataclass(frozen=True)
 class _Front:
-    """The dense matrix of a group: its `own` triangle (c, c) and what is `below` (r, c), which become the factor's.
+    """The dense matrix of a group: its `own` triangle (c, c) and what is `below` (r + 1, c), which become the factor's.
 
-    `update` (r, r) is what elimination leaves of the rest; it is added to the parent's front at `places` (r,). Its
-    memory belongs to a later front as soon as the parent has it. `own_dofs` and `row_dofs` say where all this stands.
+    The right side is the last row. `update` (r + 1, r + 1) is what elimination leaves of the rest; it is added to the
+    parent's front at `places` (r + 1,). Its memory belongs to a later front as soon as the parent has it. `own_dofs`
+    (c,) and `row_dofs` (r,) say where all this stands in A.
     """
 
     own: Floats
@@ -33,6 +34,16 @@ class _Front:
     row_dofs: Ints
     children: tuple[int, ...]
     places: Ints
+
+    def eliminate(self) -> None:
+        """Turn the front into a part of the factor, and find its update."""
+        _, failed = lapack.dpotrf(self.own, lower=1, clean=0, overwrite_a=1)
+        if failed:
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+        blas.dtrsm(1.0, self.own, self.below, side=1, lower=1, trans_a=1, overwrite_b=1)
+        # What a front without children finds in the memory of its update is not its own.
+        begun = 1.0 if self.children else 0.0
+        blas.dsyrk(-1.0, self.below, beta=begun, c=self.update, lower=1, overwrite_c=1)
 
 
 class Condensation:
@@ -51,11 +62,14 @@ class Condensation:
     """
 
     def __init__(self, pattern: sparse.csr_array, first_dof: Ints, kept: int) -> None:
-        position = np.full(pattern.shape[0], -1)
-        position[(first_dof[:, None] + _AXES).ravel()] = np.arange(3 * len(first_dof))
+        self._size = pattern.shape[0]
+        position = np.full(self._size, -1)
+        position[_dofs(first_dof)] = np.arange(3 * len(first_dof))
         groups = assembly_tree(_graph(pattern, position, len(first_dof)), kept)
         self._factor, self._fronts = _fronts(groups, first_dof)
         self._source, self._target = _targets(pattern, position, groups)
+        self._diagonal, self._right_side = _diagonal_and_last_rows(self._fronts)
+        self._dofs = np.concatenate([front.own_dofs for front in self._fronts])
         self.kept_dofs = self._fronts[-1].own_dofs
 
     def condense(self, values: Floats, diagonal: Floats, right_side: Floats) -> tuple[Floats, Floats]:
@@ -65,40 +79,35 @@ class Condensation:
 
         Raises
         ------
-        FloatingPointError
+        numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        self._factor[:] = 0
+        self._factor.fill(0)
         self._factor[self._target] = values[self._source]
-        self._right_side = np.array(right_side)
-        for front in self._fronts:
-            np.einsum("ii->i", front.own)[:] += diagonal[front.own_dofs]
-            front.update[:] = 0
-            for child in front.children:
-                _extend_add(front.own, front.below, front.update, self._fronts[child].update, self._fronts[child].places)
-            if front is not self._fronts[-1]:
-                self._eliminate(front)
-        kept = self._fronts[-1]
-        return kept.own, self._right_side[kept.own_dofs]
+        self._factor[self._diagonal] += diagonal[self._dofs]
+        self._factor[self._right_side] = right_side[self._dofs]
+        *eliminated, kept = self._fronts
+        for front in eliminated:
+            self._assemble(front)
+            front.eliminate()
+        self._assemble(kept)
+        return kept.own, kept.below[-1]
 
     def expand(self, kept: Floats) -> Floats:
         """Return x (n,) from its kept dofs (k,), after `condense`; 0 where there is no vertex."""
-        solution = self._right_side
+        solution = np.zeros(self._size)
         solution[self.kept_dofs] = kept
         for front in self._fronts[-2::-1]:
-            left = solution[front.own_dofs] - solution[front.row_dofs] @ front.below
+            left = -np.append(solution[front.row_dofs], -1.0) @ front.below
             solution[front.own_dofs] = blas.dtrsv(front.own, left, lower=1, trans=1)
         return solution
 
-    def _eliminate(self, front: _Front) -> None:
-        _, failed = lapack.dpotrf(front.own, lower=1, clean=0, overwrite_a=1)
-        if failed:
-            raise FloatingPointError("the gel's stiffness is not positive definite")
-        blas.dtrsm(1.0, front.own, front.below, side=1, lower=1, trans_a=1, overwrite_b=1)
-        blas.dsyrk(-1.0, front.below, beta=1.0, c=front.update, lower=1, overwrite_c=1)
-        own = blas.dtrsv(front.own, self._right_side[front.own_dofs], lower=1)
-        self._right_side[front.own_dofs] = own
-        self._right_side[front.row_dofs] -= front.below @ own
+    def _assemble(self, front: _Front) -> None:
+        if front.children:
+            front.update.fill(0)
+        for number in front.children:
+            child = self._fronts[number]
+            _extend_add(front.own, front.below, front.update, child.update, child.places)
 
 
 def _graph(pattern: sparse.csr_array, position: Ints, vertices: int) -> sparse.csr_array:
@@ -106,13 +115,15 @@ def _graph(pattern: sparse.csr_array, position: Ints, vertices: int) -> sparse.c
     rows = position[np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))] // 3
     columns = position[pattern.indices] // 3
     both = (rows >= 0) & (columns >= 0)
-    pairs = sparse.coo_array((np.ones(both.sum(), bool), (rows[both], columns[both])), shape=(vertices, vertices))
+    pairs = sparse.coo_array(
+        (np.ones(both.sum(), bool), (rows[both], columns[both])), shape=(vertices, vertices)
+    )
     return pairs.tocsr()
 
 
 def _fronts(groups: list[Group], first_dof: Ints) -> tuple[Floats, list[_Front]]:
     """Return the memory of the factor, and the fronts as views on it."""
-    sizes = [(3 * len(group.columns), 3 * len(group.rows)) for group in groups]
+    sizes = [(3 * len(group.columns), 3 * len(group.rows) + 1) for group in groups]
     factor = np.zeros(sum(own * (own + below) for own, below in sizes))
     updates = _update_matrices(groups)
     parent = {child: group for group in groups for child in group.children}
@@ -123,7 +134,7 @@ def _fronts(groups: list[Group], first_dof: Ints) -> tuple[Floats, list[_Front]]
         if number in parent:
             both = np.concatenate([parent[number].columns, parent[number].rows])
             order = np.argsort(both)
-            places = _dofs(3 * order[np.searchsorted(both[order], group.rows)])
+            places = np.append(_dofs(3 * order[np.searchsorted(both[order], group.rows)]), 3 * len(both))
         fronts.append(
             _Front(
                 own=factor[begin:middle].reshape((own, own), order="F"),
@@ -142,21 +153,31 @@ def _update_matrices(groups: list[Group]) -> list[Floats]:
     """Return the groups' update matrices; groups as deep in the tree share memory if their parents differ."""
     depth = [0] * len(groups)
     begin = [0] * len(groups)
-    size = [(3 * len(group.rows)) ** 2 for group in groups]
+    rows = [3 * len(group.rows) + 1 for group in groups]
     needed = [0] * (len(groups) + 1)
+    needed[0] = rows[-1] ** 2
     for number in reversed(range(len(groups))):
         offset = 0
         for child in groups[number].children:
             depth[child], begin[child] = depth[number] + 1, offset
-            offset += size[child]
+            offset += rows[child] ** 2
         needed[depth[number] + 1] = max(needed[depth[number] + 1], offset)
     memory = [np.empty(length) for length in needed]
     return [
-        memory[depth[number]][begin[number] : begin[number] + size[number]].reshape(
-            (3 * len(group.rows), -1 if len(group.rows) else 0), order="F"
-        )
-        for number, group in enumerate(groups)
+        memory[depth[number]][begin[number] : begin[number] + count**2].reshape((count, count), order="F")
+        for number, count in enumerate(rows)
     ]
+
+
+def _diagonal_and_last_rows(fronts: list[_Front]) -> tuple[Ints, Ints]:
+    """Return where in the factor's memory the diagonals of the fronts' own parts are, and the last rows below."""
+    diagonals, last_rows, begin = [], [], 0
+    for front in fronts:
+        (below, own), column = front.below.shape, np.arange(len(front.own))
+        diagonals.append(begin + column * (own + 1))
+        last_rows.append(begin + own * own + column * below + below - 1)
+        begin += own * (own + below)
+    return np.concatenate(diagonals), np.concatenate(last_rows)
 
 
 def _targets(pattern: sparse.csr_array, position: Ints, groups: list[Group]) -> tuple[Ints, Ints]:
@@ -174,7 +195,7 @@ def _targets(pattern: sparse.csr_array, position: Ints, groups: list[Group]) -> 
     target, begin = np.empty(len(lower), dtype=np.int64), 0
     for number, group in enumerate(groups):
         some = lower[ends[number] : ends[number + 1]]
-        own, below = 3 * len(group.columns), 3 * len(group.rows)
+        own, below = 3 * len(group.columns), 3 * len(group.rows) + 1
         row, column = rows[some], 3 * place_in_group[columns[some] // 3] + columns[some] % 3
         inside = group_of[row // 3] == number
         in_own = begin + 3 * place_in_group[row // 3] + row % 3 + column * own

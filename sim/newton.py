@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.audit import audit_contact
-from gelgap.sim.contact_newton import ContactNewton
 from gelgap.sim.extrapolation import GeometricSeries
 from gelgap.sim.friction import FrictionalContacts
 from gelgap.sim.material import mesh_moduli
@@ -17,6 +17,9 @@ from gelgap.sim.mujoco_model import GelModel, build_gel_model
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.solution import Record, Solution
 from gelgap.sim.thresholds import THRESHOLDS
+
+if TYPE_CHECKING:
+    from gelgap.sim.contact_newton import ContactNewton
 
 SolveProgress = Callable[[int, int], None]
 """Called at a solve's begin and after each load step with how many are done, of all."""
@@ -44,7 +47,7 @@ class State:
 class StaticNewton:
     """Gel and indenter on their way through load steps."""
 
-    def __init__(self, gel: GelModel, problem: ContactProblem, *, condense: bool = True) -> None:
+    def __init__(self, gel: GelModel, problem: ContactProblem, *, condensed: bool = True) -> None:
         import mujoco
 
         self._mujoco = mujoco
@@ -58,7 +61,7 @@ class StaticNewton:
         self.snapped = False
         self.iterations = 0
         self._rigid = problem.mount_stiffness_n_per_mm is None
-        self._condense = condense
+        self._condensed = condensed
         self._contact_newton: ContactNewton | None = None
 
     def state(self) -> State:
@@ -146,20 +149,37 @@ class StaticNewton:
         return float(gap_mm[pushed].max(initial=0.0))
 
     def _accelerate(self) -> None:
-        """Let MuJoCo solve for the accelerations."""
-        mujoco, model, data = self._mujoco, self.gel.model, self.data
-        if not (data.ncon and self._condense):
-            mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
-            return
-        # With an endless tolerance MuJoCo sets up its solver's problem, and the solver ends where it starts.
-        model.opt.tolerance = np.inf
-        mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
-        self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
-        data.qacc_warmstart[:] = self._contact_newton.acceleration()
-        largest_n = THRESHOLDS.largest_gradient * np.linalg.norm(data.efc_force)
-        model.opt.tolerance = largest_n / (model.stat.meaninertia * model.nv)
-        mujoco.mj_fwdConstraint(model, data)
-        model.opt.tolerance = 0
+        """Let MuJoCo solve for the accelerations: it takes the solution of the condensed problem, or goes on itself."""
+        if self.data.ncon > 0 and self._condensed and self._start_solver():
+            self._mujoco.mj_fwdConstraint(self.gel.model, self.data)
+            if self.data.solver_niter[0] == 0:
+                return
+        self._set_up_solver(tolerance=0)
+
+    def _start_solver(self) -> bool:
+        """Start MuJoCo's solver at the solution of the condensed problem; return whether there is one.
+
+        The tolerance is for the check of this start: the force that it leaves unbalanced.
+        """
+        from gelgap.sim.contact_newton import ContactNewton
+
+        model, data = self.gel.model, self.data
+        # With an endless tolerance the solver ends where it starts.
+        self._set_up_solver(tolerance=np.inf)
+        try:
+            self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
+            data.qacc_warmstart[:] = self._contact_newton.acceleration()
+        except np.linalg.LinAlgError:
+            data.qacc_warmstart[:] = 0
+            return False
+        force_n = np.linalg.norm(data.efc_force) + np.linalg.norm(data.qfrc_smooth)
+        model.opt.tolerance = THRESHOLDS.largest_gradient * force_n / (model.stat.meaninertia * model.nv)
+        return True
+
+    def _set_up_solver(self, tolerance: float) -> None:
+        """Let MuJoCo set up its solver's problem, and solve it to a tolerance."""
+        self.gel.model.opt.tolerance = tolerance
+        self._mujoco.mj_forwardSkip(self.gel.model, self.data, self._mujoco.mjtStage.mjSTAGE_POS, 1)
 
     def _add_slip(self, start: State, moved_mm: float) -> bool:
         """Add what nodes that stayed in touch slid in the load step; return whether a loaded one ran away."""
@@ -177,14 +197,17 @@ class StaticNewton:
         return bool(away[self.contacts.loaded].any())
 
 
-def solve(problem: ContactProblem, progress: SolveProgress = silent) -> Solution:
-    """Solve the problem from the undeformed gel."""
+def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condensed: bool = True) -> Solution:
+    """Solve the problem from the undeformed gel.
+
+    Unless it is `condensed`, MuJoCo does all of the linear algebra, which takes several times as long.
+    """
     done, total = 0, problem.load_steps
     progress(done, total)
     mesh = mesh_for(problem)
     moduli = mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
     gel = build_gel_model(problem, mesh, moduli)
-    newton = StaticNewton(gel, problem)
+    newton = StaticNewton(gel, problem, condensed=condensed)
     states = {-1: newton.state()}
     records = []
     for index, (waypoint, parent) in enumerate(zip(problem.waypoints_mm, problem.parents, strict=True)):

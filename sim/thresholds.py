@@ -30,7 +30,7 @@ class Thresholds:
     snapped_load_share: float = 0.25
     # A vertex sticks if its friction is below this share of Coulomb's bound.
     sticking_share: float = 0.99
-    # MuJoCo's solver takes accelerations as solved whose unbalanced force is at most this share of the contact forces.
+    # MuJoCo's solver takes a start as solved that leaves at most this share of all forces unbalanced.
     largest_gradient: float = 1e-9
     # A state is converged only if the audit's residual, imbalance and tension are below `largest_error` and its Coulomb
     # excess is at most `largest_coulomb_excess`; a settled state gets up to `polishing_iterations` more to get there.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, write_json
-from gelgap.benchmarks.physics import closed_forms, path, savings
+from gelgap.benchmarks.physics import closed_forms, condensation, path, savings
 from gelgap.benchmarks.physics.cases import Case, Workers
 from gelgap.benchmarks.physics.drags import DragErrors, compare_drags, drag_case
 from gelgap.benchmarks.physics.larger_spheres import sphere_references
@@ -81,6 +81,7 @@ def quick_tables(workers: Workers) -> dict[str, Any]:
         "theory": closed_forms.shallow_presses("draft", workers),
         "convergence": convergence(pressed),
         "shears": compare_drags(drags, workers),
+        "condensation": condensation.measure(condensation.cases(quick=True), workers),
     }
 
 
@@ -111,6 +112,7 @@ def full_tables(workers: Workers) -> dict[str, Any]:
         "theory": closed_forms.shallow_presses("standard", workers),
         "convergence": convergence(pressed),
         "path": path.measure(workers),
+        "condensation": condensation.measure(condensation.cases(quick=False), workers),
         "savings": savings.measure(workers),
         "shears": compare_drags(drags, workers),
     }

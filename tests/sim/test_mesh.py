@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from gelgap.sim.mesh.ordering import elimination_order, ordered_for_elimination
+from gelgap.sim.mesh.ordering import elimination_order, ordered_for_elimination, touchable
 from gelgap.sim.mesh.pad import GelMesh, layer_heights_mm, pad_mesh
 from gelgap.sim.mesh.plane import DiscGrid
 
@@ -76,14 +76,17 @@ def test_a_pad_with_far_edges_is_the_disc() -> None:
 def test_a_new_order_of_vertices_is_the_same_mesh() -> None:
     mesh = pad_mesh(GRID, LAYERS, None, symmetric=True)
     segments = np.array([[[0.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.6, 0.0]]])
-    ordered = ordered_for_elimination(mesh, 1.4, segments)
+    touched = touchable(mesh, 1.0, segments)
+    assert _distance_to_the_segment(mesh.vertices_mm[touched]).max() <= 1.4
+    untouched = np.setdiff1d(mesh.surface, touched)
+    assert _distance_to_the_segment(mesh.vertices_mm[untouched]).min() > 1.4
+    ordered = ordered_for_elimination(mesh, touched)
     assert np.sort(_volumes(ordered)) == pytest.approx(np.sort(_volumes(mesh)))
-    touched = _distance_to_the_segment(mesh.vertices_mm[mesh.surface]) <= 1.4
-    first = ordered.vertices_mm[: np.sum(touched)]
-    assert (first[:, 2] == 0).all()
-    distance = _distance_to_the_segment(first)
-    assert (np.diff(distance) > -1e-12).all()
-    assert distance[-1] <= 1.4
+    first, expected = ordered.vertices_mm[: len(touched)], mesh.vertices_mm[touched]
+    np.testing.assert_array_equal(first[np.lexsort(first.T)], expected[np.lexsort(expected.T)])
+    np.testing.assert_array_equal(
+        ordered.bottom, len(ordered.vertices_mm) - 1 - np.arange(len(mesh.bottom))[::-1]
+    )
 
 
 def _distance_to_the_segment(vertices_mm: np.ndarray) -> np.ndarray:

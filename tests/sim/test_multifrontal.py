@@ -1,0 +1,93 @@
+"""The condensation of a sparse equation against a solver of whole ones."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from gelgap.sim.assembly_tree import assembly_tree
+from gelgap.sim.mesh.ordering import ordered_for_elimination
+from gelgap.sim.mesh.pad import GelMesh, layer_heights_mm, pad_mesh
+from gelgap.sim.mesh.plane import DiscGrid
+from gelgap.sim.multifrontal import Condensation
+
+KEPT = 12
+FOREIGN_DOFS = 3
+
+
+@pytest.fixture(scope="module")
+def mesh() -> GelMesh:
+    """A half disc whose first vertices are the nearest to its centre."""
+    grid = DiscGrid(6.0, 1.5, 0.5, 6, 1.8)
+    mesh = pad_mesh(grid, layer_heights_mm(2.0, 0.4, 1.5), None, symmetric=True)
+    nearest = np.argsort(np.hypot(*mesh.vertices_mm[mesh.surface, :2].T))[:KEPT]
+    return ordered_for_elimination(mesh, mesh.surface[nearest])
+
+
+def _stiffness(mesh: GelMesh, rng: np.random.Generator) -> tuple[sparse.csr_array, np.ndarray]:
+    """Return a positive definite matrix with the mesh's couplings, behind dofs that belong to no vertex; a diagonal."""
+    dofs = FOREIGN_DOFS + 3 * mesh.tetrahedra[:, :, None] + np.arange(3)
+    dofs = dofs.reshape(len(dofs), 12)
+    factors = rng.normal(size=(len(dofs), 12, 12))
+    blocks = factors @ factors.transpose(0, 2, 1)
+    rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
+    count = FOREIGN_DOFS + 3 * len(mesh.vertices_mm)
+    matrix = sparse.coo_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(count, count)).tocsr()
+    return matrix, rng.uniform(0.5, 2.0, count)
+
+
+def test_what_is_condensed_and_expanded_solves_the_whole_equation(mesh: GelMesh) -> None:
+    rng = np.random.default_rng(0)
+    first_dof = FOREIGN_DOFS + 3 * np.arange(len(mesh.vertices_mm))
+    matrix, diagonal = _stiffness(mesh, rng)
+    condensation = Condensation(matrix, first_dof[::-1], KEPT)
+    np.testing.assert_array_equal(np.sort(condensation.kept_dofs), FOREIGN_DOFS + np.arange(3 * KEPT))
+    # Twice, with other values, since memory is used again.
+    for scale in (1.0, 3.0):
+        right_side = rng.normal(size=len(diagonal))
+        whole = scale * matrix + sparse.diags_array(diagonal)
+        condensed, force = condensation.condense(scale * matrix.data, diagonal, right_side)
+        kept = np.linalg.solve(np.tril(condensed) + np.tril(condensed, -1).T, force)
+        expected = spsolve(whole.tocsc(), right_side)
+        found = condensation.expand(kept)
+        np.testing.assert_allclose(found[FOREIGN_DOFS:], expected[FOREIGN_DOFS:], rtol=1e-9, atol=1e-12)
+
+
+def test_a_matrix_that_is_not_positive_definite_is_refused(mesh: GelMesh) -> None:
+    matrix, diagonal = _stiffness(mesh, np.random.default_rng(1))
+    first_dof = FOREIGN_DOFS + 3 * np.arange(len(mesh.vertices_mm))
+    condensation = Condensation(matrix, first_dof[::-1], KEPT)
+    diagonal[-1] = -1e6
+    with pytest.raises(np.linalg.LinAlgError, match="positive definite"):
+        condensation.condense(matrix.data, diagonal, np.ones(len(diagonal)))
+
+
+def test_groups_hold_each_vertex_once_and_pass_their_rows_on(mesh: GelMesh) -> None:
+    count = len(mesh.vertices_mm)
+    place = count - 1 - mesh.tetrahedra.astype(np.int64)
+    rows, columns = np.repeat(place, 4, axis=1).ravel(), np.tile(place, 4).ravel()
+    graph = sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+    groups = assembly_tree(graph, KEPT)
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([group.columns for group in groups])), np.arange(count)
+    )
+    np.testing.assert_array_equal(groups[-1].columns, np.arange(count - KEPT, count))
+    children = [child for group in groups for child in group.children]
+    assert sorted(children) == list(range(len(groups) - 1))
+    for number, group in enumerate(groups):
+        held = np.concatenate([group.columns, group.rows])
+        assert all(child < number for child in group.children)
+        for child in group.children:
+            assert np.isin(groups[child].rows, held).all()
+        coupled = graph[group.columns].indices
+        assert np.isin(
+            coupled[coupled >= group.columns.min()], np.concatenate([held, *_within(groups, number)])
+        ).all()
+
+
+def _within(groups: list, number: int) -> list[np.ndarray]:
+    """Return the columns of all groups below one."""
+    found = []
+    for child in groups[number].children:
+        found += [groups[child].columns, *_within(groups, child)]
+    return found
