@@ -20,6 +20,10 @@ CORNER = tuple(replace(pose, point_x_mm=3.0, point_y_mm=2.0) for pose in POSES)
 ON_A_MOUNT = GEL.model_copy(update={"mount_stiffness_n_per_mm": 20.0})
 SMALL_PAD = GEL.model_copy(update={"pad_size_mm": (10.0, 8.0)})
 NOTHING_KEPT = Sharing(cache=False)
+COLUMNS = (
+    *("scene", "quality", "vertices", "iterations", "core s", "alone, core s"),
+    *("force changes by", "membrane, mm", "ratio"),
+)
 
 
 @dataclass(frozen=True)
@@ -61,17 +65,7 @@ def measure(chosen: Iterable[Case], workers: Workers) -> list[Condensed]:
     found = workers.map(compare, chosen)
     print_table(
         "Contact solved on a condensed equation, against MuJoCo alone",
-        [
-            "scene",
-            "quality",
-            "vertices",
-            "iterations",
-            "core s",
-            "alone, core s",
-            "force changes by",
-            "membrane, mm",
-        ]
-        + ["ratio"],
+        COLUMNS,
         ((*astuple(one), one.ratio) for one in found),
         note="the indenter is pressed 0.6 mm deep and dragged 0.3 mm; times are of solves, models and meshes included; "
         "both take the same iterations",
