@@ -6,6 +6,7 @@ import pytest
 
 from gelgap.domains.estimate import START_S, Estimate, estimate
 from gelgap.domains.recipe import make_recipes, preset_recipes
+from gelgap.sim.pace import RECORD
 
 
 def test_the_papers_data_set_needs_few_solves_for_many_contacts():
@@ -34,7 +35,7 @@ def test_one_solve_is_not_shared_and_a_busy_machine_takes_longer():
 def test_processes_start_as_slowly_as_the_machine_solves(tmp_path, monkeypatch):
     monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
     record = {"kind": "draft half disc", "slowness": 3.0}
-    (tmp_path / "pace.jsonl").write_text(json.dumps(record) + "\n")
+    (tmp_path / RECORD).write_text(json.dumps(record) + "\n")
     recipes = make_recipes(["mb0i0"], "smoke", size_px=(80, 60), render_quality="draft")
     assert estimate(recipes, workers=2).start_s == pytest.approx(3 * START_S)
 
