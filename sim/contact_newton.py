@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize, sparse
+from threadpoolctl import threadpool_limits
 
 from gelgap.sim.mujoco_model import GelModel
 from gelgap.sim.multifrontal import Condensation
@@ -18,6 +19,11 @@ _MOST_STEPS = 60
 # A step is taken whole if the slope at its end is at most this share of the one at its beginning.
 _SMALL_SLOPE = 0.1
 _LONGEST_STEP = 1024.0
+
+
+def one_thread() -> threadpool_limits:
+    """While entered, linear algebra takes one thread: several wait for one another at hundreds of small matrices."""
+    return threadpool_limits(limits=1, user_api="blas")
 
 
 class ContactNewton:

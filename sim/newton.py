@@ -202,6 +202,13 @@ def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condense
 
     Unless it is `condensed`, MuJoCo does all of the linear algebra, which takes several times as long.
     """
+    from gelgap.sim.contact_newton import one_thread
+
+    with one_thread():
+        return _solve(problem, progress, condensed=condensed)
+
+
+def _solve(problem: ContactProblem, progress: SolveProgress, *, condensed: bool) -> Solution:
     done, total = 0, problem.load_steps
     progress(done, total)
     mesh = mesh_for(problem)

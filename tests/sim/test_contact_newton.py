@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from gelgap.sim import contact_newton
 from gelgap.sim.elastomer import Elastomer
@@ -11,7 +12,7 @@ from gelgap.sim.indenters.sphere import Sphere
 from gelgap.sim.material import mesh_moduli
 from gelgap.sim.mesh.for_problem import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
-from gelgap.sim.newton import StaticNewton
+from gelgap.sim.newton import StaticNewton, solve
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Scene, Sharing
 
@@ -53,6 +54,21 @@ def test_mujoco_takes_the_condensed_solution_and_finds_the_same_alone(
         np.testing.assert_allclose(condensed.vertices_mm(), alone.vertices_mm(), atol=1e-8)
     assert len(gone_on) == condensed.iterations
     assert not any(gone_on)
+
+
+def test_a_solve_takes_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads = []
+    condense = contact_newton.Condensation.condense
+
+    def noted(self: contact_newton.Condensation, *arguments: np.ndarray) -> object:
+        threads.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        return condense(self, *arguments)
+
+    monkeypatch.setattr(contact_newton.Condensation, "condense", noted)
+    with threadpool_limits(2, user_api="blas"):
+        solve(replace(_problem(), waypoints_mm=((0.0, 0.0, -0.05),), parents=(-1,)))
+        assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
+    assert set(threads) == {1}
 
 
 def test_mujoco_goes_on_from_a_start_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
