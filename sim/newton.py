@@ -45,7 +45,11 @@ class State:
 
 
 class StaticNewton:
-    """Gel and indenter on their way through load steps."""
+    """Gel and indenter on their way through load steps.
+
+    `iterations` counts those since the last waypoint, `left_to_mujoco` those of all in which MuJoCo's solver did not
+    take the solution of the condensed problem.
+    """
 
     def __init__(self, gel: GelModel, problem: ContactProblem, *, condensed: bool = True) -> None:
         import mujoco
@@ -60,6 +64,7 @@ class StaticNewton:
         self.slip_mm = np.zeros(gel.model.ngeom)
         self.snapped = False
         self.iterations = 0
+        self.left_to_mujoco = 0
         self._rigid = problem.mount_stiffness_n_per_mm is None
         self._condensed = condensed
         self._contact_newton: ContactNewton | None = None
@@ -150,10 +155,12 @@ class StaticNewton:
 
     def _accelerate(self) -> None:
         """Let MuJoCo solve for the accelerations: it takes the solution of the condensed problem, or goes on itself."""
-        if self.data.ncon > 0 and self._condensed and self._start_solver():
-            self._mujoco.mj_fwdConstraint(self.gel.model, self.data)
-            if self.data.solver_niter[0] == 0:
+        data = self.data
+        if data.ncon > 0 and self._condensed and self._start_solver():
+            self._mujoco.mj_fwdConstraint(self.gel.model, data)
+            if data.solver_niter[0] == 0 and np.array_equal(data.qacc, data.qacc_warmstart):
                 return
+        self.left_to_mujoco += 1
         self._set_up_solver(tolerance=0)
 
     def _start_solver(self) -> bool:
@@ -168,10 +175,13 @@ class StaticNewton:
         self._set_up_solver(tolerance=np.inf)
         try:
             self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
-            data.qacc_warmstart[:] = self._contact_newton.acceleration()
+            acceleration = self._contact_newton.acceleration()
         except np.linalg.LinAlgError:
             data.qacc_warmstart[:] = 0
             return False
+        data.qacc_warmstart[:] = acceleration
+        # MuJoCo would start from its estimate without contacts if that looked better, which it has not worked out here.
+        data.qacc_smooth[:] = acceleration
         force_n = np.linalg.norm(data.efc_force) + np.linalg.norm(data.qfrc_smooth)
         model.opt.tolerance = THRESHOLDS.largest_gradient * force_n / (model.stat.meaninertia * model.nv)
         return True
@@ -205,16 +215,21 @@ def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condense
     from gelgap.sim.contact_newton import one_thread
 
     with one_thread():
-        return _solve(problem, progress, condensed=condensed)
+        return follow_waypoints(static_newton(problem, condensed=condensed), progress)
 
 
-def _solve(problem: ContactProblem, progress: SolveProgress, *, condensed: bool) -> Solution:
-    done, total = 0, problem.load_steps
-    progress(done, total)
+def static_newton(problem: ContactProblem, *, condensed: bool = True) -> StaticNewton:
+    """Mesh the gel of a problem, undeformed and untouched."""
     mesh = mesh_for(problem)
     moduli = mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
-    gel = build_gel_model(problem, mesh, moduli)
-    newton = StaticNewton(gel, problem, condensed=condensed)
+    return StaticNewton(build_gel_model(problem, mesh, moduli), problem, condensed=condensed)
+
+
+def follow_waypoints(newton: StaticNewton, progress: SolveProgress = silent) -> Solution:
+    """Lead the indenter from waypoint to waypoint."""
+    problem, mesh = newton.problem, newton.gel.mesh
+    done, total = 0, problem.load_steps
+    progress(done, total)
     states = {-1: newton.state()}
     records = []
     for index, (waypoint, parent) in enumerate(zip(problem.waypoints_mm, problem.parents, strict=True)):
