@@ -42,9 +42,16 @@ class CanonicalFrame:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
 
+    @property
+    def to_sensor_3d(self) -> NDArray[np.float64]:
+        """The same for vectors (3,) in space."""
+        turn = np.eye(3)
+        turn[:2, :2] = self.to_sensor
+        return turn
+
     def on_sensor(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a vector (3,) of this frame, such as a force, in the sensor's."""
-        return np.array([*(self.to_sensor @ vector[:2]), vector[2]])
+        return self.to_sensor_3d @ vector
 
 
 def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
@@ -135,13 +142,12 @@ def placed_surface(
     """Return a table's membrane at a pose's point; what touches the indenter at `indenter_mm` (3,) lies on it."""
     point_mm, turn = (pose.point_x_mm, pose.point_y_mm), tuple(frame.to_sensor.ravel().tolist())
     rest, places = _places(half_extent_mm, point_mm, turn, table.values.shape[:2], table.symmetric)
-    position = table.at(places)
-    position[..., :2] += rest
+    displacement = table.at(places)
     origin = indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
-    displacement, contact = _on_indenter(indenter, position, origin)
-    displacement[..., :2] -= rest
-    displacement[..., :2] = displacement[..., :2] @ frame.to_sensor.T
-    return PlacedSurface(*grid_axes(half_extent_mm), displacement.astype(np.float32), contact, places)
+    contact = _press_onto(indenter, rest, displacement, origin)
+    turned = displacement.reshape(-1, 3) @ frame.to_sensor_3d.T
+    displacement = turned.astype(np.float32).reshape(displacement.shape)
+    return PlacedSurface(*grid_axes(half_extent_mm), displacement, contact, places)
 
 
 @lru_cache(maxsize=64)
@@ -169,16 +175,21 @@ def _places(
     return rest, PolarPlaces.of(rest, shape, symmetric)
 
 
-def _on_indenter(
-    indenter: Indenter, position_mm: NDArray[np.float64], origin_mm: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the positions (..., 3), those that touch moved onto the indenter's surface, and which touch."""
-    from_indenter = position_mm - origin_mm
+def _press_onto(
+    indenter: Indenter,
+    rest_mm: NDArray[np.float64],
+    displacement_mm: NDArray[np.float64],
+    origin_mm: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Move points (..., 3) that touch the indenter onto its surface, in place; return which do (...)."""
     reach_mm = indenter.penetration_radius_mm(indenter.deepest_mm) + _BULGE_MM
-    near = (np.abs(from_indenter[..., 0]) < reach_mm) & (np.abs(from_indenter[..., 1]) < reach_mm)
-    nearest = indenter.project(from_indenter[near])
+    rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
+    along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
+    near = np.flatnonzero((along_x < reach_mm) & (along_y < reach_mm))
+    from_origin = np.concatenate([rest[near], np.zeros((len(near), 1))], axis=1) - origin_mm
+    nearest = indenter.project(from_origin + moved[near])
     touches = nearest.distance_mm < _TOUCHING_GAP_MM
-    contact = np.zeros(near.shape, dtype=bool)
-    contact[near] = touches
-    from_indenter[contact] = nearest.points_mm[touches]
-    return origin_mm + from_indenter, contact
+    moved[near[touches]] = (nearest.points_mm - from_origin)[touches]
+    contact = np.zeros(len(rest), dtype=bool)
+    contact[near[touches]] = True
+    return contact.reshape(displacement_mm.shape[:-1])

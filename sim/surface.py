@@ -1,11 +1,15 @@
 """The smooth outer membrane between the vertices of a solution."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.solution import Record, Solution
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 _FINE_SPACING_MM = 0.05
 _COARSE_SPACING_MM = 0.25
@@ -26,43 +30,45 @@ class PolarTable:
 
     def at(self, places: "PolarPlaces") -> NDArray[np.float64]:
         """Interpolate linearly at places that are those of tables of this shape and symmetry."""
-        a, b = places.outwards, places.onwards
-        inner = self._entries(places.corner) * (1 - b) + self._entries(places.corner + 1) * b
-        corner = places.corner + self.values.shape[1]
-        outer = self._entries(corner) * (1 - b) + self._entries(corner + 1) * b
-        value = inner * (1 - a) + outer * a
-        if self.symmetric and value.shape[-1] == 3:
+        channels = self.values.shape[2]
+        value = places.weights @ self.values.reshape(-1, channels).astype(float)
+        value = value.reshape(*places.side.shape, channels)
+        if self.symmetric and channels == 3:
             value[..., 1] *= places.side
         return value
-
-    def _entries(self, indices: NDArray[np.intp]) -> NDArray[np.float32]:
-        return np.take(self.values.reshape(-1, self.values.shape[2]), indices, axis=0)
 
 
 @dataclass(frozen=True)
 class PolarPlaces:
     """Where points (...) around the contact point lie in tables of one shape; beyond a table its rim holds.
 
-    `corner` (...) is the entry before each point, `outwards` and `onwards` (..., 1) the shares of the way to the next
-    radius and angle, `side` (...) the sign of y.
+    `weights` (points, entries) are the shares of the table's entries in the value at each point, `side` (...) is the
+    sign of y.
     """
 
-    corner: NDArray[np.intp]
-    outwards: NDArray[np.float64]
-    onwards: NDArray[np.float64]
+    weights: "csr_array"
     side: NDArray[np.float64]
 
     @classmethod
     def of(cls, rest_mm: NDArray[np.float64], shape: tuple[int, ...], symmetric: bool) -> "PolarPlaces":
         """Find points (..., 2) in tables of this shape and symmetry."""
+        from scipy.sparse import csr_array
+
         rows, columns = shape[:2]
         x_mm, y_mm = rest_mm[..., 0], rest_mm[..., 1]
         row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
         angle = np.arctan2(y_mm, x_mm)
         column = np.abs(angle) / np.pi if symmetric else (angle / (2 * np.pi)) % 1.0
         column = np.clip(column * (columns - 1), 0, columns - 1 - 1e-6)
-        i, j = row.astype(np.intp), column.astype(np.intp)
-        return cls(i * columns + j, (row - i)[..., None], (column - j)[..., None], np.sign(y_mm))
+        i, j = row.astype(np.int32), column.astype(np.int32)
+        outwards, onwards = row - i, column - j
+        corner = i * columns + j
+        entries = np.stack([corner, corner + 1, corner + columns, corner + columns + 1], -1)
+        inner, outer = (1 - outwards) * (1 - onwards), outwards * (1 - onwards)
+        shares = np.stack([inner, (1 - outwards) * onwards, outer, outwards * onwards], -1)
+        first = np.arange(0, entries.size + 1, 4, dtype=np.int32)
+        weights = csr_array((shares.ravel(), entries.ravel(), first), shape=(corner.size, rows * columns))
+        return cls(weights, np.sign(y_mm))
 
 
 def polar_table(solution: Solution, record: Record) -> PolarTable:
