@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -73,6 +73,7 @@ def _shards_of_groups(
     """
     physics = solve_plan(batch.recipes[0])
     rows: dict[int, list[Row]] = {index: [] for members in groups for index in members}
+    labels = {index: _Labels.of(batch.recipes[index]) for index in rows}
     unrenderable: list[dict[int, str]] = [{} for _ in groups]
     extents = [_view_half_extent_mm(batch.recipes[members[0]]) for members in groups]
     for frame in range(batch.start, batch.stop):
@@ -88,8 +89,8 @@ def _shards_of_groups(
                     raise  # the machine's trouble, not this frame's
                 except Exception as error:
                     refused[frame] = _reason(error)
-            for index, recipe, own_cells in zip(members, recipes, cells, strict=True):
-                rows[index].append(_labels(recipe, frame, state) | own_cells)
+            for index, own_cells in zip(members, cells, strict=True):
+                rows[index].append(labels[index].row(frame, state) | own_cells)
     for members, refused in zip(groups, unrenderable, strict=True):
         if len(refused) > max(len(batch) / 2, 1):
             frame, reason = next(iter(refused.items()))
@@ -110,29 +111,49 @@ def _reason(error: Exception) -> str:
     return str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
 
 
-def _labels(recipe: DomainRecipe, frame: int, state: "MembraneState") -> Row:
-    trajectory, step = _trajectories(recipe)[frame]
-    source = LabelSource(
-        frame=frame,
-        pose=_commanded(recipe)[frame],
-        trajectory=trajectory,
-        step=step,
-        split=_split(len(recipe.path.poses), recipe.seed)[frame],
-        state=state,
-        force_n=_measured_force(recipe, frame, state),
-    )
-    optional = (column for name in recipe.columns for column in OPTIONAL[name])
-    columns = (*LABELS, *(column for column in optional if isinstance(column, LabelColumn)))
-    return {column.name: column.value(source) for column in columns}
+@dataclass(frozen=True)
+class _Labels:
+    """The labels of one domain's frames: what does not depend on the frame is found once."""
 
+    recipe: DomainRecipe
+    columns: tuple[LabelColumn, ...]
+    poses: tuple[Pose, ...]
+    trajectories: tuple[tuple[int, int], ...]
+    split: tuple[str, ...]
+    force_bias_n: tuple[float, float, float]
 
-def _measured_force(recipe: DomainRecipe, frame: int, state: "MembraneState") -> tuple[float, float, float]:
-    force = np.asarray(state.force_n, float) + recipe.drawn_errors().force_bias_n
-    if recipe.acquisition.force_noise_n:
-        rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
-        force = force + recipe.acquisition.force_noise_n * rng.standard_normal(3)
-    # Adding zero turns −0.0, which some readers show, into 0.0.
-    return tuple(float(value) + 0.0 for value in force)
+    @classmethod
+    def of(cls, recipe: DomainRecipe) -> Self:
+        optional = (column for name in recipe.columns for column in OPTIONAL[name])
+        return cls(
+            recipe=recipe,
+            columns=(*LABELS, *(column for column in optional if isinstance(column, LabelColumn))),
+            poses=_commanded(recipe),
+            trajectories=_trajectories(recipe),
+            split=_split(len(recipe.path.poses), recipe.seed),
+            force_bias_n=recipe.drawn_errors().force_bias_n,
+        )
+
+    def row(self, frame: int, state: "MembraneState") -> Row:
+        trajectory, step = self.trajectories[frame]
+        source = LabelSource(
+            frame=frame,
+            pose=self.poses[frame],
+            trajectory=trajectory,
+            step=step,
+            split=self.split[frame],
+            state=state,
+            force_n=self._measured_force_n(frame, state),
+        )
+        return {column.name: column.value(source) for column in self.columns}
+
+    def _measured_force_n(self, frame: int, state: "MembraneState") -> tuple[float, float, float]:
+        recipe, force = self.recipe, np.asarray(state.force_n, float) + self.force_bias_n
+        if recipe.acquisition.force_noise_n:
+            rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
+            force = force + recipe.acquisition.force_noise_n * rng.standard_normal(3)
+        # Adding zero turns −0.0, which some readers show, into 0.0.
+        return tuple(float(value) + 0.0 for value in force)
 
 
 @lru_cache(maxsize=8)
