@@ -1,4 +1,4 @@
-"""pyrender as a geometry rasteriser: the deformed membrane in, rest coordinates and height of every pixel out.
+"""pyrender as a geometry rasteriser: the deformed membrane in, rest coordinates of every pixel out.
 
 One persistent off-screen context per process; fixed topology; the vertex buffer is overwritten for each frame. What the
 rasteriser writes does not depend on light, so one raster serves any number of illuminations and markers.
@@ -6,7 +6,7 @@ rasteriser writes does not depend on light, so one raster serves any number of i
 
 import os
 import threading
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -55,11 +55,12 @@ class Rasterizer:
     def __init__(self, camera: Camera, lattice: Lattice, size_px: tuple[int, int]) -> None:
         pyrender, _ = import_pyrender()
         from OpenGL import GL
+        from pyrender.constants import ProgramFlags
         from pyrender.renderer import Renderer
         from pyrender.shader_program import ShaderProgramCache
 
         self._gl = GL
-        self._flags = pyrender.RenderFlags.NONE
+        flags = pyrender.RenderFlags.NONE
         self._context = _context(os.getpid())
         self._context.make_current()
         width, height = size_px
@@ -75,13 +76,13 @@ class Rasterizer:
             mode=pyrender.GLTF.TRIANGLES,
             material=pyrender.MetallicRoughnessMaterial(doubleSided=True),
         )
-        self._scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0])
-        self._scene.add(pyrender.Mesh([primitive]))
+        scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0])
+        scene.add(pyrender.Mesh([primitive]))
         focal_px = camera.focal_length_px(width)
         pose = np.diag([1.0, -1.0, -1.0, 1.0])
         pose[:3, 3] = camera.position_mm
         distance_mm = -camera.position_mm[2]
-        self._scene.add(
+        scene.add(
             pyrender.IntrinsicsCamera(
                 focal_px, focal_px, width / 2, height / 2, znear=0.1 * distance_mm, zfar=3 * distance_mm
             ),
@@ -96,8 +97,19 @@ class Rasterizer:
             "radial_distortion", distortion
         )
         self._renderer._configure_forward_pass_viewport = self._bind_target
-        self._renderer.render(self._scene, self._flags)
+        # The first picture compiles the program and hands over camera and lens, which stay; others only draw.
+        self._renderer.render(scene, flags)
         self._vertex_buffer = primitive._buffers[0]
+        program = self._renderer._get_primitive_program(primitive, flags, ProgramFlags.USE_MATERIAL)
+        self._draw = partial(self._draw_primitive, primitive, program, flags)
+
+    def _draw_primitive(self, primitive, program, flags) -> None:
+        gl = self._gl
+        self._bind_target(flags)
+        gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
+        program._bind()
+        self._renderer._bind_and_draw_primitive(primitive, np.eye(4), program, flags)
+        program._unbind()
 
     def _float_framebuffer(self, width: int, height: int) -> tuple[int, np.ndarray]:
         gl = self._gl
@@ -121,13 +133,14 @@ class Rasterizer:
         height, width, _ = self._geometry.shape
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
         gl.glViewport(0, 0, width, height)
+        gl.glClearColor(0.0, 0.0, 0.0, 0.0)
         gl.glEnable(gl.GL_DEPTH_TEST)
         gl.glDepthMask(gl.GL_TRUE)
         gl.glDepthFunc(gl.GL_LESS)
         gl.glDepthRange(0.0, 1.0)
 
     def geometry(self, positions_mm: np.ndarray) -> np.ndarray:
-        """Return (h, w, 4) float32: rest x, rest y and height z in mm of the membrane in each pixel, and 1 where it is.
+        """Return (h, w, 4) float32: rest x and y in mm of the membrane in each pixel, 0, and 1 where it is.
 
         `positions_mm` is (rows, columns, 3) float32. The result is overwritten by the next call; the same positions
         again are not rastered again.
@@ -140,7 +153,7 @@ class Rasterizer:
             self._context.make_current()
             gl.glBindBuffer(gl.GL_ARRAY_BUFFER, self._vertex_buffer)
             gl.glBufferSubData(gl.GL_ARRAY_BUFFER, 0, self._vertices.nbytes, self._vertices)
-            self._renderer.render(self._scene, self._flags)
+            self._draw()
             height, width, _ = self._geometry.shape
             gl.glReadPixels(0, 0, width, height, gl.GL_RGBA, gl.GL_FLOAT, self._geometry)
         self._key = positions_mm.copy()

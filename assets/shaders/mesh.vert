@@ -8,7 +8,6 @@ uniform mat4 V;
 uniform mat4 P;
 uniform vec2 radial_distortion;
 out vec2 rest_mm;
-out float height_mm;
 
 void main() {
     vec4 world = M * vec4(position, 1.0);
@@ -17,6 +16,5 @@ void main() {
     float r2 = dot(slope, slope);
     eye.xy *= 1.0 + r2 * (radial_distortion.x + r2 * radial_distortion.y);
     rest_mm = texcoord_0;
-    height_mm = world.z;
     gl_Position = P * eye;
 }
