@@ -21,7 +21,7 @@ class View(NamedTuple):
     cosine: float
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def view_from(vertex, camera_mm):
     """Return how a vertex sees the camera at a place (3,)."""
     vx, vy, vz = camera_mm[0] - vertex.x, camera_mm[1] - vertex.y, camera_mm[2] - vertex.z
@@ -30,7 +30,7 @@ def view_from(vertex, camera_mm):
     return View(vx, vy, vz, vertex.nx * vx + vertex.ny * vy + vertex.nz * vz)
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _open_gloss(vertex, camera_mm, coat, nodes, led):
     """Return base and highlight of an area LED in full view; its nodes lie side by side, as for the irradiance."""
     zero = np.float32(0)
@@ -56,7 +56,7 @@ def _open_gloss(vertex, camera_mm, coat, nodes, led):
     return base * transmitted_share(view.cosine, coat) * coat.base_scale, glossy
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _partial_gloss(vertex, camera_mm, coat, strips, parts):
     """Return base and highlight from the visible parts of an LED's strips."""
     one, zero = np.float32(1), np.float32(0)
@@ -95,7 +95,7 @@ def _partial_gloss(vertex, camera_mm, coat, strips, parts):
     return base * transmitted_share(view.cosine, coat) * coat.base_scale, glossy
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse):
     """Fill coarse[row, column, led] with what every stride-th, nearly flat vertex sends if nothing hides the LED."""
     rows, columns = gentle.shape
@@ -113,7 +113,7 @@ def _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse):
                 coarse[row, column, led, 0], coarse[row, column, led, 1] = base, glossy
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
     """Overwrite out[row, column, led] = (base, highlight) where the surface changed or an LED is partly hidden.
 

@@ -30,7 +30,7 @@ def srgb_slope(linear: np.ndarray) -> np.ndarray:
 _SRGB_CODE = np.round(255 * srgb_encode(np.arange(_LINEAR_LEVELS) / (_LINEAR_LEVELS - 1))).astype(np.uint8)
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def gather(geometry, values, grid, out):
     """Interpolate (rows, columns, 3) values at each pixel's rest coordinates; 0 where no membrane is."""
     height, width, _ = geometry.shape
@@ -59,7 +59,7 @@ def gather(geometry, values, grid, out):
                 )
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def paint_markers(geometry, rest_mm, pitch, radius, ratio, out):
     """Multiply the picture by the dots' relative reflectance, anti-aliased by the dots' size in pixels.
 
@@ -104,7 +104,7 @@ def paint_markers(geometry, rest_mm, pitch, radius, ratio, out):
                 out[j, i, k] *= one + coverage * (ratio[k] - one)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _encode(linear, table, out):
     top = np.float32(len(table) - 1)
     for index in range(linear.size):
@@ -145,7 +145,7 @@ def _normal_quantiles() -> np.ndarray:
     return (quantiles / quantiles.std()).astype(np.float32)
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _add_noise(linear, draws, quantiles, full_well, read_noise, out):
     read2, inverse = read_noise * read_noise, np.float32(1) / full_well
     for index in range(linear.size):

@@ -39,7 +39,7 @@ def smooth_stride(spacing_mm: float) -> int:
     return max(round(SMOOTH_MM / spacing_mm), 1)
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def _open_irradiance(vertex, leds, led):
     """Return the irradiance from an LED in full view, and how far its lowest node is above the tangent plane.
 
@@ -66,7 +66,7 @@ def _open_irradiance(vertex, leds, led):
     return total, lowest
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _partial_irradiance(vertex, strips, parts):
     """Return the irradiance from the visible parts of an LED's strips."""
     zero = np.float32(0)
@@ -98,7 +98,7 @@ def _partial_irradiance(vertex, strips, parts):
     return total
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _coarse_irradiance(surface, leds, reference, stride, smooth, ratio):
     """Fill ratio[row, column, led]: light in full view over the undeformed membrane's, for every stride-th vertex.
 
@@ -123,7 +123,7 @@ def _coarse_irradiance(surface, leds, reference, stride, smooth, ratio):
                 smooth[row, column, led] = lowest > zero
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
     """Overwrite out[row, column, led] (irradiance per unit radiance, sr) where the surface changed or may be shadowed.
 

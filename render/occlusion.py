@@ -54,14 +54,14 @@ class Ray(NamedTuple):
     height: float
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def vertex_at(surface, row, column):
     """Return a vertex of a `Surface`."""
     position, normal = surface.positions_mm[row, column], surface.normals[row, column]
     return Vertex(position[0], position[1], position[2], normal[0], normal[1], normal[2])
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _smallest_slope(surface, top, outlines, led):
     """Return the slope of the lowest ray that can reach an LED from a grid whose greatest height is `top`."""
     grid = surface.grid
@@ -76,7 +76,7 @@ def _smallest_slope(surface, top, outlines, led):
     return max(np.float32(0.9) * (outlines.lowest_mm[led] - top) / farthest, np.float32(SMALLEST_SLOPE))
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _find_occluder(surface, least, occluder):
     """Fill in what can hide an LED that no ray below the slope `least` can reach.
 
@@ -114,7 +114,7 @@ def _find_occluder(surface, least, occluder):
     occluder.radius, occluder.top = np.sqrt(radius2) + spacing, peak + spacing * least
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def find_occluders(surface, outlines):
     """Return what can hide each LED, as an array of `OCCLUDER`."""
     height = surface.height_mm
@@ -128,7 +128,7 @@ def find_occluders(surface, outlines):
     return occluders
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def may_be_hidden(vertex, outlines, led, occluder):
     """Return whether the occluder's disc can stand between a vertex and an LED: a quick, conservative test."""
     zero = np.float32(0)
@@ -160,7 +160,7 @@ def may_be_hidden(vertex, outlines, led, occluder):
     return not (lowest > zero and (occluder.top - own) ** 2 * max(a2, b2) < lowest * lowest * near * near)
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def _height_at(field, u, v):
     """Return the bilinear height at coordinates (u, v) in cells, which must lie inside the grid."""
     height, columns = field.height_mm, field.columns
@@ -174,7 +174,7 @@ def _height_at(field, u, v):
     return upper + (lower - upper) * fv
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _steepest(field, ray, t_in, t_out, steps):
     """Return the steepest slope, in mm per unit of t, from a ray's start up to the field at t in [t_in, t_out]."""
     half = np.float32(0.5)
@@ -197,7 +197,7 @@ def _steepest(field, ray, t_in, t_out, steps):
     return best_rise / best_t
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def visible_parts(vertex, field, occluder, strips, step_mm, parts):
     """Fill the (start, end) in `parts` of what a vertex sees of an LED's strips, 0…1 from low to high.
 

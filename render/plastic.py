@@ -90,7 +90,7 @@ def rough_plastic(roughness: float) -> Plastic:
     )
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def transmitted_share(cosine, coat):
     """Return the share of light that the interface transmits at a cosine to the normal."""
     share = coat.transmission[TERMS - 1]
@@ -99,7 +99,7 @@ def transmitted_share(cosine, coat):
     return share
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def shadowing(cosine, coat):
     """Return `_smith_g1` without a branch, so that loops over it run in vector registers."""
     one = np.float32(1)
@@ -114,7 +114,7 @@ def shadowing(cosine, coat):
     return share if share < one else one
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def _exp_minus(t):
     """Return e^−t for t ≥ 0, within 2e-4 of what matters (t ≤ 5), by (1 + t/32 + …)³²: no call within a loop."""
     one = np.float32(1)
@@ -128,7 +128,7 @@ def _exp_minus(t):
     return one / p
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def highlight(cosine_in, cosine_out, in_dot_out, shadowing_out, coat):
     """Return the interface's microfacet BRDF × cosine_in × 4 cosine_out; both cosines must be positive.
 

@@ -75,7 +75,7 @@ def places(x_mm: np.ndarray, y_mm: np.ndarray, scattered: Scattered, degree: int
     return monomials(np.clip(x_mm, x0, x1) / scale, np.clip(y_mm, y0, y1) / scale, degree)
 
 
-@numba.njit(cache=True, fastmath=True, inline="always")
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
 def _fill_harmonics(x, y, z, out):
     """Write the harmonics of a unit normal, less those of the flat normal (0, 0, −1), up to as many as `out` holds."""
     one = z + 1 - z  # of the type of z, so that single precision stays single
@@ -93,7 +93,7 @@ def _fill_harmonics(x, y, z, out):
         out[14] = 5 * one * z * z * z - 3 * one * z + 2 * one
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _harmonics(normals, out):
     for i in range(len(normals)):
         _fill_harmonics(normals[i, 0], normals[i, 1], normals[i, 2], out[i])
@@ -135,7 +135,7 @@ class ScatteredTable:
         )
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _add(positions, normals, changed, grid, by_harmonic, ambient, linear):
     rows, columns, _ = linear.shape
     count = by_harmonic.shape[3]

@@ -28,7 +28,7 @@ class Surface(NamedTuple):
         return self._replace(changed=np.ones_like(self.changed))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _normals_and_changed(positions, columns_mm, rows_mm, changed_mm, changed_slope, normals, changed):
     rows, columns, _ = positions.shape
     for j in range(rows):
@@ -57,7 +57,7 @@ def _normals_and_changed(positions, columns_mm, rows_mm, changed_mm, changed_slo
             changed[j, i] = moved > changed_mm or slope > changed_slope
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _triangle_heights(a, b, c, height):
     """Write −z of a triangle of corners (x, y in cells, z in mm) to the lattice points under it."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a, b, c
@@ -80,7 +80,7 @@ def _triangle_heights(a, b, c, height):
                 height[j, i] = -(az + wb * (bz - az) + wc * (cz - az))
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _in_cells(positions, j, i, grid):
     """Return a vertex as (x in cells, y in cells, z in mm)."""
     x = (positions[j, i, 0] - grid.x0_mm) * grid.cells_per_mm
@@ -88,13 +88,13 @@ def _in_cells(positions, j, i, grid):
     return x, y, positions[j, i, 2]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _is_folded(a, b, c):
     """Return whether a triangle of corners in cells is turned over."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]) < np.float32(-FOLDED_AREA)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def _world_heights(positions, changed, grid, height):
     """Raster the deformed surface onto the lattice's own points; return how many triangles are folded.
 
