@@ -130,8 +130,11 @@ class MembraneRenderer:
         coating = self.sensor.coating
         diffuse = self.linear_by_led_to_camera * np.asarray(coating.albedo) / np.pi
         self._lambert_to_linear = ((1 - coating.specular) * diffuse).astype(np.float32)
-        self._base_to_linear = (coating.specular * diffuse).astype(np.float32)
-        self._highlight_to_linear = (coating.specular * self.linear_by_led_to_camera).astype(np.float32)
+        # Rows as `gloss` gives them: base and highlight of each LED.
+        gloss_to_linear = np.stack(
+            [coating.specular * diffuse, coating.specular * self.linear_by_led_to_camera], 1
+        )
+        self._gloss_to_linear = gloss_to_linear.reshape(-1, 3).astype(np.float32)
 
     def _take_scattered(self, illumination: Illumination) -> None:
         scattered, exposure = illumination.scattered, self.sensor.camera.exposure
@@ -153,10 +156,9 @@ class MembraneRenderer:
     def _radiance(self, surface: Surface) -> np.ndarray:
         """Return (rows, columns, 3) float32: linear camera RGB of every vertex of the shaded grid, without markers."""
         light = direct_light(surface, self._leds, self._shadows, self._reference_irradiance)
-        linear = light.irradiance @ self._lambert_to_linear
+        linear = _weighted(light.irradiance, self._lambert_to_linear)
         if self._reference_gloss is not None:
-            by_led = self._gloss(surface, light, self._reference_gloss)
-            linear += by_led[..., 0] @ self._base_to_linear + by_led[..., 1] @ self._highlight_to_linear
+            linear += _weighted(self._gloss(surface, light, self._reference_gloss), self._gloss_to_linear)
         if self._scattered is not None:
             self._scattered.add_to(linear, surface)
         return linear
@@ -294,3 +296,9 @@ class MembraneRenderer:
         )
         points = np.concatenate([rest_mm, np.zeros((*rest_mm.shape[:2], 1))], axis=2) + moved
         return self.sensor.camera.project_px(points, self.size_px)
+
+
+def _weighted(parts: np.ndarray, to_linear: np.ndarray) -> np.ndarray:
+    """Return (rows, columns, 3): the parts of light (rows, columns, ...) times what each is to the camera (parts, 3)."""
+    rows, columns = parts.shape[:2]
+    return (parts.reshape(rows * columns, -1) @ to_linear).reshape(rows, columns, 3)
