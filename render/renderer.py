@@ -23,6 +23,9 @@ from gelgap.render.scattered import ScatteredTable
 from gelgap.render.sensor import Sensor
 from gelgap.render.shaded_surface import Surface, shared_surface
 
+# Where a missing dot is, as kernels take it.
+FAR_MM = 1e6
+
 Quality = Literal["draft", "standard", "fine"]
 
 
@@ -85,7 +88,7 @@ class MembraneRenderer:
         self.quality = quality
         self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm)
         self._shadows = settings.shadows
-        self._marker_rest_mm = marker_rest_mm(sensor.markers).astype(np.float32)
+        self._marker_rest_mm = np.nan_to_num(marker_rest_mm(sensor.markers), nan=FAR_MM).astype(np.float32)
         self._marker_ratio = (
             np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
         ).astype(np.float32)
@@ -299,6 +302,6 @@ class MembraneRenderer:
 
 
 def _weighted(parts: np.ndarray, to_linear: np.ndarray) -> np.ndarray:
-    """Return (rows, columns, 3): the parts of light (rows, columns, ...) times what each is to the camera (parts, 3)."""
+    """Return (rows, columns, 3): parts of light (rows, columns, ...) times what each is to the camera (parts, 3)."""
     rows, columns = parts.shape[:2]
     return (parts.reshape(rows * columns, -1) @ to_linear).reshape(rows, columns, 3)
