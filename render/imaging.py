@@ -31,8 +31,11 @@ _SRGB_CODE = np.round(255 * srgb_encode(np.arange(_LINEAR_LEVELS) / (_LINEAR_LEV
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def gather(geometry, values, grid, out):
-    """Interpolate (rows, columns, 3) values at each pixel's rest coordinates; 0 where no membrane is."""
+def gather(geometry, values, grid, most_mm, out):
+    """Interpolate (rows, columns, 3) values at each pixel's rest coordinates; 0 where no membrane is.
+
+    There `geometry` (h, w, 2) holds coordinates beyond `most_mm`.
+    """
     height, width, _ = geometry.shape
     rows, columns, _ = values.shape
     flat = values.ravel()
@@ -44,7 +47,7 @@ def gather(geometry, values, grid, out):
             v = min(max((geometry[j, i, 1] - grid.y0_mm) * grid.cells_per_mm, zero), v_most)
             a, b = np.int64(u), np.int64(v)
             fu, fv = u - np.float32(a), v - np.float32(b)
-            there = geometry[j, i, 3]
+            there = one if geometry[j, i, 0] < most_mm else zero
             w00, w10 = (one - fu) * (one - fv) * there, fu * (one - fv) * there
             w01, w11 = (one - fu) * fv * there, fu * fv * there
             upper = np.uint64(3 * (b * columns + a))
@@ -72,10 +75,11 @@ def _one_more(values, out):
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _dot_coverage(x, y, x_below, y_below, from_x, from_y, radius, coverage):
+def _dot_coverage(x, y, x_below, y_below, from_x, from_y, radius, reach, coverage):
     """Fill how much of each pixel of a row the nearest dot covers; `from_x` and `from_y` lead there from its centre.
 
-    Rows of coordinates have one pixel more. Without a branch, so that the loop runs in vector registers.
+    Beyond `reach`, as where the next pixel sees no membrane, it covers nothing. Rows of coordinates have one pixel
+    more. Without a branch, so that the loop runs in vector registers.
     """
     half, zero, one, tiny = np.float32(0.5), np.float32(0), np.float32(1), np.float32(1e-9)
     for i in range(len(coverage)):
@@ -83,7 +87,7 @@ def _dot_coverage(x, y, x_below, y_below, from_x, from_y, radius, coverage):
         along_column = from_x[i] * (x_below[i] - x[i]) + from_y[i] * (y_below[i] - y[i])
         distance = np.sqrt(from_x[i] * from_x[i] + from_y[i] * from_y[i]) + tiny
         pixel = np.sqrt(along_row * along_row + along_column * along_column) / distance + tiny
-        covered = half + (radius - distance) / pixel
+        covered = half + (radius - distance) / pixel if distance < reach else zero
         covered = covered if covered > zero else zero
         coverage[i] = covered if covered < one else one
 
@@ -98,6 +102,7 @@ def paint_markers(geometry, rest_mm, pitch, radius, ratio, out):
     rows, columns, _ = rest_mm.shape
     half, zero, one = np.float32(0.5), np.float32(0), np.float32(1)
     first_x, first_y, inverse_pitch = half * np.float32(columns), half * np.float32(rows), one / pitch
+    reach = radius + np.float32(0.2) * pitch
     last_column, last_row = np.float32(columns - 1), np.float32(rows - 1)
     dots = rest_mm.ravel()
     x, y = np.empty((height + 1, width + 1), np.float32), np.empty((height + 1, width + 1), np.float32)
@@ -111,7 +116,7 @@ def paint_markers(geometry, rest_mm, pitch, radius, ratio, out):
             row = np.int64(min(max(y[j, i] * inverse_pitch + first_y, zero), last_row))
             dot = np.uint64(2 * (row * columns + column))
             from_x[i], from_y[i] = x[j, i] - dots[dot], y[j, i] - dots[dot + np.uint64(1)]
-        _dot_coverage(x[j], y[j], x[j + 1], y[j + 1], from_x, from_y, radius, coverage)
+        _dot_coverage(x[j], y[j], x[j + 1], y[j + 1], from_x, from_y, radius, reach, coverage)
         for i in range(width):
             if coverage[i] > zero:
                 for k in range(3):

@@ -17,6 +17,8 @@ from gelgap.render.lattice import Lattice
 
 _LOCK = threading.RLock()
 _CACHED_RASTERIZERS = 8
+# What stands in pixels that do not see the membrane.
+NOWHERE_MM = 1e6
 
 
 @lru_cache(maxsize=1)
@@ -50,7 +52,7 @@ def _grid_triangles(rows: int, columns: int) -> np.ndarray:
 
 
 class Rasterizer:
-    """Rasterises one grid topology through one camera into a float32 picture of its geometry."""
+    """Rasterises one grid topology through one camera into a float32 picture of rest coordinates."""
 
     def __init__(self, camera: Camera, lattice: Lattice, size_px: tuple[int, int]) -> None:
         pyrender, _ = import_pyrender()
@@ -64,7 +66,7 @@ class Rasterizer:
         self._context = _context(os.getpid())
         self._context.make_current()
         width, height = size_px
-        self._geometry = np.zeros((height, width, 4), np.float32)
+        self._geometry = np.zeros((height, width, 2), np.float32)
         self._key: np.ndarray | None = None
         rest_mm = lattice.points_mm().astype(np.float32).reshape(-1, 2)
         self._vertices = np.zeros((len(rest_mm), 5), np.float32)
@@ -76,7 +78,7 @@ class Rasterizer:
             mode=pyrender.GLTF.TRIANGLES,
             material=pyrender.MetallicRoughnessMaterial(doubleSided=True),
         )
-        scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0])
+        scene = pyrender.Scene()
         scene.add(pyrender.Mesh([primitive]))
         focal_px = camera.focal_length_px(width)
         pose = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -117,7 +119,7 @@ class Rasterizer:
         buffers = gl.glGenRenderbuffers(2)
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, framebuffer)
         formats = (
-            (gl.GL_RGBA32F, gl.GL_COLOR_ATTACHMENT0),
+            (gl.GL_RG32F, gl.GL_COLOR_ATTACHMENT0),
             (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT),
         )
         for buffer, (storage, attachment) in zip(buffers, formats, strict=True):
@@ -133,14 +135,14 @@ class Rasterizer:
         height, width, _ = self._geometry.shape
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
         gl.glViewport(0, 0, width, height)
-        gl.glClearColor(0.0, 0.0, 0.0, 0.0)
+        gl.glClearColor(NOWHERE_MM, NOWHERE_MM, 0.0, 0.0)
         gl.glEnable(gl.GL_DEPTH_TEST)
         gl.glDepthMask(gl.GL_TRUE)
         gl.glDepthFunc(gl.GL_LESS)
         gl.glDepthRange(0.0, 1.0)
 
     def geometry(self, positions_mm: np.ndarray) -> np.ndarray:
-        """Return (h, w, 4) float32: rest x and y in mm of the membrane in each pixel, 0, and 1 where it is.
+        """Return (h, w, 2) float32: rest x and y in mm of the membrane in each pixel; `NOWHERE_MM` where it is not.
 
         `positions_mm` is (rows, columns, 3) float32. The result is overwritten by the next call; the same positions
         again are not rastered again.
@@ -155,7 +157,7 @@ class Rasterizer:
             gl.glBufferSubData(gl.GL_ARRAY_BUFFER, 0, self._vertices.nbytes, self._vertices)
             self._draw()
             height, width, _ = self._geometry.shape
-            gl.glReadPixels(0, 0, width, height, gl.GL_RGBA, gl.GL_FLOAT, self._geometry)
+            gl.glReadPixels(0, 0, width, height, gl.GL_RG, gl.GL_FLOAT, self._geometry)
         self._key = positions_mm.copy()
         return self._geometry[::-1]
 

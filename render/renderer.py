@@ -18,13 +18,10 @@ from gelgap.render.irradiance import Light, direct_light
 from gelgap.render.lattice import Lattice
 from gelgap.render.led_samples import ShadowDetail, led_samples
 from gelgap.render.markers import marker_rest_mm
-from gelgap.render.rasterizer import rasterizer_for
+from gelgap.render.rasterizer import NOWHERE_MM, rasterizer_for
 from gelgap.render.scattered import ScatteredTable
 from gelgap.render.sensor import Sensor
 from gelgap.render.shaded_surface import Surface, shared_surface
-
-# Where a missing dot is, as kernels take it.
-FAR_MM = 1e6
 
 Quality = Literal["draft", "standard", "fine"]
 
@@ -88,7 +85,9 @@ class MembraneRenderer:
         self.quality = quality
         self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm)
         self._shadows = settings.shadows
-        self._marker_rest_mm = np.nan_to_num(marker_rest_mm(sensor.markers), nan=FAR_MM).astype(np.float32)
+        self._marker_rest_mm = np.nan_to_num(marker_rest_mm(sensor.markers), nan=-NOWHERE_MM).astype(
+            np.float32
+        )
         self._marker_ratio = (
             np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
         ).astype(np.float32)
@@ -180,7 +179,7 @@ class MembraneRenderer:
     def _gather(self, geometry: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): float32 (rows, columns, 3) values of the shaded grid's vertices in each pixel."""
         out = np.empty((*geometry.shape[:2], 3), np.float32)
-        imaging.gather(geometry, values, self.lattice.grid, out)
+        imaging.gather(geometry, values, self.lattice.grid, np.float32(NOWHERE_MM), out)
         return out
 
     def _paint_markers(self, geometry: np.ndarray, linear: np.ndarray) -> None:
