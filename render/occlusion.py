@@ -164,19 +164,22 @@ def may_be_hidden(vertex, outlines, led, occluder):
 def _height_at(field, u, v):
     """Return the bilinear height at coordinates (u, v) in cells, which must lie inside the grid."""
     height, columns = field.height_mm, field.columns
-    i, j = np.int64(u), np.int64(v)
+    i, j = np.int32(u), np.int32(v)
     fu, fv = u - np.float32(i), v - np.float32(j)
-    at = np.uint64(j * columns + i)
-    below = np.uint64(j * columns + i + columns)
+    at = np.uint64(np.int64(j) * columns + np.int64(i))
+    below = at + np.uint64(columns)
     one = np.uint64(1)
     upper = height[at] + (height[at + one] - height[at]) * fu
     lower = height[below] + (height[below + one] - height[below]) * fu
     return upper + (lower - upper) * fv
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _steepest(field, ray, t_in, t_out, steps):
-    """Return the steepest slope, in mm per unit of t, from a ray's start up to the field at t in [t_in, t_out]."""
+@numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
+def _steepest(field, ray, t_in, t_out, steps, enough):
+    """Return the steepest slope, in mm per unit of t, from a ray's start up to the field at t in [t_in, t_out].
+
+    The first slope that is `enough` will do.
+    """
     half = np.float32(0.5)
     step = (t_out - t_in) / np.float32(steps)
     best_rise, best_t = np.float32(-1e9), np.float32(1)
@@ -185,6 +188,8 @@ def _steepest(field, ray, t_in, t_out, steps):
         rise = _height_at(field, ray.u + t * ray.du, ray.v + t * ray.dv) - ray.height
         if rise * best_t > best_rise * t:
             best_rise, best_t = rise, t
+            if rise >= enough * t:
+                return rise / t
         t += step
     for _ in range(2):
         step *= half
@@ -241,9 +246,9 @@ def visible_parts(vertex, field, occluder, strips, step_mm, parts):
             if t_in < t_out:
                 steps = np.int32((t_out - t_in) * distance / step_mm) + 2
                 ray = Ray(u, v, mx * inverse_spacing, my * inverse_spacing, own)
-                slope = _steepest(field, ray, t_in, t_out, steps)
-                above_a = -az - slope * np.sqrt(ax * ax + ay * ay) / distance
-                above_b = -bz - slope * np.sqrt(bx * bx + by * by) / distance
+                far_a, far_b = np.sqrt(ax * ax + ay * ay) / distance, np.sqrt(bx * bx + by * by) / distance
+                slope = _steepest(field, ray, t_in, t_out, steps, max(-az / far_a, -bz / far_b))
+                above_a, above_b = -az - slope * far_a, -bz - slope * far_b
                 if above_a <= zero and above_b <= zero:
                     s1 = zero
                 elif above_a < zero:
