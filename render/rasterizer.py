@@ -48,7 +48,8 @@ def _grid_triangles(rows: int, columns: int) -> np.ndarray:
     even = ((row + column) % 2 == 0)[..., None]
     first = np.where(even, np.stack([a, b, c], -1), np.stack([a, b, d], -1))
     second = np.where(even, np.stack([a, c, d], -1), np.stack([b, c, d], -1))
-    return np.concatenate([first.reshape(-1, 3), second.reshape(-1, 3)])
+    # Neighbours follow one another, so that their vertices are transformed once.
+    return np.stack([first, second], axis=-2).reshape(-1, 3)
 
 
 class Rasterizer:
@@ -99,10 +100,11 @@ class Rasterizer:
             "radial_distortion", distortion
         )
         self._renderer._configure_forward_pass_viewport = self._bind_target
-        # The first picture compiles the program and hands over camera and lens, which stay; others only draw.
+        # The first picture compiles the program and hands over camera, lens and all else that stays; others only draw.
         self._renderer.render(scene, flags)
         self._vertex_buffer = primitive._buffers[0]
         program = self._renderer._get_primitive_program(primitive, flags, ProgramFlags.USE_MATERIAL)
+        program.set_uniform = lambda *_: None
         self._draw = partial(self._draw_primitive, primitive, program, flags)
 
     def _draw_primitive(self, primitive, program, flags) -> None:
