@@ -45,13 +45,13 @@ def gather(geometry, values, grid, most_mm, out):
         for i in range(width):
             u = min(max((geometry[j, i, 0] - grid.x0_mm) * grid.cells_per_mm, zero), u_most)
             v = min(max((geometry[j, i, 1] - grid.y0_mm) * grid.cells_per_mm, zero), v_most)
-            a, b = np.int64(u), np.int64(v)
+            a, b = np.int32(u), np.int32(v)
             fu, fv = u - np.float32(a), v - np.float32(b)
             there = one if geometry[j, i, 0] < most_mm else zero
             w00, w10 = (one - fu) * (one - fv) * there, fu * (one - fv) * there
             w01, w11 = (one - fu) * fv * there, fu * fv * there
-            upper = np.uint64(3 * (b * columns + a))
-            lower = np.uint64(3 * ((b + 1) * columns + a))
+            upper = np.uint64(3 * (np.int64(b) * columns + np.int64(a)))
+            lower = upper + np.uint64(3 * columns)
             for k in range(3):
                 at, below = upper + np.uint64(k), lower + np.uint64(k)
                 out[j, i, k] = (

@@ -29,6 +29,15 @@ class Surface(NamedTuple):
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _positions(displacement, x_mm, y_mm, positions):
+    for j in range(len(y_mm)):
+        for i in range(len(x_mm)):
+            positions[j, i, 0] = displacement[j, i, 0] + x_mm[i]
+            positions[j, i, 1] = displacement[j, i, 1] + y_mm[j]
+            positions[j, i, 2] = displacement[j, i, 2]
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _normals_and_changed(positions, columns_mm, rows_mm, changed_mm, changed_slope, normals, changed):
     rows, columns, _ = positions.shape
     for j in range(rows):
@@ -148,9 +157,7 @@ def deformed_surface(
     """
     columns_mm, rows_mm = lattice.x_mm.astype(np.float32), lattice.y_mm.astype(np.float32)
     positions = np.empty((lattice.rows, lattice.columns, 3), np.float32)
-    positions[..., 0] = displacement_mm[..., 0] + lattice.x_mm
-    positions[..., 1] = displacement_mm[..., 1] + lattice.y_mm[:, None]
-    positions[..., 2] = displacement_mm[..., 2]
+    _positions(displacement_mm, lattice.x_mm, lattice.y_mm, positions)
     height = np.empty((lattice.rows, lattice.columns), np.float32)
     normals, changed = np.empty_like(positions), np.empty(height.shape, bool)
     _normals_and_changed(
