@@ -94,23 +94,33 @@ def _resample(field, x_axis, y_axis, x_mm, y_mm, taper_mm):
     rows, columns, channels = field.shape
     (x0, dx), (y0, dy) = x_axis, y_axis
     out = np.empty((len(y_mm), len(x_mm), channels))
+    weights, neighbours = np.empty((len(x_mm), 4)), np.empty((len(x_mm), 4), np.int64)
+    beyond_x_mm = np.empty(len(x_mm))
+    for io in range(len(x_mm)):
+        u = (x_mm[io] - x0) / dx
+        inside_u = min(max(u, 0.0), columns - 1.0)
+        i = min(int(inside_u), columns - 2)
+        wu = _cubic_weights(inside_u - i)
+        for a in range(4):
+            weights[io, a], neighbours[io, a] = wu[a], min(max(i + a - 1, 0), columns - 1)
+        beyond_x_mm[io] = abs(u - inside_u) * dx
+    row = np.empty((columns, channels))  # between the field's rows, at its columns
     for jo in range(len(y_mm)):
         v = (y_mm[jo] - y0) / dy
         inside_v = min(max(v, 0.0), rows - 1.0)
         j = min(int(inside_v), rows - 2)
         wv = _cubic_weights(inside_v - j)
+        row[:] = 0.0
+        for b in range(4):
+            at = field[min(max(j + b - 1, 0), rows - 1)]
+            for i in range(columns):
+                for k in range(channels):
+                    row[i, k] += wv[b] * at[i, k]
         for io in range(len(x_mm)):
-            u = (x_mm[io] - x0) / dx
-            inside_u = min(max(u, 0.0), columns - 1.0)
-            i = min(int(inside_u), columns - 2)
-            wu = _cubic_weights(inside_u - i)
-            beyond_mm = max(abs(u - inside_u) * dx, abs(v - inside_v) * dy)
-            fade = max(0.0, 1 - beyond_mm / taper_mm)
+            fade = max(0.0, 1 - max(beyond_x_mm[io], abs(v - inside_v) * dy) / taper_mm)
             for k in range(channels):
                 total = 0.0
-                for b in range(4):
-                    jj = min(max(j + b - 1, 0), rows - 1)
-                    for a in range(4):
-                        total += wv[b] * wu[a] * field[jj, min(max(i + a - 1, 0), columns - 1), k]
+                for a in range(4):
+                    total += weights[io, a] * row[neighbours[io, a], k]
                 out[jo, io, k] = fade * total
     return out

@@ -147,12 +147,12 @@ def point_spread(linear: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def vignetting_gain(camera: Camera, size_px: tuple[int, int]) -> np.ndarray:
-    """Return (h, w, 1) float32: 1 in the centre, 1 − vignetting in the corner."""
+    """Return (h, w, 3) float32: 1 in the centre, 1 − vignetting in the corner; whole, as a product takes it soonest."""
     width, height = size_px
     x = (np.arange(width) + 0.5 - width / 2)[None, :]
     y = (np.arange(height) + 0.5 - height / 2)[:, None]
     r2 = (x**2 + y**2) / ((width / 2) ** 2 + (height / 2) ** 2)
-    return (1 - camera.vignetting * r2).astype(np.float32)[..., None]
+    return np.repeat((1 - camera.vignetting * r2).astype(np.float32)[..., None], 3, axis=2)
 
 
 @lru_cache(maxsize=1)
@@ -165,12 +165,19 @@ def _normal_quantiles() -> np.ndarray:
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _add_noise(linear, draws, quantiles, full_well, read_noise, out):
-    read2, inverse = read_noise * read_noise, np.float32(1) / full_well
+def _noise_deviation(linear, full_well, read_noise, out):
+    """Fill the standard deviation of each value; a loop of its own runs in vector registers."""
+    read2, inverse, zero = read_noise * read_noise, np.float32(1) / full_well, np.float32(0)
     for index in range(linear.size):
-        value = linear[index]
-        electrons = max(value, np.float32(0)) * full_well
-        out[index] = value + np.sqrt(electrons + read2) * inverse * quantiles[draws[index]]
+        electrons = linear[index] * full_well
+        out[index] = np.sqrt((electrons if electrons > zero else zero) + read2) * inverse
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
+def _add_noise(linear, draws, quantiles, full_well, read_noise, out):
+    _noise_deviation(linear, full_well, read_noise, out)
+    for index in range(linear.size):
+        out[index] = linear[index] + out[index] * quantiles[draws[index]]
 
 
 def sensor_noise(linear: np.ndarray, camera: Camera, rng: np.random.Generator) -> np.ndarray:
