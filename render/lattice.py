@@ -1,6 +1,7 @@
 """The regular rest grid of the membrane, and bringing any state's grid onto it."""
 
 from dataclasses import dataclass
+from math import gcd
 from typing import NamedTuple
 
 import numpy as np
@@ -50,10 +51,16 @@ class Lattice:
     rows: int
 
     @classmethod
-    def covering(cls, camera: Camera, size_px: tuple[int, int], spacing_mm: float) -> "Lattice":
-        """Return the grid that covers a state's convention and the camera's footprint with its margin."""
+    def covering(
+        cls, camera: Camera, size_px: tuple[int, int], spacing_mm: float, step: int = 1
+    ) -> "Lattice":
+        """Return the grid that covers a state's convention and the camera's footprint with its margin.
+
+        Every `step`-th of its vertices reach as far.
+        """
         half_mm = np.maximum(STATE_HALF_EXTENT_MM, _half_footprint_mm(camera, size_px) + MARGIN_MM)
-        half_cells = np.ceil(half_mm / spacing_mm - 1e-3).astype(int)
+        unit = step // gcd(step, 2)
+        half_cells = unit * np.ceil(half_mm / (unit * spacing_mm) - 1e-3).astype(int)
         return cls(
             x0_mm=-half_cells[0] * spacing_mm,
             y0_mm=-half_cells[1] * spacing_mm,

@@ -18,7 +18,7 @@ from gelgap.render.irradiance import Light, direct_light
 from gelgap.render.lattice import Lattice
 from gelgap.render.led_samples import ShadowDetail, led_samples
 from gelgap.render.markers import marker_rest_mm
-from gelgap.render.rasterizer import NOWHERE_MM, rasterizer_for
+from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
 from gelgap.render.scattered import ScatteredTable
 from gelgap.render.sensor import Sensor
 from gelgap.render.shaded_surface import Surface, shared_surface
@@ -30,18 +30,21 @@ Quality = Literal["draft", "standard", "fine"]
 class QualitySettings:
     """What a quality level means.
 
-    The rastered mesh is twice as coarse as the shaded grid: it only says which rest point a pixel sees. The light is
-    gathered from the finer grid.
+    The rastered mesh only says which rest point a pixel sees, and the light is gathered from the finer shaded grid: it
+    is at least twice as coarse, and has cells of up to `raster_px` pixels.
     """
 
     spacing_mm: float
+    raster_px: float
     shadows: ShadowDetail
 
 
 QUALITIES: dict[str, QualitySettings] = {
-    "draft": QualitySettings(0.2, ShadowDetail(strip_width_mm=3.0, fewest_strips=2, march_step_mm=0.5)),
-    "standard": QualitySettings(0.1, ShadowDetail(strip_width_mm=3.0, fewest_strips=3, march_step_mm=0.5)),
-    "fine": QualitySettings(0.05, ShadowDetail(strip_width_mm=0.8, fewest_strips=8, march_step_mm=0.1)),
+    "draft": QualitySettings(0.2, 11.0, ShadowDetail(strip_width_mm=3.0, fewest_strips=2, march_step_mm=0.5)),
+    "standard": QualitySettings(
+        0.1, 5.5, ShadowDetail(strip_width_mm=3.0, fewest_strips=3, march_step_mm=0.5)
+    ),
+    "fine": QualitySettings(0.05, 2.75, ShadowDetail(strip_width_mm=0.8, fewest_strips=8, march_step_mm=0.1)),
 }
 
 
@@ -83,7 +86,9 @@ class MembraneRenderer:
         self.illumination = illumination
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.quality = quality
-        self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm)
+        pixel_mm = sensor.camera.footprint_mm(self.size_px)[0] / self.size_px[0]
+        self._raster_step = max(2, int(settings.raster_px * pixel_mm / settings.spacing_mm))
+        self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm, self._raster_step)
         self._shadows = settings.shadows
         self._marker_rest_mm = np.nan_to_num(marker_rest_mm(sensor.markers), nan=-NOWHERE_MM).astype(
             np.float32
@@ -172,9 +177,11 @@ class MembraneRenderer:
         return self._surface_on_lattice(membrane.displacement_on(self.lattice), membrane.name)
 
     def _geometry(self, surface: Surface) -> np.ndarray:
-        raster_lattice = self.lattice.every(2)
-        positions = np.ascontiguousarray(surface.positions_mm[::2, ::2])
-        return rasterizer_for(self.sensor.camera, raster_lattice, self.size_px).geometry(positions)
+        positions = np.ascontiguousarray(surface.positions_mm[:: self._raster_step, :: self._raster_step])
+        return self._rasterizer().geometry(positions)
+
+    def _rasterizer(self) -> Rasterizer:
+        return rasterizer_for(self.sensor.camera, self.lattice.every(self._raster_step), self.size_px)
 
     def _gather(self, geometry: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return (h, w, 3): float32 (rows, columns, 3) values of the shaded grid's vertices in each pixel."""

@@ -26,7 +26,6 @@ from gelgap.render import (
     inpaint_telea,
 )
 from gelgap.render.displacement import Membrane as RestMembrane
-from gelgap.render.rasterizer import rasterizer_for
 from gelgap.render.renderer import QUALITIES
 from gelgap.render.shaded_surface import deformed_surface
 
@@ -76,7 +75,7 @@ def stages_ms(renderer: MembraneRenderer, membrane: Membrane, repeats: int) -> d
     """Return the median ms of each stage of a frame."""
     on_lattice = RestMembrane(*membrane).displacement_on(renderer.lattice)
     surface = deformed_surface(renderer.lattice, on_lattice, "membrane")
-    raster = rasterizer_for(renderer.sensor.camera, renderer.lattice.every(2), renderer.size_px)
+    raster = renderer._rasterizer()
     geometry, radiance = renderer._geometry(surface), renderer._radiance(surface)
     linear = renderer._gather(geometry, radiance)
     rng = np.random.default_rng(0)
