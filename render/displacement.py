@@ -56,23 +56,31 @@ class Membrane:
         return self.field_on(lattice, np.asarray(self.displacement_mm))
 
     def field_on(self, lattice: Lattice, field: np.ndarray) -> np.ndarray:
-        """Return a (ny, nx, 3) field of the membrane on the lattice's points; the same grid is passed through."""
+        """Return a (ny, nx, 3) field of the membrane on the lattice's points, which are taken if the grid has them."""
         x, y = _start_and_spacing(self.x_mm), _start_and_spacing(self.y_mm)
-        offsets_mm = x[0] - lattice.x0_mm, y[0] - lattice.y0_mm
-        stretches = x[1] / lattice.spacing_mm - 1, y[1] / lattice.spacing_mm - 1
-        same = (
-            field.shape[:2] == (lattice.rows, lattice.columns)
-            and max(map(abs, offsets_mm)) < UNIFORM_TOLERANCE_MM
-            and max(map(abs, stretches)) < UNIFORM_STRETCH
-        )
-        if same:
-            return field
+        rows = _points_among(lattice.y0_mm, lattice.rows, lattice.spacing_mm, y, field.shape[0])
+        columns = _points_among(lattice.x0_mm, lattice.columns, lattice.spacing_mm, x, field.shape[1])
+        if rows is not None and columns is not None:
+            return np.ascontiguousarray(field[rows, columns])
         return _resample(field.astype(float), x, y, lattice.x_mm, lattice.y_mm, TAPER_MM)
 
 
 def _start_and_spacing(axis_mm: np.ndarray) -> tuple[float, float]:
     first_mm, last_mm = float(axis_mm[0]), float(axis_mm[-1])
     return first_mm, (last_mm - first_mm) / (len(axis_mm) - 1)
+
+
+def _points_among(
+    first_mm: float, count: int, spacing_mm: float, axis: tuple[float, float], length: int
+) -> slice | None:
+    """Return which points of an axis (first value, spacing) of some length the given ones are; None if others."""
+    start_mm, step_mm = axis
+    first = round((first_mm - start_mm) / step_mm)
+    apart = abs(start_mm + first * step_mm - first_mm) > UNIFORM_TOLERANCE_MM
+    stretched = abs(step_mm / spacing_mm - 1) > UNIFORM_STRETCH
+    if apart or stretched or first < 0 or first + count > length:
+        return None
+    return slice(first, first + count)
 
 
 @numba.njit(cache=True)
