@@ -23,6 +23,9 @@ from gelgap.render.scattered import ScatteredTable
 from gelgap.render.sensor import Sensor
 from gelgap.render.shaded_surface import Surface, shared_surface
 
+# How many times coarser than the shaded grid the rastered mesh may be, least and most.
+RASTER_STEPS = (2, 3)
+
 Quality = Literal["draft", "standard", "fine"]
 
 
@@ -31,7 +34,7 @@ class QualitySettings:
     """What a quality level means.
 
     The rastered mesh only says which rest point a pixel sees, and the light is gathered from the finer shaded grid: it
-    is at least twice as coarse, and has cells of up to `raster_px` pixels.
+    is two or three times as coarse, and has cells of up to `raster_px` pixels where that allows.
     """
 
     spacing_mm: float
@@ -87,7 +90,8 @@ class MembraneRenderer:
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.quality = quality
         pixel_mm = sensor.camera.footprint_mm(self.size_px)[0] / self.size_px[0]
-        self._raster_step = max(2, int(settings.raster_px * pixel_mm / settings.spacing_mm))
+        wanted_step = int(settings.raster_px * pixel_mm / settings.spacing_mm)
+        self._raster_step = min(max(wanted_step, RASTER_STEPS[0]), RASTER_STEPS[1])
         self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm, self._raster_step)
         self._shadows = settings.shadows
         self._marker_rest_mm = np.nan_to_num(marker_rest_mm(sensor.markers), nan=-NOWHERE_MM).astype(

@@ -157,6 +157,10 @@ def deformed_surface(
     """
     columns_mm, rows_mm = lattice.x_mm.astype(np.float32), lattice.y_mm.astype(np.float32)
     positions = np.empty((lattice.rows, lattice.columns, 3), np.float32)
+    if displacement_mm.shape != positions.shape:
+        raise ValueError(
+            f"{name}: the displacement has shape {displacement_mm.shape}, the lattice {positions.shape}"
+        )
     _positions(displacement_mm, lattice.x_mm, lattice.y_mm, positions)
     height = np.empty((lattice.rows, lattice.columns), np.float32)
     normals, changed = np.empty_like(positions), np.empty(height.shape, bool)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from gelgap.render.displacement import Membrane
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
 from gelgap.render.illumination import Illumination
 from gelgap.render.renderer import MembraneRenderer
@@ -41,7 +42,7 @@ def test_scattered_light_leaves_the_reference_alone(dent):
 def test_scattered_light_is_the_polynomial_of_normal_and_place(dent):
     settings = Scattered(order=1, degree=1, coefficients=SOME, scale_mm=5.0, ambient=((0.01, 0.0, 0.0),) * 3)
     plain, scattered = lit(), lit(settings)
-    surface = plain._surface_on_lattice(dent(0.6)[2], "dent")
+    surface = plain._surface(Membrane(*dent(0.6)))
     change = scattered._radiance(surface) - plain._radiance(surface)
     row, column = 60, 75
     x, y, _ = surface.positions_mm[row, column]
