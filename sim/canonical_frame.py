@@ -145,9 +145,8 @@ def placed_surface(
     displacement = table.at(places)
     origin = indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
     contact = _press_onto(indenter, rest, displacement, origin)
-    turned = displacement.reshape(-1, 3) @ frame.to_sensor_3d.T
-    displacement = turned.astype(np.float32).reshape(displacement.shape)
-    return PlacedSurface(*grid_axes(half_extent_mm), displacement, contact, places)
+    turned = (displacement.reshape(-1, 3) @ frame.to_sensor_3d.T).reshape(displacement.shape)
+    return PlacedSurface(*grid_axes(half_extent_mm), turned.astype(np.float32), contact, places)
 
 
 @lru_cache(maxsize=64)
