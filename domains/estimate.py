@@ -1,7 +1,6 @@
 """What a generation will take: solves, frames, time and disk, before any of it is done."""
 
 import logging
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -102,7 +101,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         start_s=START_S * (known_pace().slowness or 1.0),
         frame_core_s=seconds,
         disk_bytes=size,
-        workers=workers or len(os.sched_getaffinity(0)),
+        workers=plan.processes(workers),
     )
 
 

@@ -2,7 +2,6 @@
 
 import itertools
 import logging
-import os
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -145,6 +144,8 @@ def generate_recipes(
         wall_start, core_start = time.perf_counter(), time.process_time()
         plan = plan_generation(recipes, {name: writer.finished for name, writer in writers.items()})
         busy = _busy(time.perf_counter() - wall_start, time.process_time() - core_start)
+        if scheduler is None:
+            workers = plan.processes(workers)
         load = workload(plan, _worker_count(scheduler, workers), busy)
         progress.begin(len(plan.solves), plan.frames, load)
         log = RunLog(out_dir)
@@ -185,7 +186,7 @@ def _worker_count(scheduler: str | None, workers: int | None) -> int | None:
     """Return how many processes share the work; None where a cluster of others decides."""
     if scheduler == SYNCHRONOUS:
         return 1
-    return None if scheduler is not None else workers or len(os.sched_getaffinity(0))
+    return workers if scheduler is None else None
 
 
 def _busy(wall_s: float, core_s: float) -> float:

@@ -1,6 +1,7 @@
 """What has to be done for a set of domains: distinct solves, and batches of frames, each once."""
 
 import hashlib
+import os
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -53,6 +54,10 @@ class GenerationPlan:
     def frames(self) -> int:
         """Labelled pictures that will be written."""
         return sum(len(batch) * len(batch.recipes) for batch in self.batches)
+
+    def processes(self, wanted: int | None) -> int:
+        """Return how many local processes share the work, by default one per core; none of them without any."""
+        return min(wanted or len(os.sched_getaffinity(0)), max(len(self.solves), len(self.batches), 1))
 
 
 def shard_bounds(frames: int) -> list[tuple[int, int]]:

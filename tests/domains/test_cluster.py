@@ -87,3 +87,16 @@ def test_a_scheduler_that_does_not_answer_is_an_error_that_says_how_to_start_one
     monkeypatch.setattr("gelgap.domains.cluster.CONNECTION_TIMEOUT_S", 1)
     with pytest.raises(RuntimeError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9.*dask scheduler"):
         make(tmp_path, scheduler="tcp://127.0.0.1:9")
+
+
+def test_no_worker_is_started_that_has_nothing_to_do(make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    asked = []
+
+    def no_client(scheduler: str | None, workers: int | None):
+        asked.append(workers)
+        raise RuntimeError("no cluster")
+
+    monkeypatch.setattr(sys.modules["gelgap.domains.generate"], "dask_client", no_client)
+    with pytest.raises(RuntimeError, match="no cluster"):
+        make(tmp_path, ("mb1i2",), scheduler=None, workers=64)
+    assert 1 <= asked[0] < 64
