@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from types import FrameType
 from typing import Annotated, Any, Protocol, Union
 
 import tyro
@@ -137,13 +138,13 @@ def _fail_interrupted(command: Command) -> None:
 def _counted_stops() -> list[int]:
     """Return a list that gets an entry for each Ctrl-C, which libraries sometimes turn into errors of their own.
 
-    One that comes while torch is being imported waits for the end of the import: torch would abort the process.
+    One that comes within an import waits for its end: some packages catch it, and torch would abort the process.
     """
     stops: list[int] = []
 
-    def stop(number: int, frame: object) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
         stops.append(number)
-        if _is_being_imported("torch"):
+        if _within_import(frame):
             threading.Timer(_LOOK_AGAIN_S, os.kill, (os.getpid(), number)).start()
             return
         raise KeyboardInterrupt
@@ -155,8 +156,10 @@ def _counted_stops() -> list[int]:
     return stops
 
 
-def _is_being_imported(package: str) -> bool:
-    return getattr(getattr(sys.modules.get(package), "__spec__", None), "_initializing", False)
+def _within_import(frame: FrameType | None) -> bool:
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None
 
 
 def main(arguments: Sequence[str] | None = None, started: float | None = None) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gelgap.assets.held_stops import stops_held_back
 from gelgap.domains.generation_progress import GenerationProgress
 from gelgap.domains.plan import FrameBatch, GenerationPlan
 from gelgap.domains.shard import Shard, render_batch
@@ -169,14 +170,16 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
         return
     count = workers or len(os.sched_getaffinity(0))
     settings = {"distributed.scheduler.allowed-failures": _RETRIES_AFTER_WORKER_DEATH}
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=count,
-            threads_per_worker=1,
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
+    with contextlib.ExitStack() as entered:
+        entered.enter_context(dask.config.set(settings))
+        # Half a cluster cannot be closed.
+        with stops_held_back():
+            cluster = LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+            entered.enter_context(cluster)
+            client = entered.enter_context(Client(cluster, set_as_default=False))
         yield client

@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import resource
 import shutil
-import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from gelgap import sim
+from gelgap.assets.held_stops import stops_held_back
 from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks import fem
 from gelgap.benchmarks.common.kept_results import read_kept, result_bytes, result_from_bytes
@@ -87,7 +87,7 @@ class Workers:
             ) as pool,
             _no_wait_when_stopped(pool),
         ):
-            with _stops_held_back():
+            with stops_held_back():
                 pending = [
                     pool.submit(_keep, function, argument, file)
                     for argument, file in files.items()
@@ -123,27 +123,6 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-@contextmanager
-def _stops_held_back() -> Iterator[None]:
-    """Let kill -INT wait for the end of the block: a process that it cuts off from its parent prints a traceback.
-
-    Processes that are started meanwhile never heed it; they end with their parent.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    stops: list[int] = []
-    heeded = signal.signal(signal.SIGINT, lambda number, _: stops.append(number))
-    unblocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, unblocked)
-        signal.signal(signal.SIGINT, heeded)
-        if stops:
-            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager

@@ -211,7 +211,7 @@ from gelgap.cli import main
 stops = main._counted_stops()
 sys.path.insert(0, {folder!r})
 try:
-    import torch
+    import package
     print("imported", flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
@@ -219,10 +219,16 @@ except KeyboardInterrupt:
 """
 
 
-def test_ctrl_c_waits_for_the_import_of_torch_which_would_abort(tmp_path):
-    (tmp_path / "torch.py").write_text(
-        "import os, signal\nos.kill(os.getpid(), signal.SIGINT)\nlast_line = 1\n"
-    )
+@pytest.mark.parametrize(
+    "body",
+    [
+        "os.kill(os.getpid(), signal.SIGINT)\nlast_line = 1",
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\n    last_line = 1\nexcept BaseException:\n    pass",
+    ],
+    ids=["would be cut in two", "would catch it"],
+)
+def test_ctrl_c_waits_for_the_end_of_an_import(tmp_path, body):
+    (tmp_path / "package.py").write_text(f"import os, signal\n{body}\n")
     code = IMPORT_STOPPED.format(folder=str(tmp_path))
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ended.stdout.split() == ["imported", "stopped", "True"], ended.stderr

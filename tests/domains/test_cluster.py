@@ -1,11 +1,15 @@
 """A cluster of separately started processes on loopback, as on any machine where Dask runs."""
 
+import contextlib
+import signal
 import socket
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from gelgap.domains import dask_client
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +91,24 @@ def test_a_scheduler_that_does_not_answer_is_an_error_that_says_how_to_start_one
     monkeypatch.setattr("gelgap.domains.cluster.CONNECTION_TIMEOUT_S", 1)
     with pytest.raises(RuntimeError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9.*dask scheduler"):
         make(tmp_path, scheduler="tcp://127.0.0.1:9")
+
+
+def test_ctrl_c_waits_until_a_local_cluster_can_be_closed(monkeypatch: pytest.MonkeyPatch):
+    events = []
+
+    class Cluster(contextlib.AbstractContextManager):
+        def __init__(self, **_: object) -> None:
+            signal.raise_signal(signal.SIGINT)
+            events.append("started")
+
+        def __exit__(self, *_: object) -> None:
+            events.append("closed")
+
+    monkeypatch.setattr("distributed.LocalCluster", Cluster)
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: contextlib.nullcontext())
+    with pytest.raises(KeyboardInterrupt), dask_client(None, 1):
+        events.append("used")
+    assert events == ["started", "closed"]
 
 
 def test_no_worker_is_started_that_has_nothing_to_do(make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
