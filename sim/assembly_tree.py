@@ -50,8 +50,9 @@ def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:
     for vertex in range(count - kept):
         rows = graph.indices[graph.indptr[vertex] : graph.indptr[vertex + 1]]
         rows = np.unique(np.concatenate([rows, *(child.rows for child in waiting[vertex])]))
-        branch = _Branch([vertex], rows[rows > vertex], [], len(rows))
-        parent = int(branch.rows[0]) if len(branch.rows) else count
+        rows = rows[rows > vertex]
+        branch = _Branch([vertex], rows, [], entries=1 + len(rows))
+        parent = int(rows[0]) if len(rows) else count
         small = descendants[vertex] <= _SMALLEST_GROUP
         for child in sorted(waiting[vertex], key=lambda child: -len(child.rows)):
             _take(branch, child, whole=bool(small))

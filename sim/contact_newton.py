@@ -13,7 +13,8 @@ from gelgap.sim.multifrontal import Condensation
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# Newton's method ends at this share of all forces, which rounding allows, or gives up after so many steps.
+# Newton's method stops once no more than this share of all forces is unbalanced, which is as good as rounding errors
+# let it be, or after this many steps.
 _SMALLEST_GRADIENT = 1e-12
 _MOST_STEPS = 60
 # A step is taken whole if the slope at its end is at most this share of the one at its beginning.
@@ -154,10 +155,11 @@ class _Contacts:
         def slope_at(length: float) -> float:
             return slope + length * curvature - float(self._force(residual + length * along) @ along)
 
-        longest = 1.0
-        if abs(slope_at(longest)) <= _SMALL_SLOPE * abs(slope_at(0.0)):
+        longest, slope_there = 1.0, slope_at(1.0)
+        if abs(slope_there) <= _SMALL_SLOPE * abs(slope_at(0.0)):
             return longest
-        while slope_at(longest) < 0 and longest < _LONGEST_STEP:
+        while slope_there < 0 and longest < _LONGEST_STEP:
             longest *= 2
+            slope_there = slope_at(longest)
         # A step may end where the first node touches, which can be as near as rounding lets it be.
-        return optimize.brentq(slope_at, 0.0, longest, xtol=1e-14) if slope_at(longest) > 0 else longest
+        return optimize.brentq(slope_at, 0.0, longest, xtol=1e-14) if slope_there > 0 else longest

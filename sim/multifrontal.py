@@ -46,6 +46,27 @@ class _Front:
         blas.dsyrk(-1.0, self.below, beta=begun, c=self.update, lower=1, overwrite_c=1)
 
 
+@dataclass(frozen=True)
+class _Block:
+    """Where a front lies in the factor's memory: its own part from `begin` on, column by column, then what is below.
+
+    `own` is how many columns it has, and rows of its own part; `below` how many rows follow, the right side's the last.
+    """
+
+    begin: int
+    own: int
+    below: int
+
+    @property
+    def middle(self) -> int:
+        """Where what is below begins."""
+        return self.begin + self.own * self.own
+
+    @property
+    def end(self) -> int:
+        return self.middle + self.own * self.below
+
+
 class Condensation:
     """Condenses A x = b, symmetric and positive definite with three dofs per vertex, onto the kept vertices.
 
@@ -66,9 +87,12 @@ class Condensation:
         position = np.full(self._size, -1)
         position[_dofs(first_dof)] = np.arange(3 * len(first_dof))
         groups = assembly_tree(_graph(pattern, position, len(first_dof)), kept)
-        self._factor, self._fronts = _fronts(groups, first_dof)
-        self._source, self._target = _targets(pattern, position, groups)
-        self._diagonal, self._right_side = _diagonal_and_last_rows(self._fronts)
+        blocks = _blocks(groups)
+        self._factor = np.zeros(blocks[-1].end)
+        self._fronts = _fronts(groups, blocks, self._factor, first_dof)
+        self._source, self._target = _targets(pattern, position, groups, blocks)
+        self._diagonal = np.concatenate([b.begin + np.arange(b.own) * (b.own + 1) for b in blocks])
+        self._right_side = np.concatenate([b.middle + np.arange(1, b.own + 1) * b.below - 1 for b in blocks])
         self._dofs = np.concatenate([front.own_dofs for front in self._fronts])
         self.kept_dofs = self._fronts[-1].own_dofs
 
@@ -121,15 +145,21 @@ def _graph(pattern: sparse.csr_array, position: Ints, vertices: int) -> sparse.c
     return pairs.tocsr()
 
 
-def _fronts(groups: list[Group], first_dof: Ints) -> tuple[Floats, list[_Front]]:
-    """Return the memory of the factor, and the fronts as views on it."""
-    sizes = [(3 * len(group.columns), 3 * len(group.rows) + 1) for group in groups]
-    factor = np.zeros(sum(own * (own + below) for own, below in sizes))
-    updates = _update_matrices(groups)
+def _blocks(groups: list[Group]) -> list[_Block]:
+    """Return the groups' places in the factor's memory, one after another."""
+    blocks, begin = [], 0
+    for group in groups:
+        blocks.append(_Block(begin, 3 * len(group.columns), 3 * len(group.rows) + 1))
+        begin = blocks[-1].end
+    return blocks
+
+
+def _fronts(groups: list[Group], blocks: list[_Block], factor: Floats, first_dof: Ints) -> list[_Front]:
+    """Return the fronts as views on the factor's memory and on that of their updates."""
+    updates = _update_matrices(groups, [block.below for block in blocks])
     parent = {child: group for group in groups for child in group.children}
-    fronts, end = [], 0
-    for number, (group, (own, below)) in enumerate(zip(groups, sizes, strict=True)):
-        middle, begin, end = end + own * own, end, end + own * (own + below)
+    fronts = []
+    for number, (group, block) in enumerate(zip(groups, blocks, strict=True)):
         places = np.empty(0, np.int64)
         if number in parent:
             both = np.concatenate([parent[number].columns, parent[number].rows])
@@ -137,8 +167,8 @@ def _fronts(groups: list[Group], first_dof: Ints) -> tuple[Floats, list[_Front]]
             places = np.append(_dofs(3 * order[np.searchsorted(both[order], group.rows)]), 3 * len(both))
         fronts.append(
             _Front(
-                own=factor[begin:middle].reshape((own, own), order="F"),
-                below=factor[middle:end].reshape((below, own), order="F"),
+                own=factor[block.begin : block.middle].reshape((block.own, block.own), order="F"),
+                below=factor[block.middle : block.end].reshape((block.below, block.own), order="F"),
                 update=updates[number],
                 own_dofs=_dofs(first_dof[group.columns]),
                 row_dofs=_dofs(first_dof[group.rows]),
@@ -146,14 +176,13 @@ def _fronts(groups: list[Group], first_dof: Ints) -> tuple[Floats, list[_Front]]
                 places=places,
             )
         )
-    return factor, fronts
+    return fronts
 
 
-def _update_matrices(groups: list[Group]) -> list[Floats]:
-    """Return the groups' update matrices; groups as deep in the tree share memory if their parents differ."""
+def _update_matrices(groups: list[Group], rows: list[int]) -> list[Floats]:
+    """Return the groups' update matrices, of `rows` each; groups as deep in the tree share memory if parents differ."""
     depth = [0] * len(groups)
     begin = [0] * len(groups)
-    rows = [3 * len(group.rows) + 1 for group in groups]
     needed = [0] * (len(groups) + 1)
     needed[0] = rows[-1] ** 2
     for number in reversed(range(len(groups))):
@@ -169,18 +198,9 @@ def _update_matrices(groups: list[Group]) -> list[Floats]:
     ]
 
 
-def _diagonal_and_last_rows(fronts: list[_Front]) -> tuple[Ints, Ints]:
-    """Return where in the factor's memory the diagonals of the fronts' own parts are, and the last rows below."""
-    diagonals, last_rows, begin = [], [], 0
-    for front in fronts:
-        (below, own), column = front.below.shape, np.arange(len(front.own))
-        diagonals.append(begin + column * (own + 1))
-        last_rows.append(begin + own * own + column * below + below - 1)
-        begin += own * (own + below)
-    return np.concatenate(diagonals), np.concatenate(last_rows)
-
-
-def _targets(pattern: sparse.csr_array, position: Ints, groups: list[Group]) -> tuple[Ints, Ints]:
+def _targets(
+    pattern: sparse.csr_array, position: Ints, groups: list[Group], blocks: list[_Block]
+) -> tuple[Ints, Ints]:
     """Return which of the sparse matrix's values go into the factor's memory, and where to."""
     rows = position[np.repeat(np.arange(pattern.shape[0]), np.diff(pattern.indptr))]
     columns = position[pattern.indices]
@@ -192,16 +212,14 @@ def _targets(pattern: sparse.csr_array, position: Ints, groups: list[Group]) -> 
     lower = np.flatnonzero((columns >= 0) & (rows >= columns))
     lower = lower[np.argsort(group_of[columns[lower] // 3], kind="stable")]
     ends = np.searchsorted(group_of[columns[lower] // 3], np.arange(len(groups) + 1))
-    target, begin = np.empty(len(lower), dtype=np.int64), 0
-    for number, group in enumerate(groups):
+    target = np.empty(len(lower), dtype=np.int64)
+    for number, (group, block) in enumerate(zip(groups, blocks, strict=True)):
         some = lower[ends[number] : ends[number + 1]]
-        own, below = 3 * len(group.columns), 3 * len(group.rows) + 1
         row, column = rows[some], 3 * place_in_group[columns[some] // 3] + columns[some] % 3
         inside = group_of[row // 3] == number
-        in_own = begin + 3 * place_in_group[row // 3] + row % 3 + column * own
-        in_below = 3 * np.searchsorted(group.rows, row // 3) + row % 3 + column * below + begin + own * own
+        in_own = block.begin + 3 * place_in_group[row // 3] + row % 3 + column * block.own
+        in_below = block.middle + 3 * np.searchsorted(group.rows, row // 3) + row % 3 + column * block.below
         target[ends[number] : ends[number + 1]] = np.where(inside, in_own, in_below)
-        begin += own * (own + below)
     return lower, target
 
 

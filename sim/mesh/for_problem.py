@@ -32,7 +32,7 @@ def touchable_vertices(problem: ContactProblem, mesh: GelMesh) -> NDArray[np.int
 
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
-    """Return the mesh of `mesh_for` before its vertices are put in the order that suits MuJoCo's factor."""
+    """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
     size, thickness = problem.mesh_size, problem.thickness_mm
     scale = mesh_scale(problem.indenter, thickness, problem.depth_mm)
     spacing = size.surface_mm * scale

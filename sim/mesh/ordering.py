@@ -1,4 +1,4 @@
-"""The order of a mesh's vertices in which MuJoCo's sparse Cholesky factor stays small and is cheap to update."""
+"""The order of a mesh's vertices in which sparse Cholesky factors stay small, those that can be touched at the end."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,9 @@ _TOUCHING_MARGIN_MM = 0.4
 def ordered_for_elimination(mesh: GelMesh, touchable: NDArray[np.int64]) -> GelMesh:
     """Renumber the vertices in reverse order of elimination.
 
-    MuJoCo eliminates from the last vertex to the first, and an update of the factor for a contact takes as long as
-    there are vertices that depend on the contact's. So the `touchable` ones are numbered first; the rest follow in
-    reverse order of elimination, the bonded ones at the end.
+    The `touchable` ones come first: the contact problem is condensed onto them; and MuJoCo, which eliminates from the
+    last vertex to the first, takes as long to update its factor for a contact as there are vertices that depend on the
+    contact's. The rest follow in reverse order of elimination, the bonded ones at the end.
     """
     vertices, tetrahedra = mesh.vertices_mm, mesh.tetrahedra
     count = len(vertices)
