@@ -23,8 +23,10 @@ from gelgap.render.scattered import ScatteredTable
 from gelgap.render.sensor import Sensor
 from gelgap.render.shaded_surface import Surface, shared_surface
 
-# How many times coarser than the shaded grid the rastered mesh may be, least and most.
+# How many times coarser than the shaded grid the rastered mesh may be, least and most; in between, as many times for
+# each mm that a pixel is wide, which makes its cells up to 5.5 pixels wide at `standard`.
 RASTER_STEPS = (2, 3)
+RASTER_STEPS_PER_MM = 55.0
 
 Quality = Literal["draft", "standard", "fine"]
 
@@ -34,20 +36,17 @@ class QualitySettings:
     """What a quality level means.
 
     The rastered mesh only says which rest point a pixel sees, and the light is gathered from the finer shaded grid: it
-    is two or three times as coarse, and has cells of up to `raster_px` pixels where that allows.
+    is two or three times as coarse, the more so the wider the view.
     """
 
     spacing_mm: float
-    raster_px: float
     shadows: ShadowDetail
 
 
 QUALITIES: dict[str, QualitySettings] = {
-    "draft": QualitySettings(0.2, 11.0, ShadowDetail(strip_width_mm=3.0, fewest_strips=2, march_step_mm=0.5)),
-    "standard": QualitySettings(
-        0.1, 5.5, ShadowDetail(strip_width_mm=3.0, fewest_strips=3, march_step_mm=0.5)
-    ),
-    "fine": QualitySettings(0.05, 2.75, ShadowDetail(strip_width_mm=0.8, fewest_strips=8, march_step_mm=0.1)),
+    "draft": QualitySettings(0.2, ShadowDetail(strip_width_mm=3.0, fewest_strips=2, march_step_mm=0.5)),
+    "standard": QualitySettings(0.1, ShadowDetail(strip_width_mm=3.0, fewest_strips=3, march_step_mm=0.5)),
+    "fine": QualitySettings(0.05, ShadowDetail(strip_width_mm=0.8, fewest_strips=8, march_step_mm=0.1)),
 }
 
 
@@ -90,8 +89,7 @@ class MembraneRenderer:
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.quality = quality
         pixel_mm = sensor.camera.footprint_mm(self.size_px)[0] / self.size_px[0]
-        wanted_step = int(settings.raster_px * pixel_mm / settings.spacing_mm)
-        self._raster_step = min(max(wanted_step, RASTER_STEPS[0]), RASTER_STEPS[1])
+        self._raster_step = min(max(int(RASTER_STEPS_PER_MM * pixel_mm), RASTER_STEPS[0]), RASTER_STEPS[1])
         self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm, self._raster_step)
         self._shadows = settings.shadows
         self._marker_rest_mm = np.nan_to_num(marker_rest_mm(sensor.markers), nan=-NOWHERE_MM).astype(
