@@ -1,21 +1,18 @@
 """`make links` tells a page that is gone from a host that cannot be reached."""
 
-import importlib.util
 import json
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from loaded_file import load_file
 
 SCRIPT = Path(__file__).parents[1] / "scripts/check_links.py"
 
 
 @pytest.fixture(scope="module")
 def check_links() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("check_links", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_file(SCRIPT)
 
 
 def entry(status: str, info: str = "") -> str:

@@ -1,10 +1,10 @@
 """Every example runs."""
 
-import importlib.util
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from loaded_file import load_file
 
 from gelgap.domains import open_domain
 from gelgap.sim import ContactPath
@@ -13,10 +13,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_file(EXAMPLES / f"{name}.py")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """What `make demo` says before and while it installs."""
 
-import importlib.util
 import subprocess
 import sys
 import time
@@ -8,16 +7,14 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from loaded_file import load_file
 
 SCRIPT = Path(__file__).parents[1] / "scripts/set_up.py"
 
 
 @pytest.fixture(scope="module")
 def set_up() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("set_up", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_file(SCRIPT)
 
 
 def test_the_announcement_names_the_number_the_size_and_the_largest(set_up: ModuleType) -> None:
