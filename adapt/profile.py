@@ -15,8 +15,12 @@ class Profile(Settings):
 
     name: str = Field(default="custom", description="name under which results are filed")
     backbone: Literal["resnet18", "resnet50"] = Field(default="resnet18", description="feature encoder")
+    # With fewer than 8 channels, oneDNN's strided 1×1 convolutions (torch 2.13) write past their buffer on AVX2.
     width: float = Field(
-        default=1.0, gt=0, le=2, description="factor on the number of channels of every backbone layer"
+        default=1.0,
+        ge=0.125,
+        le=2,
+        description="factor on the number of channels (64, 128, 256, 512) of the backbone's layers",
     )
     feature_dim: int = Field(default=256, ge=2, le=4096, description="size of the transfer feature")
     image_size_px: tuple[int, int] = Field(

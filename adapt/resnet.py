@@ -75,7 +75,7 @@ class ResNet(nn.Module):
         width: float = 1.0,
     ) -> None:
         super().__init__()
-        planes = [max(4, round(64 * 2**i * width)) for i in range(4)]
+        planes = [round(64 * 2**i * width) for i in range(4)]
         self.conv1 = nn.Conv2d(in_channels, planes[0], 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(planes[0])
         self.relu = nn.ReLU(inplace=True)

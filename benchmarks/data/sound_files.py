@@ -136,7 +136,7 @@ def small_profile() -> "Profile":  # noqa: F821
 
     return Profile(
         name="sound",
-        width=0.0625,
+        width=0.125,
         feature_dim=8,
         image_size_px=SIZE_PX,
         pairing="difference",

@@ -58,6 +58,11 @@ def test_width_scales_the_feature():
     assert narrow(torch.rand(2, 3, 48, 64)).shape == (2, 64)
 
 
+def test_networks_too_narrow_for_every_processor_are_refused():
+    with pytest.raises(ValueError, match=r"width.*0\.125"):
+        Profile.preset("smoke").replace(width=0.0625)
+
+
 def test_unknown_backbone():
     with pytest.raises(ValueError, match="known backbones: resnet18, resnet50"):
         make_resnet("vgg")
