@@ -23,15 +23,40 @@ from gelgap.adapt.network import Activations
 def daregram_published(
     source: Tensor, target: Tensor, angle: float, scale: float, threshold: float
 ) -> Tensor:
-    """Return the loss as its authors compute it, for features (B, D); B frames in both domains."""
+    """Return the loss as its authors compute it, for features (B, D); B frames in both domains.
+
+    Each pseudo-inverse is cut exactly at the first singular value that it should drop, so that rounding decides whether
+    it is kept: the loss jumps between processors.
+    """
+    spectra = gram_spectra(source, target)
+    rank = published_rank(*spectra, threshold)
+    cuts = [(values[rank] / values[0]).detach() for values in spectra]
+    return daregram_cut_at(source, target, angle, scale, rank, *cuts)
+
+
+def daregram_cut_at(
+    source: Tensor, target: Tensor, angle: float, scale: float, rank: int, cut_s: Tensor, cut_t: Tensor
+) -> Tensor:
+    """Return the published loss with each domain's pseudo-inverse cut at a share of its largest singular value."""
     a_s, a_t = _with_ones(source), _with_ones(target)
-    gram_s, gram_t = a_s.T @ a_s, a_t.T @ a_t
-    values_s, values_t = torch.linalg.svdvals(gram_s), torch.linalg.svdvals(gram_t)
-    rank = max(_kept(values_s.detach(), threshold), _kept(values_t.detach(), threshold))
-    inverse_s = torch.linalg.pinv(gram_s, rtol=(values_s[rank] / values_s[0]).detach())
-    inverse_t = torch.linalg.pinv(gram_t, rtol=(values_t[rank] / values_t[0]).detach())
+    inverse_s, inverse_t = (
+        torch.linalg.pinv(a_s.T @ a_s, rtol=cut_s),
+        torch.linalg.pinv(a_t.T @ a_t, rtol=cut_t),
+    )
     cosines = functional.cosine_similarity(inverse_s, inverse_t, dim=0, eps=1e-6)
+    values_s, values_t = gram_spectra(source, target)
     return angle * (1 - cosines).abs().mean() + scale * torch.dist(values_s[:rank], values_t[:rank]) / rank
+
+
+def gram_spectra(source: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the singular values (D + 1,), descending, of both domains' Gram matrices of [1, features]."""
+    a_s, a_t = _with_ones(source), _with_ones(target)
+    return torch.linalg.svdvals(a_s.T @ a_s), torch.linalg.svdvals(a_t.T @ a_t)
+
+
+def published_rank(values_s: Tensor, values_t: Tensor, threshold: float) -> int:
+    """Return how many singular values the authors mean to keep in both domains."""
+    return max(_kept(values_s.detach(), threshold), _kept(values_t.detach(), threshold))
 
 
 def daregram(source: Tensor, target: Tensor, angle: float, scale: float, threshold: float) -> Tensor:

@@ -1,6 +1,7 @@
 """Losses against values and gradients of public code: equal, or apart by what is named."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -13,6 +14,9 @@ from gelgap.benchmarks.adaptation.published_losses import (
     COMPARISONS,
     TOLERANCE,
     agreement,
+    daregram_beside_its_cut,
+    inputs_of,
+    method_loss,
     published_arrays,
     run,
 )
@@ -49,6 +53,16 @@ def test_rsd_is_of_the_published_angles(case):
     assert sines.sum() == pytest.approx(float(arrays[f"{case}/rsd-angles/value"]), rel=1e-9)
     ours = projection_distance(torch.from_numpy(source), torch.from_numpy(target), ridge=1e-12)
     assert float(ours) == pytest.approx((sines**2).sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_daregram_as_published_falls_on_one_side_of_its_cut(case):
+    """Discontinuous by definition: the cut lies on a singular value of either domain, and rounding decides."""
+    x = inputs_of(published_arrays(), case, "daregram")
+    sides = [float(daregram_beside_its_cut(x, extra).detach()) for extra in product((0, 1), repeat=2)]
+    assert np.diff(sorted(sides)).min() > 1e-3 * max(sides)
+    found = float(method_loss("daregram-published")(x).detach())
+    assert min(abs(found / side - 1) for side in sides) < 1e-10
 
 
 def test_the_command_names_every_deviation_and_fails_on_one_without_a_name(tmp_path, monkeypatch, capsys):
