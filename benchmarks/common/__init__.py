@@ -1,1 +1,400 @@
-"""What all benchmarks share: tables, plots, records, the memory and the limits of processes."""
+"""What every study is made of: settings → hash → record, tables of records, a bootstrap, PSNR, and a plot of costs.
+
+A study is a grid of settings (plain dicts), a function that measures one of them, and tables that are queries on the
+records: `run_missing` measures what has no record yet and returns all as a DataFrame, `show` prints one.
+"""
+
+import contextlib
+import dataclasses
+import hashlib
+import io
+import json
+import math
+import multiprocessing
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gelgap.assets.array_file import read_arrays
+from gelgap.assets.damage import set_aside, warn
+from gelgap.assets.held_stops import stops_held_back
+from gelgap.assets.json_file import canonical_json, parse_json, with_checksum, without_checksum
+from gelgap.assets.whole_file import write_whole
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from gelgap.adapt import ResultTable
+
+Setting = dict[str, Any]
+"""One cell of a study's grid, by name: what JSON can hold."""
+Results = dict[str, Any]
+"""What was measured, by names that no setting has: what JSON can hold, and arrays."""
+ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+_JOB, _ARRAYS = "job", "arrays"
+
+
+def run_missing(
+    function: Callable[[Setting], Results],
+    settings: Iterable[Setting],
+    file: Path,
+    *,
+    workers: int | None = None,
+    tasks_per_worker: int | None = None,
+    fixed: Callable[[Setting], Results] = lambda setting: {},
+    shared: Callable[[Setting], str | None] = lambda setting: None,
+    describe: Callable[[Results], str] = lambda record: "",
+    stop: float = math.inf,
+) -> "pd.DataFrame":
+    """Measure the settings that have no record in a file, in their order; return the records of all that are finished.
+
+    A record is a line of JSON with its checksum, written as soon as its setting is measured; arrays lie in a folder
+    beside the file, and the record names their digest. A line that a kill cut off is left out, a damaged one is named,
+    and what it held is measured again. The table is that of `read_records`.
+
+    Parameters
+    ----------
+    function
+        Measures one setting. For worker processes it is a function of a module, or `functools.partial` of one.
+    workers
+        Processes of one thread each; by default one per core. One means this process.
+    tasks_per_worker
+        After how many settings a fresh process takes the place of a worker, even of a single one; None: never.
+    fixed
+        What a record of a setting states besides its results, such as a hash of the data.
+    shared
+        Name of what a setting needs that the first one of that name makes for all of them, such as a checkpoint: the
+        others wait until that one has finished. None: nothing.
+    describe
+        What the line that is printed for each new record says of it.
+    stop
+        No setting is begun after this time of `time.time`.
+
+    Raises
+    ------
+    ValueError
+        If a record of one of the settings states something else than `fixed`.
+    RuntimeError
+        If a worker process dies.
+    """
+    wanted = {key_of(setting): _through_json(setting) for setting in settings}
+    stated = {key: _through_json(fixed(setting)) for key, setting in wanted.items()}
+    found = _read(file)
+    for key in [key for key in wanted if key in found]:
+        if other := [name for name, value in stated[key].items() if found[key].get(name) != value]:
+            raise ValueError(
+                f"{file}: the record of {_in_words(wanted[key])} is of another {' and '.join(other)} than the same run "
+                "has now; move the file away, or choose another --out"
+            )
+    todo = {key: setting for key, setting in wanted.items() if key not in found}
+    count, started = len(todo), time.perf_counter()
+    measure, cores = (function, file.with_suffix("")), len(os.sched_getaffinity(0))
+    if workers == 1 and tasks_per_worker is None:
+        done = ((key, _measured(*measure, key, todo[key])) for key in todo if time.time() < stop)
+    else:
+        done = _on_workers(measure, todo, shared, workers or cores, tasks_per_worker, stop)
+    with contextlib.closing(done):
+        for number, (key, results) in enumerate(done, 1):
+            record = {_JOB: wanted[key], **stated[key], **results}
+            _append(file, record)
+            said = f"{_in_words(wanted[key])}: {describe(record)}".removesuffix(": ")
+            print(f"{number}/{count}  {said}  ({time.perf_counter() - started:.0f} s)", flush=True)
+    found = _read(file)
+    return _frame({key: found[key] for key in wanted if key in found})
+
+
+def read_records(file: Path) -> "pd.DataFrame":
+    """Return a file's records in its order, by the hash of their settings; an empty table if there is no file.
+
+    Columns are settings and results by name; an entry of a dict is a column `name.entry`, and a list is a tuple.
+    """
+    return _frame(_read(file))
+
+
+def key_of(setting: Setting) -> str:
+    """Return the name of a setting: a hash of its canonical JSON, in which a tuple is a list."""
+    return hashlib.sha256(canonical_json(_through_json(setting))).hexdigest()[:16]
+
+
+def _measured(
+    function: Callable[[Setting], Results], folder: Path, key: str, setting: Setting
+) -> dict[str, Any]:
+    """Return the results of a setting for its record; arrays are written by the process that found them."""
+    results = function(setting)
+    arrays = {name: value for name, value in results.items() if isinstance(value, np.ndarray)}
+    plain = _through_json({name: value for name, value in results.items() if name not in arrays})
+    if arrays:
+        buffer = io.BytesIO()
+        np.savez(buffer, **arrays)
+        write_whole(folder / f"{key}.npz", buffer.getvalue())
+        plain[_ARRAYS] = hashlib.sha256(buffer.getvalue()).hexdigest()
+    return plain
+
+
+def _on_workers(
+    measure: Sequence[Any],
+    todo: dict[str, Setting],
+    shared: Callable[[Setting], str | None],
+    workers: int,
+    tasks_per_worker: int | None,
+    stop: float,
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield results as worker processes find them; a setting waits while another one makes what both need."""
+    needs = {key: shared(setting) for key, setting in todo.items()}
+    made: set[str | None] = {None}
+    running: dict[Future, str] = {}
+    environment = dict(os.environ)
+    with ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_end_with_parent,
+        max_tasks_per_child=tasks_per_worker,
+    ) as pool:
+        try:
+            os.environ.update(ONE_THREAD)
+            while True:
+                in_the_making = {needs[key] for key in running.values()} - made
+                for key in list(todo):
+                    if len(running) < workers and needs[key] not in in_the_making and time.time() < stop:
+                        with stops_held_back():
+                            running[pool.submit(_measured, *measure, key, todo.pop(key))] = key
+                        in_the_making |= {needs[key]} - made
+                if not running:
+                    return
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    key = running.pop(future)
+                    yield key, future.result()
+                    made.add(needs[key])
+        except BrokenProcessPool as error:
+            raise RuntimeError(
+                "a worker process died, perhaps for want of memory: start fewer; finished measurements are kept, run "
+                "the same command again to go on"
+            ) from error
+        except BaseException:
+            # Left alone, the pool would wait for all that it has begun.
+            processes = list((pool._processes or {}).values())
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in processes:
+                process.kill()
+            raise
+        finally:
+            os.environ.clear()
+            os.environ.update(environment)
+
+
+def _end_with_parent() -> None:
+    """End this process as soon as the one that started it has ended, however that was."""
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+def _append(file: Path, record: dict[str, Any]) -> None:
+    """Add a record as one line with its checksum; a line that a kill left unfinished is ended first."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a+b") as lines:
+        if lines.tell():
+            lines.seek(-1, os.SEEK_END)
+            if lines.read(1) != b"\n":
+                lines.write(b"\n")
+        lines.write((json.dumps(with_checksum(record), ensure_ascii=False) + "\n").encode())
+
+
+def _read(file: Path) -> dict[str, dict[str, Any]]:
+    """Return the intact records of a file by the hash of their settings; of two of one setting the last."""
+    lines = file.read_bytes().split(b"\n") if file.is_file() else []
+    records = {}
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            record = without_checksum(parse_json(line))
+            if not isinstance(record.get(_JOB), dict):
+                raise ValueError("it names no settings")
+        except ValueError as error:
+            if number < len(lines):  # the last one has no end if a kill cut it off
+                reason = " ".join(str(error).split())[:120]
+                warn(f"{file}, line {number}, is damaged ({reason}): left out, and measured again")
+            continue
+        records[key_of(record[_JOB])] = record
+    arrays = {key: _read_arrays(file, key, record.pop(_ARRAYS, None)) for key, record in records.items()}
+    return {key: record | arrays[key] for key, record in records.items() if arrays[key] is not None}
+
+
+def _read_arrays(file: Path, key: str, digest: str | None) -> dict[str, np.ndarray] | None:
+    """Return a record's arrays; None if they are gone, or damaged: then they are set aside."""
+    if digest is None:
+        return {}
+    path = file.with_suffix("") / f"{key}.npz"
+    try:
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != digest:
+            raise ValueError("its checksum does not match")
+        return read_arrays(content)
+    except FileNotFoundError:
+        return None
+    except ValueError as error:
+        set_aside(path, f"cannot be used ({error})")
+        return None
+
+
+def _frame(records: dict[str, dict[str, Any]]) -> "pd.DataFrame":
+    import pandas as pd
+
+    rows = []
+    for record in records.values():
+        row: dict[str, Any] = {}
+        for name, value in [*record[_JOB].items(), *record.items()]:
+            if isinstance(value, dict):
+                row |= {f"{name}.{entry}": _hashable(own) for entry, own in value.items() if name != _JOB}
+            else:
+                row[name] = _hashable(value)
+        rows.append(row)
+    return pd.DataFrame(rows, index=pd.Index(list(records), name="key"))
+
+
+def _hashable(value: Any) -> Any:
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value
+
+
+def _in_words(setting: Setting) -> str:
+    """Return a setting as a line of text: names speak for themselves, other values stand behind theirs."""
+    there = {name: value for name, value in setting.items() if value not in ([], {}, None)}
+    return "  ".join(v if isinstance(v, str) else f"{name} = {v}" for name, v in there.items())
+
+
+def _through_json(value: Any) -> Any:
+    return json.loads(json.dumps(value, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold in place of an array, a table, a NumPy number or a dataclass: `json.dumps`' default."""
+    if hasattr(value, "to_dict"):
+        return value.to_dict("records")
+    if dataclasses.is_dataclass(value):
+        return dataclasses.asdict(value)
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
+
+
+def write_json(path: Path, results: Any) -> None:
+    """Write results (arrays, tables, dataclasses and NumPy numbers included) as indented JSON, making the folder."""
+    write_whole(path, (json.dumps(results, indent=1, default=_plain) + "\n").encode())
+
+
+def bootstrap(
+    values: np.ndarray,
+    statistic: Callable[[np.ndarray], np.ndarray] | None = None,
+    seed: int = 0,
+    resamples: int = 4000,
+) -> tuple[float, float]:
+    """Return the 95 % percentile interval of a statistic of values (…, cases, seeds), NaN where there is no run.
+
+    Cases and seeds are drawn with replacement, independently of each other: a seed gives all cases their split and
+    their initial weights, so that its runs are drawn together. `statistic` takes (…, resamples, cases, seeds) to
+    (resamples,); by default it is the mean over cases of the means over seeds. The interval is NaN for one case, or
+    where a case has no run.
+    """
+    *_, cases, seeds = values.shape
+    if cases < 2 or not (~np.isnan(values)).any(axis=-1).all():
+        return math.nan, math.nan
+    rng = np.random.default_rng(seed)
+    rows = rng.integers(cases, size=(resamples, cases, 1))
+    columns = rng.integers(seeds, size=(resamples, 1, seeds))
+    drawn = values[..., rows, columns]
+    found = statistic(drawn) if statistic else mean_of(mean_of(drawn, axis=-1), axis=-1)
+    low, high = np.nanpercentile(found, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
+    """Return the mean of what is not NaN; NaN, without a warning, where nothing is."""
+    there = ~np.isnan(values)
+    count = there.sum(axis=axis)
+    return np.where(count > 0, np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
+
+
+def psnr_db(
+    picture: np.ndarray, expected: np.ndarray, where: np.ndarray | None = None, peak: float = 255.0
+) -> float:
+    """Return the peak signal-to-noise ratio of a picture, dB, over all pixels or those of a mask."""
+    square = (np.asarray(picture, float) - np.asarray(expected, float)) ** 2
+    mean = float(np.mean(square if where is None else square[where]))
+    return float(10 * np.log10(peak**2 / max(mean, 1e-14 * peak**2)))
+
+
+def result_table(
+    title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None
+) -> "ResultTable":
+    """Return a table for readers, its named index as first columns; NaN is a dash, and a tuple a range such as 1…2.
+
+    `formats` has patterns for numbers, such as "{:.1f} %", by column; that of "" is for all other columns.
+    """
+    from gelgap.adapt import ResultTable
+
+    shown = frame.reset_index(level=[name for name in frame.index.names if name is not None])
+    patterns = [(formats or {}).get(column, (formats or {}).get("")) for column in shown.columns]
+    rows = [list(map(_cell, row, patterns)) for row in shown.itertuples(index=False, name=None)]
+    return ResultTable(title, [str(column) for column in shown.columns], rows, note)
+
+
+def show(title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None) -> None:
+    """Print a table; see `result_table`."""
+    result_table(title, frame, note, formats).show()
+
+
+def _cell(value: Any, pattern: str | None) -> Any:
+    if isinstance(value, tuple):
+        ends = [_cell(end, pattern) for end in value]
+        return None if None in ends else "…".join(map(str, ends))
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return None
+    return value if pattern is None or isinstance(value, str | bool) else pattern.format(value)
+
+
+def plot_frontier(
+    path: Path,
+    points: "pd.DataFrame",
+    *,
+    title: str,
+    error_label: str,
+    time_label: str = "run time, s",
+    uncertainty: float | None = None,
+    targets: Sequence[float] = (),
+    unjoined: Sequence[str] = (),
+) -> None:
+    """Draw error against run time, log-log; `uncertainty` of the reference is shaded, targets are dashed.
+
+    `points` has the columns series, name, seconds and error. A line joins the points of a series in the order of
+    their run time, except in the series `unjoined`.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    axes = figure.subplots()
+    for series, own in points.groupby("series", sort=False):
+        members = own.sort_values("seconds", kind="stable")
+        axes.loglog(members["seconds"], members["error"], "o" if series in unjoined else "o-", label=series)
+        for number, point in enumerate(members.itertuples()):
+            place, at = (point.seconds, point.error), (5, (4, -11, 15)[number % 3])
+            axes.annotate(point.name, place, xytext=at, textcoords="offset points", fontsize=8)
+    if uncertainty is not None:
+        span = min(axes.get_ylim()[0], uncertainty / 3), uncertainty
+        axes.axhspan(*span, color="0.85", label="the reference's uncertainty")
+    for target in targets:
+        axes.axhline(target, color="0.4", linestyle="--", linewidth=1)
+    axes.set(title=title, xlabel=time_label, ylabel=error_label)
+    axes.grid(visible=True, which="both", linewidth=0.3)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=2)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
