@@ -84,7 +84,7 @@ class Press:
 
     def run(self, started: float) -> None:
         """Solve the scene and print it; `wall_s` counts from `started`, the start of the process."""
-        from gelgap.sim import Elastomer, Pose, Sphere, pose_for_force, solve_in_full, solve_pose
+        from gelgap.sim import Elastomer, Pose, Sphere, pose_for_force, solve_in_full
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
@@ -103,11 +103,12 @@ class Press:
             point = (pose.point_x_mm, pose.point_y_mm)
             pressed = pose_for_force(elastomer, indenter, self.normal_force_n, point, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
-        state = solve_pose(elastomer, indenter, pose, quality=self.quality)
+        solved = solve_in_full(elastomer, indenter, pose, self.quality)
+        state = solved.state
         if self.save is not None:
             state.save(self.save)
         if self.mesh is not None:
-            _save_mesh(self.mesh, solve_in_full(elastomer, indenter, pose, self.quality), pose, indenter)
+            _save_mesh(self.mesh, solved, pose, indenter)
         report = {
             "force_n": [float(component) for component in state.force_n],
             "converged": bool(state.converged),

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.indenters.base import Indenter
-from gelgap.sim.material import Moduli
-from gelgap.sim.membrane import Diagnostics
-from gelgap.sim.mesh.pad import GelMesh
+from gelgap.sim.indenter import Indenter
+from gelgap.sim.mesh import GelMesh
+from gelgap.sim.scene import Moduli
+from gelgap.sim.solution import Diagnostics
 
 Floats = NDArray[np.float64]
 

@@ -1,14 +1,23 @@
-"""The deformed outer membrane of one pose, with the force that deforms it."""
+"""The deformed outer membrane of one pose: its state and file, and how it follows from a solution's vertices."""
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.array_file import read_arrays
+from gelgap.sim.indenter import Indenter
+from gelgap.sim.scene import CanonicalFrame, Pose
+from gelgap.sim.solution import Diagnostics, Record, Solution
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Floats = NDArray[np.float64]
 
 GRID_SPACING_MM = 0.1
 GRID_HALF_EXTENT_MM = (7.0, 5.5)
@@ -16,6 +25,19 @@ GRID_HALF_EXTENT_MM = (7.0, 5.5)
 # The arrays of a saved state.
 _NEEDED = ("x_mm", "y_mm", "displacement_mm")
 _OPTIONAL = ("contact", "force_n", "contact_radius_mm", "converged")
+
+# Points of the membrane this near the indenter touch it.
+_TOUCHING_GAP_MM = 0.004
+# The gel bulges beside the indenter and can touch it this far outside of what it cuts.
+_BULGE_MM = 0.4
+
+# A polar table's rows are this far apart up to a radius, and further apart beyond it.
+_FINE_SPACING_MM = 0.05
+_COARSE_SPACING_MM = 0.25
+_FINE_RADIUS_MM = 4.0
+_SECTORS = 64
+# The edge of the contact, over which the line is fitted, carries these shares of the normal force outside of it.
+_EDGE_SHARES = (0.02, 0.6)
 
 
 def grid_axes(
@@ -32,29 +54,6 @@ def grid_axes(
 def _axis_mm(least_mm: float, wanted_mm: float) -> NDArray[np.float64]:
     cells = math.ceil(max(least_mm, wanted_mm) / GRID_SPACING_MM - 1e-3)
     return np.round(np.arange(-cells, cells + 1) * GRID_SPACING_MM, 9)
-
-
-@dataclass(frozen=True)
-class Diagnostics:
-    """How a pose was solved, for labels and for trust.
-
-    `residual` is the largest force on a free vertex and `imbalance` the difference of the forces on indenter and
-    backing, both over the indenter's force; `coulomb_excess` the largest `|f_t| / (μ f_n) − 1` over the contact's
-    vertices, −1 without friction; `tension` the largest pull on one of them over the largest push. `sticking_fraction`
-    is the share of the normal force carried by vertices that stick; `slip_mm` the largest sideways slip of a vertex on
-    the path so far; `elastic_energy_mj` the energy stored in the gel, mJ; `min_volume_ratio` the smallest element's
-    volume over its rest volume.
-    """
-
-    residual: float = 0.0
-    iterations: int = 0
-    sticking_fraction: float = 1.0
-    slip_mm: float = 0.0
-    elastic_energy_mj: float = 0.0
-    min_volume_ratio: float = 1.0
-    imbalance: float = 0.0
-    coulomb_excess: float = -1.0
-    tension: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -137,3 +136,224 @@ def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> Mem
     return MembraneState(
         x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
     )
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedPose:
+    """A membrane and what else its solve tells.
+
+    `pressure_mpa` is the normal pressure on the rest grid, (ny, nx), and `indenter_mm` (3,) how far the indenter has
+    come from where it touches the gel, in the sensor's frame: less deep than commanded if a spring mounts it.
+    """
+
+    state: MembraneState
+    pressure_mpa: NDArray[np.float32]
+    indenter_mm: NDArray[np.float64]
+
+    @classmethod
+    def untouched(cls) -> Self:
+        """Return the membrane without contact."""
+        state = flat_state()
+        return cls(state, np.zeros(state.contact.shape, np.float32), np.zeros(3))
+
+
+def placed_surface(
+    pose: Pose,
+    frame: CanonicalFrame,
+    indenter: Indenter,
+    table: "PolarTable",
+    indenter_mm: Floats,
+    half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], "PolarPlaces"]:
+    """Return a table's membrane at a pose's point; what touches the indenter at `indenter_mm` (3,) lies on it.
+
+    In the sensor's frame, on the rest grid of `grid_axes`: the displacement (ny, nx, 3) in mm, whether each point
+    touches the indenter (ny, nx), and the grid's places in the polar tables of the contact.
+    """
+    rest, places = places_around(half_extent_mm, pose, frame, table)
+    displacement = table.at(places)
+    origin = indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+    contact = _press_onto(indenter, rest, displacement, origin)
+    turned = (displacement.reshape(-1, 3) @ frame.to_sensor_3d.T).reshape(displacement.shape)
+    return turned.astype(np.float32), contact, places
+
+
+def _press_onto(
+    indenter: Indenter, rest_mm: Floats, displacement_mm: Floats, origin_mm: Floats
+) -> NDArray[np.bool_]:
+    """Move points (..., 3) that touch the indenter onto its surface, in place; return which do (...)."""
+    reach_mm = indenter.penetration_radius_mm(indenter.deepest_mm) + _BULGE_MM
+    rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
+    along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
+    near = np.flatnonzero((along_x < reach_mm) & (along_y < reach_mm))
+    from_origin = np.concatenate([rest[near], np.zeros((len(near), 1))], axis=1) - origin_mm
+    nearest = indenter.project(from_origin + moved[near])
+    touches = nearest.distance_mm < _TOUCHING_GAP_MM
+    moved[near[touches]] = (nearest.points_mm - from_origin)[touches]
+    contact = np.zeros(len(rest), dtype=bool)
+    contact[near[touches]] = True
+    return contact.reshape(displacement_mm.shape[:-1])
+
+
+def places_around(
+    half_extent_mm: tuple[float, float], pose: Pose, frame: CanonicalFrame, table: "PolarTable"
+) -> tuple[Floats, "PolarPlaces"]:
+    """Return the sensor's grid around a pose's point, in the contact's frame, and its places in polar tables."""
+    turn = tuple(frame.to_sensor.ravel().tolist())
+    point_mm, shape = (pose.point_x_mm, pose.point_y_mm), table.values.shape[:2]
+    return _kept_places(half_extent_mm, point_mm, turn, shape, table.symmetric)
+
+
+# Poses that follow one another often differ in depth alone.
+@lru_cache(maxsize=16)
+def _kept_places(
+    half_extent_mm: tuple[float, float],
+    point_mm: tuple[float, float],
+    turn: tuple[float, ...],
+    shape: tuple[int, ...],
+    symmetric: bool,
+) -> tuple[Floats, "PolarPlaces"]:
+    x_mm, y_mm = grid_axes(half_extent_mm)
+    rest = np.stack(np.meshgrid(x_mm - point_mm[0], y_mm - point_mm[1]), axis=-1) @ np.reshape(turn, (2, 2))
+    return rest, PolarPlaces.of(rest, shape, symmetric)
+
+
+@dataclass(frozen=True)
+class PolarTable:
+    """A field of the membrane tabulated over material radius and angle around the contact point.
+
+    `values` is (n_r, n_angle, 3) for a displacement in mm, (n_r, n_angle, 1) for a scalar; angles run over the half
+    circle if `symmetric`, else over the whole.
+    """
+
+    values: NDArray[np.float32]
+    symmetric: bool
+
+    def at(self, places: "PolarPlaces") -> NDArray[np.float64]:
+        """Interpolate linearly at places that are those of tables of this shape and symmetry."""
+        channels = self.values.shape[2]
+        value = places.weights @ self.values.reshape(-1, channels).astype(float)
+        value = value.reshape(*places.side.shape, channels)
+        if self.symmetric and channels == 3:
+            value[..., 1] *= places.side
+        return value
+
+
+@dataclass(frozen=True)
+class PolarPlaces:
+    """Where points (...) around the contact point lie in tables of one shape; beyond a table its rim holds.
+
+    `weights` (points, entries) are the shares of the table's entries in the value at each point, `side` (...) is the
+    sign of y.
+    """
+
+    weights: "csr_array"
+    side: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, rest_mm: NDArray[np.float64], shape: tuple[int, ...], symmetric: bool) -> "PolarPlaces":
+        """Find points (..., 2) in tables of this shape and symmetry."""
+        from scipy.sparse import csr_array
+
+        rows, columns = shape[:2]
+        x_mm, y_mm = rest_mm[..., 0], rest_mm[..., 1]
+        row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
+        angle = np.arctan2(y_mm, x_mm)
+        column = np.abs(angle) / np.pi if symmetric else (angle / (2 * np.pi)) % 1.0
+        column = np.clip(column * (columns - 1), 0, columns - 1 - 1e-6)
+        i, j = row.astype(np.int32), column.astype(np.int32)
+        outwards, onwards = row - i, column - j
+        corner = i * columns + j
+        entries = np.stack([corner, corner + 1, corner + columns, corner + columns + 1], -1)
+        inner, outer = (1 - outwards) * (1 - onwards), outwards * (1 - onwards)
+        shares = np.stack([inner, (1 - outwards) * onwards, outer, outwards * onwards], -1)
+        first = np.arange(0, entries.size + 1, 4, dtype=np.int32)
+        weights = csr_array((shares.ravel(), entries.ravel(), first), shape=(corner.size, rows * columns))
+        return cls(weights, np.sign(y_mm))
+
+
+def polar_table(solution: Solution, record: Record) -> PolarTable:
+    """Recover the membrane between the vertices by a C¹ piecewise cubic and tabulate it."""
+    from scipy.interpolate import CloughTocher2DInterpolator
+    from scipy.spatial import cKDTree
+
+    rest, displacement, _ = solution.whole_surface(record)
+    points = _polar_points(solution, rest)
+    values = CloughTocher2DInterpolator(rest, displacement)(points)
+    outside = np.isnan(values[..., 0])
+    values[outside] = displacement[cKDTree(rest).query(points[outside])[1]]
+    return PolarTable(values.astype(np.float32), solution.problem.symmetric)
+
+
+def pressure_table(solution: Solution, record: Record) -> PolarTable:
+    """Tabulate the normal pressure in MPa: the vertices' forces over their shares of the deformed surface's area."""
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.spatial import Delaunay
+
+    # Vertices in the plane of symmetry carry the force of one half, so that areas are those of this half as well.
+    rest = solution.rest_mm
+    triangulation = Delaunay(rest)
+    corners = triangulation.simplices
+    position = np.concatenate([rest, np.zeros((len(rest), 1))], axis=1) + record.displacement_mm
+    first, second, third = (position[corners[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
+    share = np.bincount(corners.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
+    pressure = np.maximum(record.normal_force_n, 0) / np.maximum(share, 1e-9)
+    values = LinearNDInterpolator(triangulation, pressure[:, None])(_polar_points(solution, rest))
+    return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
+
+
+def _polar_points(solution: Solution, rest_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where a table samples the membrane, (n_r, n_angle, 2)."""
+    problem = solution.problem
+    low, high = rest_mm.min(axis=0), rest_mm.max(axis=0)
+    rim = float(np.hypot(*rest_mm.T).max())
+    extent = rim if problem.pad_mm is None else np.hypot(*np.maximum(-low, high))
+    radius = _radius(np.arange(float(np.ceil(_row(np.array(extent)))) + 1))
+    half_circle = np.linspace(0, np.pi, _SECTORS + 1)
+    turn = half_circle if problem.symmetric else np.linspace(0, 2 * np.pi, 2 * _SECTORS + 1)
+    # The mesh is a polygon, cut at the pad's edges: points beyond it take the displacement of its rim.
+    meshed = np.minimum(radius, 0.999 * rim * np.cos(np.pi / (2 * problem.mesh_size.sectors)))
+    x, y = np.outer(meshed, np.cos(turn)), np.outer(meshed, np.sin(turn))
+    return np.stack([np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])], -1)
+
+
+def _row(radius_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    fine = np.minimum(radius_mm, _FINE_RADIUS_MM) / _FINE_SPACING_MM
+    return fine + np.maximum(radius_mm - _FINE_RADIUS_MM, 0) / _COARSE_SPACING_MM
+
+
+def _radius(row: NDArray[np.float64]) -> NDArray[np.float64]:
+    fine_rows = _FINE_RADIUS_MM / _FINE_SPACING_MM
+    return np.minimum(row, fine_rows) * _FINE_SPACING_MM + np.maximum(row - fine_rows, 0) * _COARSE_SPACING_MM
+
+
+def contact_radius_mm(solution: Solution, record: Record) -> float:
+    """Return the deformed radius at which the normal pressure vanishes; 0 if fewer than three vertices carry force.
+
+    Near the edge of a smooth round contact the pressure goes as √(a² − r²), so the normal force carried outside of
+    radius r goes as (a² − r²)^(3/2): its power 2/3 is a straight line in r² that meets zero at a². Radii count from the
+    centre of the force, and from the indenter's axis where the pad's edge cuts the contact off.
+    """
+    if np.count_nonzero(record.normal_force_n > 0) < 3:
+        return 0.0
+    rest, displacement, force = solution.whole_surface(record)
+    loaded = force > 0
+    rest, displacement, force = rest[loaded], displacement[loaded], force[loaded]
+    position = rest + displacement[:, :2]
+    pad_mm = solution.problem.pad_mm
+    cut_off = pad_mm is not None and (np.abs(rest[:, [0, 0, 1, 1]] - np.array(pad_mm)) < 1e-9).any()
+    centre = record.indenter_mm[:2] if cut_off else (force @ position) / force.sum()
+    square = ((position - centre) ** 2).sum(axis=1)
+    inwards = np.argsort(-square)
+    square, force = square[inwards], force[inwards]
+    share_outside = (np.cumsum(force) - 0.5 * force) / force.sum()
+    largest = float(np.sqrt(square.max()))
+    one_radius = 1e-6 * square.max()
+    edge = (share_outside > _EDGE_SHARES[0]) & (share_outside < _EDGE_SHARES[1])
+    if edge.sum() < 3 or np.ptp(square[edge]) < one_radius:
+        edge = share_outside > 0
+    if np.ptp(square[edge]) < one_radius:
+        return largest
+    slope, offset = np.polyfit(square[edge], share_outside[edge] ** (2 / 3), 1)
+    return float(np.sqrt(max(-offset / slope, 0.0))) if slope < 0 else largest

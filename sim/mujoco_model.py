@@ -4,13 +4,13 @@ import warnings
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.material import Moduli
-from gelgap.sim.mesh.for_problem import touchable_vertices
-from gelgap.sim.mesh.pad import GelMesh
+from gelgap.sim.mesh import GelMesh, touchable
 from gelgap.sim.problem import ContactProblem
+from gelgap.sim.scene import Moduli
 
 # With masses in tonnes and steps of 1 s, total mass / (E · thickness · step²) near 1 makes each step one damped
 # Newton iteration of a static problem: much less leaves MuJoCo's solver without metric, much more slows it down.
@@ -54,13 +54,11 @@ class GelModel:
 
 def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> GelModel:
     """Compile the model of a problem on its mesh, whose tetrahedra get `moduli`."""
-    import mujoco
-
     # Warnings would go to a log file in the user's folder; `mjData.warning` counts them all the same.
     mujoco.set_mju_user_warning(lambda message: None)
     gel_mass_t = _MASS_RATIO * moduli.young_modulus_mpa * problem.thickness_mm
     spec = mujoco.MjSpec.from_string(_indenter_xml(problem, mesh.symmetric, gel_mass_t))
-    nodes = touchable_vertices(problem, mesh)
+    nodes = touchable(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])
     _add_gel(spec, mesh, moduli, gel_mass_t, nodes)
     with warnings.catch_warnings():
         # The compiler does not see that the flex is elastic through its strain energy alone.
@@ -97,17 +95,32 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
 
 def _add_gel(spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes: NDArray[np.int64]) -> None:
     """Add the flex, a body with three slides per vertex that is not bonded, and a tiny geom at each node."""
-    import mujoco
-
-    bonded, touchable = (np.isin(np.arange(len(mesh.vertices_mm)), some) for some in (mesh.bottom, nodes))
-    moving = np.flatnonzero(~bonded)
+    bonded, is_node = (np.isin(np.arange(len(mesh.vertices_mm)), some) for some in (mesh.bottom, nodes))
+    moving, mass_t = np.flatnonzero(~bonded), gel_mass_t / len(bonded)
     # Adding a joint takes as long as its model has bodies, so that parts of the gel are models of their own at first.
     for part in np.array_split(moving, len(moving) // _BODIES_PER_PART + 1):
         own = mujoco.MjSpec()
         for vertex in part:
-            _add_vertex(
-                own, vertex, mesh.vertices_mm[vertex], gel_mass_t / len(bonded), bool(touchable[vertex])
+            body = own.worldbody.add_body(
+                name=str(vertex),
+                pos=mesh.vertices_mm[vertex],
+                mass=mass_t,
+                inertia=np.full(3, 2 / 3 * mass_t * _INERTIA_BOX_MM**2),
+                ipos=np.zeros(3),
+                explicitinertial=True,
             )
+            for axis in np.eye(3):
+                body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+            if is_node[vertex]:
+                body.add_geom(
+                    name=f"node_{vertex}",
+                    type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                    size=[1e-5, 0, 0],
+                    mass=0,
+                    contype=2,
+                    conaffinity=1,
+                    condim=3,
+                )
         spec.attach(own, frame=spec.worldbody.add_frame(), prefix="gel_")
     spec.add_flex(
         name="gel",
@@ -123,34 +136,6 @@ def _add_gel(spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes:
         vert=np.where(bonded[:, None], mesh.vertices_mm, 0.0).ravel(),
         elem=mesh.tetrahedra.ravel(),
     )
-
-
-def _add_vertex(
-    spec: Any, vertex: int, place_mm: NDArray[np.float64], mass_t: float, touchable: bool
-) -> None:
-    """Add the body of a vertex to a part of the gel."""
-    import mujoco
-
-    body = spec.worldbody.add_body(
-        name=str(vertex),
-        pos=place_mm,
-        mass=mass_t,
-        inertia=np.full(3, 2 / 3 * mass_t * _INERTIA_BOX_MM**2),
-        ipos=np.zeros(3),
-        explicitinertial=True,
-    )
-    for axis in np.eye(3):
-        body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    if touchable:
-        body.add_geom(
-            name=f"node_{vertex}",
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[1e-5, 0, 0],
-            mass=0,
-            contype=2,
-            conaffinity=1,
-            condim=3,
-        )
 
 
 def _indenter_xml(problem: ContactProblem, symmetric: bool, gel_mass_t: float) -> str:

@@ -1,32 +1,67 @@
 """Quasi-static solution of a contact problem: load steps, each solved by Newton iterations, which are MuJoCo steps."""
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from gelgap.sim.audit import audit_contact
-from gelgap.sim.extrapolation import GeometricSeries
-from gelgap.sim.friction import FrictionalContacts
-from gelgap.sim.material import mesh_moduli
-from gelgap.sim.membrane import Diagnostics
-from gelgap.sim.mesh.for_problem import mesh_for
-from gelgap.sim.mujoco_model import GelModel, build_gel_model
-from gelgap.sim.problem import ContactProblem
-from gelgap.sim.solution import Record, Solution
-from gelgap.sim.thresholds import THRESHOLDS
+from gelgap.sim.contact import ContactNewton, FrictionalContacts
+from gelgap.sim.mesh import mesh_for, mesh_moduli
+from gelgap.sim.mujoco_model import build_gel_model
+from gelgap.sim.problem import ContactProblem, SolveProgress, silent
+from gelgap.sim.solution import Diagnostics, Record, Solution
 
-if TYPE_CHECKING:
-    from gelgap.sim.contact_newton import ContactNewton
+Floats = NDArray[np.float64]
 
-SolveProgress = Callable[[int, int], None]
-"""Called at a solve's begin and after each load step with how many are done, of all."""
+# The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
+_FIRST_CONTACT_SHARES = (0.2, 0.5)
+# A load step that takes longer, or in which a vertex runs away, is undone and repeated in two halves; a half is left as
+# it is after its number of iterations.
+_ITERATIONS_PER_STEP = 30
+_ITERATIONS_PER_HALF_STEP = 60
+# Vertices that carry force in equilibrium lie on the indenter to this distance.
+_LARGEST_GAP_MM = 2e-3
+# MuJoCo's contact forces of a converged step exceed Coulomb's bound by no more than this share of it.
+_CONVERGED_COULOMB_EXCESS = 5e-4
+# Extrapolation moves no vertex further at a time than this share of the indenter's feature size, so that one that
+# slowly slides off the indenter stays near it.
+_EXTRAPOLATION_SHARE = 0.02
+# A vertex runs away if it slides this many times as far as the indenter moves in a load step: near the limit of
+# friction too long a step ends on another equilibrium than shorter ones agree on.
+_RUNAWAY_RATIO = 1.6
+# If vertices with this share of the load run away all the same, the contact has snapped: where it comes to rest is
+# dynamics, which statics does not determine.
+_SNAPPED_LOAD_SHARE = 0.25
+# MuJoCo's solver takes a start as solved that leaves at most this share of all forces unbalanced.
+_LARGEST_RESIDUAL = 1e-9
+# A state is converged only if the audit's residual, imbalance and tension are below `_LARGEST_ERROR` and its Coulomb
+# excess is at most `_LARGEST_COULOMB_EXCESS`; one whose load step converged gets up to so many more iterations for it.
+_LARGEST_ERROR = 1e-2
+_LARGEST_COULOMB_EXCESS = 1e-3
+_POLISHING_ITERATIONS = 40
+
+# Two increments belong to a geometric series if the cosine of the angle between them is at least the first of these
+# numbers, and the second increment is at least the second number times as long as the first.
+_PARALLEL_COSINE = 0.9
+_SMALLEST_RATIO = 0.3
+# Above this ratio of two increments the series' end is too uncertain: it is extrapolated as far as is allowed.
+_LARGEST_RATIO = 0.95
+# This many extrapolations need a series of one pair of increments; each further one needs two pairs more.
+_QUICK_EXTRAPOLATIONS = 2
 
 
-def silent(done: int, total: int) -> None:
-    """Say nothing."""
+def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condensed: bool = True) -> Solution:
+    """Solve the problem from the undeformed gel.
+
+    Unless it is `condensed`, MuJoCo does all of the linear algebra, which takes several times as long.
+    """
+    # Several threads would wait for one another at hundreds of small matrices.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return StaticNewton(problem, condensed=condensed).follow_waypoints(progress)
 
 
 @dataclass(frozen=True)
@@ -37,26 +72,25 @@ class State:
     `slip_mm` (geoms,) how far each has slid since it touched, and `snapped` whether the contact ever has.
     """
 
-    qpos: NDArray[np.float64]
-    command_mm: NDArray[np.float64]
+    qpos: Floats
+    command_mm: Floats
     active: NDArray[np.bool_]
-    slip_mm: NDArray[np.float64]
+    slip_mm: Floats
     snapped: bool
 
 
 class StaticNewton:
-    """Gel and indenter on their way through load steps.
+    """Gel and indenter of a problem on their way through load steps, from the undeformed and untouched gel on.
 
     `iterations` counts those since the last waypoint, `left_to_mujoco` those of all in which MuJoCo's solver did not
     take the solution of the condensed problem.
     """
 
-    def __init__(self, gel: GelModel, problem: ContactProblem, *, condensed: bool = True) -> None:
-        import mujoco
-
-        self._mujoco = mujoco
-        self.gel = gel
+    def __init__(self, problem: ContactProblem, *, condensed: bool = True) -> None:
+        mesh = mesh_for(problem)
+        moduli = mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
         self.problem = problem
+        self.gel = gel = build_gel_model(problem, mesh, moduli)
         self.data = mujoco.MjData(gel.model)
         self.contacts = FrictionalContacts(gel, self.data, problem.indenter, problem.friction)
         self.command_mm = np.zeros(3)
@@ -69,42 +103,57 @@ class StaticNewton:
         self._condensed = condensed
         self._contact_newton: ContactNewton | None = None
 
-    def state(self) -> State:
-        """Return the present state, to come back to."""
-        qpos = np.array(self.data.qpos)
-        return State(qpos, self.command_mm, self.active, self.slip_mm, self.snapped)
+    def follow_waypoints(self, progress: SolveProgress = silent) -> Solution:
+        """Lead the indenter from waypoint to waypoint, in load steps along straight lines, and record each state."""
+        problem, mesh = self.problem, self.gel.mesh
+        done, total = 0, problem.load_steps
+        progress(done, total)
+        states = {-1: self.state()}
+        records = []
+        for index, (waypoint, parent) in enumerate(zip(problem.waypoints_mm, problem.parents, strict=True)):
+            if parent != index - 1:
+                self.return_to(states[parent])
+            self.iterations = 0
+            start_mm, displacement_mm = self.command_mm, np.array(waypoint) - self.command_mm
+            steps = problem.quality.load_steps(displacement_mm)
+            shares = np.arange(1, steps + 1) / steps
+            if not self.active.any() and displacement_mm[2] < 0:
+                shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
+            for number, share in enumerate(shares, start=1):
+                converged = self._advance(start_mm + displacement_mm * share)
+                # The smaller steps at first contact are part of the first load step.
+                progress(done + max(0, number - len(shares) + steps), total)
+            records.append(self._polished_record(converged))
+            done += steps
+            if index in problem.parents[index + 2 :]:
+                states[index] = self.state()
+        return Solution(problem, mesh.vertices_mm[mesh.surface, :2], tuple(records))
 
-    def return_to(self, state: State) -> None:
-        """Restore a state."""
-        self.data.qpos[:] = state.qpos
-        self.command_mm, self.active = state.command_mm, state.active
-        self.slip_mm, self.snapped = state.slip_mm, state.snapped
+    def _advance(self, command_mm: Floats) -> bool:
+        """Take a load step, in halves if need be, and return whether it converged."""
+        start, middle_mm = self.state(), 0.5 * (self.command_mm + command_mm)
+        converged, ran_away = self.load_step(command_mm, _ITERATIONS_PER_STEP)
+        if converged and not ran_away:
+            return True
+        self.return_to(start)
+        self.load_step(middle_mm, _ITERATIONS_PER_HALF_STEP)
+        converged, _ = self.load_step(command_mm, _ITERATIONS_PER_HALF_STEP)
+        return converged
 
-    @property
-    def indenter_force_n(self) -> NDArray[np.float64]:
-        """Force (3,) of the indenter on the meshed gel."""
-        return -np.array(self.data.qfrc_constraint[self.gel.indenter_dof])
-
-    def vertices_mm(self) -> NDArray[np.float64]:
-        """Return the present positions (n, 3) of the mesh's vertices."""
-        self._mujoco.mj_kinematics(self.gel.model, self.data)
-        self._mujoco.mj_flex(self.gel.model, self.data)
-        return np.array(self.data.flexvert_xpos)
-
-    def load_step(self, command_mm: NDArray[np.float64], most_iterations: int) -> tuple[bool, bool]:
+    def load_step(self, command_mm: Floats, most_iterations: int) -> tuple[bool, bool]:
         """Move the drive to a command (3,) and iterate to equilibrium, or until the iterations are spent.
 
-        Returns whether equilibrium was reached, and whether a loaded node ran away.
+        Returns whether it converged, and whether a loaded node ran away.
         """
         data, quality = self.data, self.problem.quality
         start = self.state()
         displacement_mm, self.command_mm = command_mm - self.command_mm, command_mm
         tolerance = quality.travel_tolerance if displacement_mm[:2].any() else quality.press_tolerance
-        furthest_mm = THRESHOLDS.extrapolation_share * self.problem.indenter.feature_size_mm
+        furthest_mm = _EXTRAPOLATION_SHARE * self.problem.indenter.feature_size_mm
         if not self._rigid:
             self.gel.model.qpos_spring[self.gel.indenter_qpos] = command_mm
         self.contacts.begin_load_step()
-        force, series, settled = np.full(3, np.inf), GeometricSeries(), False
+        force, series, converged = np.full(3, np.inf), GeometricSeries(), False
         for iteration in range(most_iterations):
             if iteration > 0:
                 active_dofs = self.gel.dofs(np.flatnonzero(self.active))
@@ -114,26 +163,26 @@ class StaticNewton:
                 return False, False
             last_force, force = force, self.indenter_force_n
             change = np.linalg.norm(force - last_force)
-            settled = bool(
+            converged = bool(
                 iteration > 0
                 and change <= tolerance * np.linalg.norm(force)
-                and gap_mm <= THRESHOLDS.largest_gap_mm
+                and gap_mm <= _LARGEST_GAP_MM
                 and self.contacts.at_rest()
-                and self.contacts.coulomb_excess() <= THRESHOLDS.settled_coulomb_excess
+                and self.contacts.coulomb_excess() <= _CONVERGED_COULOMB_EXCESS
             )
-            if settled:
+            if converged:
                 break
-        return settled, self._add_slip(start, float(np.linalg.norm(displacement_mm)))
+        return converged, self._add_slip(start, float(np.linalg.norm(displacement_mm)))
 
-    def iterate(self, indenter_step_mm: NDArray[np.float64] | float = 0.0) -> float:
+    def iterate(self, indenter_step_mm: Floats | float = 0.0) -> float:
         """Take one Newton iteration, a MuJoCo step of 1 s in which the indenter moves by a step (3,).
 
-        Returns the largest distance from the indenter, mm, at which the iteration found nodes that it left with a
-        force. Nodes that come near the indenter are constrained before they touch it, so that an iteration ends on its
-        surface instead of finding the contact one iteration late. MuJoCo's solve starts from rest, which is nearer to
-        its end than the last iteration's step.
+        The increment of positions is then the velocity. Returns the largest distance from the indenter, mm, at which
+        the iteration found nodes that it left with a force. Nodes that come near the indenter are constrained before
+        they touch it, so that an iteration ends on its surface instead of finding the contact one iteration late.
+        MuJoCo's solve starts from rest, which is nearer to its end than the last increment.
         """
-        mujoco, model, data = self._mujoco, self.gel.model, self.data
+        model, data = self.gel.model, self.data
         data.qvel[:] = 0
         data.qvel[self.gel.indenter_dof] = indenter_step_mm
         mujoco.mj_fwdPosition(model, data)
@@ -155,170 +204,139 @@ class StaticNewton:
 
     def _accelerate(self) -> None:
         """Let MuJoCo solve for the accelerations: it takes the solution of the condensed problem, or goes on itself."""
-        data = self.data
-        if data.ncon > 0 and self._condensed and self._start_solver():
-            self._mujoco.mj_fwdConstraint(self.gel.model, data)
-            if data.solver_niter[0] == 0 and np.array_equal(data.qacc, data.qacc_warmstart):
-                return
+        model, data = self.gel.model, self.data
+        if data.ncon > 0 and self._condensed:
+            # With an endless tolerance the solver ends where it starts.
+            self._set_up_solver(tolerance=np.inf)
+            try:
+                self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
+                acceleration = self._contact_newton.acceleration()
+            except np.linalg.LinAlgError:
+                data.qacc_warmstart[:] = 0
+            else:
+                data.qacc_warmstart[:] = acceleration
+                # MuJoCo would start from its estimate without contacts if that looked better, which it has not worked
+                # out here. The tolerance is for the check of this start: its residual, the unbalanced force.
+                data.qacc_smooth[:] = acceleration
+                force_n = np.linalg.norm(data.efc_force) + np.linalg.norm(data.qfrc_smooth)
+                model.opt.tolerance = _LARGEST_RESIDUAL * force_n / (model.stat.meaninertia * model.nv)
+                mujoco.mj_fwdConstraint(model, data)
+                if data.solver_niter[0] == 0 and np.array_equal(data.qacc, data.qacc_warmstart):
+                    return
         self.left_to_mujoco += 1
         self._set_up_solver(tolerance=0)
-
-    def _start_solver(self) -> bool:
-        """Start MuJoCo's solver at the solution of the condensed problem; return whether there is one.
-
-        The tolerance is for the check of this start: the force that it leaves unbalanced.
-        """
-        from gelgap.sim.contact_newton import ContactNewton
-
-        model, data = self.gel.model, self.data
-        # With an endless tolerance the solver ends where it starts.
-        self._set_up_solver(tolerance=np.inf)
-        try:
-            self._contact_newton = self._contact_newton or ContactNewton(self.gel, data)
-            acceleration = self._contact_newton.acceleration()
-        except np.linalg.LinAlgError:
-            data.qacc_warmstart[:] = 0
-            return False
-        data.qacc_warmstart[:] = acceleration
-        # MuJoCo would start from its estimate without contacts if that looked better, which it has not worked out here.
-        data.qacc_smooth[:] = acceleration
-        force_n = np.linalg.norm(data.efc_force) + np.linalg.norm(data.qfrc_smooth)
-        model.opt.tolerance = THRESHOLDS.largest_gradient * force_n / (model.stat.meaninertia * model.nv)
-        return True
 
     def _set_up_solver(self, tolerance: float) -> None:
         """Let MuJoCo set up its solver's problem, and solve it to a tolerance."""
         self.gel.model.opt.tolerance = tolerance
-        self._mujoco.mj_forwardSkip(self.gel.model, self.data, self._mujoco.mjtStage.mjSTAGE_POS, 1)
+        mujoco.mj_forwardSkip(self.gel.model, self.data, mujoco.mjtStage.mjSTAGE_POS, 1)
 
     def _add_slip(self, start: State, moved_mm: float) -> bool:
         """Add what nodes that stayed in touch slid in the load step; return whether a loaded one ran away."""
         nodes, load = self.contacts.nodes, self.contacts.normal_force_n
         slid = np.zeros(self.data.nefc)
         if len(nodes):
-            self._mujoco.mj_mulJacVec(self.gel.model, self.data, slid, self.data.qpos - start.qpos)
+            mujoco.mj_mulJacVec(self.gel.model, self.data, slid, self.data.qpos - start.qpos)
         stayed = (start.active & self.active)[nodes]
         slip_mm = np.where(stayed, np.linalg.norm(slid.reshape(-1, 3)[:, 1:], axis=1), 0.0)
         total_mm = self.slip_mm.copy()
         total_mm[nodes] += slip_mm
         self.slip_mm = np.where(self.active, total_mm, 0.0)
-        away = slip_mm > THRESHOLDS.runaway_ratio * moved_mm
-        self.snapped |= bool(load[away].sum() > THRESHOLDS.snapped_load_share * load.sum())
+        away = slip_mm > _RUNAWAY_RATIO * moved_mm
+        self.snapped |= bool(load[away].sum() > _SNAPPED_LOAD_SHARE * load.sum())
         return bool(away[self.contacts.loaded].any())
 
+    def state(self) -> State:
+        """Return the present state, to come back to."""
+        qpos = np.array(self.data.qpos)
+        return State(qpos, self.command_mm, self.active, self.slip_mm, self.snapped)
 
-def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condensed: bool = True) -> Solution:
-    """Solve the problem from the undeformed gel.
+    def return_to(self, state: State) -> None:
+        """Restore a state."""
+        self.data.qpos[:] = state.qpos
+        self.command_mm, self.active = state.command_mm, state.active
+        self.slip_mm, self.snapped = state.slip_mm, state.snapped
 
-    Unless it is `condensed`, MuJoCo does all of the linear algebra, which takes several times as long.
-    """
-    from gelgap.sim.contact_newton import one_thread
+    @property
+    def indenter_force_n(self) -> Floats:
+        """Force (3,) of the indenter on the meshed gel."""
+        return -np.array(self.data.qfrc_constraint[self.gel.indenter_dof])
 
-    with one_thread():
-        return follow_waypoints(static_newton(problem, condensed=condensed), progress)
+    def vertices_mm(self) -> Floats:
+        """Return the present positions (n, 3) of the mesh's vertices."""
+        mujoco.mj_kinematics(self.gel.model, self.data)
+        mujoco.mj_flex(self.gel.model, self.data)
+        return np.array(self.data.flexvert_xpos)
 
+    def _polished_record(self, converged: bool) -> Record:
+        """Record the present state, after further iterations where a converged one exceeds Coulomb's bound."""
+        record = self._record(converged)
+        for _ in range(_POLISHING_ITERATIONS):
+            if not converged or record.diagnostics.coulomb_excess <= _LARGEST_COULOMB_EXCESS:
+                break
+            self.iterate()
+            record = self._record(converged)
+        return record
 
-def static_newton(problem: ContactProblem, *, condensed: bool = True) -> StaticNewton:
-    """Mesh the gel of a problem, undeformed and untouched."""
-    mesh = mesh_for(problem)
-    moduli = mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
-    return StaticNewton(build_gel_model(problem, mesh, moduli), problem, condensed=condensed)
-
-
-def follow_waypoints(newton: StaticNewton, progress: SolveProgress = silent) -> Solution:
-    """Lead the indenter from waypoint to waypoint."""
-    problem, mesh = newton.problem, newton.gel.mesh
-    done, total = 0, problem.load_steps
-    progress(done, total)
-    states = {-1: newton.state()}
-    records = []
-    for index, (waypoint, parent) in enumerate(zip(problem.waypoints_mm, problem.parents, strict=True)):
-        if parent != index - 1:
-            newton.return_to(states[parent])
-        steps = problem.quality.load_steps(np.array(waypoint) - newton.command_mm)
-        records.append(
-            _move_to(newton, np.array(waypoint), lambda left, to=done + steps: progress(to - left, total))
+    def _record(self, converged: bool) -> Record:
+        """Record the present state: converged if it is sound by the audit as well, and the contact never snapped."""
+        gel, problem, mesh = self.gel, self.problem, self.gel.mesh
+        vertices_mm = self.vertices_mm()
+        force = self.indenter_force_n * (2.0 if mesh.symmetric else 1.0)
+        if mesh.symmetric:
+            force[1] = 0.0
+        indenter_mm = np.array(self.data.qpos[gel.indenter_qpos])
+        finite = bool(np.isfinite(vertices_mm).all() and np.isfinite(force).all())
+        found = Diagnostics(iterations=self.iterations)
+        if finite:
+            origin_mm = indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
+            found = replace(
+                audit_contact(mesh, vertices_mm, gel.moduli, problem.friction, problem.indenter, origin_mm),
+                iterations=self.iterations,
+                sticking_fraction=self.contacts.sticking_fraction(),
+                slip_mm=float(self.slip_mm.max()),
+            )
+        sound = (
+            max(found.residual, found.imbalance, found.tension) < _LARGEST_ERROR
+            and found.coulomb_excess <= _LARGEST_COULOMB_EXCESS
+            and found.min_volume_ratio > 0
         )
-        done += steps
-        if index in problem.parents[index + 2 :]:
-            states[index] = newton.state()
-    return Solution(problem, mesh.vertices_mm[mesh.surface, :2], tuple(records))
-
-
-def _move_to(
-    newton: StaticNewton, waypoint_mm: NDArray[np.float64], steps_left: Callable[[int], None]
-) -> Record:
-    """Lead the indenter to a waypoint in load steps along a straight line, and record the equilibrium there."""
-    newton.iterations = 0
-    settled = True
-    commands_mm = _commands(newton, waypoint_mm)
-    steps = newton.problem.quality.load_steps(waypoint_mm - newton.command_mm)
-    for left in reversed(range(len(commands_mm))):
-        settled = _advance(newton, commands_mm[-1 - left])
-        # The smaller steps at first contact are part of the first load step.
-        steps_left(min(left, steps))
-    record = _record(newton, settled)
-    for _ in range(THRESHOLDS.polishing_iterations):
-        if not settled or record.diagnostics.coulomb_excess <= THRESHOLDS.largest_coulomb_excess:
-            break
-        newton.iterate()
-        record = _record(newton, settled)
-    return record
-
-
-def _commands(newton: StaticNewton, waypoint_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the load steps' commands (n, 3) up to a waypoint, smaller steps at first contact."""
-    displacement = waypoint_mm - newton.command_mm
-    steps = newton.problem.quality.load_steps(displacement)
-    shares = np.arange(1, steps + 1) / steps
-    if not newton.active.any() and displacement[2] < 0:
-        shares = np.concatenate([np.array(THRESHOLDS.first_contact_shares) / steps, shares])
-    return newton.command_mm + displacement * shares[:, None]
-
-
-def _advance(newton: StaticNewton, command_mm: NDArray[np.float64]) -> bool:
-    """Take a load step, in halves if need be, and return whether equilibrium was reached."""
-    start, middle_mm = newton.state(), 0.5 * (newton.command_mm + command_mm)
-    settled, ran_away = newton.load_step(command_mm, THRESHOLDS.iterations_per_step)
-    if settled and not ran_away:
-        return True
-    newton.return_to(start)
-    newton.load_step(middle_mm, THRESHOLDS.iterations_per_half_step)
-    settled, _ = newton.load_step(command_mm, THRESHOLDS.iterations_per_half_step)
-    return settled
-
-
-def _record(newton: StaticNewton, settled: bool) -> Record:
-    """Record the present state: converged if it has settled, is sound by the audit, and the contact never snapped."""
-    gel, problem, mesh = newton.gel, newton.problem, newton.gel.mesh
-    vertices_mm = newton.vertices_mm()
-    force = newton.indenter_force_n * (2.0 if mesh.symmetric else 1.0)
-    if mesh.symmetric:
-        force[1] = 0.0
-    indenter_mm = np.array(newton.data.qpos[gel.indenter_qpos])
-    finite = bool(np.isfinite(vertices_mm).all() and np.isfinite(force).all())
-    diagnostics = Diagnostics(iterations=newton.iterations)
-    if finite:
-        origin_mm = indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
-        diagnostics = replace(
-            audit_contact(mesh, vertices_mm, gel.moduli, problem.friction, problem.indenter, origin_mm),
-            iterations=newton.iterations,
-            sticking_fraction=newton.contacts.sticking_fraction(),
-            slip_mm=float(newton.slip_mm.max()),
+        return Record(
+            displacement_mm=(vertices_mm - mesh.vertices_mm)[mesh.surface].astype(np.float32),
+            normal_force_n=self.contacts.vertex_normal_force_n()[mesh.surface].astype(np.float32),
+            indenter_mm=indenter_mm,
+            force_n=force,
+            converged=converged and finite and sound and not self.snapped,
+            diagnostics=found,
         )
-    return Record(
-        displacement_mm=(vertices_mm - mesh.vertices_mm)[mesh.surface].astype(np.float32),
-        normal_force_n=newton.contacts.vertex_normal_force_n()[mesh.surface].astype(np.float32),
-        indenter_mm=indenter_mm,
-        force_n=force,
-        converged=settled and finite and _is_sound(diagnostics) and not newton.snapped,
-        diagnostics=diagnostics,
-    )
 
 
-def _is_sound(diagnostics: Diagnostics) -> bool:
-    return (
-        max(diagnostics.residual, diagnostics.imbalance, diagnostics.tension) < THRESHOLDS.largest_error
-        and diagnostics.coulomb_excess <= THRESHOLDS.largest_coulomb_excess
-        and diagnostics.min_volume_ratio > 0
-    )
+class GeometricSeries:
+    """Aitken's extrapolation of an iteration whose increments shrink in a geometric series, since the last one."""
+
+    def __init__(self) -> None:
+        self._last: Floats | None = None
+        self._pairs = -1
+        self._extrapolations = 0
+
+    def remainder(self, increment: Floats, dofs: NDArray[np.int64], furthest: float) -> float:
+        """Add an increment (n,); return the sum of those still to come as a multiple of it, 0 while that is not clear.
+
+        Only `dofs` are considered, and none of them is moved further than `furthest`. The first increment after an
+        extrapolation is a response to the jump and belongs to no series. Where extrapolations make an iteration go in
+        circles, it needs time to settle by itself, so later extrapolations wait for longer series.
+        """
+        last, self._last = self._last, np.array(increment)
+        if last is None:
+            return 0.0
+        last, increment = last[dofs], increment[dofs]
+        product = float(last @ increment)
+        ratio = product / max(float(last @ last), 1e-300)
+        parallel = product >= _PARALLEL_COSINE * float(np.linalg.norm(last) * np.linalg.norm(increment))
+        self._pairs = self._pairs + 1 if parallel and ratio >= _SMALLEST_RATIO else 0
+        if self._pairs < max(1, 2 * (self._extrapolations - _QUICK_EXTRAPOLATIONS)):
+            return 0.0
+        self._last, self._pairs = None, -1
+        self._extrapolations += 1
+        times = ratio / (1 - ratio) if ratio < _LARGEST_RATIO else math.inf
+        return min(times, furthest / float(np.abs(increment).max()))

@@ -8,8 +8,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from gelgap.assets import load_preset
 from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.sim.scene import NO_CLASS, Pose
 
 # The paper's grid of contacts; any path that visits one of them gives it the paper's number.
 CLASS_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
@@ -17,44 +20,7 @@ CLASS_RADII_MM = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 CLASS_ANGLES_DEG = tuple(30.0 * k for k in range(12))
 CLASS_POINTS_X_MM = (-3.75, -2.25, -0.75, 0.75, 2.25, 3.75)
 CLASS_POINTS_Y_MM = (-2.6, -1.3, 0.0, 1.3, 2.6)
-NO_CLASS = -1
 MOST_POSES = 1_000_000
-
-
-@dataclass(frozen=True)
-class Pose:
-    """One commanded contact: at a point of the pad, `depth_mm` down, then sideways by the shear in one straight line.
-
-    `contact_class` is 0 for the reference without contact, 1 + 72·depth index + 12·radius index + angle index on the
-    paper's grid, and `NO_CLASS` elsewhere. Poses of one `trajectory` are visited in their order, each in a straight
-    line from the one before, so that friction depends on all that came before.
-    """
-
-    depth_mm: float
-    shear_x_mm: float = 0.0
-    shear_y_mm: float = 0.0
-    point_x_mm: float = 0.0
-    point_y_mm: float = 0.0
-    point_id: int = 0
-    contact_class: int = NO_CLASS
-    trajectory: int | None = None
-
-    def __post_init__(self) -> None:
-        for field in ("depth_mm", "shear_x_mm", "shear_y_mm", "point_x_mm", "point_y_mm"):
-            value = getattr(self, field)
-            if not math.isfinite(value):
-                raise ValueError(f"{field} = {value!r}: must be a finite number of mm")
-        if self.depth_mm < 0:
-            raise ValueError(f"depth_mm = {self.depth_mm:g}: must be 0 or more (pressing is positive)")
-
-    @property
-    def radius_mm(self) -> float:
-        return round(math.hypot(self.shear_x_mm, self.shear_y_mm), 9)
-
-    @property
-    def angle_deg(self) -> float:
-        """Direction of the shear, degrees in [0, 360), from +x towards +y."""
-        return round(math.degrees(math.atan2(self.shear_y_mm, self.shear_x_mm)), 9) % 360.0
 
 
 @dataclass(frozen=True)
@@ -125,8 +91,6 @@ class DrawnPath(ContactPath):
             )
 
     def _poses_at(self, index: int, x_mm: float, y_mm: float) -> list[Pose]:
-        import numpy as np
-
         reference, *contacts = super()._poses_at(index, x_mm, y_mm)
         order = np.random.default_rng(np.random.SeedSequence([index])).permutation(len(contacts))
         return [reference, *(contacts[k] for k in sorted(order[: self.contacts_per_point]))]
@@ -195,8 +159,6 @@ class PosePath:
         ValueError
             If the number is below 1, or a range is not a pair of rising numbers.
         """
-        import numpy as np
-
         if not isinstance(number, int) or number < 1:
             raise ValueError(f"number = {number!r} of path {name}: must be a whole number from 1")
         _check_number(number, name)
@@ -206,15 +168,13 @@ class PosePath:
             "depth_mm": depth_mm,
             "radius_mm": radius_mm,
         }
-        low, high = [], []
-        for field, values in ranges.items():
-            start, stop = _numbers(values, 2, f"{field} of path {name}")
+        ends = [_numbers(values, 2, f"{field} of path {name}") for field, values in ranges.items()]
+        for (start, stop), (field, values) in zip(ends, ranges.items(), strict=True):
             if stop < start:
                 raise ValueError(f"{field} = {list(values)!r} of path {name}: must rise from its first value")
-            low.append(start)
-            high.append(stop)
+        low, high = zip(*ends, (0.0, 360.0), strict=True)
         rng = np.random.default_rng(np.random.SeedSequence([seed, number]))
-        drawn = np.round(rng.uniform([*low, 0.0], [*high, 360.0], (number, 5)), 6)
+        drawn = np.round(rng.uniform(low, high, (number, 5)), 6)
         poses = [Pose(depth_mm=0.0, contact_class=0, point_id=_point_id(math.nan, math.nan, 0))]
         for index, (x, y, depth, radius, angle) in enumerate(map(tuple, drawn.tolist())):
             poses.append(

@@ -1,33 +1,54 @@
-"""Which physics problems a path needs, and which of their solutions serves each pose."""
+"""Which physics problems poses need, who shares them, and which of their solutions serves each pose."""
 
 import logging
 import math
+import time
+import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from gelgap.assets.key_lock import key_lock
 from gelgap.assets.user_cache import cache_folder
-from gelgap.sim.cache import load_solution, store_solution
-from gelgap.sim.canonical_frame import CanonicalFrame, canonical_frame, placed_state
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.base import Indenter
-from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, flat_state
-from gelgap.sim.mesh.scale import contact_width, mesh_scale
-from gelgap.sim.newton import SolveProgress, silent
-from gelgap.sim.pace import timed_solve
-from gelgap.sim.path import ContactPath, Pose, PosePath
-from gelgap.sim.problem import ContactProblem, Waypoint
-from gelgap.sim.scene import Scene, Sharing
-from gelgap.sim.solution import Solution
+from gelgap.sim.indenter import Indenter
+from gelgap.sim.membrane import (
+    GRID_HALF_EXTENT_MM,
+    MembraneState,
+    PolarTable,
+    SolvedPose,
+    contact_radius_mm,
+    flat_state,
+    grid_axes,
+    placed_surface,
+    places_around,
+    polar_table,
+    pressure_table,
+)
+from gelgap.sim.path import ContactPath, PosePath
+from gelgap.sim.problem import (
+    ContactProblem,
+    SolveProgress,
+    Waypoint,
+    contact_width,
+    mesh_scale,
+    silent,
+)
+from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
+from gelgap.sim.solution import Solution, load_solution, store_solution
 
 LOG = logging.getLogger(__name__)
 # At most this many depths share a descent.
 _DEPTHS_PER_DESCENT = 3
 # A membrane's grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
 _COVERED_RADII = 1.5
+# Seconds of a core per load step on a mesh of 3000 vertices, on a server of 2023; more where friction slides. An
+# iteration on n vertices takes about n^1.5. Ordering such a mesh and compiling its model takes time as well.
+_SECONDS_PER_STEP = 0.26
+_TRAVEL_FACTOR = 1.3
+_SECONDS_TO_BUILD = 0.4
 
 
 @dataclass(frozen=True)
@@ -41,13 +62,24 @@ class Solve:
     def key(self) -> str:
         return self.problem.key
 
+    @property
+    def expected_core_s(self) -> float:
+        """Seconds of a core that the solve takes on a server of 2023; other machines may take twice as long."""
+        from gelgap.sim.mesh import unordered_mesh
+
+        problem, size = self.problem, len(unordered_mesh(self.problem).vertices_mm) / 3000
+        # The first load step onto the gel is taken in three.
+        steps = problem.load_steps + 2 * problem.parents.count(-1)
+        step_s = size**1.5 * _SECONDS_PER_STEP * (_TRAVEL_FACTOR if problem.travel_mm else 1.0)
+        return size * _SECONDS_TO_BUILD + steps * step_s
+
     def run(self, progress: SolveProgress = silent) -> Solution:
         """Return the solution from the cache, or solve and keep it.
 
         A process that needs what another one is solving waits for it.
         """
         if not self.cached:
-            return timed_solve(self.problem, progress)
+            return self._solved(progress)
         solution = load_solution(self.key)
         if solution is not None:
             return solution
@@ -56,9 +88,48 @@ class Solve:
         ):
             solution = load_solution(self.key)
             if solution is None:
-                solution = timed_solve(self.problem, progress)
+                solution = self._solved(progress)
                 store_solution(solution)
         return solution
+
+    def _solved(self, progress: SolveProgress) -> Solution:
+        from gelgap.sim import newton
+
+        problem, started = self.problem, time.perf_counter()
+        half = "half " if problem.symmetric else ""
+        what = f"{problem.quality.name} {half}{'pad' if problem.pad_mm or not half else 'disc'}"
+
+        def tell(done: int, total: int) -> None:
+            progress(done, total)
+            if done < total:
+                left_s = (time.perf_counter() - started) * (total - done) / max(done, 1)
+                left = f", about {left_s:.0f} s left" if done else ""
+                LOG.info("solving (%s): %d of %d load steps%s", what, done, total, left)
+
+        return newton.solve(problem, tell)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long solves take, as `known_pace` returns it; `slowness` was that of this machine by its record."""
+
+    slowness: float | None = None
+
+    def solve_s(self, problem: ContactProblem) -> float:
+        """Return the expected seconds of a solve, alone on its core."""
+        return Solve(problem).expected_core_s
+
+
+def known_pace() -> Pace:
+    """Return how long solves take. Deprecated: use `Solve.expected_core_s`; no record of past solves is kept."""
+    warnings.warn("known_pace is deprecated: use Solve.expected_core_s", DeprecationWarning, stacklevel=2)
+    return Pace()
+
+
+def measured_pace() -> Pace:
+    """Return how long solves take. Deprecated: use `Solve.expected_core_s`; nothing is measured for it."""
+    warnings.warn("measured_pace is deprecated: use Solve.expected_core_s", DeprecationWarning, stacklevel=2)
+    return Pace()
 
 
 @dataclass(frozen=True)
@@ -72,7 +143,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class SolvePlan:
-    """The distinct solves of a path, and the poses made from them; a pose without contact has no placement."""
+    """The distinct solves of poses, and what follows from them; a pose without contact has no placement."""
 
     elastomer: Elastomer
     indenter: Indenter
@@ -97,23 +168,58 @@ class SolvePlan:
         no further than the pad if that is larger than the grid by default.
         """
         pose, placement = self.poses[pose_index], self.placements[pose_index]
-        half_extent_mm = self._half_extent_mm(pose, half_extent_mm)
-        if placement is None:
-            return flat_state(half_extent_mm)
-        return placed_state(self.elastomer, pose, placement.frame, solution, placement.record, half_extent_mm)
-
-    def _half_extent_mm(self, pose: Pose, wanted_mm: tuple[float, float]) -> tuple[float, float]:
         reach_mm = pose.radius_mm + _COVERED_RADII * self.indenter.penetration_radius_mm(pose.depth_mm)
-        points_mm = pose.point_x_mm, pose.point_y_mm
+        point_mm = pose.point_x_mm, pose.point_y_mm
         x_mm, y_mm = (
             min(max(wanted, abs(point) + reach_mm), size / 2)
-            for wanted, point, size in zip(wanted_mm, points_mm, self.elastomer.pad_size_mm, strict=True)
+            for wanted, point, size in zip(half_extent_mm, point_mm, self.elastomer.pad_size_mm, strict=True)
         )
-        return x_mm, y_mm
+        if placement is None:
+            return flat_state((x_mm, y_mm))
+        frame, record, ratio = (
+            placement.frame,
+            solution.records[placement.record],
+            self._modulus_ratio(solution),
+        )
+        table, radius_mm = _table_and_radius(solution, placement.record)
+        displacement_mm, contact, _ = placed_surface(
+            pose, frame, self.indenter, table, record.indenter_mm, (x_mm, y_mm)
+        )
+        axes = grid_axes((x_mm, y_mm))
+        energy_mj = record.diagnostics.elastic_energy_mj * ratio
+        return MembraneState(
+            *axes,
+            displacement_mm,
+            contact,
+            force_n=frame.on_sensor(record.force_n * ratio),
+            contact_radius_mm=radius_mm,
+            converged=record.converged,
+            diagnostics=replace(record.diagnostics, elastic_energy_mj=energy_mj),
+        )
+
+    def _modulus_ratio(self, solution: Solution) -> float:
+        """Return by how much forces are larger than those of the solved gel, which stands for all moduli."""
+        return self.elastomer.mujoco_moduli.young_modulus_mpa / solution.problem.moduli.young_modulus_mpa
 
 
-# A problem, and for each pose that it serves the record and the frame to see it from.
-_Served = tuple[ContactProblem, dict[int, tuple[int, CanonicalFrame]]]
+@lru_cache(maxsize=64)
+def _table_and_radius(solution: Solution, record_index: int) -> tuple[PolarTable, float]:
+    """Return the membrane of a record and its contact radius, which many poses share."""
+    record = solution.records[record_index]
+    return polar_table(solution, record), contact_radius_mm(solution, record)
+
+
+def solved_pose(plan: SolvePlan, pose_index: int, solution: Solution | None) -> SolvedPose:
+    """Return `plan.state` of a pose with pressure and indenter."""
+    placement = plan.placements[pose_index]
+    if placement is None:
+        return SolvedPose.untouched()
+    state, record = plan.state(pose_index, solution), solution.records[placement.record]
+    table = pressure_table(solution, record)
+    half_extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
+    _, places = places_around(half_extent_mm, plan.poses[pose_index], placement.frame, table)
+    pressure = table.at(places)[..., 0] * plan._modulus_ratio(solution)
+    return SolvedPose(state, pressure.astype(np.float32), placement.frame.on_sensor(record.indenter_mm))
 
 
 def plan_solves(
@@ -130,8 +236,32 @@ def plan_solves(
     ValueError
         If a pose lies off the pad or deeper than it allows, a trajectory leaves its point, or there is no such quality.
     """
+    return _plan(Scene(elastomer, indenter, quality, sharing or Sharing()), path.poses)
+
+
+def plan_visit(
+    elastomer: Elastomer,
+    indenter: Indenter,
+    poses: Sequence[Pose],
+    quality: str = "standard",
+    sharing: Sharing | None = None,
+) -> SolvePlan:
+    """Find the one problem of poses that the indenter visits one after the other at one point, as one trajectory.
+
+    Raises
+    ------
+    ValueError
+        If the poses do not share their point, lie off the pad or deeper than it allows, or there is no such quality.
+    """
     scene = Scene(elastomer, indenter, quality, sharing or Sharing())
-    poses = path.poses
+    return _plan(scene, tuple(replace(pose, trajectory=0) for pose in poses))
+
+
+# A problem, and for each pose that it serves the record and the frame to see it from.
+_Served = tuple[ContactProblem, dict[int, tuple[int, CanonicalFrame]]]
+
+
+def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
     for pose in {(p.point_x_mm, p.point_y_mm, p.depth_mm, p.radius_mm): p for p in poses}.values():
         scene.check(pose)
     solves: list[Solve] = []
@@ -140,7 +270,15 @@ def plan_solves(
         for index, (record, frame) in served.items():
             placements[index] = Placement(len(solves), record, frame)
         solves.append(Solve(problem, scene.sharing.cache))
-    return SolvePlan(elastomer, indenter, poses, tuple(solves), tuple(placements))
+    return SolvePlan(scene.elastomer, scene.indenter, poses, tuple(solves), tuple(placements))
+
+
+class _Drag(NamedTuple):
+    """A press to a depth, then a travel sideways (0 for a press alone), as seen in the canonical frame."""
+
+    depth_mm: float
+    direction: tuple[float, float]
+    travel_mm: float
 
 
 def _descent_problems(scene: Scene, poses: Sequence[Pose]) -> list[_Served]:
@@ -160,10 +298,14 @@ def _descent_problems(scene: Scene, poses: Sequence[Pose]) -> list[_Served]:
         group.setdefault(drag, []).append(index)
     problems = []
     for (pad_mm, *_), group in groups.items():
-        for drags in _shared_descents(list(group)):
+        depths = sorted({drag.depth_mm for drag in group})
+        # Two depths get a descent each, for two cores: the drags that branch off take most of the time.
+        wanted = max(2, math.ceil(len(depths) / _DEPTHS_PER_DESCENT))
+        for share in np.array_split(np.array(depths), min(len(depths), wanted)):
+            drags = [drag for drag in group if drag.depth_mm in share]
             waypoints_mm, parents, record_of = _branching_descent(drags)
             served = {index: (record_of[drag], frames[index]) for drag in drags for index in group[drag]}
-            problems.append((scene.problem(pad_mm, waypoints_mm, parents), served))
+            problems.append((ContactProblem.of(scene, pad_mm, waypoints_mm, parents), served))
     # The deepest, which take longest, come first, so that processes which share the solves end together.
     return sorted(problems, key=lambda item: -item[0].depth_mm)
 
@@ -192,25 +334,7 @@ def _trajectory_problems(scene: Scene, poses: Sequence[Pose]) -> Iterator[_Serve
             for index, record in zip(members, records, strict=True)
             if poses[index].depth_mm
         }
-        yield scene.problem(frame.pad_mm, tuple(waypoints), tuple(range(-1, len(waypoints) - 1))), served
-
-
-@dataclass(frozen=True, order=True)
-class _Drag:
-    """A press to a depth, then a travel sideways (0 for a press alone), as seen in the canonical frame."""
-
-    depth_mm: float
-    direction: tuple[float, float]
-    travel_mm: float
-
-
-def _shared_descents(drags: list[_Drag]) -> list[list[_Drag]]:
-    """Divide drags at one point among descents, each through neighbouring depths."""
-    depths = sorted({drag.depth_mm for drag in drags})
-    # Two depths get a descent each, for two cores: the drags that branch off take most of the time.
-    wanted = max(2, math.ceil(len(depths) / _DEPTHS_PER_DESCENT))
-    shares = np.array_split(np.array(depths), min(len(depths), wanted))
-    return [[drag for drag in drags if drag.depth_mm in share] for share in shares]
+        yield ContactProblem.of(scene, frame.pad_mm, waypoints, range(-1, len(waypoints) - 1)), served
 
 
 def _branching_descent(

@@ -1,15 +1,13 @@
 """Solve one scene: a pose, several poses in a row, or a press to a given force."""
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.base import Indenter
-from gelgap.sim.membrane import MembraneState
-from gelgap.sim.path import Pose, PosePath
-from gelgap.sim.plan import plan_solves
-from gelgap.sim.scene import Sharing
+from gelgap.sim.indenter import Indenter
+from gelgap.sim.membrane import MembraneState, SolvedPose
+from gelgap.sim.plan import plan_visit, solved_pose
+from gelgap.sim.scene import Elastomer, Pose, Sharing
 
 # Load control ends within this share of its force, or gives up after this many corrections of the depth.
 _FORCE_TOLERANCE = 0.01
@@ -36,7 +34,7 @@ def solve_pose(
 def solve_poses(
     elastomer: Elastomer,
     indenter: Indenter,
-    poses: tuple[Pose, ...],
+    poses: Sequence[Pose],
     quality: str = "standard",
     sharing: Sharing | None = None,
 ) -> tuple[MembraneState, ...]:
@@ -49,10 +47,23 @@ def solve_poses(
     ValueError
         If the poses do not share their point, lie off the pad or deeper than it allows, or there is no such quality.
     """
-    path = PosePath("visit", tuple(replace(pose, trajectory=0) for pose in poses))
-    plan = plan_solves(elastomer, indenter, path, quality, sharing)
+    plan = plan_visit(elastomer, indenter, poses, quality, sharing)
     solution = plan.solves[0].run() if plan.solves else None
     return tuple(plan.state(index, solution) for index in range(len(poses)))
+
+
+def solve_in_full(
+    elastomer: Elastomer, indenter: Indenter, pose: Pose, quality: str = "standard"
+) -> SolvedPose:
+    """Solve one pose, the same solve as that of `solve_pose`, and return pressure and indenter as well.
+
+    Raises
+    ------
+    ValueError
+        If the pose lies off the pad or deeper than it allows, or there is no such quality.
+    """
+    plan = plan_visit(elastomer, indenter, (pose,), quality)
+    return solved_pose(plan, 0, plan.solves[0].run() if plan.solves else None)
 
 
 def pose_for_force(

@@ -1,25 +1,134 @@
-"""One physics problem: everything that decides the outcome of a solve, and nothing else."""
+"""One physics problem: everything that decides the outcome of a solve, how finely it is solved, and nothing else."""
 
 import hashlib
 import json
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.indenters.base import Indenter, Symmetry
-from gelgap.sim.indenters.registry import AnyIndenter
-from gelgap.sim.material import Moduli
-from gelgap.sim.mesh.scale import contact_width
-from gelgap.sim.quality import MeshSize, Quality
+from gelgap.sim.indenter import AnyIndenter, Indenter, Sphere, Symmetry
+from gelgap.sim.scene import Moduli, PadEdges, Scene
 
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
 _METHOD_VERSION = 20
 _WIDE_CONTACT_VERSION = 21  # of contacts wider than the gel is thick
+# A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
+_SHARED_MODULUS_MPA = 0.3
 
+QualityName = Literal["draft", "standard", "fine"]
 Waypoint = tuple[float, float, float]
-PadEdges = tuple[float, float, float, float]
+SolveProgress = Callable[[int, int], None]
+"""Called at a solve's begin and after each load step with how many are done, of all."""
+
+
+def silent(done: int, total: int) -> None:
+    """Say nothing of a solve's progress."""
+
+
+@dataclass(frozen=True)
+class MeshSize:
+    """How fine a mesh is, for a sphere of 1.5 mm radius on a 3 mm pad; other scenes scale it to theirs.
+
+    `surface_mm` is the spacing of the membrane's vertices around the contact, beyond which each ring of cells is
+    `ring_growth` wider than the one before; `layer_mm` is the thickness of the first layer, each further one
+    `layer_growth` thicker; `sectors` the number of cells around half a circle. `stiffness` are a and b of
+    `material.mesh_moduli`, calibrated for this mesh.
+    """
+
+    surface_mm: float
+    layer_mm: float
+    layer_growth: float
+    ring_growth: float
+    sectors: int
+    stiffness: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Meshes and load steps: `disc` for half a disc, `pad` where the pad's edges or a whole pad are meshed.
+
+    A load step is settled when an iteration changes the force by less than the tolerance, as a share of the force. The
+    tolerance is smaller where the indenter travels sideways, since slip settles more slowly.
+    """
+
+    name: str
+    disc: MeshSize
+    pad: MeshSize
+    press_step_mm: float
+    travel_step_mm: float
+    press_tolerance: float
+    travel_tolerance: float
+
+    def load_steps(self, displacement_mm: NDArray[np.float64]) -> int:
+        """Return in how many load steps the indenter moves by (x, y, z) in a straight line."""
+        press = abs(displacement_mm[2]) / self.press_step_mm
+        travel = math.hypot(displacement_mm[0], displacement_mm[1]) / self.travel_step_mm
+        return max(1, math.ceil(max(press, travel) - 1e-9))
+
+
+# MuJoCo's factor of a whole pad takes five times the work of half a disc's, so that it is meshed more coarsely.
+QUALITIES = {
+    "draft": Quality(
+        name="draft",
+        disc=MeshSize(0.4, 0.3, 1.5, 2.0, 8, stiffness=(0.0049, 0.00063)),
+        pad=MeshSize(0.5, 0.45, 1.8, 1.8, 8, stiffness=(0.0049, 0.00063)),
+        press_step_mm=0.2,
+        travel_step_mm=0.1,
+        press_tolerance=3e-3,
+        travel_tolerance=1e-3,
+    ),
+    "standard": Quality(
+        name="standard",
+        disc=MeshSize(0.22, 0.12, 1.8, 1.8, 12, stiffness=(0.0124, 0.00069)),
+        pad=MeshSize(0.4, 0.3456, 1.8, 1.8, 8, stiffness=(0.0065, 0.00061)),
+        press_step_mm=0.1,
+        travel_step_mm=0.1,
+        press_tolerance=1e-3,
+        travel_tolerance=3e-4,
+    ),
+    "fine": Quality(
+        name="fine",
+        disc=MeshSize(0.16, 0.09, 1.5, 1.8, 16, stiffness=(0.0103, 0.00054)),
+        pad=MeshSize(0.256, 0.2304, 1.8, 1.8, 12, stiffness=(0.0035, 0.00036)),
+        press_step_mm=0.05,
+        travel_step_mm=0.05,
+        press_tolerance=3e-4,
+        travel_tolerance=1e-4,
+    ),
+}
+
+
+def quality_named(name: str) -> Quality:
+    """Return the quality of that name, or raise ValueError that lists the known ones."""
+    if name not in QUALITIES:
+        raise ValueError(f"quality {name!r} is unknown; known qualities: {', '.join(QUALITIES)}")
+    return QUALITIES[name]
+
+
+# The lengths of the qualities' meshes are given for this sphere, pad and depth.
+_REFERENCE_INDENTER = Sphere(diameter_mm=3.0)
+_REFERENCE_RADIUS_MM = _REFERENCE_INDENTER.penetration_radius_mm(1.0)
+_REFERENCE_THICKNESS_MM = 3.0
+# A contact wider than this many times the reference's, measured by the thickness, needs no coarser mesh than one as
+# wide: the strains at its rim and the bulge beside it are as wide as the gel is thick.
+_WIDEST_CONTACT = 1.2
+
+
+def mesh_scale(indenter: Indenter, thickness_mm: float, depth_mm: float) -> float:
+    """Return by which factor a scene's mesh is coarser than the one that a quality's lengths are given for."""
+    size = indenter.feature_size_mm / _REFERENCE_INDENTER.feature_size_mm
+    thickness = thickness_mm / _REFERENCE_THICKNESS_MM
+    contact = indenter.penetration_radius_mm(depth_mm) / _REFERENCE_RADIUS_MM
+    return max(min(size, thickness), min(contact, _WIDEST_CONTACT * thickness))
+
+
+def contact_width(indenter: Indenter, thickness_mm: float, depth_mm: float) -> float:
+    """Return the diameter of a contact, cut from the undeformed membrane, in thicknesses of the gel; 1 if smaller."""
+    return max(1.0, 2 * indenter.penetration_radius_mm(depth_mm) / thickness_mm)
 
 
 @dataclass(frozen=True)
@@ -42,6 +151,27 @@ class ContactProblem:
     waypoints_mm: tuple[Waypoint, ...]
     parents: tuple[int, ...]
     quality: Quality
+
+    @classmethod
+    def of(
+        cls, scene: Scene, pad_mm: PadEdges | None, waypoints_mm: Sequence[Waypoint], parents: Sequence[int]
+    ) -> Self:
+        """Return the problem of waypoints in a scene, at the modulus that elastomers share."""
+        gel, moduli = scene.elastomer, scene.elastomer.mujoco_moduli
+        scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
+        mount = gel.mount_stiffness_n_per_mm
+        return cls(
+            moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
+            friction=gel.friction,
+            thickness_mm=gel.thickness_mm,
+            indenter=scene.indenter,
+            mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
+            pad_mm=pad_mm,
+            # Adding 0 turns −0, which would have another key, into 0.
+            waypoints_mm=tuple(tuple(float(c) + 0.0 for c in point) for point in waypoints_mm),
+            parents=tuple(parents),
+            quality=quality_named(scene.quality),
+        )
 
     @property
     def symmetric(self) -> bool:

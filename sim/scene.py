@@ -1,17 +1,183 @@
-"""A scene: an elastomer under an indenter, how finely it is solved, and which poses may share a solution."""
+"""A scene: the gel and its moduli, poses of an indenter over it, and the frame in which a contact is solved."""
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, Self
 
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.base import Indenter
-from gelgap.sim.material import Moduli
-from gelgap.sim.path import Pose
-from gelgap.sim.problem import ContactProblem, PadEdges, Waypoint
-from gelgap.sim.quality import quality_named
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
 
-# A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
-_SHARED_MODULUS_MPA = 0.3
+from gelgap.assets import load_preset
+from gelgap.assets.settings import Settings, within
+from gelgap.assets.toml_file import read_toml
+from gelgap.sim.indenter import Indenter, Symmetry
+
+StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
+Length = Annotated[float, within(1.0, 100.0, "mm")]
+PadEdges = tuple[float, float, float, float]
+
+# `python -m gelgap.benchmarks.calibration.material` prints these coefficients of `equivalent_moduli`.
+SMALLEST_CALIBRATED_POISSON_RATIO = 0.3
+MODULUS_COEFFICIENTS = (0.2294, -0.0290)
+POISSON_COEFFICIENTS = (0.0452, -0.1176)
+
+# The contact class of a pose that is not on the paper's grid.
+NO_CLASS = -1
+# A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
+_INTERIOR_THICKNESSES = 2.4
 _DEEPEST_THICKNESSES = 0.6
+
+
+@dataclass(frozen=True)
+class Moduli:
+    """The two moduli of an isotropic solid at small strain; ValueError for E ≤ 0 or ν outside of [0, 0.5)."""
+
+    young_modulus_mpa: float
+    poisson_ratio: float
+
+    def __post_init__(self) -> None:
+        if not self.young_modulus_mpa > 0:
+            raise ValueError(f"young_modulus_mpa = {self.young_modulus_mpa!r} must be > 0")
+        if not 0 <= self.poisson_ratio < 0.5:
+            raise ValueError(f"poisson_ratio = {self.poisson_ratio!r} must be in [0, 0.5)")
+
+    @property
+    def shear_mpa(self) -> float:
+        """Return μ."""
+        return self.young_modulus_mpa / (2 * (1 + self.poisson_ratio))
+
+    @property
+    def lame_mpa(self) -> float:
+        """Return λ, Lamé's first parameter."""
+        young, poisson = self.young_modulus_mpa, self.poisson_ratio
+        return young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+
+def equivalent_moduli(isochoric: Moduli) -> Moduli:
+    """Return the moduli with which MuJoCo's Stable Neo-Hookean gel presses like an isochoric one.
+
+    "Neo-Hookean with E and ν" is not one material: the energies agree at small strain and as ν → 1/2, but a press to a
+    third of a pad's thickness is 4.5 % softer in MuJoCo's form at ν = 0.45. With x = 1 − 2ν, E′/E = 1 + x (a + b x) and
+    ν′ = ν + x (c + d x) make force and surface of a press agree as well as two numbers allow.
+
+    Calibrated on locking-free axisymmetric solves of both energies, for 0.3 ≤ ν < 0.5 and depths up to a third of the
+    thickness and two thirds of the sphere's radius; below 0.3 the shift is that of 0.3. What remains is a trend with
+    depth, because E′ cannot be right at small and at large strain together: see docs/physics-reference.md.
+    """
+    x = 1 - 2 * max(isochoric.poisson_ratio, SMALLEST_CALIBRATED_POISSON_RATIO)
+    a, b = MODULUS_COEFFICIENTS
+    c, d = POISSON_COEFFICIENTS
+    return Moduli(
+        isochoric.young_modulus_mpa * (1 + x * (a + b * x)),
+        max(0.0, isochoric.poisson_ratio + x * (c + d * x)),
+    )
+
+
+class Elastomer(Settings):
+    """A pad of neo-Hookean gel bonded to a rigid backing, which a spring may carry.
+
+    The gel's energy is `isochoric`, μ/2 (J^(−2/3) I₁ − 3) + K/2 (J − 1)², unless `stable-neo-hookean` asks for the
+    energy that MuJoCo itself uses, μ/2 (I₁ − 3) − μ (J − 1) + (λ + μ)/2 (J − 1)².
+    """
+
+    young_modulus_mpa: Annotated[float, within(0.001, 100.0, "MPa")] = Field(
+        description="Young's modulus at small strain, MPa, 0.001 to 100."
+    )
+    poisson_ratio: Annotated[float, within(0.0, 0.5, "", high_open=True)] = Field(
+        description="Poisson's ratio, 0 to below 0.5."
+    )
+    friction: Annotated[float, within(0.0, 1000.0, "")] = Field(
+        description="Coulomb friction coefficient between gel and indenter, 0 to 1000; 10 and more is no slip."
+    )
+    thickness_mm: Annotated[float, within(0.2, 50.0, "mm")] = Field(
+        default=3.0, description="Thickness of the pad, mm, 0.2 to 50."
+    )
+    pad_size_mm: tuple[Length, Length] = Field(
+        default=(24.0, 20.0), description="Size of the pad along x and y, mm, 1 to 100 each."
+    )
+    mount_stiffness_n_per_mm: Annotated[float, within(0.01, 1e6, "N/mm")] | None = Field(
+        default=None,
+        description="Stiffness of the spring between indenter drive and gel, the same in x, y and z, N/mm; "
+        "none: a rigid rig.",
+    )
+    strain_energy: StrainEnergy = Field(
+        default="isochoric", description="The form of the neo-Hookean energy that the two moduli refer to."
+    )
+
+    @classmethod
+    def preset(cls, name: str) -> Self:
+        """Return the elastomer preset of that name.
+
+        Raises
+        ------
+        ValueError
+            If there is no such preset; the message lists the known ones.
+        """
+        values = load_preset("elastomers", name)
+        values.pop("description", None)
+        return cls(**values)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read an elastomer TOML file: these fields, and a description if there is one.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not valid TOML, a field is unknown or missing, or a value is out of range.
+        """
+        values = read_toml(path)
+        values.pop("description", None)
+        try:
+            return cls(**values)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+    @property
+    def mujoco_moduli(self) -> Moduli:
+        """The moduli with which MuJoCo's energy acts as this gel's."""
+        own = Moduli(self.young_modulus_mpa, self.poisson_ratio)
+        return equivalent_moduli(own) if self.strain_energy == "isochoric" else own
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One commanded contact: at a point of the pad, `depth_mm` down, then sideways by the shear in one straight line.
+
+    `contact_class` is 0 for the reference without contact, 1 + 72·depth index + 12·radius index + angle index on the
+    paper's grid, and `NO_CLASS` elsewhere. Poses of one `trajectory` are visited in their order, each in a straight
+    line from the one before, so that friction depends on all that came before.
+    """
+
+    depth_mm: float
+    shear_x_mm: float = 0.0
+    shear_y_mm: float = 0.0
+    point_x_mm: float = 0.0
+    point_y_mm: float = 0.0
+    point_id: int = 0
+    contact_class: int = NO_CLASS
+    trajectory: int | None = None
+
+    def __post_init__(self) -> None:
+        for field in ("depth_mm", "shear_x_mm", "shear_y_mm", "point_x_mm", "point_y_mm"):
+            value = getattr(self, field)
+            if not math.isfinite(value):
+                raise ValueError(f"{field} = {value!r}: must be a finite number of mm")
+        if self.depth_mm < 0:
+            raise ValueError(f"depth_mm = {self.depth_mm:g}: must be 0 or more (pressing is positive)")
+
+    @property
+    def radius_mm(self) -> float:
+        return round(math.hypot(self.shear_x_mm, self.shear_y_mm), 9)
+
+    @property
+    def angle_deg(self) -> float:
+        """Direction of the shear, degrees in [0, 360), from +x towards +y."""
+        return round(math.degrees(math.atan2(self.shear_y_mm, self.shear_x_mm)), 9) % 360.0
 
 
 @dataclass(frozen=True)
@@ -58,22 +224,64 @@ class Scene:
                 f"shear = {pose.radius_mm:g} mm: must be at most the pad's thickness, {gel.thickness_mm:g} mm"
             )
 
-    def problem(
-        self, pad_mm: PadEdges | None, waypoints_mm: tuple[Waypoint, ...], parents: tuple[int, ...]
-    ) -> ContactProblem:
-        """Return the problem of waypoints, at the modulus that elastomers share; arguments as its fields."""
-        gel, moduli = self.elastomer, self.elastomer.mujoco_moduli
-        scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if self.sharing.modulus else 1.0
-        mount = gel.mount_stiffness_n_per_mm
-        return ContactProblem(
-            moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
-            friction=gel.friction,
-            thickness_mm=gel.thickness_mm,
-            indenter=self.indenter,
-            mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
-            pad_mm=pad_mm,
-            # Adding 0 turns −0, which would have another key, into 0.
-            waypoints_mm=tuple(tuple(float(c) + 0.0 for c in point) for point in waypoints_mm),
-            parents=parents,
-            quality=quality_named(self.quality),
-        )
+
+@dataclass(frozen=True, eq=False)
+class CanonicalFrame:
+    """Where a contact is solved.
+
+    `pad_mm` is (x min, x max, y min, y max) of the pad around the contact point, None if its edges are too far to
+    matter; it is the same for all points that share their solutions. `to_sensor` (2, 2) is orthogonal, a
+    rotation or a reflection, and leads from this frame's plane to the sensor's.
+    """
+
+    pad_mm: PadEdges | None
+    to_sensor: NDArray[np.float64]
+
+    def travel_mm(self, pose: Pose) -> NDArray[np.float64]:
+        """Return the sideways travel (2,) of a pose in this frame."""
+        return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
+
+    @property
+    def to_sensor_3d(self) -> NDArray[np.float64]:
+        """The same for vectors (3,) in space."""
+        turn = np.eye(3)
+        turn[:2, :2] = self.to_sensor
+        return turn
+
+    def on_sensor(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a vector (3,) of this frame, such as a force, in the sensor's."""
+        return self.to_sensor_3d @ vector
+
+
+def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
+    """Return whether the pad's edges are too far from a contact point to matter."""
+    point_mm = pose.point_x_mm, pose.point_y_mm
+    to_edge_mm = min(
+        size / 2 - abs(place) for size, place in zip(elastomer.pad_size_mm, point_mm, strict=True)
+    )
+    return to_edge_mm >= _INTERIOR_THICKNESSES * elastomer.thickness_mm
+
+
+def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
+    """Return the frame of a pose, by the symmetries that pad and indenter have and `scene.sharing` allows.
+
+    The travel of an interior pose under a body of revolution is turned to +x. Other poses are mirrored to the pad's
+    first quadrant, where their travel decides if they lie on an axis of the pad.
+    """
+    elastomer, sharing, symmetry = scene.elastomer, scene.sharing, scene.indenter.symmetry
+    half_x, half_y = elastomer.pad_size_mm[0] / 2, elastomer.pad_size_mm[1] / 2
+    x, y = pose.point_x_mm, pose.point_y_mm
+    interior = sharing.translation and is_interior(elastomer, pose)
+    if interior and symmetry is Symmetry.REVOLUTION:
+        angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
+        cosine, sine = math.cos(angle), math.sin(angle)
+        return CanonicalFrame(None, np.array([[cosine, -sine], [sine, cosine]]))
+    x, y = (0.0, 0.0) if interior else (x, y)
+    mirror = np.ones(2)
+    if sharing.reflection and symmetry is not Symmetry.NONE:
+        mirror[0] = -1.0 if x < 0 or (x == 0 and pose.shear_x_mm < -1e-12) else 1.0
+        mirror[1] = -1.0 if y < 0 or (y == 0 and pose.shear_y_mm < -1e-12) else 1.0
+    x, y = x * mirror[0] + 0.0, y * mirror[1] + 0.0
+    edges = (-half_x - x, half_x - x, -half_y - y, half_y - y)
+    pad = None if interior else tuple(round(edge, 9) + 0.0 for edge in edges)
+    return CanonicalFrame(pad, np.diag(mirror))

@@ -1,22 +1,53 @@
-"""The solution of a contact problem, what the gel does at each waypoint, and its bytes on disk."""
+"""The solution of a contact problem, what the gel does at each waypoint, and the cache that keeps it on disk.
+
+The cache has one file per key, safe for concurrent writers and for a crash.
+"""
 
 import hashlib
 import io
+import time
 from dataclasses import astuple, dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.sim.membrane import Diagnostics
+from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
+from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 from gelgap.sim.problem import ContactProblem
 
+_SUFFIX = ".solution"
 # The bytes are this mark, the SHA-256 of all that follows, and arrays in NumPy's npz, which holds no code: `problem` is
 # the problem as JSON, others stack the records' fields. With another number in the mark, older files count as damaged.
 _MARK = b"gelgap solution 1\n"
 _PROBLEM = TypeAdapter(ContactProblem)
 _STACKED = ("displacement_mm", "normal_force_n", "indenter_mm", "force_n", "converged")
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How a pose was solved, for labels and for trust.
+
+    `residual` is the largest force on a free vertex and `imbalance` the difference of the forces on indenter and
+    backing, both over the indenter's force; `coulomb_excess` the largest `|f_t| / (μ f_n) − 1` over the contact's
+    vertices, −1 without friction; `tension` the largest pull on one of them over the largest push. `sticking_fraction`
+    is the share of the normal force carried by vertices that stick; `slip_mm` the largest sideways slip of a vertex on
+    the path so far; `elastic_energy_mj` the energy stored in the gel, mJ; `min_volume_ratio` the smallest element's
+    volume over its rest volume.
+    """
+
+    residual: float = 0.0
+    iterations: int = 0
+    sticking_fraction: float = 1.0
+    slip_mm: float = 0.0
+    elastic_energy_mj: float = 0.0
+    min_volume_ratio: float = 1.0
+    imbalance: float = 0.0
+    coulomb_excess: float = -1.0
+    tension: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -96,17 +127,17 @@ def solution_from_bytes(data: bytes) -> Solution | None:
         _check_shapes(arrays, len(problem.waypoints_mm))
     except (ValueError, KeyError):
         return None
+    kinds = [type(field.default) for field in fields(Diagnostics)]
     columns = zip(*(arrays[name] for name in (*_STACKED, "diagnostics")), strict=True)
     records = tuple(
-        Record(*values, converged=bool(converged), diagnostics=_diagnostics(diagnostics))
-        for *values, converged, diagnostics in columns
+        Record(
+            *values,
+            converged=bool(converged),
+            diagnostics=Diagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True))),
+        )
+        for *values, converged, row in columns
     )
     return Solution(problem, arrays["rest_mm"], records)
-
-
-def is_of_this_format(data: bytes) -> bool:
-    """Return whether bytes begin as those of `solution_bytes` do: if they are no solution, they are damaged."""
-    return data.startswith(_MARK)
 
 
 def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
@@ -126,6 +157,83 @@ def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
             raise ValueError(f"{name} has another shape or type")
 
 
-def _diagnostics(values: np.ndarray) -> Diagnostics:
-    kinds = (type(field.default) for field in fields(Diagnostics))
-    return Diagnostics(*(kind(value) for kind, value in zip(kinds, values, strict=True)))
+@dataclass(frozen=True)
+class CacheUse:
+    """How many solutions the cache holds, and their size."""
+
+    folder: Path
+    solutions: int
+    bytes: int
+
+
+@dataclass(frozen=True)
+class CacheEntry:
+    """One cached file: `problem` is None if it is damaged; `current` says whether this version would take it."""
+
+    key: str
+    bytes: int
+    age_s: float
+    problem: ContactProblem | None
+    current: bool
+
+
+def load_solution(key: str) -> Solution | None:
+    """Return the cached solution of that key; None if there is none. A damaged file is named and set aside."""
+    path = _path(key)
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    solution = solution_from_bytes(data)
+    if solution is not None and solution.problem.key == key:
+        return solution
+    if solution is None and data.startswith(_MARK):
+        set_aside(path, "is damaged (its checksum does not match)")
+    return None
+
+
+def has_solution(key: str) -> bool:
+    """Return whether there is a file for that key; only loading it says whether it is sound."""
+    return _path(key).is_file()
+
+
+def store_solution(solution: Solution) -> None:
+    """Write a solution under its problem's key, or raise RuntimeError if the disk does not take it."""
+    write_whole(_path(solution.problem.key), solution_bytes(solution))
+
+
+def cache_use() -> CacheUse:
+    """Count what the cache holds."""
+    files = list(cache_folder().glob(f"*{_SUFFIX}"))
+    return CacheUse(cache_folder(), len(files), sum(file.stat().st_size for file in files))
+
+
+def cache_entries() -> tuple[CacheEntry, ...]:
+    """Read what each cached file is, newest first."""
+    entries = []
+    for file in cache_folder().glob(f"*{_SUFFIX}"):
+        try:
+            about = file.stat()
+        except FileNotFoundError:
+            continue
+        try:
+            solution = solution_from_bytes(file.read_bytes())
+        except OSError:
+            solution = None
+        problem = None if solution is None else solution.problem
+        current = problem is not None and problem.key == file.stem
+        entries.append(CacheEntry(file.stem, about.st_size, time.time() - about.st_mtime, problem, current))
+    return tuple(sorted(entries, key=lambda entry: entry.age_s))
+
+
+def clear_cache() -> CacheUse:
+    """Delete all cached solutions and return what there was."""
+    use = cache_use()
+    for suffix in (_SUFFIX, TEMPORARY_SUFFIX, DAMAGED_SUFFIX):
+        for file in cache_folder().glob(f"*{suffix}"):
+            file.unlink(missing_ok=True)
+    return use
+
+
+def _path(key: str) -> Path:
+    return cache_folder() / f"{key}{_SUFFIX}"

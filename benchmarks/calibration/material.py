@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 
 from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.fem.axisymmetric import Press, PressState, solve_press
-from gelgap.sim.material import Moduli, equivalent_moduli
+from gelgap.sim.scene import Moduli, equivalent_moduli
 
 Floats = NDArray[np.float64]
 

@@ -20,8 +20,9 @@ from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Workers
 from gelgap.benchmarks.physics.reference import NO_SLIP_FRICTION
 from gelgap.sim import Elastomer, Pose, Sharing, Sphere
-from gelgap.sim.material import LARGEST_POISSON_RATIO, Moduli, mesh_moduli
-from gelgap.sim.quality import quality_named
+from gelgap.sim.mesh import LARGEST_POISSON_RATIO, mesh_moduli
+from gelgap.sim.problem import quality_named
+from gelgap.sim.scene import Moduli
 
 SHARES_OF_DEEPEST = (0.2, 0.6, 1.0)
 CALIBRATION = tuple(

@@ -13,9 +13,9 @@ from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.physics.cases import SolvedCase, Workers
 from gelgap.benchmarks.physics.presses import PressErrors, judge_press, press_case, signed
 from gelgap.benchmarks.physics.reference import press_references
-from gelgap.sim import PosePath, plan_solves
+from gelgap.sim import plan_visit
 from gelgap.sim.newton import solve
-from gelgap.sim.quality import QUALITIES, MeshSize
+from gelgap.sim.problem import QUALITIES, MeshSize
 
 CASES = ("nh49_no_slip", "nh49_frictionless", "nh499_no_slip")
 STANDARD = QUALITIES["standard"].disc
@@ -42,8 +42,7 @@ def press(trial: Trial) -> PressErrors:
     """Solve a case of the tables with a mesh of that size, and compare it with the table."""
     reference = press_references()[trial.case]
     case = press_case(reference, "standard")
-    path = PosePath(trial.case, tuple(replace(pose, trajectory=0) for pose in case.poses))
-    plan = plan_solves(case.elastomer, case.indenter, path, case.quality, case.sharing)
+    plan = plan_visit(case.elastomer, case.indenter, case.poses, case.quality, case.sharing)
     problem = plan.solves[0].problem
     started = time.process_time()
     solution = solve(replace(problem, quality=replace(problem.quality, disc=trial.size)))

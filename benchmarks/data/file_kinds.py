@@ -65,8 +65,7 @@ def _membrane(part: Path) -> Any:
 
 def _solution(part: Path) -> Any:
     """Return the bytes of the cached solution; a file that is not taken is solved again, here from a copy."""
-    from gelgap.sim.cache import load_solution
-    from gelgap.sim.solution import solution_bytes
+    from gelgap.sim.solution import load_solution, solution_bytes
 
     (copy,) = (part / "copy").glob("*.solution")
     found = load_solution(copy.stem)

@@ -33,7 +33,7 @@ from gelgap.domains.shard import render_batch
 from gelgap.render import MembraneRenderer, imaging
 from gelgap.render.displacement import Membrane
 from gelgap.render.shaded_surface import shared_surface
-from gelgap.sim import ContactPath, SolvePlan, known_pace, load_solution
+from gelgap.sim import ContactPath, SolvePlan, load_solution
 
 GEL_DOMAINS = ("mb0i0", "wmb0i0")
 """The domains whose frames are taken apart: two of the paper's, of one gel, the second with its dots inpainted."""
@@ -238,9 +238,9 @@ def fitted(small: Generated, large: Generated) -> Scaling:
 
 
 def of_plan(alone: Scaling, frames: int, plan: GenerationPlan) -> Scaling:
-    """Return the scaling of another plan, with the solves that it needs: by this machine's record of past ones."""
-    pace, times = known_pace(), plan.frames / frames
-    solves_s = [pace.solve_s(solve.problem) for solve in plan.solves.values()]
+    """Return the scaling of another plan, with the solves that it needs."""
+    times = plan.frames / frames
+    solves_s = [solve.expected_core_s for solve in plan.solves.values()]
     return Scaling(
         alone.start_s, times * alone.frames_s, times * alone.client_s, sum(solves_s), max(solves_s)
     )
@@ -250,8 +250,7 @@ def stage_table(
     costs: Sequence[StageCost], solve: SolveCost, plan: GenerationPlan, quality: str
 ) -> ResultTable:
     """Each stage's time per frame and in the whole data set, beside its floor."""
-    pace = known_pace()
-    solves_s = sum(pace.solve_s(one.problem) for one in plan.solves.values())
+    solves_s = sum(one.expected_core_s for one in plan.solves.values())
     total_s = solves_s + 1e-3 * plan.frames * sum(cost.ms for cost in costs)
     least = solve.load_steps / solve.iterations
     rows = [

@@ -16,8 +16,7 @@ from gelgap.benchmarks.fem.contact import SphereContact
 from gelgap.benchmarks.fem.material import IsochoricNeoHookean
 from gelgap.benchmarks.fem.newton import Indentation, Iterate
 from gelgap.benchmarks.fem.pad import Pad
-from gelgap.sim.mesh.pad import layer_heights_mm
-from gelgap.sim.mesh.plane import DiscGrid, half_disc
+from gelgap.sim.mesh import DiscGrid, half_disc, layer_heights_mm
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -34,7 +34,7 @@ from gelgap.benchmarks.physics.reference import (
     press_references,
 )
 from gelgap.benchmarks.physics.surface_errors import combined, rms
-from gelgap.sim.quality import QUALITIES
+from gelgap.sim.problem import QUALITIES
 
 QUICK_CASE = FINE_CASE = "nh49_no_slip"
 QUICK_DEPTH_MM = 0.4

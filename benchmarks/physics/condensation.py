@@ -9,10 +9,9 @@ import numpy as np
 from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.physics.cases import Case, Workers
 from gelgap.sim import Elastomer, Pose, PosePath, Sharing, Solution, Sphere, plan_solves
-from gelgap.sim.mesh.for_problem import unordered_mesh
-from gelgap.sim.newton import follow_waypoints, solve, static_newton
-from gelgap.sim.problem import ContactProblem
-from gelgap.sim.quality import quality_named
+from gelgap.sim.mesh import unordered_mesh
+from gelgap.sim.newton import StaticNewton, solve
+from gelgap.sim.problem import ContactProblem, quality_named
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
 POSES = (Pose(depth_mm=0.6), Pose(depth_mm=0.6, shear_x_mm=0.3))
@@ -112,6 +111,6 @@ def compare(case: Case) -> Condensed:
 def _timed(problem: ContactProblem, *, condensed: bool) -> tuple[Solution, int, float]:
     """Return a solution, its iterations left to MuJoCo, and its processor s."""
     start = time.process_time()
-    newton = static_newton(problem, condensed=condensed)
-    solution = follow_waypoints(newton)
+    newton = StaticNewton(problem, condensed=condensed)
+    solution = newton.follow_waypoints()
     return solution, newton.left_to_mujoco, time.process_time() - start

@@ -25,7 +25,7 @@ from gelgap.sim import (
     Sphere,
     plan_solves,
 )
-from gelgap.sim.quality import quality_named
+from gelgap.sim.problem import quality_named
 
 FORCE_FLOOR_PERCENT = 0.03  # what a log axis shows for less
 SERIES = "the paper's path, draft, one saving off: change of force"

@@ -1,12 +1,9 @@
-"""What a generation is expected to take: from its plan, the machine's record of solves, and sample frames."""
-
-import json
+"""What a generation is expected to take: from its plan, known costs of solves, and sample frames."""
 
 import pytest
 
-from gelgap.domains.estimate import START_S, Estimate, estimate
+from gelgap.domains.estimate import Estimate, estimate
 from gelgap.domains.recipe import make_recipes, preset_recipes
-from gelgap.sim.pace import RECORD
 
 
 def test_the_papers_data_set_needs_few_solves_for_many_contacts():
@@ -30,14 +27,6 @@ def test_one_solve_is_not_shared_and_a_busy_machine_takes_longer():
     plan = estimate(make_recipes(["mb0i0"], "smoke", size_px=(80, 60), render_quality="draft"), workers=50)
     assert plan.wall_s >= plan.busy * plan.longest_solve_s
     assert plan.busy >= 1
-
-
-def test_processes_start_as_slowly_as_the_machine_solves(tmp_path, monkeypatch):
-    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
-    record = {"kind": "draft half disc", "slowness": 3.0}
-    (tmp_path / RECORD).write_text(json.dumps(record) + "\n")
-    recipes = make_recipes(["mb0i0"], "smoke", size_px=(80, 60), render_quality="draft")
-    assert estimate(recipes, workers=2).start_s == pytest.approx(3 * START_S)
 
 
 def test_time_is_that_of_starting_solving_and_rendering():

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from gelgap.sim.audit import audit_contact, elastic_state
-from gelgap.sim.indenters.sphere import Sphere
-from gelgap.sim.material import Moduli
-from gelgap.sim.mesh.pad import pad_mesh
-from gelgap.sim.mesh.plane import DiscGrid
+from gelgap.sim.indenter import Sphere
+from gelgap.sim.mesh import DiscGrid, pad_mesh
+from gelgap.sim.scene import Moduli
 
 MODULI = Moduli(0.3, 0.45)
 

@@ -5,13 +5,10 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from gelgap.sim.canonical_frame import canonical_frame
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.base import Floats, Projection, Symmetry
-from gelgap.sim.indenters.sphere import Sphere
-from gelgap.sim.path import Pose
+from gelgap.sim.indenter import Floats, Projection, Sphere, Symmetry
 from gelgap.sim.press import solve_pose, solve_poses
-from gelgap.sim.scene import Scene, Sharing
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.scene import Elastomer, Pose, Scene, Sharing, canonical_frame
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.47, friction=0.5)
 ALONE = Sharing(cache=False)
@@ -64,7 +61,7 @@ def test_a_spheres_json_is_its_diameter_alone() -> None:
 
 def test_problems_of_different_shapes_have_different_keys() -> None:
     keys = {
-        Scene(GEL, indenter, "draft", ALONE).problem(None, ((0, 0, -0.2),), (-1,)).key
+        ContactProblem.of(Scene(GEL, indenter, "draft", ALONE), None, ((0, 0, -0.2),), (-1,)).key
         for indenter in (Sphere(), Sphere(diameter_mm=3.1), Capsule(), Capsule(length_mm=1.1))
     }
     assert len(keys) == 4

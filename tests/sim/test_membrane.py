@@ -1,11 +1,16 @@
-"""Membrane states: grid, saving and loading."""
+"""Membrane states: grid, saving, loading, and the contact radius from a fit to the normal forces of vertices."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gelgap.sim.membrane import MembraneState, flat_state, grid_axes
+from gelgap.sim.indenter import Sphere
+from gelgap.sim.membrane import MembraneState, contact_radius_mm, flat_state, grid_axes
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.scene import Elastomer, Scene, Sharing
+from gelgap.sim.solution import Diagnostics, Record, Solution
 
 
 def test_the_grid_covers_the_footprint_and_its_margin() -> None:
@@ -50,3 +55,37 @@ def test_missing_and_malformed_files_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "shape.npz", x_mm=np.zeros(3), y_mm=np.zeros(2), displacement_mm=np.zeros((3, 3, 3)))
     with pytest.raises(ValueError, match="shape"):
         MembraneState.load(tmp_path / "shape.npz")
+
+
+SPACING_MM = 0.02
+GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.45, friction=0.5)
+
+
+def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
+    problem = ContactProblem.of(Scene(GEL, Sphere(), "draft", Sharing()), None, ((0, 0, -0.1),), (-1,))
+    # A whole gel, so that nothing is mirrored.
+    problem = replace(problem, pad_mm=(-12.0, 12.0, -10.0, 9.0))
+    record = Record(
+        displacement_mm=np.zeros((len(rest_mm), 3), dtype=np.float32),
+        normal_force_n=normal_force_n.astype(np.float32),
+        indenter_mm=np.array([0.0, 0.0, -0.1]),
+        force_n=np.array([0.0, 0.0, -1.0]),
+        converged=True,
+        diagnostics=Diagnostics(),
+    )
+    return contact_radius_mm(Solution(problem, rest_mm, (record,)), record)
+
+
+def test_a_hertzian_pressure_gives_its_contact_radius() -> None:
+    axis = np.arange(-1, 1, SPACING_MM) + SPACING_MM / 2
+    rest = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    pressure = np.sqrt(np.maximum(0.5**2 - (rest**2).sum(axis=1), 0.0))
+    assert _pressed(rest, pressure) == pytest.approx(0.5, rel=0.005)
+
+
+@pytest.mark.filterwarnings("error")
+def test_few_vertices_at_one_radius_do_not_break_the_fit() -> None:
+    ring = 0.3 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    assert _pressed(ring, np.ones(4)) == pytest.approx(0.3)
+    with_centre = _pressed(np.vstack([[0, 0], ring]), np.array([2, 1, 1, 1, 1]))
+    assert 0.3 <= with_centre < 0.6

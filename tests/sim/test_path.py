@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.sim.path import ContactPath, DrawnPath, Pose, PosePath, load_path
+from gelgap.sim.path import ContactPath, DrawnPath, PosePath, load_path
+from gelgap.sim.scene import Pose
 
 GRID = "points_x_mm = [0]\npoints_y_mm = [0]\ndepths_mm = [0.2]\nradii_mm = [0.1]\nangles_deg = [0, 90, 180, 270]"
 

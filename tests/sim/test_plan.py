@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim.cache import cache_use, clear_cache, load_solution, store_solution
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.sphere import Sphere
+from gelgap.sim.indenter import Sphere
 from gelgap.sim.newton import solve
-from gelgap.sim.path import ContactPath, Pose, PosePath
-from gelgap.sim.plan import SolvePlan, plan_solves
-from gelgap.sim.scene import Sharing
+from gelgap.sim.path import ContactPath, PosePath
+from gelgap.sim.plan import SolvePlan, known_pace, measured_pace, plan_solves, plan_visit
+from gelgap.sim.scene import Elastomer, Pose, Sharing
+from gelgap.sim.solution import cache_use, clear_cache, load_solution, store_solution
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 SMALL = GEL.model_copy(update={"pad_size_mm": (10.0, 8.0)})
@@ -163,6 +162,31 @@ def test_a_trajectory_around_a_corner_needs_the_whole_gel() -> None:
     (solve,) = _plan(path=path).solves
     assert solve.problem.pad_mm is None
     assert not solve.problem.symmetric
+
+
+def test_a_finer_and_deeper_solve_is_expected_to_take_longer() -> None:
+    def expected_s(quality: str, depth_mm: float) -> float:
+        return plan_visit(GEL, Sphere(), (Pose(depth_mm=depth_mm),), quality).solves[0].expected_core_s
+
+    assert 0 < expected_s("draft", 0.2) < expected_s("draft", 0.6) < expected_s("standard", 0.6)
+
+
+def test_progress_goes_from_none_to_all_without_going_back(cache: Path) -> None:
+    told: list[tuple[int, int]] = []
+    poses = tuple(Pose(depth_mm=depth) for depth in (0.1, 0.3, 0.5))
+    plan = plan_solves(GEL, Sphere(), PosePath("several", poses), "draft")
+    plan.solves[0].run(lambda done, total: told.append((done, total)))
+    steps = plan.solves[0].problem.load_steps
+    assert told[0] == (0, steps)
+    assert told[-1] == (steps, steps)
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+
+
+def test_names_of_the_former_time_estimate_still_answer() -> None:
+    (solve,) = plan_visit(GEL, Sphere(), (Pose(depth_mm=0.2),), "draft").solves
+    for former in (known_pace, measured_pace):
+        with pytest.warns(DeprecationWarning, match="Solve.expected_core_s"):
+            assert former().solve_s(solve.problem) == solve.expected_core_s
 
 
 def _store_concurrently(solution) -> None:

@@ -1,17 +1,17 @@
 """Solved scenes: signs, theory, symmetry, scaling, convergence, bad input."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gelgap.benchmarks.fem.theory import bonded_layer_force_n
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.sphere import Sphere
+from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState
-from gelgap.sim.path import Pose
-from gelgap.sim.press import pose_for_force, solve_pose, solve_poses
-from gelgap.sim.scene import Sharing
+from gelgap.sim.press import pose_for_force, solve_in_full, solve_pose, solve_poses
+from gelgap.sim.scene import Elastomer, Pose, Sharing
+from gelgap.sim.solution import cache_use
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
 BALL = Sphere()
@@ -174,6 +174,18 @@ def test_load_control_finds_the_depth_of_a_force() -> None:
     assert -solve_pose(GEL, BALL, pose, "draft").force_n[2] == pytest.approx(0.2, rel=0.01)
     with pytest.raises(ValueError, match="normal_force_n"):
         pose_for_force(GEL, BALL, 50.0, quality="draft")
+
+
+def test_a_diagonal_drag_is_the_same_solve_with_and_without_pressure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its length was rounded to 9 digits for the one and to 12 for the other, and so it was solved twice."""
+    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
+    pose = Pose(depth_mm=0.1, shear_x_mm=0.05, shear_y_mm=0.03)
+    state, full = solve_pose(GEL, BALL, pose, "draft"), solve_in_full(GEL, BALL, pose, "draft")
+    assert cache_use().solutions == 1
+    np.testing.assert_array_equal(full.state.displacement_mm, state.displacement_mm)
+    np.testing.assert_array_equal(full.state.force_n, state.force_n)
 
 
 def test_the_same_scene_gives_the_same_bytes() -> None:

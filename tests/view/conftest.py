@@ -5,7 +5,7 @@ import pytest
 
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import PATH_DEPTHS_MM, PATH_TRAVELS_MM, Elastomer, SolvedPath, Sphere
-from gelgap.sim.surface import _SECTORS, _radius
+from gelgap.sim.membrane import _SECTORS, _radius
 from gelgap.view import Configuration, LiveModel
 from gelgap.view.requests import PathRequest
 

@@ -1,7 +1,7 @@
 """The study of meshes solves a table's press on any mesh, and judges it."""
 
 from gelgap.benchmarks.calibration.mesh_sizes import Trial, press
-from gelgap.sim.quality import QUALITIES
+from gelgap.sim.problem import QUALITIES
 
 
 def test_a_coarse_mesh_is_solved_and_compared_with_the_table():

@@ -5,11 +5,8 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from gelgap.sim.assembly_tree import assembly_tree
-from gelgap.sim.mesh.ordering import ordered_for_elimination
-from gelgap.sim.mesh.pad import GelMesh, layer_heights_mm, pad_mesh
-from gelgap.sim.mesh.plane import DiscGrid
-from gelgap.sim.multifrontal import Condensation
+from gelgap.sim.fronts import Condensation, assembly_tree
+from gelgap.sim.mesh import DiscGrid, GelMesh, layer_heights_mm, ordered_for_elimination, pad_mesh
 
 KEPT = 12
 FOREIGN_DOFS = 3

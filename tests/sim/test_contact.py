@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from gelgap.sim import contact_newton
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.sphere import Sphere
-from gelgap.sim.newton import solve, static_newton
+from gelgap.sim import contact
+from gelgap.sim.indenter import Sphere
+from gelgap.sim.newton import StaticNewton, solve
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.scene import Scene, Sharing
+from gelgap.sim.scene import Elastomer, Scene, Sharing
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5)
 # A load step down, one further, and two sideways, in which nodes slide.
@@ -20,7 +19,7 @@ COMMANDS_MM = ((0.0, 0.0, -0.1), (0.0, 0.0, -0.3), (0.08, 0.0, -0.3), (0.16, 0.0
 
 def _problem(mount_stiffness_n_per_mm: float | None = None) -> ContactProblem:
     scene = Scene(GEL, Sphere(), "draft", Sharing())
-    problem = scene.problem(None, ((0.0, 0.0, -0.3), (0.16, 0.0, -0.3)), (-1, 0))
+    problem = ContactProblem.of(scene, None, ((0.0, 0.0, -0.3), (0.16, 0.0, -0.3)), (-1, 0))
     return replace(problem, mount_stiffness_n_per_mm=mount_stiffness_n_per_mm)
 
 
@@ -29,7 +28,7 @@ def test_mujoco_takes_the_condensed_solution_and_finds_the_same_alone(
     mount_stiffness_n_per_mm: float | None,
 ) -> None:
     problem = _problem(mount_stiffness_n_per_mm)
-    condensed, alone = (static_newton(problem, condensed=switch) for switch in (True, False))
+    condensed, alone = (StaticNewton(problem, condensed=switch) for switch in (True, False))
     for command_mm in COMMANDS_MM:
         for newton in (condensed, alone):
             assert newton.load_step(np.array(command_mm), 30) == (True, False)
@@ -44,7 +43,7 @@ def test_mujoco_starts_from_nothing_else() -> None:
     """Sideways on a mount, its own estimate without contacts looked better, and it ended there, without a force."""
     gel = Elastomer(young_modulus_mpa=0.7, poisson_ratio=0.49, friction=0.24, mount_stiffness_n_per_mm=20.0)
     way = ((0.0, 0.0, -0.1), (0.1, 0.0, -0.1), (0.2, 0.0, -0.1))
-    problem = Scene(gel, Sphere(), "draft", Sharing()).problem(None, way, (-1, 0, 1))
+    problem = ContactProblem.of(Scene(gel, Sphere(), "draft", Sharing()), None, way, (-1, 0, 1))
     condensed, alone = (solve(problem, condensed=switch).records for switch in (True, False))
     for one, other in zip(condensed, alone, strict=True):
         assert one.converged
@@ -53,13 +52,13 @@ def test_mujoco_starts_from_nothing_else() -> None:
 
 def test_a_solve_takes_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     threads = []
-    condense = contact_newton.Condensation.condense
+    condense = contact.Condensation.condense
 
-    def noted(self: contact_newton.Condensation, *arguments: np.ndarray) -> object:
+    def noted(self: contact.Condensation, *arguments: np.ndarray) -> object:
         threads.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
         return condense(self, *arguments)
 
-    monkeypatch.setattr(contact_newton.Condensation, "condense", noted)
+    monkeypatch.setattr(contact.Condensation, "condense", noted)
     with threadpool_limits(2, user_api="blas"):
         solve(replace(_problem(), waypoints_mm=((0.0, 0.0, -0.05),), parents=(-1,)))
         assert {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"} == {2}
@@ -68,10 +67,10 @@ def test_a_solve_takes_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_mujoco_goes_on_from_a_start_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = _problem()
-    right, wrong = (static_newton(problem, condensed=True) for _ in range(2))
+    right, wrong = (StaticNewton(problem, condensed=True) for _ in range(2))
     right.load_step(np.array(COMMANDS_MM[0]), 30)
-    acceleration = contact_newton.ContactNewton.acceleration
-    monkeypatch.setattr(contact_newton.ContactNewton, "acceleration", lambda self: 0.7 * acceleration(self))
+    acceleration = contact.ContactNewton.acceleration
+    monkeypatch.setattr(contact.ContactNewton, "acceleration", lambda self: 0.7 * acceleration(self))
     wrong.load_step(np.array(COMMANDS_MM[0]), 30)
     assert wrong.left_to_mujoco == wrong.iterations
     np.testing.assert_allclose(wrong.indenter_force_n, right.indenter_force_n, atol=1e-9)
@@ -82,15 +81,13 @@ def test_where_there_is_no_factor_mujoco_solves_alone(
     stiffness: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = _problem()
-    right, failing = (static_newton(problem, condensed=True) for _ in range(2))
+    right, failing = (StaticNewton(problem, condensed=True) for _ in range(2))
     right.load_step(np.array(COMMANDS_MM[0]), 30)
-    condense = contact_newton.Condensation.condense
+    condense = contact.Condensation.condense
 
-    def with_another_diagonal(
-        self: contact_newton.Condensation, values: np.ndarray, *others: np.ndarray
-    ) -> object:
+    def with_another_diagonal(self: contact.Condensation, values: np.ndarray, *others: np.ndarray) -> object:
         return condense(self, values, others[0] + stiffness, others[1])
 
-    monkeypatch.setattr(contact_newton.Condensation, "condense", with_another_diagonal)
+    monkeypatch.setattr(contact.Condensation, "condense", with_another_diagonal)
     failing.load_step(np.array(COMMANDS_MM[0]), 30)
     np.testing.assert_allclose(failing.indenter_force_n, right.indenter_force_n, atol=1e-9)

@@ -8,12 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim.cache import cache_entries, cache_use, clear_cache, load_solution, store_solution
-from gelgap.sim.elastomer import Elastomer
-from gelgap.sim.indenters.sphere import Sphere
-from gelgap.sim.membrane import Diagnostics
-from gelgap.sim.scene import Scene, Sharing
-from gelgap.sim.solution import Record, Solution, solution_bytes, solution_from_bytes
+from gelgap.sim.indenter import Sphere
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.scene import Elastomer, Scene, Sharing
+from gelgap.sim.solution import (
+    Diagnostics,
+    Record,
+    Solution,
+    cache_entries,
+    cache_use,
+    clear_cache,
+    load_solution,
+    solution_bytes,
+    solution_from_bytes,
+    store_solution,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +35,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def solution() -> Solution:
     gel = Elastomer(young_modulus_mpa=0.1, poisson_ratio=0.45, friction=0.3, mount_stiffness_n_per_mm=7.0)
     scene = Scene(gel, Sphere(diameter_mm=2.2), "standard", Sharing())
-    problem = scene.problem((-12.0, 11.9, -0.1, 0.3), ((0, 0, -0.1), (1 / 3, -0.0, -0.1)), (-1, 0))
+    way = ((0, 0, -0.1), (1 / 3, -0.0, -0.1))
+    problem = ContactProblem.of(scene, (-12.0, 11.9, -0.1, 0.3), way, (-1, 0))
     rng = np.random.default_rng(0)
     records = tuple(
         Record(

@@ -1,0 +1,263 @@
+"""Contact and friction of an iteration: Coulomb's law of a load step, and the contact problem, condensed and solved."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize, sparse
+
+from gelgap.sim.fronts import Condensation
+from gelgap.sim.indenter import Indenter
+from gelgap.sim.mujoco_model import GelModel
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# MuJoCo wants some friction at every contact; nodes that are not held get this.
+_FRICTIONLESS = 1e-5
+# Contacts with less than this share of the largest normal force are noise that says nothing about friction.
+_NEGLIGIBLE_LOAD_SHARE = 1e-2
+# A vertex sticks if its friction is below this share of Coulomb's bound.
+_STICKING_SHARE = 0.99
+
+# Newton's method on the condensed problem has converged once the residual is no more than this share of all forces,
+# which is as good as rounding errors let it be; it ends after this many iterations.
+_RESIDUAL_TOLERANCE = 1e-12
+_MOST_ITERATIONS = 60
+# An increment is taken whole if the slope at its end is at most this share of the one at its beginning.
+_SMALL_SLOPE = 0.1
+_LONGEST_STEP = 1024.0
+
+
+class FrictionalContacts:
+    """The contacts in MuJoCo's data; arrays have an entry per contact, in MuJoCo's order.
+
+    Friction acts against the slip since the load step's start: Coulomb's law of a load step (backward Euler) is about
+    this slip and not that of one iteration. A node is active if the last iteration pressed it. Nodes that are active
+    when the step begins stick from where they are then. A node that becomes active within the step has landed, on
+    average half way: its slip counts from half way between its position at the start of the step and the one that it
+    reached without friction. Other nodes slide freely.
+    """
+
+    def __init__(self, gel: GelModel, data: Any, indenter: Indenter, friction: float) -> None:
+        self._gel = gel
+        self._data = data
+        self._indenter = indenter
+        self._friction = friction
+        self._start_mm: Floats | None = None
+        self._anchor_mm = np.zeros((0, 3))
+        self._held = self._landed = np.zeros(0, dtype=bool)
+
+    @property
+    def nodes(self) -> Ints:
+        """Each contact's node."""
+        geoms = self._data.contact.geom
+        return np.where(geoms[:, 0] == self._gel.indenter_geom, geoms[:, 1], geoms[:, 0])
+
+    @property
+    def forces_n(self) -> Floats:
+        """Each contact's force along its normal and two tangents, (contacts, 3)."""
+        return self._data.efc_force[: 3 * self._data.ncon].reshape(-1, 3)
+
+    @property
+    def normal_force_n(self) -> Floats:
+        return self.forces_n[:, 0]
+
+    @property
+    def loaded(self) -> NDArray[np.bool_]:
+        """Whether each contact bears more than a negligible share of the largest normal force."""
+        normal = self.normal_force_n
+        return normal > _NEGLIGIBLE_LOAD_SHARE * normal.max(initial=0.0)
+
+    def begin_load_step(self) -> None:
+        """Forget the last load step; the new one starts where the next contacts are found."""
+        self._start_mm = None
+
+    def impose_friction(self, active: NDArray[np.bool_]) -> None:
+        """Write into MuJoCo's contacts what makes its friction act as Coulomb's law of the load step.
+
+        A contact's surface velocity is added to its friction rows; as an iteration takes 1 s, it stands for the slip so
+        far. MuJoCo's convex friction cone lets a node that slides by s rise by μ s (Anitescu 2006, Math.
+        Program. 105:113). The gap is widened by as much, so that a settled node slides on the indenter (the fixed point
+        of De Saxcé & Feng 1998, Math. Comput. Model. 28:225).
+        """
+        data, nodes, place_mm = self._data, self.nodes, self._places_mm()
+        if self._start_mm is None:
+            self._start_mm, self._anchor_mm, self._held = place_mm, place_mm.copy(), active.copy()
+        self._landed = active & ~self._held
+        self._anchor_mm[self._landed] = (self._start_mm + place_mm)[self._landed] / 2
+        self._held |= self._landed
+        held = self._held[nodes]
+        tangents = data.contact.frame.reshape(-1, 3, 3)[:, 1:]
+        slip_mm = np.einsum("nij,nj->ni", tangents, (place_mm - self._anchor_mm)[nodes]) * self._sign()
+        slip_mm[~held] = 0.0
+        data.contact.surfacevel[:, :2] = slip_mm
+        # Most nodes that landed go back and stick; a widened gap would press them into the indenter.
+        slides_mm = np.where(self._landed[nodes], 0.0, np.linalg.norm(slip_mm, axis=1))
+        data.contact.dist[:] += self._friction * slides_mm
+        data.contact.friction[~held, :2] = _FRICTIONLESS
+
+    def at_rest(self) -> bool:
+        """Return whether all nodes with load are held, and none of them landed in the last iteration."""
+        return bool((self._held & ~self._landed)[self.nodes[self.loaded]].all())
+
+    def coulomb_excess(self) -> float:
+        """Return the largest |f_t| / (μ f_n) − 1 of loaded contacts; −1 without friction.
+
+        Friction was bounded along the normals that the iteration began with; where nodes have gone on, normals have
+        turned.
+        """
+        data, gel, loaded = self._data, self._gel, self.loaded
+        if not loaded.any() or self._friction == 0:
+            return -1.0
+        nodes = self.nodes[loaded]
+        moved = data.qvel[gel.dofs(nodes)].reshape(-1, 3) - data.qvel[gel.indenter_dof]
+        normal = self._indenter.project(self._places_mm()[nodes] + moved).outward_normal
+        frames = data.contact.frame.reshape(-1, 3, 3)
+        force = (np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign())[loaded]
+        normal_force = np.einsum("ni,ni->n", force, normal)
+        tangential_force = np.linalg.norm(force - normal_force[:, None] * normal, axis=1)
+        return float((tangential_force / (self._friction * normal_force)).max()) - 1
+
+    def sticking_fraction(self) -> float:
+        """Return the share of the normal force on nodes whose friction is below its limit."""
+        forces = self.forces_n
+        normal = forces[:, 0]
+        if not normal.sum() > 0:
+            return 1.0
+        sticks = np.linalg.norm(forces[:, 1:], axis=1) < _STICKING_SHARE * self._friction * normal
+        return float(1.0 - normal[~sticks].sum() / normal.sum())
+
+    def vertex_normal_force_n(self) -> Floats:
+        """Return the normal force on each vertex of the mesh."""
+        forces = np.zeros(len(self._gel.mesh.vertices_mm))
+        forces[self._gel.vertex_of_geom[self.nodes]] = self.normal_force_n
+        return forces
+
+    def _sign(self) -> Floats:
+        """Return 1 where a contact's frame leads from the indenter to the node, −1 where it leads back, (contacts, 1).
+
+        MuJoCo orders the two geoms of a contact by their types.
+        """
+        return np.where(self._data.contact.geom[:, :1] == self._gel.indenter_geom, 1.0, -1.0)
+
+    def _places_mm(self) -> Floats:
+        """Return where all geoms lie, from the indenter's origin, (geoms, 3)."""
+        return self._data.geom_xpos - self._data.geom_xpos[self._gel.indenter_geom]
+
+
+class ContactNewton:
+    """Minimises what MuJoCo's solver minimises: ½ aᵀ A a − bᵀ a + the cost of contacts at J a − a_ref.
+
+    A is mass and stiffness, b the force without contacts; they, J, a_ref and the cost are MuJoCo's own, in the present
+    state of its data (https://mujoco.readthedocs.io/en/stable/computation, "Constraint solver"). The problem is convex
+    and has one solution. Dofs on which no contact acts are eliminated from it first. A contact has three rows in J and
+    six dofs: three of its node, three of the indenter.
+    """
+
+    def __init__(self, gel: GelModel, data: Any) -> None:
+        model = gel.model
+        self._model, self._data = model, data
+        self._indenter_dofs = np.arange(model.nv)[gel.indenter_dof]
+        self._diagonal_of_mass = model.M_rowadr + model.M_rownnz - 1
+        nodes = gel.vertex_of_geom[gel.vertex_of_geom >= 0]
+        inner = np.setdiff1d(np.flatnonzero(gel.vertex_dof >= 0), nodes)
+        starts = np.append(data.efm_K_rowadr, data.nefmK)
+        stiffness = sparse.csr_array((data.efm_K_val, data.efm_K_colind, starts), shape=(model.nv, model.nv))
+        # The mesh numbers its vertices in reverse order of elimination.
+        order = np.concatenate([inner[::-1], nodes])
+        self._condensation = Condensation(stiffness, gel.vertex_dof[order], len(nodes))
+
+    def acceleration(self) -> Floats:
+        """Return the acceleration a (nv,) that solves the problem; the data's contact forces become those of it.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If A is not positive definite, or not finite.
+        """
+        data, kept_dofs, indenter_dofs = self._data, self._condensation.kept_dofs, self._indenter_dofs
+        diagonal, force = data.M[self._diagonal_of_mass] + data.efm_diag, data.qfrc_smooth + data.efm_c
+        contact_dofs = data.efc_J_colind.reshape(-1, 3, 6)[:, 0]
+        lower, right_side = self._condensation.condense(data.efm_K_val, diagonal, force)
+        whole = np.tril(lower) + np.tril(lower, -1).T
+        touched = np.isin(kept_dofs, contact_dofs)
+        factor = linalg.cholesky(whole[~touched][:, ~touched], lower=True, check_finite=False)
+        others = np.column_stack([whole[~touched][:, touched], right_side[~touched]])
+        others = linalg.solve_triangular(factor, others, lower=True, check_finite=False)
+        coupling, others = others[:, :-1], others[:, -1]
+        stiffness = whole[touched][:, touched] - coupling.T @ coupling
+        right_side = right_side[touched] - coupling.T @ others
+        if not (np.isfinite(stiffness).all() and np.isfinite(right_side).all()):
+            raise np.linalg.LinAlgError("the gel's stiffness or force is not finite")
+        moving = np.concatenate([kept_dofs[touched], indenter_dofs])
+        number = np.empty(len(force), dtype=np.int64)
+        number[moving] = np.arange(len(moving))
+        solution = self._minimum(
+            linalg.block_diag(stiffness, np.diag(diagonal[indenter_dofs])),
+            np.concatenate([right_side, force[indenter_dofs]]),
+            number[contact_dofs],
+        )
+        kept, indenter = np.empty(len(kept_dofs)), solution[-len(indenter_dofs) :]
+        kept[touched] = solution[: -len(indenter_dofs)]
+        left = others - coupling @ kept[touched]
+        kept[~touched] = linalg.solve_triangular(factor, left, trans=1, lower=True, check_finite=False)
+        acceleration = self._condensation.expand(kept)
+        acceleration[indenter_dofs] = indenter
+        return acceleration
+
+    def _minimum(self, stiffness: Floats, force: Floats, dofs: Ints) -> Floats:
+        """Return the minimum (n,) of ½ xᵀ `stiffness` x − `force` · x + the cost of contacts that act on `dofs` (c, 6).
+
+        By Newton's method with a line search; `relative` is J x − a_ref.
+        """
+        jacobian = self._data.efc_J.reshape(-1, 3, 6)
+        solution, relative = np.zeros(len(force)), -np.array(self._data.efc_aref)
+        given = np.linalg.norm(force)
+        for _ in range(_MOST_ITERATIONS):
+            contact_force = self._contact_force(relative, stiffness=True)
+            residual = stiffness @ solution - force
+            np.add.at(residual, dofs, -np.einsum("cij,ci->cj", jacobian, contact_force.reshape(-1, 3)))
+            if np.linalg.norm(residual) <= _RESIDUAL_TOLERANCE * (np.linalg.norm(contact_force) + given):
+                break
+            tangent = self._tangent(stiffness, jacobian, dofs)
+            factor = linalg.cho_factor(tangent, lower=True, check_finite=False)
+            increment = -linalg.cho_solve(factor, residual, check_finite=False)
+            along = np.einsum("cij,cj->ci", jacobian, increment[dofs]).ravel()
+            slope = residual @ increment + contact_force @ along
+            length = self._line_search(slope, increment @ stiffness @ increment, relative, along)
+            solution, relative = solution + length * increment, relative + length * along
+        return solution
+
+    def _contact_force(self, relative: Floats, *, stiffness: bool = False) -> Floats:
+        """Return the contacts' forces (3 c,) at J x − a_ref (3 c,); the data gets their `stiffness`, if wanted."""
+        mujoco.mj_constraintUpdate(self._model, self._data, relative, None, stiffness)
+        return np.array(self._data.efc_force)
+
+    def _tangent(self, stiffness: Floats, jacobian: Floats, dofs: Ints) -> Floats:
+        """Return the tangent stiffness (n, n): `stiffness` plus that of the contacts at the last force."""
+        data, states = self._data, mujoco.mjtConstraintState
+        state, tangent = data.efc_state.reshape(-1, 3)[:, 0], stiffness.copy()
+        sticks, slides = state == states.mjCNSTRSTATE_QUADRATIC, state == states.mjCNSTRSTATE_CONE
+        of_contact = np.zeros((len(state), 3, 3))
+        of_contact[sticks] = data.efc_D.reshape(-1, 3)[sticks, :, None] * np.eye(3)
+        of_contact[slides] = data.contact.H[slides, :9].reshape(-1, 3, 3)
+        blocks = np.einsum("cia,cij,cjb->cab", jacobian, of_contact, jacobian)
+        np.add.at(tangent, (dofs[:, :, None], dofs[:, None, :]), blocks)
+        return tangent
+
+    def _line_search(self, slope: float, curvature: float, relative: Floats, along: Floats) -> float:
+        """Return where along an increment the cost is least, by its `slope` and `curvature` without the contacts'."""
+
+        def slope_at(length: float) -> float:
+            return slope + length * curvature - float(self._contact_force(relative + length * along) @ along)
+
+        longest, slope_there = 1.0, slope_at(1.0)
+        if abs(slope_there) <= _SMALL_SLOPE * abs(slope_at(0.0)):
+            return longest
+        while slope_there < 0 and longest < _LONGEST_STEP:
+            longest *= 2
+            slope_there = slope_at(longest)
+        # An increment may end where the first node touches, which can be as near as rounding lets it be.
+        return optimize.brentq(slope_at, 0.0, longest, xtol=1e-14) if slope_there > 0 else longest

@@ -1,0 +1,354 @@
+"""The mesh of a contact problem: fine where the gel is touched, prisms of tetrahedra, ordered for elimination.
+
+Plane cells around the contact axis (half a disc, mirrored for a whole one, cut along the pad's edges) are stacked in
+layers of prisms, which are split into tetrahedra that do not lock.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pymetis
+from numpy.typing import NDArray
+from scipy import sparse
+
+from gelgap.sim.problem import ContactProblem, mesh_scale
+from gelgap.sim.scene import Moduli, PadEdges
+
+# Corners of each plane cell, counterclockwise.
+Cells = Sequence[NDArray[np.int64]]
+Points = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Gel further from the contact than this does not matter, and is not meshed.
+_DISC_THICKNESSES = 3.3
+# What a contact wider than the gel is thick squeezes out bulges beside it, and matters as far as this beyond it.
+_BESIDE_WIDE_CONTACT_THICKNESSES = 4.0
+_SMALLEST_DISC = 1.5  # of the finely meshed radius
+_FINE_MARGIN = 1.15  # of the penetration radius
+# No layer is thicker than this share of the gel, unless the first one is.
+_LARGEST_LAYER = 0.28
+# Vertices up to this far outside of what the indenter passes over can touch it, since the gel bulges.
+_TOUCHING_MARGIN_MM = 0.4
+# A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.
+_SNAPPED_SHARE = 0.35
+
+# Above this ν, meshes of linear tetrahedra lock steeply while the gel itself hardly changes: its force rises by 1.7 %
+# per hundredth of ν (1.5 without friction, 1.6 to 2.2 without slip), and the membrane moves by some 5 µm rms at a depth
+# of a third of the thickness. So meshes get this ν at most, and a modulus that follows that rise.
+LARGEST_POISSON_RATIO = 0.49
+FORCE_RISE_PER_POISSON = 1.7
+
+
+@dataclass(frozen=True)
+class GelMesh:
+    """Tetrahedra of a pad: the outer membrane at z = 0, the bonded bottom at z = −thickness, contact axis at x = y = 0.
+
+    `vertices_mm` is (n, 3), `tetrahedra` (m, 4). If `symmetric`, only y ≥ 0 is meshed and y = 0 is a plane of symmetry.
+    """
+
+    vertices_mm: NDArray[np.float64]
+    tetrahedra: NDArray[np.int32]
+    symmetric: bool
+
+    @property
+    def surface(self) -> Ints:
+        """Indices of the vertices of the outer membrane."""
+        return np.flatnonzero(self.vertices_mm[:, 2] > -1e-9)
+
+    @property
+    def bottom(self) -> Ints:
+        """Indices of the vertices that are bonded to the backing."""
+        return np.flatnonzero(self.vertices_mm[:, 2] < self.vertices_mm[:, 2].min() + 1e-9)
+
+    @property
+    def symmetry_plane(self) -> Ints:
+        """Indices of the vertices on the plane of symmetry, none for a whole pad."""
+        if not self.symmetric:
+            return np.empty(0, dtype=np.int64)
+        return np.flatnonzero(np.abs(self.vertices_mm[:, 1]) < 1e-9)
+
+
+@dataclass(frozen=True)
+class DiscGrid:
+    """How a disc is divided: a square core of cells, then rings that coarsen beyond `fine_radius_mm`.
+
+    `spacing_mm` is the distance of the vertices up to there, `sectors` the number of cells around half a circle, a
+    multiple of 4; each coarser ring is `ring_growth` wider than the one before.
+    """
+
+    radius_mm: float
+    fine_radius_mm: float
+    spacing_mm: float
+    sectors: int
+    ring_growth: float = 1.5
+
+
+def mesh_for(problem: ContactProblem) -> GelMesh:
+    """Mesh the gel finely where it will be touched, at the spacing that the largest contact needs."""
+    mesh = unordered_mesh(problem)
+    touched = touchable(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])
+    return ordered_for_elimination(mesh, touched)
+
+
+def unordered_mesh(problem: ContactProblem) -> GelMesh:
+    """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
+    size, thickness = problem.mesh_size, problem.thickness_mm
+    scale = mesh_scale(problem.indenter, thickness, problem.depth_mm)
+    spacing = size.surface_mm * scale
+    first_layer = min(size.layer_mm * scale, size.layer_growth * thickness / 6)
+    fine_radius = _FINE_MARGIN * problem.penetration_radius_mm + problem.travel_mm + spacing
+    radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
+    if problem.contact_width > 1:
+        beside_mm = _BESIDE_WIDE_CONTACT_THICKNESSES * thickness
+        radius = max(radius, problem.penetration_radius_mm + problem.travel_mm + beside_mm)
+    return pad_mesh(
+        DiscGrid(radius, fine_radius, spacing, size.sectors, size.ring_growth),
+        layer_heights_mm(thickness, first_layer, size.layer_growth),
+        problem.pad_mm,
+        symmetric=problem.symmetric,
+    )
+
+
+def mesh_moduli(gel: Moduli, stiffness: tuple[float, float], contact_width: float = 1.0) -> Moduli:
+    """Return the moduli with which a mesh of that stiffness (a, b) acts as the gel; both in MuJoCo's energy.
+
+    Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
+    scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does:
+    1 + a + b / (1 − 2ν). `python -m gelgap.benchmarks.calibration.mesh` derives a and b against locking-free solutions
+    of the same energy, and checks them on radii, thicknesses, ν and friction that it did not use. Under a contact that
+    is `contact_width` times as wide as the gel is thick, the excess is smaller by the root of that.
+    """
+    excess = max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
+    poisson_ratio = gel.poisson_ratio - excess
+    a, b = (coefficient / math.sqrt(contact_width) for coefficient in stiffness)
+    factor = 1 + a + b / (1 - 2 * poisson_ratio)
+    return Moduli(gel.young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * excess) / factor, poisson_ratio)
+
+
+def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symmetric: bool) -> GelMesh:
+    """Mesh the part of the pad that lies within a disc around the contact axis.
+
+    `layers_mm` are the z of the layers from 0 down; `pad_mm` is (x min, x max, y min, y max), on whose edges the axis
+    may lie, or None for a pad without edges. If the scene is `symmetric` about y = 0, only y ≥ 0 is meshed.
+    """
+    plane, quads = half_disc(grid)
+    cells: Cells = list(quads)
+    if not symmetric:
+        off_axis = plane[:, 1] > 0
+        image = np.where(off_axis, len(plane) + np.cumsum(off_axis) - 1, np.arange(len(plane)))
+        plane, cells = np.concatenate([plane, plane[off_axis] * [1, -1]]), [*quads, *image[quads][:, ::-1]]
+    if pad_mm is not None:
+        x_min, x_max, y_min, y_max = pad_mm
+        edges = [(0, 1.0, x_max), (0, -1.0, -x_min), (1, 1.0, y_max)]
+        if not symmetric:
+            edges.append((1, -1.0, -y_min))
+        for axis, sign, distance in edges:
+            plane, cells = _cut(plane, cells, axis, sign, distance)
+    vertices, tetrahedra = _split_prisms(plane, cells, layers_mm)
+    return GelMesh(vertices, tetrahedra, symmetric)
+
+
+def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float) -> Points:
+    """Return the z of the layers from the membrane (0) down to the backing: the first, then thicker with depth.
+
+    All are scaled down a little so that their number is whole.
+    """
+    largest_mm = max(first_mm, _LARGEST_LAYER * thickness_mm)
+    return -_graded_positions_mm(thickness_mm, first_mm / growth, 0.0, growth, largest_mm)
+
+
+def half_disc(grid: DiscGrid) -> tuple[Points, Ints]:
+    """Return the vertices (n, 2) and quadrilaterals (m, 4) of the half y ≥ 0 of a disc.
+
+    A core of 2k × k cells, bent from a square towards a circle, lies within rings of 4k cells, the grid's sectors.
+    """
+    k = grid.sectors // 4
+    core_mm = 1.1 * k * grid.spacing_mm
+    rings_mm = core_mm + _graded_positions_mm(
+        grid.radius_mm - core_mm, grid.spacing_mm, grid.fine_radius_mm - core_mm, grid.ring_growth
+    )
+    u, v = np.meshgrid(np.linspace(-1, 1, 2 * k + 1), np.linspace(0, 1, k + 1), indexing="ij")
+    shell = np.maximum(np.abs(u), np.abs(v))
+    scale = np.where(shell > 0, shell, 1.0)
+    u1, v1 = u / scale, v / scale
+    on_side = np.abs(u1) >= np.abs(v1) - 1e-12
+    angle = np.where(on_side, np.where(u1 > 0, v1, 4 - v1), 2 - u1) * np.pi / 4
+    square = 0.85 * core_mm * np.stack([u, v], -1)
+    circle = core_mm * shell[..., None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    roundness = 0.35 * shell[..., None]
+    core = ((1 - roundness) * square + roundness * circle).reshape(-1, 2)
+    index = np.arange(len(core)).reshape(2 * k + 1, k + 1)
+    quads = [np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)]
+    edge = np.concatenate([index[2 * k, :k], index[::-1, k], index[0, k - 1 :: -1]])
+    turn = np.linspace(0, np.pi, len(edge))
+    points, inner = [core], edge
+    for ring, radius in enumerate(rings_mm[1:]):
+        outer = len(core) + ring * len(edge) + np.arange(len(edge))
+        points.append(radius * np.stack([np.cos(turn), np.sin(turn)], -1))
+        quads.append(np.stack([inner[:-1], outer[:-1], outer[1:], inner[1:]], -1))
+        inner = outer
+    plane = np.concatenate(points)
+    plane[np.abs(plane) < 1e-12] = 0.0
+    return plane, np.concatenate(quads)
+
+
+def _graded_positions_mm(
+    length_mm: float, spacing_mm: float, fine_mm: float, growth: float, largest_mm: float = 2.5
+) -> Points:
+    """Return positions from 0 to a length: equally spaced up to `fine_mm`, each further spacing `growth` times larger.
+
+    No spacing exceeds `largest_mm`, until all beyond `fine_mm` are stretched so that the last position is the length.
+    """
+    if length_mm <= 0:
+        return np.zeros(1)
+    positions, step = [0.0], spacing_mm
+    while positions[-1] < length_mm - 1e-9:
+        if positions[-1] >= fine_mm - 1e-9:
+            step = min(step * growth, largest_mm)
+        positions.append(positions[-1] + step)
+    axis = np.array(positions)
+    start = int(np.searchsorted(axis, fine_mm - 1e-9))
+    if start >= len(axis) - 1:
+        return axis * (length_mm / axis[-1])
+    axis[start:] = axis[start] + (axis[start:] - axis[start]) * (length_mm - axis[start]) / (
+        axis[-1] - axis[start]
+    )
+    return axis
+
+
+def _cut(plane: Points, cells: Cells, axis: int, sign: float, distance_mm: float) -> tuple[Points, Cells]:
+    """Cut away what lies beyond the line sign · coordinate = distance.
+
+    Vertices are first moved onto the line where it would cut off only a small share of an edge.
+    """
+    start = np.concatenate(cells)
+    end = np.concatenate([np.roll(cell, -1) for cell in cells])
+    beyond = sign * plane[:, axis] - distance_mm
+    crosses = beyond[start] * beyond[end] < 0
+    start, end = start[crosses], end[crosses]
+    share = beyond[start] / (beyond[start] - beyond[end])
+    moved = np.concatenate([start[share < _SNAPPED_SHARE], end[share > 1 - _SNAPPED_SHARE]])
+    plane = plane.copy()
+    plane[moved, axis] = sign * distance_mm
+    beyond = sign * plane[:, axis] - distance_mm
+    points, crossing, kept = list(plane), {}, []
+    for cell in cells:
+        if (beyond[cell] >= 0).all():
+            continue
+        corners = []
+        for a, b in zip(cell, np.roll(cell, -1), strict=True):
+            if beyond[a] <= 0:
+                corners.append(a)
+            if beyond[a] * beyond[b] < 0:
+                edge = (min(a, b), max(a, b))
+                if edge not in crossing:
+                    share = beyond[a] / (beyond[a] - beyond[b])
+                    point = plane[a] + share * (plane[b] - plane[a])
+                    point[axis] = sign * distance_mm
+                    crossing[edge] = len(points)
+                    points.append(point)
+                corners.append(crossing[edge])
+        kept.append(np.array(corners))
+    used = np.unique(np.concatenate(kept))
+    number = np.full(len(points), -1)
+    number[used] = np.arange(len(used))
+    return np.array(points)[used], [number[cell] for cell in kept]
+
+
+def _split_prisms(plane: Points, cells: Cells, layers_mm: Points) -> tuple[Points, NDArray[np.int32]]:
+    """Stack layers of prisms on plane cells and split each; return vertices (n, 3) and tetrahedra (m, 4).
+
+    A prism gets a vertex in its centre and one in the centre of each face: 24 tetrahedra if it is a hexahedron.
+    """
+    count, levels = len(plane), len(layers_mm)
+    start = np.concatenate(cells)
+    end = np.concatenate([np.roll(cell, -1) for cell in cells])
+    cell = np.repeat(np.arange(len(cells)), [len(corners) for corners in cells])
+    sides, side = np.unique(np.sort(np.stack([start, end], 1), axis=1), axis=0, return_inverse=True)
+    centre = np.stack([np.bincount(cell, plane[start, axis]) / np.bincount(cell) for axis in (0, 1)], 1)
+    middle = 0.5 * (layers_mm[:-1] + layers_mm[1:])
+    blocks = [
+        (plane, layers_mm),
+        (centre, layers_mm),
+        (plane[sides].mean(axis=1), middle),
+        (centre, middle),
+    ]
+    vertices = np.concatenate(
+        [np.column_stack([np.tile(xy, (len(z), 1)), np.repeat(z, len(xy))]) for xy, z in blocks]
+    )
+    first = np.cumsum([0, *(len(xy) * len(z) for xy, z in blocks)])
+    tetrahedra = []
+    for level in range(levels - 1):
+        a, b = level * count + start, level * count + end
+        below_a, below_b = a + count, b + count
+        top = first[1] + level * len(cells) + cell
+        face = first[2] + level * len(sides) + side.ravel()
+        body = first[3] + level * len(cells) + cell
+        tetrahedra += [
+            np.stack(corners, axis=1)
+            for corners in (
+                (b, a, top, body),
+                (below_a, below_b, top + len(cells), body),
+                (a, b, face, body),
+                (b, below_b, face, body),
+                (below_b, below_a, face, body),
+                (below_a, a, face, body),
+            )
+        ]
+    return vertices, np.concatenate(tetrahedra).astype(np.int32)
+
+
+def touchable(mesh: GelMesh, penetration_radius_mm: float, segments_mm: Points) -> Ints:
+    """Return the surface vertices that an indenter can touch.
+
+    They lie within its penetration radius, and a margin, of straight `segments_mm` (n, 2, 2), from start to end, along
+    which it travels over the plane. What friction drags along is touched no further out.
+    """
+    points_mm = mesh.vertices_mm[mesh.surface, :2]
+    distance_mm = np.full(len(points_mm), np.inf)
+    for start, end in segments_mm:
+        along = end - start
+        share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)
+        from_segment_mm = np.linalg.norm(points_mm - start - share[:, None] * along, axis=1)
+        distance_mm = np.minimum(distance_mm, from_segment_mm)
+    return mesh.surface[distance_mm <= penetration_radius_mm + _TOUCHING_MARGIN_MM]
+
+
+def ordered_for_elimination(mesh: GelMesh, touchable: Ints) -> GelMesh:
+    """Renumber the vertices in reverse order of elimination.
+
+    The `touchable` ones come first: the contact problem is condensed onto them; and MuJoCo, which eliminates from the
+    last vertex to the first, takes as long to update its factor for a contact as there are vertices that depend on the
+    contact's. The rest follow in reverse order of elimination, the bonded ones at the end.
+    """
+    vertices, tetrahedra = mesh.vertices_mm, mesh.tetrahedra
+    count = len(vertices)
+    pairs = sparse.coo_array(
+        (
+            np.ones(16 * len(tetrahedra)),
+            (np.repeat(tetrahedra, 4, axis=1).ravel(), np.tile(tetrahedra, 4).ravel()),
+        ),
+        shape=(count, count),
+    ).tocsr()
+    moving = np.setdiff1d(np.arange(count), mesh.bottom)
+    elimination = elimination_order(pairs[moving][:, moving], np.flatnonzero(np.isin(moving, touchable)))
+    order = np.concatenate([moving[elimination[::-1]], mesh.bottom])
+    number = np.empty(count, dtype=np.int32)
+    number[order] = np.arange(count, dtype=np.int32)
+    return GelMesh(vertices[order], number[tetrahedra], mesh.symmetric)
+
+
+def elimination_order(graph: sparse.csr_array, last: Ints) -> Ints:
+    """Return the order in which to eliminate the vertices of a mesh, `last` (k,) at the end.
+
+    `graph` (n, n) has an entry for every pair of vertices that share a tetrahedron. The others are ordered by METIS'
+    nested dissection (Karypis & Kumar 1998, SIAM J. Sci. Comput. 20:359), which is the same whenever it is asked.
+    """
+    inner = np.setdiff1d(np.arange(graph.shape[0]), last)
+    neighbours = sparse.csr_array(graph[inner][:, inner])
+    neighbours.setdiag(0)
+    neighbours.eliminate_zeros()
+    dissected, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(neighbours.indptr, neighbours.indices))
+    return np.concatenate([inner[np.asarray(dissected)], last])
