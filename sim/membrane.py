@@ -102,8 +102,7 @@ class MembraneState:
             raise ValueError(
                 f"{path} lacks {', '.join(missing)}: a membrane state needs {', '.join(_NEEDED)}"
             )
-        x_mm, y_mm, displacement_mm = (arrays[name] for name in _NEEDED)
-        shape = (y_mm.size, x_mm.size)
+        shape = (arrays["y_mm"].size, arrays["x_mm"].size)
         shapes = {
             "x_mm": shape[1:],
             "y_mm": shape[:1],
@@ -118,15 +117,9 @@ class MembraneState:
                 raise ValueError(f"{name} in {path} holds {values.dtype}: must be numbers")
             if values.shape != shapes[name]:
                 raise ValueError(f"{name} in {path} has shape {values.shape}: must be {shapes[name]}")
-        return cls(
-            x_mm=x_mm,
-            y_mm=y_mm,
-            displacement_mm=displacement_mm,
-            contact=arrays.get("contact", np.zeros(shape, dtype=bool)),
-            force_n=arrays.get("force_n", np.zeros(3)),
-            contact_radius_mm=float(arrays.get("contact_radius_mm", 0.0)),
-            converged=bool(arrays.get("converged", True)),
-        )
+        arrays["contact_radius_mm"] = float(arrays.get("contact_radius_mm", 0.0))
+        arrays["converged"] = bool(arrays.get("converged", True))
+        return cls(**{"contact": np.zeros(shape, dtype=bool), "force_n": np.zeros(3), **arrays})
 
 
 def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> MembraneState:

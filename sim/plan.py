@@ -122,14 +122,12 @@ class Pace:
 
 def known_pace() -> Pace:
     """Return how long solves take. Deprecated: use `Solve.expected_core_s`; no record of past solves is kept."""
-    warnings.warn("known_pace is deprecated: use Solve.expected_core_s", DeprecationWarning, stacklevel=2)
+    message = "known_pace and measured_pace are deprecated: use Solve.expected_core_s"
+    warnings.warn(message, DeprecationWarning, stacklevel=2)
     return Pace()
 
 
-def measured_pace() -> Pace:
-    """Return how long solves take. Deprecated: use `Solve.expected_core_s`; nothing is measured for it."""
-    warnings.warn("measured_pace is deprecated: use Solve.expected_core_s", DeprecationWarning, stacklevel=2)
-    return Pace()
+measured_pace = known_pace
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings, within
-from gelgap.assets.toml_file import read_toml
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.indenter import Indenter, Symmetry
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
@@ -132,10 +132,8 @@ class Elastomer(Settings):
         """
         values = read_toml(path)
         values.pop("description", None)
-        try:
+        with named_in_errors(path):
             return cls(**values)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
 
     @property
     def mujoco_moduli(self) -> Moduli:

@@ -56,31 +56,31 @@ def coloured_mesh(
     return _textured(points, np.stack([u, v], axis=-1), np.ones((rows, columns), bool), texture)
 
 
-def indenter_mesh(indenter: Sphere, shape: tuple[float, float, float]) -> "trimesh.Trimesh":
-    """Return the indenter with its centre at a place, in mm."""
-    import trimesh
-
-    mesh = trimesh.creation.icosphere(subdivisions=3, radius=indenter.radius_mm)
-    mesh.apply_translation(shape)
-    mesh.visual.vertex_colors = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(mesh.vertices), 1))
-    return mesh
-
-
 def indenter_centre_mm(solved: SolvedPose, point_mm: tuple[float, float], indenter: Sphere) -> NDArray:
     """Return where the centre (3,) of the indenter is."""
     return np.array([*point_mm, indenter.origin_height_mm]) + solved.indenter_mm
 
 
-def mesh_bytes(membrane: "trimesh.Trimesh", indenter: "trimesh.Trimesh", suffix: str) -> bytes:
-    """Return both as the bytes of a file: `.glb`, textured, in metres, or `.ply`, coloured by vertex, in mm."""
+def mesh_bytes(
+    solved: SolvedPose,
+    point_mm: tuple[float, float],
+    indenter: Sphere,
+    camera: Camera,
+    picture: NDArray[np.uint8],
+    suffix: str,
+) -> bytes:
+    """Return membrane and indenter as a file: `.glb`, textured, in metres, or `.ply`, coloured by vertex, in mm."""
     import trimesh
 
+    membrane = membrane_mesh(solved.state, camera, picture)
+    body = trimesh.creation.icosphere(subdivisions=3, radius=indenter.radius_mm)
+    body.apply_translation(indenter_centre_mm(solved, point_mm, indenter))
+    body.visual.vertex_colors = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(body.vertices), 1))
     if suffix == ".glb":
-        scene = trimesh.Scene({"membrane": membrane, "indenter": indenter})
-        return scene.scaled(_METRES_PER_MM).export(None, file_type="glb")
-    coloured = membrane.copy()
-    coloured.visual = membrane.visual.to_color()
-    return trimesh.util.concatenate([coloured, indenter]).export(None, file_type="ply")
+        both = trimesh.Scene({"membrane": membrane, "indenter": body})
+        return both.scaled(_METRES_PER_MM).export(None, file_type="glb")
+    membrane.visual = membrane.visual.to_color()
+    return trimesh.util.concatenate([membrane, body]).export(None, file_type="ply")
 
 
 def save_mesh(
@@ -103,9 +103,7 @@ def save_mesh(
     suffix = Path(path).suffix.lower()
     if suffix not in MESH_SUFFIXES:
         raise ValueError(f"path = {str(path)!r}: the name must end in {' or '.join(MESH_SUFFIXES)}")
-    centre = indenter_centre_mm(solved, point_mm, indenter)
-    meshes = membrane_mesh(solved.state, camera, picture), indenter_mesh(indenter, tuple(centre))
-    write_whole(Path(path), mesh_bytes(*meshes, suffix))
+    write_whole(Path(path), mesh_bytes(solved, point_mm, indenter, camera, picture, suffix))
 
 
 def glb(mesh: "trimesh.Trimesh") -> bytes:

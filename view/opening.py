@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gelgap.view.configuration import Configuration
+from gelgap.view.state import Configuration
 
 if TYPE_CHECKING:
     from gelgap.view.page import Page

@@ -1,23 +1,22 @@
-"""The page: knobs, scene and figures, put together around the live model."""
+"""The page: knobs, scene and figures, put together around the live model, which works in a thread of its own."""
 
 import contextlib
 import io
+import socket
 import threading
 from collections import deque
 from collections.abc import Callable
 
-from gelgap.view.comparing import ComparePanel
-from gelgap.view.configuration import Configuration
+import viser
+
+from gelgap.assets.names import shown as quoted
 from gelgap.view.controls import Controls
-from gelgap.view.data_panel import DataPanel
-from gelgap.view.live import LiveModel, Shown
+from gelgap.view.panels import ComparePanel, DataPanel, Readout
 from gelgap.view.pictures import difference
-from gelgap.view.readout import Readout
-from gelgap.view.requests import Answer, Failed, PathRequest, PoseRequest, Progress, Solved
-from gelgap.view.save_panel import SavePanel
+from gelgap.view.saving import Files, add_savers, recipe_toml
 from gelgap.view.scene3d import Scene3d, colours_mean
-from gelgap.view.server import start_server
-from gelgap.view.solver import Solver
+from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
+from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
 
 _PICTURES_WIDTH_PX = 360
 _KNOBS_WIDTH_PX = 330
@@ -37,16 +36,17 @@ class Page:
         make_solver: Callable[[Callable[[Answer], None]], Solver] = Solver,
     ) -> None:
         start.path_keys()
-        self._server = start_server(host, port)
+        self._server = _start_server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
+        self.shown: Shown | None = None
+        """What the page shows now."""
         self._model = LiveModel()
-        self._solver = make_solver(self._hear)
+        self._solver = make_solver(lambda answer: self.do(lambda: self._take_in(answer)))
         self._condition = threading.Condition()
         self._wanted: Configuration | None = start
         self._tasks: deque[Callable[[], None]] = deque()
         self._closed = False
         self._failed: PathRequest | None = None
-        self._shown: Shown | None = None
         self._build(start)
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
@@ -64,33 +64,23 @@ class Page:
         with tabs.add_tab("Turn"):
             self.controls = Controls(gui, start, self._want, lambda said: self._readout.say(said, bad=True))
         with tabs.add_tab("Compare"):
-            self._compare = ComparePanel(gui, self)
+            self._compare = ComparePanel(gui, self._model.pictures)
         with tabs.add_tab("Save"):
-            self._save = SavePanel(gui, self)
+            add_savers(gui, self._save)
         with tabs.add_tab("Data"):
             self._data = DataPanel(gui)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_KNOBS_WIDTH_PX)
         self.controls.solve.on_click(lambda _: self._solve_pose())
-
-    @property
-    def shown(self) -> Shown | None:
-        """What the page shows now."""
-        return self._shown
-
-    @property
-    def model(self) -> LiveModel:
-        return self._model
+        self._compare.keep.on_click(lambda _: self.do(self._keep_source))
+        self._compare.swap.on_click(lambda _: self.do(self._swap))
+        self._compare.recipe.on_click(lambda event: self._save(event.client, self._recipe))
 
     def do(self, task: Callable[[], None]) -> None:
         """Do something in the model's thread; what fails is said on the page."""
         with self._condition:
             self._tasks.append(task)
             self._condition.notify()
-
-    def say(self, sentence: str, bad: bool = False) -> None:
-        """Say a sentence below the figures."""
-        self._readout.say(sentence, bad)
 
     def wait(self) -> None:
         """Wait until the page is closed."""
@@ -112,15 +102,43 @@ class Page:
             self._wanted = configuration
             self._condition.notify()
 
+    def _work(self) -> None:
+        """Do tasks and show the newest configuration, until the page is closed."""
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._closed or self._tasks or self._wanted is not None)
+                if self._closed:
+                    return
+                task = self._tasks.popleft() if self._tasks else None
+                if task is None:
+                    wanted, self._wanted = self._wanted, None
+            try:
+                if task is not None:
+                    task()
+                else:
+                    self._show(wanted)
+            except Exception as error:
+                self._readout.say(str(error) or type(error).__name__, bad=True)
+
+    def _show(self, configuration: Configuration) -> None:
+        request = self._model.lacks(configuration)
+        if request is not None and request != self._failed:
+            self._readout.say("solving the path of this gel …")
+            self._solver.request(request)
+        shown = self.shown = self._model.show(configuration)
+        reference = self._model.pictures.reference(configuration.light, configuration.markers)
+        colouring = self.controls.colouring.value
+        self._readout.show(shown, difference(shown.picture, reference), colours_mean(shown, colouring))
+        self._scene.show(shown, colouring, self.controls.chosen_led)
+        if not self._wanted:
+            self._compare.update(shown)
+
     def _solve_pose(self) -> None:
         self._readout.say("solving this very pose …")
-        self._solver.request(PoseRequest.of(self.controls.wanted))
-
-    def _hear(self, answer: Answer) -> None:
-        """Take an answer of the solving process over into the model's thread."""
-        self.do(lambda: self._take_in(answer))
+        self._solver.request(self.controls.wanted.exact_pose)
 
     def _take_in(self, answer: Answer) -> None:
+        """Take over an answer of the solving process."""
         match answer:
             case Progress(done=done, total=total):
                 self._readout.show_progress(done, total)
@@ -137,35 +155,65 @@ class Page:
                     self._model.add_pose(request, result)
                 self._wanted = self._wanted or self.controls.wanted
 
-    def _work(self) -> None:
-        """Do tasks and show the newest configuration, until the page is closed."""
-        while True:
-            with self._condition:
-                self._condition.wait_for(lambda: self._closed or self._tasks or self._wanted is not None)
-                if self._closed:
-                    return
-                task = self._tasks.popleft() if self._tasks else None
-                wanted = None
-                if task is None:
-                    wanted, self._wanted = self._wanted, None
-            try:
-                if task is not None:
-                    task()
-                else:
-                    self._show(wanted)
-            except Exception as error:
-                self._readout.say(str(error) or type(error).__name__, bad=True)
+    def _keep_source(self) -> None:
+        if self.shown is not None:
+            self._compare.take(self.shown)
+            self._compare.update(self.shown)
 
-    def _show(self, configuration: Configuration) -> None:
-        request = self._model.lacks(configuration)
-        if request is not None and request != self._failed:
-            self._readout.say("solving the path of this gel …")
-            self._solver.request(request)
-        shown = self._shown = self._model.show(configuration)
-        reference = self._model.pictures.reference(configuration)
-        colouring = self.controls.colouring.value
-        self._readout.show(shown, difference(shown.picture, reference), colours_mean(shown, colouring))
-        self._scene.show(shown, colouring)
-        self._scene.show_leds(configuration.illumination, self.controls.chosen_led)
-        if not self._wanted:
-            self._compare.update(shown)
+    def _swap(self) -> None:
+        source = self._compare.source
+        if source is not None:
+            self._keep_source()
+            self.controls.set_configuration(source.configuration)
+
+    def _save(self, client: viser.ClientHandle | None, files_of: Callable[[Shown], Files]) -> None:
+        """Send files of what is shown to the browser that asked for them."""
+
+        def send() -> None:
+            if client is not None and self.shown is not None:
+                for name, content in files_of(self.shown).items():
+                    client.send_file_download(name, content, save_immediately=True)
+
+        self.do(send)
+
+    def _recipe(self, target: Shown) -> Files:
+        if self._compare.source is None:
+            return {}
+        content = recipe_toml(self._compare.source.configuration, target.configuration)
+        self._readout.say("saved gap.toml; make the data: gelgap generate --recipe gap.toml --out data")
+        return {"gap.toml": content}
+
+
+def _start_server(host: str, port: int) -> viser.ViserServer:
+    """Start viser's server; port 0 takes any free one.
+
+    Raises
+    ------
+    ValueError
+        If the port is taken or the address is none of this machine: viser itself would silently take another port.
+    """
+    taken = (
+        f"--port = {port}: is taken by another program; choose another, for example --port {port % 65535 + 1}"
+    )
+    nowhere = f"--host = {quoted(host)}: is no address of this machine"
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError) as error:
+        raise ValueError(f"{nowhere} ({error})") from None
+    with socket.socket(family, kind, protocol) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(address)
+        except PermissionError:
+            raise ValueError(f"--port = {port}: is not allowed; choose one from 1024 on") from None
+        except OSError as error:
+            if error.errno in (98, 48):
+                raise ValueError(taken) from None
+            raise ValueError(f"{nowhere} ({error.strerror})") from None
+    # viser prints a table of addresses, and this program prints its own.
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)
+    if port and server.get_port() != port:
+        server.stop()
+        raise ValueError(taken)
+    return server

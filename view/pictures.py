@@ -1,4 +1,4 @@
-"""What the camera sees of a membrane, with all that does not change between two pictures kept."""
+"""What the camera sees of a membrane, with all that does not change between two pictures kept; and colours of LEDs."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -6,50 +6,50 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.render import Illumination, MembraneRenderer, Sensor, picture_gap
+from gelgap.render import (
+    Camera,
+    Illumination,
+    Led,
+    MembraneRenderer,
+    RgbSpectrum,
+    Sensor,
+    encode,
+    picture_gap,
+)
 from gelgap.sim import MembraneState, QualityName
-from gelgap.view.configuration import Configuration
-from gelgap.view.led_colours import led_to_camera
 
 SIZE_PX = (320, 240)
 NOISE_SEED = 0
 # Renderers that are kept: two configurations compared, each at two qualities.
 _KEPT_RENDERERS = 4
 _KEPT_REFERENCES = 8
+_SWITCHED_OFF = (70, 70, 70)
 
 Picture = NDArray[np.uint8]
+Rgb = tuple[int, int, int]
 
 
-class Lit(NamedTuple):
+class Light(NamedTuple):
     """What a renderer belongs to."""
 
     sensor: Sensor
     illumination: Illumination
     quality: QualityName
 
-    @classmethod
-    def of(cls, configuration: Configuration) -> "Lit":
-        """Return sensor, light and quality of a configuration."""
-        return cls(configuration.sensor, configuration.illumination, configuration.quality)
-
 
 class PictureMaker:
-    """Makes pictures of configurations; call it from one thread only.
+    """Makes pictures of membranes; call it from one thread only.
 
     A renderer holds the light on the undeformed membrane, and so belongs to one illumination. Surface and raster of the
     membrane seen last are kept by `gelgap.render`, so that another light or markers do not need them again.
     """
 
     def __init__(self) -> None:
-        self._renderers: dict[Lit, MembraneRenderer] = {}
-        self._reference = lru_cache(_KEPT_REFERENCES)(self._drawn_reference)
-        self._gap = lru_cache(_KEPT_REFERENCES)(self._measured_gap)
+        self._renderers: dict[Light, MembraneRenderer] = {}
+        self.reference = lru_cache(_KEPT_REFERENCES)(self._reference)
+        self.colour_difference = lru_cache(_KEPT_REFERENCES)(self._colour_difference)
 
-    def light(self, configuration: Configuration) -> MembraneRenderer:
-        """Return the renderer of a configuration's light."""
-        return self._renderer(Lit.of(configuration))
-
-    def picture(self, configuration: Configuration, state: MembraneState) -> Picture:
+    def picture(self, light: Light, state: MembraneState, markers: bool, noise: bool) -> Picture:
         """Return the picture (240, 320, 3) of a membrane.
 
         Raises
@@ -57,43 +57,69 @@ class PictureMaker:
         ValueError
             If the membrane is folded.
         """
-        rng = np.random.default_rng(NOISE_SEED) if configuration.noise else None
-        membrane = state.x_mm, state.y_mm, state.displacement_mm
-        return self.light(configuration).picture(*membrane, configuration.markers, rng)
+        rng = np.random.default_rng(NOISE_SEED) if noise else None
+        return self.renderer(light).picture(state.x_mm, state.y_mm, state.displacement_mm, markers, rng)
 
-    def reference(self, configuration: Configuration) -> Picture:
+    def renderer(self, light: Light) -> MembraneRenderer:
+        """Return the renderer of a light, made from one of another light on the same sensor if there is one."""
+        if light in self._renderers:
+            return self._renderers[light]
+        colours = led_to_camera(light.illumination, light.sensor.camera)
+        alike = [old for old in self._renderers if (old.sensor, old.quality) == (light.sensor, light.quality)]
+        if alike:
+            renderer = self._renderers[alike[-1]].relit(light.illumination, colours)
+        else:
+            renderer = MembraneRenderer(light.sensor, light.illumination, SIZE_PX, light.quality, colours)
+        if len(self._renderers) >= _KEPT_RENDERERS:
+            del self._renderers[next(iter(self._renderers))]
+        self._renderers[light] = renderer
+        return renderer
+
+    def _reference(self, light: Light, markers: bool) -> Picture:
         """Return the picture of the undeformed membrane without noise."""
-        return self._reference(Lit.of(configuration), configuration.markers)
+        return self.renderer(light).reference(markers)
 
-    def colour_difference(self, one: Configuration, other: Configuration) -> tuple[float, float]:
+    def _colour_difference(self, one: Light, other: Light) -> tuple[float, float]:
         """Return CIEDE2000 between two pictures of the undeformed membrane: mean, and 95th percentile of the pixels.
 
         They are without markers and noise.
         """
-        return self._gap(Lit.of(one), Lit.of(other))
-
-    def _renderer(self, lit: Lit) -> MembraneRenderer:
-        if lit in self._renderers:
-            return self._renderers[lit]
-        colours = led_to_camera(lit.illumination, lit.sensor.camera)
-        alike = [old for old in self._renderers if (old.sensor, old.quality) == (lit.sensor, lit.quality)]
-        if alike:
-            renderer = self._renderers[alike[-1]].relit(lit.illumination, colours)
-        else:
-            renderer = MembraneRenderer(lit.sensor, lit.illumination, SIZE_PX, lit.quality, colours)
-        if len(self._renderers) >= _KEPT_RENDERERS:
-            del self._renderers[next(iter(self._renderers))]
-        self._renderers[lit] = renderer
-        return renderer
-
-    def _drawn_reference(self, lit: Lit, markers: bool) -> Picture:
-        return self._renderer(lit).reference(markers)
-
-    def _measured_gap(self, one: Lit, other: Lit) -> tuple[float, float]:
-        gap = picture_gap(self._reference(one, False), self._reference(other, False))
+        gap = picture_gap(self.reference(one, False), self.reference(other, False))
         return gap.mean, gap.percentile_95
 
 
 def difference(picture: Picture, reference: Picture, gain: int = 2) -> Picture:
     """Return how a picture differs from the reference, around mid grey."""
     return np.clip(128 + gain * (picture.astype(np.int16) - reference), 0, 255).astype(np.uint8)
+
+
+@lru_cache(maxsize=256)
+def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:
+    """Return the linear camera RGB of a spectrum at drive 1 and exposure 1."""
+    lone = Led(position_mm=(0.0, 0.0, -10.0), spectrum=spectrum)
+    red, green, blue = Illumination(leds=(lone,)).led_to_camera(camera)[0] / camera.exposure
+    return float(red), float(green), float(blue)
+
+
+def led_to_camera(illumination: Illumination, camera: Camera) -> NDArray[np.float64]:
+    """Return `Illumination.led_to_camera`, (n_leds, 3), with each spectrum's colour computed once per camera."""
+    colours = [np.array(colour_of_spectrum(led.spectrum, camera)) * led.drive for led in illumination.leds]
+    return camera.exposure * np.array(colours)
+
+
+def swatch(led: Led) -> Rgb:
+    """Return the 8-bit colour in which an LED is shown, at full brightness; grey where it is switched off."""
+    if led.drive == 0:
+        return _SWITCHED_OFF
+    linear = np.maximum(colour_of_spectrum(led.spectrum, Camera()), 0)
+    shown = np.maximum(linear / max(linear.max(), 1e-9), 0.02)
+    return tuple(int(value) for value in encode(shown[None, None].astype(np.float32))[0, 0])
+
+
+def recoloured(led: Led, picked: Rgb, camera: Camera) -> Led:
+    """Return an LED of a picked colour that is as bright in its strongest channel as before."""
+    code = np.array(picked) / 255
+    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    brightest = max(colour_of_spectrum(led.spectrum, camera))
+    scaled = linear / max(linear.max(), 1e-3) * brightest
+    return led.model_copy(update={"spectrum": RgbSpectrum(rgb=tuple(float(value) for value in scaled))})

@@ -1,24 +1,53 @@
-"""What was found by turning knobs, as the TOML files that the other commands take."""
+"""What was found by turning knobs, as the files that the other commands take, and the buttons that download them."""
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import viser
 
 from gelgap.assets import list_presets
 from gelgap.assets.toml_file import toml_text
 from gelgap.render import Illumination, Sensor, save_sensor
 from gelgap.sim import Elastomer
-from gelgap.view.configuration import Configuration
+from gelgap.view.meshes import MESH_SUFFIXES, mesh_bytes
+from gelgap.view.state import Configuration, Shown
+
+Files = dict[str, bytes]
+FilesOf = Callable[[Shown], Files]
 
 
-def elastomer_toml(elastomer: Elastomer) -> bytes:
-    """Return the file that `--elastomer` takes."""
-    return toml_text(elastomer.model_dump(exclude_none=True)).encode()
+def add_savers(gui: viser.GuiApi, save: Callable[[viser.ClientHandle | None, FilesOf], None]) -> None:
+    """Add buttons; `save` sends what a button's function makes of what is shown to the browser that asked for it."""
+    parts: dict[str, FilesOf] = {
+        "Elastomer": lambda shown: {"elastomer.toml": settings_toml(shown.configuration.elastomer)},
+        "Illumination": lambda shown: {"illumination.toml": settings_toml(shown.configuration.illumination)},
+        "Sensor": lambda shown: sensor_files(shown.configuration.sensor),
+    }
+    meshes: dict[str, FilesOf] = {f"Mesh{suffix}": _mesh_saver(suffix) for suffix in MESH_SUFFIXES}
+    for heading, savers in (
+        ("The files that `--elastomer`, `--illumination` and `--sensor` take:", parts),
+        ("The membrane with its picture, and the indenter:", meshes),
+    ):
+        gui.add_markdown(heading)
+        for label, files_of in savers.items():
+            gui.add_button(label).on_click(lambda event, files_of=files_of: save(event.client, files_of))
 
 
-def illumination_toml(illumination: Illumination) -> bytes:
-    """Return the file that `--illumination` takes."""
-    return toml_text(illumination.model_dump(exclude_none=True)).encode()
+def _mesh_saver(suffix: str) -> FilesOf:
+    def files(shown: Shown) -> Files:
+        seen = shown.configuration
+        point_mm = seen.pose.point_x_mm, seen.pose.point_y_mm
+        content = mesh_bytes(shown.solved, point_mm, seen.indenter, seen.sensor.camera, shown.picture, suffix)
+        return {f"membrane{suffix}": content}
+
+    return files
+
+
+def settings_toml(settings: Elastomer | Illumination) -> bytes:
+    """Return the file that `--elastomer` or `--illumination` takes."""
+    return toml_text(settings.model_dump(exclude_none=True)).encode()
 
 
 def sensor_files(sensor: Sensor, name: str = "sensor") -> dict[str, bytes]:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from viser import transforms
 
 from gelgap.render import Illumination, Led
-from gelgap.view.led_colours import swatch
-from gelgap.view.live import Shown
 from gelgap.view.meshes import Colouring, coloured_mesh, glb, indenter_centre_mm, membrane_mesh
+from gelgap.view.pictures import swatch
+from gelgap.view.state import Shown
 
 if TYPE_CHECKING:
     import trimesh
@@ -63,21 +63,16 @@ class Scene3d:
             position=(0.0, 0.0, -_FLOOR_MM),
         )
 
-    def show(self, shown: Shown, colouring: Colouring) -> None:
-        """Show a membrane, indenter and LEDs."""
-        configuration = shown.configuration
-        pose, indenter = configuration.pose, configuration.indenter
+    def show(self, shown: Shown, colouring: Colouring, chosen_led: int) -> None:
+        """Show membrane, indenter, and the LEDs, the chosen one with handles to drag it by."""
+        pose, indenter = shown.configuration.pose, shown.configuration.indenter
         self._swap_membrane(glb(_coloured(shown, colouring)))
-        point = (pose.point_x_mm, pose.point_y_mm)
-        centre = indenter_centre_mm(shown.solved, point, indenter)
-        if pose.depth_mm == 0:
-            centre = np.array([*point, indenter.origin_height_mm])
+        centre = indenter_centre_mm(shown.solved, (pose.point_x_mm, pose.point_y_mm), indenter)
         self._indenter.position = tuple(centre)
         self._indenter.scale = indenter.radius_mm
-        self.show_leds(configuration.illumination, self._chosen)
+        self._show_leds(shown.configuration.illumination, chosen_led)
 
-    def show_leds(self, illumination: Illumination, chosen: int) -> None:
-        """Show the LEDs, the chosen one with handles to drag it by."""
+    def _show_leds(self, illumination: Illumination, chosen: int) -> None:
         if illumination == self._illumination and chosen == self._chosen:
             return
         before = self._illumination

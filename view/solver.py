@@ -5,19 +5,41 @@ import multiprocessing
 import signal
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from gelgap.sim import (
-    PosePath,
-    Solution,
-    SolvedPath,
-    SolvedPose,
-    SolvePlan,
-    plan_path,
-    plan_solves,
-    solved_pose,
-)
-from gelgap.view.requests import Answer, Failed, PathRequest, PoseRequest, Progress, Request, Solved
+from gelgap.sim import SolvedPath, SolvedPose, plan_path, plan_visit, solved_pose
+from gelgap.view.state import PathRequest, PoseRequest
+
+Request = PathRequest | PoseRequest
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How many load steps of a request are done."""
+
+    request: Request
+    done: int
+    total: int
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The result of a request."""
+
+    request: Request
+    result: SolvedPath | SolvedPose
+
+
+@dataclass(frozen=True)
+class Failed:
+    """Why a request has no result, in one sentence."""
+
+    request: Request
+    reason: str
+
+
+Answer = Progress | Solved | Failed
 
 
 class Solver:
@@ -41,7 +63,12 @@ class Solver:
                 return
             self._current = request
             if self._process is None:
-                self._start()
+                context = multiprocessing.get_context("spawn")
+                self._connection, theirs = context.Pipe()
+                self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+                self._process.start()
+                theirs.close()
+                threading.Thread(target=self._listen, args=(self._connection,), daemon=True).start()
             with contextlib.suppress(OSError):
                 self._connection.send(request)
 
@@ -53,14 +80,6 @@ class Solver:
         if process is not None:
             process.terminate()
             process.join()
-
-    def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
-        self._process.start()
-        theirs.close()
-        threading.Thread(target=self._listen, args=(self._connection,), daemon=True).start()
 
     def _listen(self, connection: Connection) -> None:
         """Pass on the answers to the newest request."""
@@ -100,7 +119,7 @@ def _serve(connection: Connection) -> None:
 
 
 def answer_to(request: Request, connection: Connection) -> Answer:
-    """Solve a request and return what came out; sends its progress.
+    """Solve a request and return its result; sends its progress.
 
     Raises
     ------
@@ -109,37 +128,24 @@ def answer_to(request: Request, connection: Connection) -> Answer:
     """
     try:
         if isinstance(request, PathRequest):
-            return Solved(request, _path(request, connection))
-        return Solved(request, _pose(request, connection))
+            plan = plan_path(request.elastomer, request.indenter)
+        else:
+            plan = plan_visit(request.elastomer, request.indenter, (request.pose,), request.quality)
+        total = sum(solve.problem.load_steps for solve in plan.solves)
+        solutions, before = {}, 0
+
+        def tell(done: int, _: int) -> None:
+            if connection.poll():
+                raise Superseded
+            connection.send(Progress(request, before + done, total))
+
+        for solve in plan.solves:
+            solutions[solve.key] = solve.run(tell)
+            before += solve.problem.load_steps
+        if isinstance(request, PathRequest):
+            return Solved(request, SolvedPath.from_solutions(plan, solutions))
+        return Solved(request, solved_pose(plan, 0, next(iter(solutions.values()), None)))
     except Superseded:
         raise
     except Exception as error:
         return Failed(request, str(error) or type(error).__name__)
-
-
-def _path(request: PathRequest, connection: Connection) -> SolvedPath:
-    plan = plan_path(request.elastomer, request.indenter)
-    return SolvedPath.from_solutions(plan, _solutions(request, plan, connection))
-
-
-def _pose(request: PoseRequest, connection: Connection) -> SolvedPose:
-    path = PosePath("pose", (request.pose,))
-    plan = plan_solves(request.elastomer, request.indenter, path, request.quality)
-    solutions = _solutions(request, plan, connection)
-    return solved_pose(plan, 0, next(iter(solutions.values()), None))
-
-
-def _solutions(request: Request, plan: SolvePlan, connection: Connection) -> dict[str, Solution]:
-    """Run the solves of a plan, and tell how many of their load steps are done."""
-    total = sum(solve.problem.load_steps for solve in plan.solves)
-    solutions, before = {}, 0
-
-    def tell(done: int, _: int) -> None:
-        if connection.poll():
-            raise Superseded
-        connection.send(Progress(request, before + done, total))
-
-    for solve in plan.solves:
-        solutions[solve.key] = solve.run(tell)
-        before += solve.problem.load_steps
-    return solutions

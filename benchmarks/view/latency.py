@@ -16,10 +16,8 @@ import numpy as np
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.render import Illumination, MembraneRenderer, RgbSpectrum, Sensor
 from gelgap.sim import Elastomer, Pose, Sharing, SolvedPath, plan_path, solve_pose
-from gelgap.view.configuration import Configuration
-from gelgap.view.live import LiveModel, Shown
 from gelgap.view.pictures import SIZE_PX
-from gelgap.view.requests import PathRequest
+from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
 
 REPEATS, QUICK_REPEATS = 50, 5
 TARGET_MS = 50.0

@@ -7,7 +7,7 @@ from gelgap.render import Illumination, Sensor
 from gelgap.sim import PATH_DEPTHS_MM, PATH_TRAVELS_MM, Elastomer, SolvedPath, Sphere
 from gelgap.sim.membrane import _SECTORS, _radius
 from gelgap.view import Configuration, LiveModel
-from gelgap.view.requests import PathRequest
+from gelgap.view.state import PathRequest
 
 ROWS = 90
 

@@ -14,7 +14,8 @@ import pytest
 from gelgap.benchmarks.view.screenshot import browser_page, find_chromium
 from gelgap.sim import SolvedPath, SolvedPose
 from gelgap.view import Configuration
-from gelgap.view.requests import Answer, Failed, PathRequest, Progress, Request, Solved
+from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
+from gelgap.view.state import PathRequest
 
 pytest.importorskip("viser")
 
@@ -129,12 +130,12 @@ def test_a_failed_solve_is_said_and_the_page_lives_on(page: Any) -> None:
 
 def test_a_source_is_set_beside_the_target(page: Any) -> None:
     settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
-    page.do(page._compare._keep)
+    page.do(page._keep_source)
     page.controls.elastomer.value = "e08"
-    settled(page, lambda: ">2<" in page._compare._figures.content)
+    settled(page, lambda: ">2<" in page._compare.figures.content)
     page.controls.illumination.value = "i2"
-    settled(page, lambda: ">0.00<" not in page._compare._figures.content)
-    page.do(page._compare._change_places)
+    settled(page, lambda: ">0.00<" not in page._compare.figures.content)
+    page.do(page._swap)
     settled(page, lambda: page.shown.configuration.elastomer.young_modulus_mpa == 0.4)
     assert page.controls.elastomer.value == "e04"
 

@@ -10,9 +10,9 @@ from gelgap.domains import domain_gap, load_recipes
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import Elastomer
 from gelgap.view import Configuration
-from gelgap.view.comparison import compare
 from gelgap.view.pictures import PictureMaker
-from gelgap.view.saving import elastomer_toml, illumination_toml, recipe_toml, sensor_files
+from gelgap.view.saving import recipe_toml, sensor_files, settings_toml
+from gelgap.view.state import compare
 
 
 @pytest.fixture
@@ -22,9 +22,9 @@ def target(start: Configuration) -> Configuration:
 
 
 def test_saved_parts_read_back(start: Configuration, tmp_path: Path) -> None:
-    (tmp_path / "gel.toml").write_bytes(elastomer_toml(start.elastomer))
+    (tmp_path / "gel.toml").write_bytes(settings_toml(start.elastomer))
     assert Elastomer.load(tmp_path / "gel.toml") == start.elastomer
-    (tmp_path / "light.toml").write_bytes(illumination_toml(start.illumination))
+    (tmp_path / "light.toml").write_bytes(settings_toml(start.illumination))
     assert Illumination.load(tmp_path / "light.toml") == start.illumination
     for name, content in sensor_files(Sensor.preset("gelsight-r1-fitted")).items():
         (tmp_path / name).write_bytes(content)

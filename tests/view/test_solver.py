@@ -7,8 +7,8 @@ import signal
 import pytest
 
 from gelgap.sim import Elastomer, Pose, SolvedPose, Sphere
-from gelgap.view.requests import Answer, Failed, PathRequest, PoseRequest, Progress, Solved
-from gelgap.view.solver import Solver, Superseded, answer_to
+from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver, Superseded, answer_to
+from gelgap.view.state import PathRequest, PoseRequest
 
 GEL = Elastomer.preset("e04")
 UNTOUCHED = PoseRequest(GEL, Sphere(), Pose(depth_mm=0.0), "draft")

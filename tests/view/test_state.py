@@ -9,9 +9,8 @@ import pytest
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, Pose, SolvedPath, SolvedPose
 from gelgap.view import Configuration, LiveModel
-from gelgap.view.configuration import ALL_WORK, Work, needed_work
 from gelgap.view.pictures import SIZE_PX
-from gelgap.view.requests import PoseRequest
+from gelgap.view.state import ALL_WORK, Work, needed_work
 
 SOFT = Elastomer.preset("e02")
 
@@ -103,7 +102,7 @@ def test_a_pose_solved_by_itself_is_shown_until_the_contact_changes(
     model: LiveModel, start: Configuration
 ) -> None:
     drawn = model.show(start)
-    model.add_pose(PoseRequest.of(start), SolvedPose.untouched())
+    model.add_pose(start.exact_pose, SolvedPose.untouched())
     exact = model.show(start)
     assert exact.exact
     assert exact.source == "this pose, solved at standard"

@@ -1,0 +1,202 @@
+"""Parts of the page that show things: camera and figures, a source beside the target, and a domain on disk."""
+
+from collections.abc import Iterable
+from html import escape
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from gelgap.domains import QUANTITIES, LabelledFrames, open_domain
+from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker, difference
+from gelgap.view.state import Comparison, Shown, compare
+
+_CELL = "padding:2px 10px 2px 0"
+_GOOD, _BAD, _MIDDLING = "#2b8a3e", "#c92a2a", "#b08900"
+_GREY = np.full((SIZE_PX[1], SIZE_PX[0], 3), 128, np.uint8)
+# What is told of a frame beside its labels, where the data set has it.
+_COLUMNS = ("shear_x_mm", "shear_y_mm", "contact_class", "clip", "object", "session")
+
+
+class Readout:
+    """What is read off the page: pictures, force, contact, where the physics is from, and how long it took."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self.picture = gui.add_image(_GREY, label="camera", jpeg_quality=92)
+        self.difference = gui.add_image(_GREY, label="difference to the reference, ×2", jpeg_quality=92)
+        self.figures = gui.add_html("")
+        self.message = gui.add_html("")
+        self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
+
+    def show(self, shown: Shown, difference: Picture, colours: str) -> None:
+        """Show a configuration's figures and pictures."""
+        self.picture.image = shown.picture
+        self.difference.image = difference
+        self.figures.content = figures_html(shown, colours)
+
+    def say(self, sentence: str, bad: bool = False) -> None:
+        """Show a sentence below the figures; an empty one takes the last away."""
+        style = f"padding:4px 12px;font-size:12px;color:{_BAD if bad else 'inherit'}"
+        self.message.content = f'<div style="{style}">{escape(sentence)}</div>' if sentence else ""
+
+    def show_progress(self, done: int, total: int) -> None:
+        """Show how much of a solve is done; nothing once it is all done."""
+        self.progress.visible = done < total
+        self.progress.value = 100.0 * done / max(total, 1)
+
+
+def figures_html(shown: Shown, colours: str) -> str:
+    """Return the figures of what is shown, and how far its physics can be trusted, as HTML."""
+    state = shown.solved.state
+    rows = [(f"F{axis}", f"{value:+.3f} N") for axis, value in zip("xyz", state.force_n + 0.0, strict=True)]
+    rows.append(("contact radius", f"{state.contact_radius_mm:.3f} mm"))
+    rows.append(("largest displacement", f"{np.linalg.norm(state.displacement_mm, axis=-1).max():.3f} mm"))
+    rows.append(("largest pressure", f"{shown.solved.pressure_mpa.max():.3f} MPa"))
+    cells = "".join(
+        f'<tr><td style="{_CELL};opacity:.7">{name}</td>'
+        f'<td style="text-align:right;font-variant-numeric:tabular-nums"><b>{value}</b></td></tr>'
+        for name, value in rows
+    )
+    if not state.converged:
+        verdict, colour = "NOT CONVERGED", _BAD
+    else:
+        verdict, colour = ("converged", _GOOD) if shown.exact else ("draft", _MIDDLING)
+    stages = ", ".join(f"{name} {ms:.0f} ms" for name, ms in shown.stages_ms.items()) or "nothing to do"
+    said = [f'<span style="color:{colour};font-weight:600">{verdict}</span>: {escape(shown.source)}.']
+    if colours:
+        said.append(escape(colours) + ".")
+    said.append(f'<span style="opacity:.6">{stages}</span>')
+    return (
+        f'<div style="padding:4px 12px;font-size:13px"><table style="border-collapse:collapse">{cells}</table>'
+        f'<div style="margin-top:6px;font-size:12px">{"<br>".join(said)}</div></div>'
+    )
+
+
+class ComparePanel:
+    """The tab that keeps a configuration as the source, and tells the gap from there to what is shown, the target."""
+
+    def __init__(self, gui: viser.GuiApi, pictures: PictureMaker) -> None:
+        self._pictures = pictures
+        self.source: Shown | None = None
+        gui.add_markdown(
+            "Keep what you see as the **source** of a gap, then turn the knobs: the page is its **target**."
+        )
+        self.keep = gui.add_button("Keep this as the source")
+        self.swap = gui.add_button("Swap source and target", disabled=True)
+        self.recipe = gui.add_button(
+            "Save both as a recipe", disabled=True, hint="gelgap generate --recipe gap.toml --out data"
+        )
+        self._picture = gui.add_image(_GREY, label="source", jpeg_quality=92, visible=False)
+        self._target = gui.add_image(_GREY, label="target", jpeg_quality=92, visible=False)
+        self.figures = gui.add_html("")
+
+    def take(self, source: Shown) -> None:
+        """Make something the source."""
+        self.source = source
+        self._picture.image = source.picture
+        for part in (self._picture, self._target):
+            part.visible = True
+        for button in (self.swap, self.recipe):
+            button.disabled = False
+
+    def update(self, target: Shown) -> None:
+        """Tell the gap to a new target."""
+        if self.source is not None:
+            self._target.image = target.picture
+            gap = compare(self.source.configuration, target.configuration, self._pictures)
+            self.figures.content = gap_html(gap, self.source, target)
+
+
+def gap_html(gap: Comparison, source: Shown, target: Shown) -> str:
+    """Return the gap and the forces of both sides as HTML."""
+    forces = [
+        " ".join(f"{value:+.2f}" for value in shown.solved.state.force_n.round(2) + 0.0)
+        for shown in (source, target)
+    ]
+    return _table_html(
+        (
+            ("CIEDE2000, mean", f"{gap.colour_difference:.2f}"),
+            ("CIEDE2000, 95th percentile", f"{gap.colour_difference_p95:.2f}"),
+            ("modulus ratio", f"{gap.modulus_ratio:.3g}"),
+            ("markers", gap.markers),
+            ("force of the source, N", forces[0]),
+            ("force of the target, N", forces[1]),
+        )
+    )
+
+
+class DataPanel:
+    """The tab that opens a folder's frames, one at a time: picture, difference to the frame's reference, and labels."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._frames: LabelledFrames | None = None
+        self._references = np.empty((0, 0, 0, 3), np.uint8)
+        self._folder = gui.add_text("folder", "", hint="The folder of one domain, such as data/mb0i0")
+        opened = gui.add_button("Open")
+        self._index = gui.add_slider("frame", 0, 1, 1, 0, disabled=True)
+        self._picture = gui.add_image(_GREY, label="frame", jpeg_quality=92, visible=False)
+        self._difference = gui.add_image(_GREY, label="difference, ×2", jpeg_quality=92, visible=False)
+        self._labels = gui.add_html("")
+        opened.on_click(lambda _: self.open(self._folder.value))
+        self._index.on_update(lambda _: self.show(int(self._index.value)))
+
+    def open(self, folder: str) -> None:
+        """Open a domain and show its first frame, or say why it cannot be opened."""
+        if not folder.strip():
+            self._say("name the folder of one domain, such as data/mb0i0")
+            return
+        try:
+            frames = open_domain(Path(folder.strip()).expanduser())
+            self._references = frames.references_at()
+        except (ValueError, OSError, RuntimeError) as error:
+            self._say(str(error))
+            return
+        self._frames = frames
+        self._index.max = max(len(frames) - 1, 1)
+        self._index.disabled = False
+        for part in (self._picture, self._difference):
+            part.visible = True
+        self._index.value = 0
+        self.show(0)
+
+    def show(self, index: int) -> None:
+        """Show a frame, or say why it cannot be read."""
+        frames = self._frames
+        if frames is None:
+            return
+        index = min(index, len(frames) - 1)
+        try:
+            picture = frames.picture(index)
+        except (ValueError, OSError, RuntimeError) as error:
+            self._say(str(error))
+            return
+        self._picture.image = _enlarged(picture)
+        self._difference.image = _enlarged(difference(picture, self._references[frames.reference_id[index]]))
+        self._labels.content = labels_html(frames, index)
+
+    def _say(self, sentence: str) -> None:
+        self._labels.content = f'<div style="padding:4px 12px;color:{_BAD}">{escape(sentence)}</div>'
+
+
+def labels_html(frames: LabelledFrames, index: int) -> str:
+    """Return a frame's labels, and what else is known of it, as HTML."""
+    rows = [("domain", frames.name), ("frame", f"{index} of {len(frames)}")]
+    columns = frames.columns
+    for name, (symbol, unit) in QUANTITIES.items():
+        if name in columns:
+            rows.append((f"{symbol}, {unit}", f"{columns[name][index]:+.3f}"))
+    return _table_html([*rows, *((name, str(columns[name][index])) for name in _COLUMNS if name in columns)])
+
+
+def _table_html(rows: Iterable[tuple[str, str]]) -> str:
+    cells = "".join(
+        f'<tr><td style="opacity:.7;padding-right:10px">{name}</td><td><b>{escape(value)}</b></td></tr>'
+        for name, value in rows
+    )
+    return f'<table style="font-size:12px;margin:4px 12px">{cells}</table>'
+
+
+def _enlarged(picture: Picture) -> Picture:
+    """Return a small picture with each pixel repeated, so that it can be seen."""
+    times = max(1, SIZE_PX[0] // picture.shape[1])
+    return picture.repeat(times, axis=0).repeat(times, axis=1)

@@ -1,0 +1,248 @@
+"""The live model: a configuration in, its picture and force out, with only the work that the last change needs."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Flag, auto
+from functools import lru_cache
+
+from gelgap.render import Illumination, Sensor
+from gelgap.sim import (
+    PATH_DEPTHS_MM,
+    PATH_TRAVELS_MM,
+    Elastomer,
+    Pose,
+    QualityName,
+    SolvedPath,
+    SolvedPose,
+    Sphere,
+    is_interior,
+    plan_path,
+)
+from gelgap.view.pictures import Light, Picture, PictureMaker
+
+DEEPEST_MM, FARTHEST_MM = PATH_DEPTHS_MM[-1], PATH_TRAVELS_MM[-1]
+# Paths, and poses solved by themselves, that are kept: some MB each.
+_KEPT_SOLUTIONS = 16
+
+
+@dataclass(frozen=True)
+class PathRequest:
+    """The path of a gel, from which all its poses are interpolated."""
+
+    elastomer: Elastomer
+    indenter: Sphere
+
+
+@dataclass(frozen=True)
+class PoseRequest:
+    """One pose, solved by itself."""
+
+    elastomer: Elastomer
+    indenter: Sphere
+    pose: Pose
+    quality: QualityName
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Everything that a picture and a force depend on: a press of one gel, seen by one sensor under one illumination.
+
+    `quality` is that of the picture, and of the physics where a pose is solved by itself.
+    """
+
+    elastomer: Elastomer
+    sensor: Sensor
+    illumination: Illumination
+    pose: Pose = field(default_factory=lambda: Pose(depth_mm=0.6))
+    indenter: Sphere = field(default_factory=Sphere)
+    markers: bool = True
+    noise: bool = False
+    quality: QualityName = "standard"
+
+    @property
+    def path(self) -> PathRequest:
+        return PathRequest(self.elastomer, self.indenter)
+
+    @property
+    def exact_pose(self) -> PoseRequest:
+        return PoseRequest(self.elastomer, self.indenter, self.pose, self.quality)
+
+    @property
+    def light(self) -> Light:
+        return Light(self.sensor, self.illumination, self.quality)
+
+    def path_keys(self) -> tuple[str, ...]:
+        """Return the names of the solves that its path is made of; gels with the same ones share the path.
+
+        Raises
+        ------
+        ValueError
+            If the gel is too thin for the path.
+        """
+        return _path_keys(self.path)
+
+
+@lru_cache(maxsize=256)
+def _path_keys(path: PathRequest) -> tuple[str, ...]:
+    return tuple(solve.key for solve in plan_path(path.elastomer, path.indenter).solves)
+
+
+class Work(Flag):
+    """What has to be done for a new configuration; where nothing is named, what is there stays as it is."""
+
+    NOTHING = 0
+    FORCE = auto()
+    PICTURE = auto()
+    LIGHT = auto()
+    MEMBRANE = auto()
+    SOLVE = auto()
+
+
+ALL_WORK = Work.FORCE | Work.PICTURE | Work.LIGHT | Work.MEMBRANE | Work.SOLVE
+
+
+def needed_work(old: Configuration, new: Configuration) -> Work:
+    """Return the work that leads from what is shown of one configuration to another."""
+    work = Work.NOTHING
+    if old.path_keys() != new.path_keys():
+        return ALL_WORK
+    if old.elastomer != new.elastomer:
+        work |= Work.FORCE
+    if (old.pose, old.indenter) != (new.pose, new.indenter):
+        work |= Work.FORCE | Work.MEMBRANE | Work.PICTURE
+    if old.light != new.light:
+        work |= Work.LIGHT | Work.PICTURE
+    if (old.markers, old.noise) != (new.markers, new.noise):
+        work |= Work.PICTURE
+    return work
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is seen of a configuration.
+
+    `source` says in one sentence where the physics is from, and `exact` whether this very pose was solved. `work` is
+    what had to be done since what was shown before, and `stages_ms` how long each stage of it took.
+    """
+
+    configuration: Configuration
+    solved: SolvedPose
+    picture: Picture
+    source: str
+    exact: bool
+    work: Work
+    stages_ms: dict[str, float]
+
+
+class LiveModel:
+    """Shows configurations from solved paths and poses that are added to it; call it from one thread only."""
+
+    def __init__(self) -> None:
+        self.pictures = PictureMaker()
+        self._paths: dict[tuple[str, ...], SolvedPath] = {}
+        self._last_path: SolvedPath | None = None
+        self._exact: dict[PoseRequest, SolvedPose] = {}
+        self._shown: Shown | None = None
+
+    def lacks(self, configuration: Configuration) -> PathRequest | None:
+        """Return the path that has to be solved for a configuration; None if it is there."""
+        return None if configuration.path_keys() in self._paths else configuration.path
+
+    def add_path(self, request: PathRequest, path: SolvedPath) -> None:
+        """Take in the path of a gel, and of all gels that share it."""
+        _keep(self._paths, _path_keys(request), path)
+        self._shown = None
+
+    def add_pose(self, request: PoseRequest, solved: SolvedPose) -> None:
+        """Take in a pose that was solved by itself."""
+        _keep(self._exact, request, solved)
+        self._shown = None
+
+    def show(self, configuration: Configuration) -> Shown:
+        """Return what is seen; where its own path is not there yet, by the path of the gel before.
+
+        Raises
+        ------
+        ValueError
+            If the pose is off the path, or its membrane is folded.
+        """
+        before, stages_ms = self._shown, {}
+        work = ALL_WORK if before is None else needed_work(before.configuration, configuration)
+        if before is not None and (before.exact or configuration.exact_pose in self._exact):
+            work |= Work.FORCE | Work.MEMBRANE | Work.PICTURE
+        if before is None or work & (Work.FORCE | Work.MEMBRANE):
+            with _timed("membrane" if Work.MEMBRANE in work else "force", stages_ms):
+                solved, source, exact = self._solved(configuration)
+        else:
+            solved, source, exact = before.solved, before.source, before.exact
+        if before is None or work & (Work.PICTURE | Work.LIGHT):
+            with _timed("light", stages_ms):
+                self.pictures.renderer(configuration.light)
+            with _timed("picture", stages_ms):
+                seen = configuration.light, solved.state, configuration.markers, configuration.noise
+                picture = self.pictures.picture(*seen)
+        else:
+            picture = before.picture
+        self._shown = Shown(configuration, solved, picture, source, exact, work, stages_ms)
+        return self._shown
+
+    def _solved(self, configuration: Configuration) -> tuple[SolvedPose, str, bool]:
+        """Return the physics of a configuration, what to say about it, and whether this pose itself was solved."""
+        request = configuration.exact_pose
+        if request in self._exact:
+            return self._exact[request], f"this pose, solved at {configuration.quality}", True
+        elastomer, pose = configuration.elastomer, configuration.pose
+        path = self._paths.get(configuration.path_keys())
+        if path is not None:
+            self._last_path = path
+            said = "interpolated between the poses of a path solved at draft"
+            if not is_interior(elastomer, pose):
+                said += "; the pad's edge, which is near, is left out"
+            return path.pose(elastomer, pose), said, False
+        if self._last_path is not None:
+            said = "until this gel is solved: the one before, its force scaled by Young's modulus"
+            return self._last_path.pose(elastomer, pose), said, False
+        return SolvedPose.untouched(), "no contact is shown until this gel is solved", False
+
+
+def _keep(kept: dict, key: object, value: object) -> None:
+    """Keep one more; the oldest goes where there are too many."""
+    kept.pop(key, None)
+    if len(kept) >= _KEPT_SOLUTIONS:
+        del kept[next(iter(kept))]
+    kept[key] = value
+
+
+@contextmanager
+def _timed(stage: str, stages_ms: dict[str, float]) -> Iterator[None]:
+    started = time.perf_counter()
+    yield
+    stages_ms[stage] = 1e3 * (time.perf_counter() - started)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The gap from a source to a target.
+
+    `modulus_ratio` is E of the target over E of the source; the colour differences are CIEDE2000 between the pictures
+    of the undeformed membrane without markers and noise: mean, and 95th percentile over the pixels.
+    """
+
+    modulus_ratio: float
+    colour_difference: float
+    colour_difference_p95: float
+    markers: str
+
+
+def compare(source: Configuration, target: Configuration, pictures: PictureMaker) -> Comparison:
+    """Return the gap between two configurations, as `gelgap.domains.domain_gap` has it for domains."""
+    mean, percentile_95 = pictures.colour_difference(source.light, target.light)
+    marked = (source.markers, target.markers)
+    return Comparison(
+        target.elastomer.young_modulus_mpa / source.elastomer.young_modulus_mpa,
+        mean,
+        percentile_95,
+        {(False, True): "added", (True, False): "removed"}.get(marked, "equal"),
+    )
