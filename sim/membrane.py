@@ -117,9 +117,9 @@ class MembraneState:
                 raise ValueError(f"{name} in {path} holds {values.dtype}: must be numbers")
             if values.shape != shapes[name]:
                 raise ValueError(f"{name} in {path} has shape {values.shape}: must be {shapes[name]}")
-        arrays["contact_radius_mm"] = float(arrays.get("contact_radius_mm", 0.0))
-        arrays["converged"] = bool(arrays.get("converged", True))
-        return cls(**{"contact": np.zeros(shape, dtype=bool), "force_n": np.zeros(3), **arrays})
+        radius_mm, converged = arrays.pop("contact_radius_mm", 0.0), arrays.pop("converged", True)
+        arrays = {"contact": np.zeros(shape, dtype=bool), "force_n": np.zeros(3), **arrays}
+        return cls(**arrays, contact_radius_mm=float(radius_mm), converged=bool(converged))
 
 
 def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> MembraneState:

@@ -168,28 +168,22 @@ class SolvePlan:
         pose, placement = self.poses[pose_index], self.placements[pose_index]
         reach_mm = pose.radius_mm + _COVERED_RADII * self.indenter.penetration_radius_mm(pose.depth_mm)
         point_mm = pose.point_x_mm, pose.point_y_mm
-        x_mm, y_mm = (
+        extent_mm = tuple(
             min(max(wanted, abs(point) + reach_mm), size / 2)
             for wanted, point, size in zip(half_extent_mm, point_mm, self.elastomer.pad_size_mm, strict=True)
         )
         if placement is None:
-            return flat_state((x_mm, y_mm))
-        frame, record, ratio = (
-            placement.frame,
-            solution.records[placement.record],
-            self._modulus_ratio(solution),
-        )
+            return flat_state(extent_mm)
+        record, ratio = solution.records[placement.record], self._modulus_ratio(solution)
         table, radius_mm = _table_and_radius(solution, placement.record)
-        displacement_mm, contact, _ = placed_surface(
-            pose, frame, self.indenter, table, record.indenter_mm, (x_mm, y_mm)
-        )
-        axes = grid_axes((x_mm, y_mm))
+        on_indenter = pose, placement.frame, self.indenter, table, record.indenter_mm
+        displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
         energy_mj = record.diagnostics.elastic_energy_mj * ratio
         return MembraneState(
-            *axes,
+            *grid_axes(extent_mm),
             displacement_mm,
             contact,
-            force_n=frame.on_sensor(record.force_n * ratio),
+            force_n=placement.frame.on_sensor(record.force_n * ratio),
             contact_radius_mm=radius_mm,
             converged=record.converged,
             diagnostics=replace(record.diagnostics, elastic_energy_mj=energy_mj),

@@ -168,7 +168,8 @@ class LiveModel:
         ValueError
             If the pose is off the path, or its membrane is folded.
         """
-        before, stages_ms = self._shown, {}
+        before = self._shown
+        stages_ms: dict[str, float] = {}
         work = ALL_WORK if before is None else needed_work(before.configuration, configuration)
         if before is not None and (before.exact or configuration.exact_pose in self._exact):
             work |= Work.FORCE | Work.MEMBRANE | Work.PICTURE
