@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.view.screenshot import browser_page, find_chromium
-from gelgap.sim import SolvedPath, SolvedPose
+from gelgap.sim import Pose, SolvedPath, SolvedPose
 from gelgap.view import Configuration
 from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
 from gelgap.view.state import PathRequest
@@ -106,6 +106,17 @@ def test_a_value_beyond_a_knob_widens_its_range(page: Any) -> None:
     page.controls.set_configuration(replace(page.controls.wanted, elastomer=stiff))
     assert (page.controls.modulus.value, page.controls.modulus.max) == (8.0, 16.0)
     assert page.controls.elastomer.value == "own"
+
+
+def test_a_knob_changes_nothing_but_its_own_value(page: Any) -> None:
+    """Travel and direction are shown rounded; turning the depth turned the drag to what they show."""
+    pose = Pose(depth_mm=0.7, shear_x_mm=0.35, shear_y_mm=-0.15)
+    page.controls.set_configuration(replace(page.controls.wanted, pose=pose))
+    page.controls.depth.value = 0.9
+    assert page.controls.wanted.pose == replace(pose, depth_mm=0.9)
+    page.controls.direction.value = 90
+    assert page.controls.wanted.pose.radius_mm == pytest.approx(pose.radius_mm, abs=1e-6)
+    assert page.controls.wanted.pose.angle_deg == pytest.approx(90.0)
 
 
 def test_what_cannot_be_leaves_the_page_as_it_was(page: Any) -> None:
