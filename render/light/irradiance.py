@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gelgap.render.led_samples import LedSamples, ShadowDetail
-from gelgap.render.occlusion import HeightField, find_occluders, may_be_hidden, vertex_at, visible_parts
-from gelgap.render.shaded_surface import Surface
+from gelgap.render.light.leds import LedSamples, ShadowDetail
+from gelgap.render.light.occlusion import HeightField, find_occluders, may_be_hidden, vertex_at, visible_parts
+from gelgap.render.surface import Surface
 
 # Cosine of the tilt below which a vertex counts as nearly flat: 2°.
 GENTLE_NORMAL = 0.9994
