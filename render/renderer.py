@@ -10,7 +10,7 @@ from numba.core import event
 from gelgap.render import imaging
 from gelgap.render.flat_field import FlatFieldFilter
 from gelgap.render.light.gloss import gloss
-from gelgap.render.light.irradiance import Light, direct_light
+from gelgap.render.light.irradiance import DirectLight, direct_light
 from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
 from gelgap.render.light.scattered import ScatteredTable
 from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
@@ -134,7 +134,7 @@ class MembraneRenderer:
         self._reference_irradiance = light.irradiance
         self._reference_gloss = self._gloss(flat, light, None) if self.sensor.coating.specular > 0 else None
 
-    def _gloss(self, surface: Surface, light: Light, reference: np.ndarray | None) -> np.ndarray:
+    def _gloss(self, surface: Surface, light: DirectLight, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
         return gloss(surface, self._leds, self._shadows, light, camera_mm, roughness, reference)
 

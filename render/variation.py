@@ -55,20 +55,11 @@ def _varied_led(led: Led, variation: Variation, rng: np.random.Generator) -> Led
     facing = turn.apply(led.normal)
     drive = led.drive * max(1 + float(_normal(rng, variation.led_drive)), 0.05)
     spectrum = _varied_spectrum(led.spectrum, variation, rng)
-    changed = led.model_copy(
-        update={"facing": tuple(facing.tolist()), "position_mm": tuple(position_mm.tolist())}
-    )
+    changed = led.model_copy(update={"facing": tuple(facing.tolist()), "position_mm": tuple(position_mm)})
     # A draw must not push an LED through the membrane.
     position_mm[2] -= max(changed.highest_z_mm() + 0.05, 0)
-    return Led(
-        **{
-            **led.model_dump(),
-            "position_mm": tuple(position_mm.tolist()),
-            "facing": tuple(facing.tolist()),
-            "drive": drive,
-            "spectrum": spectrum.model_dump(),
-        }
-    )
+    update = {"position_mm": position_mm.tolist(), "drive": drive, "spectrum": spectrum.model_dump()}
+    return Led(**changed.model_dump() | update)
 
 
 def vary_illumination(

@@ -116,15 +116,14 @@ def predict(
     fit = (task if variant.refines_fitted else held).fit(fitted)
     fit_s = time.process_time() - started
     renderer = fitted_renderer(task, fit, variant.flat_field)
-    task = task.seen_as(fit)
-    placed = task.placed
+    placed = task.placed.seen_from(fit.distance_mm)
     if not variant.shadows:
         drop_shadows(renderer)
     corrected_mm = corrected_poses(placed.poses_mm, fitted, fit.presses)
     pose_of = {
         "marked": lambda press: placed.poses_mm[press],
         "corrected": lambda press: corrected_mm[press],
-        "refined": lambda press: task.refined_pose(fit, int(press)),
+        "refined": lambda press: fit.refined(placed, int(press)).presses[0],
     }
     predictions = []
     for way in ways:

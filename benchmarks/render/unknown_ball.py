@@ -49,7 +49,7 @@ def found_contacts(task: LightTask, fitted: np.ndarray, predicted: np.ndarray) -
     placed, presses = task.placed, []
     mm_per_px = 2 * placed.half_view_mm / placed.size_px[0]
     for press in predicted:
-        x, y, depth = task.refined_pose(fit, int(press))
+        x, y, depth = fit.refined(placed, int(press)).presses[0]
         column, row = placed.camera.project_px(np.array([x, y, -depth]), placed.size_px) - 0.5
         profiles = placed.profiles[press]
         presses.append(

@@ -13,7 +13,7 @@ import numpy as np
 
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.light import Bars, Light, bounded_flat
-from gelgap.render.calibration.pictures import FarField, PressPicture, check_presses, far_field
+from gelgap.render.calibration.pictures import FarField, PressPicture, check_presses
 from gelgap.render.calibration.poses import MARGIN_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
@@ -158,7 +158,7 @@ def calibrate_light(
     suspects = outliers = _suspects(fit)
     if len(suspects):
         others = task.fit(np.setdiff1d(everything, suspects))
-        outliers = task.unexplained(others, suspects)
+        outliers = _unexplained(others, placed.seen_from(others.distance_mm), suspects)
         if len(outliers) == len(suspects):
             fit = others
         elif len(outliers):
@@ -167,8 +167,8 @@ def calibrate_light(
     for fold in range(folds):
         other = task.fit(np.delete(used, np.s_[fold::folds]))
         without.append(other)
-        seen = task.seen_as(other)
-        held_out += [seen.predicted(other, int(press)) for press in used[fold::folds]]
+        seen = placed.seen_from(other.distance_mm)
+        held_out += [_predicted(other, seen, int(press)) for press in used[fold::folds]]
     _refuse_if_worse(held_out)
     angles = led_angles(fit.light.bars)
     off = np.array([led_angles(other.light.bars) for other in without]).reshape(-1, *angles.shape) - angles
@@ -255,16 +255,12 @@ class LightTask:
     def fit(self, which: np.ndarray, rounds: int = 3) -> LightFit:
         """Fit the presses of the indices `which`."""
         placed, camera = self.placed, self.sensor.camera
-        at_mm, field = placed.poses_mm[which, :2], placed.untouched
-        if self.far:
-            pictures = [placed.presses[k].picture for k in which]
-            marks = placed.centers_px[which], placed.radii_px[which]
-            field = far_field(placed.reference, pictures, *marks, at_mm / placed.scale_mm)
+        at_mm = placed.poses_mm[which, :2]
+        field = placed.far_field(which) if self.far else placed.untouched
         (x0, y0), (x1, y1) = at_mm.min(0) - MARGIN_MM, at_mm.max(0) + MARGIN_MM
-        near_mm = 1.05 * placed.half_view_mm
-        bars = Bars.of(self.sensor.illumination.leds, near_mm)
-        bounds = placed.scale_mm, (x0, x1, y0, y1), near_mm
-        light = Light(self.order, self.degree, self.shadows, *bounds, bars, theta=np.zeros((0, 3)))
+        bars = Bars.of(self.sensor.illumination.leds, 1.05 * placed.half_view_mm)
+        where = placed.scale_mm, (x0, x1, y0, y1)
+        light = Light(self.order, self.degree, self.shadows, *where, bars, theta=np.zeros((0, 3)))
         # The camera may look from as near as it was given, or nearer than most, to nearly parallel.
         nearest_mm = min(NEAREST_CAMERA_MM, -camera.position_mm[2])
         nearness_range = (
@@ -273,39 +269,6 @@ class LightTask:
         fit = LightFit(placed, which, field, light, camera.position_mm, nearness_range)
         fit.run(rounds)
         return fit
-
-    def seen_as(self, fit: LightFit) -> "LightTask":
-        """Return the task with the camera where a fit has put it, as predictions of the fit need it."""
-        placed = self.placed.seen_from(fit.distance_mm)
-        return replace(self, sensor=self.sensor.model_copy(update={"camera": placed.camera}), placed=placed)
-
-    def predicted(self, fit: LightFit, press: int) -> HeldOut:
-        """Predict a press that the fit has not seen."""
-        placed = self.placed
-        scored_mm = SCORED_RADII * placed.radii_px[press] * 2 * placed.half_view_mm / placed.size_px[0]
-        unseen = [
-            placed.picture_of(fit.light, fit.field, press, poses_mm[press], scored_mm + MARGIN_MM)
-            for poses_mm in (placed.poses_mm, corrected_poses(placed.poses_mm, fit.which, fit.presses))
-        ]
-        refined = placed.picture_of(fit.light, fit.field, press, self.refined_pose(fit, press))
-        scores = [placed.scores(press, picture) for picture in (placed.reference, *unseen, refined)]
-        return HeldOut(placed.names[press], *scores, picture=refined)
-
-    def unexplained(self, fit: LightFit, presses: np.ndarray) -> np.ndarray:
-        """Return those presses that a light fitted without them leaves far out: one bad press can spoil others."""
-        seen = self.seen_as(fit)
-        errors = [seen.refined(fit, int(press)).rms_against_picture() for press in presses]
-        return presses[np.array(errors) > _most_error(np.sqrt(fit.press_errors()))]
-
-    def refined_pose(self, fit: LightFit, press: int) -> np.ndarray:
-        """Return (3,): x, y and depth at which a fitted light explains a press's own picture best."""
-        return self.refined(fit, press).presses[0]
-
-    def refined(self, fit: LightFit, press: int) -> LightFit:
-        """Return a fitted light with a press that is moved to where the light explains its picture best."""
-        own = LightFit(self.placed, np.array([press]), fit.field, fit.light, fit.camera_mm)
-        own.refine_presses(4)
-        return own
 
     def lit_sensor(self, fit: LightFit) -> Sensor:
         """Return the start sensor under a fitted light, matt and without lens losses, which the flat field holds."""
@@ -341,6 +304,24 @@ class LightTask:
             "poses_mm": fit.presses,
             "rms_code_values": fit.rms_code_values,
         }
+
+
+def _unexplained(fit: LightFit, seen: PlacedPresses, presses: np.ndarray) -> np.ndarray:
+    """Return those presses that a light fitted without them leaves far out: one bad press can spoil others."""
+    errors = [fit.refined(seen, int(press)).rms_against_picture() for press in presses]
+    return presses[np.array(errors) > _most_error(np.sqrt(fit.press_errors()))]
+
+
+def _predicted(fit: LightFit, seen: PlacedPresses, press: int) -> HeldOut:
+    """Predict a press that the fit has not seen, `seen` by the camera where the fit has put it."""
+    scored_mm = SCORED_RADII * seen.radii_px[press] * 2 * seen.half_view_mm / seen.size_px[0]
+    unseen = [
+        seen.picture_of(fit.light, fit.field, press, poses_mm[press], scored_mm + MARGIN_MM)
+        for poses_mm in (seen.poses_mm, corrected_poses(seen.poses_mm, fit.which, fit.presses))
+    ]
+    refined = seen.picture_of(fit.light, fit.field, press, fit.refined(seen, press).presses[0])
+    scores = [seen.scores(press, picture) for picture in (seen.reference, *unseen, refined)]
+    return HeldOut(seen.names[press], *scores, picture=refined)
 
 
 def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
@@ -425,16 +406,9 @@ def unknown_sphere_size(
 def fit_sphere_size(
     mark_radius_mm: float, membranes: Membranes, press_errors: Callable[[PressProfiles], np.ndarray]
 ) -> SphereSize:
-    """Try spheres from the size of a mark on, downhill, each with the membrane of one solve, scaled.
+    """Try spheres from the rough size of the imprints on, downhill, each with the membrane of one solve, scaled.
 
-    Parameters
-    ----------
-    mark_radius_mm
-        How large the imprints are, roughly.
-    membranes
-        Solves the membrane around spheres, as `calibrate_light` is given it.
-    press_errors
-        Returns (presses,) the mean square error of each press in code values² for one sphere's membrane.
+    `press_errors` returns (presses,) the mean square error of each press in code values² for one sphere's membrane.
 
     Raises
     ------
@@ -470,15 +444,11 @@ def fit_sphere_size(
         )
     best = min((sizes[at] / _BETWEEN, sizes[at], sizes[at] * _BETWEEN), key=error)
     tried = np.array(sorted(errors))
-    like = np.flatnonzero([_not_worse(errors[d], errors[best]) for d in tried])
+    worse = np.array([errors[d] - errors[best] for d in tried])
+    like = np.flatnonzero(worse.mean(axis=1) <= 2 * worse.std(axis=1) / np.sqrt(worse.shape[1]))
     interval = tried[max(like.min() - 1, 0)], tried[min(like.max() + 1, len(tried) - 1)]
     rms = np.sqrt([errors[d].mean() for d in tried])
     return SphereSize(tried, rms, best, tuple(map(float, interval)))
-
-
-def _not_worse(errors: np.ndarray, best: np.ndarray) -> bool:
-    worse = errors - best
-    return bool(worse.mean() <= 2 * worse.std() / np.sqrt(len(worse)))
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ class LightFit:
         kept_flat: dict[bytes, np.ndarray] = {}
 
         def moved(vector: np.ndarray) -> Light:
-            return replace(light, bars=light.bars.unpacked(vector, fields, light.nearest_mm))
+            return replace(light, bars=light.bars.unpacked(vector, fields))
 
         def unexplained(vector: np.ndarray) -> np.ndarray:
             lit = pressed.bar_columns(moved(vector), kept_pressed)
@@ -234,6 +234,15 @@ class LightFit:
                 self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
                 self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
         self._pressed = None
+
+    def refined(self, seen: PlacedPresses, press: int) -> "LightFit":
+        """Return the light with one press only, moved to where the light explains its picture best.
+
+        `seen` are the presses as the camera sees them from where the fit has put it.
+        """
+        own = LightFit(seen, np.array([press]), self.field, self.light, self.camera_mm)
+        own.refine_presses(4)
+        return own
 
     def rms_against_picture(self) -> float:
         """Return the rms error in code values under the light as it is, which need not be fitted to these presses."""

@@ -27,11 +27,12 @@ _DEGREES = np.array([0, 1, 1, 2, 2, 2])
 
 @dataclass(frozen=True)
 class Bars:
-    """Bars that face the sensor's axis, level; each field (leds,), lengths in mm, angles in radians.
+    """Bars that face the sensor's axis, level, each beyond `nearest` of it; lengths in mm, angles in radians.
 
-    `height` is above the membrane, `length` across the azimuth, `tall` the extent along z.
+    `height` is above the membrane, `length` across the azimuth, `tall` the extent along z; each field is (leds,).
     """
 
+    nearest: float
     azimuth: np.ndarray
     distance: np.ndarray
     height: np.ndarray
@@ -47,17 +48,15 @@ class Bars:
         """Return bars in the place of LEDs, no nearer to the axis than `nearest_mm`."""
         x, y, z = np.array([led.position_mm for led in leds]).T
         sizes = np.array([led.size_mm for led in leds])
-        bars = cls(
-            np.arctan2(y, x), np.hypot(x, y), -z, np.maximum(sizes[:, 0], 1.0), np.maximum(sizes[:, 1], 0.5)
-        )
-        return bars.bounded(nearest_mm)
+        length, tall = np.maximum(sizes, (1.0, 0.5)).T
+        return cls(nearest_mm, np.arctan2(y, x), np.hypot(x, y), -z, length, tall)._bounded()
 
-    def bounded(self, nearest_mm: float) -> "Bars":
+    def _bounded(self) -> "Bars":
         """Return the bars within what a sensor can be: beyond the view, within 80 mm, above the membrane."""
         height = np.clip(self.height, 0.5, 60.0)
         return replace(
             self,
-            distance=np.clip(self.distance, nearest_mm, 80.0),
+            distance=np.clip(self.distance, self.nearest, 80.0),
             height=height,
             length=np.clip(self.length, 1.0, 120.0),
             tall=np.minimum(self.tall, 1.9 * height),
@@ -69,11 +68,11 @@ class Bars:
             [np.log(getattr(self, f)) if f in LOGARITHMIC else getattr(self, f) for f in fields]
         )
 
-    def unpacked(self, vector: np.ndarray, fields: tuple[str, ...], nearest_mm: float) -> "Bars":
+    def unpacked(self, vector: np.ndarray, fields: tuple[str, ...]) -> "Bars":
         """Return the bars with the fields of a vector."""
         parts = np.split(vector, len(fields))
         values = {f: np.exp(v) if f in LOGARITHMIC else v for f, v in zip(fields, parts, strict=True)}
-        return replace(self, **values).bounded(nearest_mm)
+        return replace(self, **values)._bounded()
 
     def strips(self) -> np.ndarray:
         """Return (leds, strips, 10): low end, high end, normal and weight of upright strips.
@@ -122,7 +121,7 @@ class Bars:
 class Light:
     """Bars, ambient and scattered light; each is columns of a linear problem, in this order.
 
-    Places are in units of `scale_mm` and held at the edges of `span_mm`. Bars stay beyond `nearest_mm` of the axis.
+    Places are in units of `scale_mm` and held at the edges of `span_mm`.
     """
 
     order: int
@@ -130,7 +129,6 @@ class Light:
     shadows: bool
     scale_mm: float
     span_mm: tuple[float, float, float, float]
-    nearest_mm: float
     bars: Bars
     theta: np.ndarray  # (columns, 3): what multiplies each
 

@@ -14,12 +14,9 @@ from gelgap.render.light.scattered import monomials
 
 DARK, SATURATED = 4, 250  # codes at and beyond which a value is not used
 LARGEST_MARKS_OFF_PX = 100.0
-FEWEST_FOR_GAIN = 12
 _ROUGH_PX = 10.0
 _MOST_SATURATED, LEAST_USABLE = 0.95, 0.05  # shares of values
 _LEAST_CHANGE = 5.0  # code values
-_STEP_PX = 4
-_GAIN_BEYOND, _LOADED_BEYOND = 3.0, 2.5  # contact radii
 
 
 @dataclass(frozen=True)
@@ -163,34 +160,7 @@ class FarField:
         return linear * (1 + monomials(place[0], place[1], 2) @ self.gain)
 
 
-def far_field(
-    reference: np.ndarray,
-    pictures: list[np.ndarray],
-    centers_px: np.ndarray,
-    radii_px: np.ndarray,
-    places: np.ndarray,
-) -> FarField:
-    """Return the field of presses (n, 2) at `places`, from the parts of their pictures that no press reaches."""
-    untouched = srgb_decode(reference / 255)
-    coarse = np.s_[::_STEP_PX, ::_STEP_PX]
-    code = reference[coarse]
-    good = ((code > 20) & (code < 245)).all(axis=2)
-    rows, columns = np.indices(reference.shape[:2])
-    distances = [np.hypot(columns - x, rows - y) / r for (x, y), r in zip(centers_px, radii_px, strict=True)]
-    ratios = [srgb_decode(picture / 255) / np.maximum(untouched, 1e-4) for picture in pictures]
-    levels = []
-    for ratio, distance in zip(ratios, distances, strict=True):
-        far = good & (distance[coarse] > _GAIN_BEYOND)
-        levels.append(np.median(ratio[coarse][far], axis=0) - 1 if far.any() else np.zeros(3))
-    gain = _gain(np.array(levels), places) if len(pictures) >= FEWEST_FOR_GAIN else np.zeros((6, 3))
-    stack = np.empty((len(pictures), *reference.shape), np.float32)
-    for layer, ratio, distance, place in zip(stack, ratios, distances, places, strict=True):
-        layer[:] = ratio / (1 + monomials(place[0], place[1], 2) @ gain)
-        layer[distance < _LOADED_BEYOND] = np.nan
-    return FarField(untouched, np.clip(_median(stack), 0.5, 2.0), gain)
-
-
-def _median(stack: np.ndarray) -> np.ndarray:
+def median_of_presses(stack: np.ndarray) -> np.ndarray:
     """Return the median over presses, 1 where none is far enough."""
     stack.sort(axis=0)  # NaN last
     count = np.isfinite(stack).sum(axis=0)
@@ -199,7 +169,7 @@ def _median(stack: np.ndarray) -> np.ndarray:
     return np.where(count > 0, middle, 1.0).astype(float)
 
 
-def _gain(levels: np.ndarray, places: np.ndarray) -> np.ndarray:
+def fit_gain(levels: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return (6, 3): a quadratic of the place through the levels (n, 3), deaf to outliers."""
     terms = monomials(places[:, 0], places[:, 1], 2)
     penalty = np.diag([0, 1, 1, 1, 1, 1.0]) * 0.02 * len(levels)

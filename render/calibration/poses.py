@@ -14,12 +14,15 @@ from gelgap.render.calibration.pictures import (
     FarField,
     PressPicture,
     find_contact_mm,
+    fit_gain,
+    median_of_presses,
     press_names,
 )
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import psnr_db, srgb_decode, srgb_encode
 from gelgap.render.inpainting import detect_markers, inpaint_telea
+from gelgap.render.light.scattered import monomials
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
 SAMPLES = (220, 260, 120)
@@ -27,6 +30,9 @@ REACH = 4.5
 MODELLED_MM = 5.5
 SCORED_RADII = 2.0
 MARGIN_MM = 0.5
+FEWEST_FOR_GAIN = 12
+_STEP_PX = 4
+_GAIN_BEYOND, _LOADED_BEYOND = 3.0, 2.5  # contact radii
 _FOUND_SIGMA_MM = 0.5
 _KNOWN_DEPTH_SIGMA_MM = 0.05
 _MARKED_DEPTH_SIGMA = 0.1 / 3  # radii of the sphere per pixel that the mark may be off
@@ -94,6 +100,28 @@ class PlacedPresses:
     def untouched(self) -> FarField:
         """The field in which a press changes nothing."""
         return FarField(srgb_decode(self.clean_reference / 255), None, np.zeros((6, 3)))
+
+    def far_field(self, which: np.ndarray) -> FarField:
+        """Return what some of the presses change where none reaches, from those parts of their pictures."""
+        untouched = srgb_decode(self.reference / 255)
+        coarse = np.s_[::_STEP_PX, ::_STEP_PX]
+        code = self.reference[coarse]
+        good = ((code > 20) & (code < 245)).all(axis=2)
+        away = [_radii_away(self.reference, self.centers_px[k], self.radii_px[k]) for k in which]
+        pictures = [self.presses[k].picture for k in which]
+        ratios = [srgb_decode(picture / 255) / np.maximum(untouched, 1e-4) for picture in pictures]
+        levels = []
+        for ratio, distance in zip(ratios, away, strict=True):
+            far = good & (distance[coarse] > _GAIN_BEYOND)
+            levels.append(np.median(ratio[coarse][far], axis=0) - 1 if far.any() else np.zeros(3))
+        places = self.poses_mm[which, :2] / self.scale_mm
+        enough = len(which) >= FEWEST_FOR_GAIN
+        gain = fit_gain(np.array(levels), places) if enough else np.zeros((6, 3))
+        stack = np.empty((len(which), *self.reference.shape), np.float32)
+        for layer, ratio, distance, place in zip(stack, ratios, away, places, strict=True):
+            layer[:] = ratio / (1 + monomials(place[0], place[1], 2) @ gain)
+            layer[distance < _LOADED_BEYOND] = np.nan
+        return FarField(untouched, np.clip(median_of_presses(stack), 0.5, 2.0), gain)
 
     def samples(self, which: np.ndarray, field: FarField) -> tuple[np.ndarray, ...]:
         """Draw pixels of presses, the same for a press each time; those on dots are not taken.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gelgap.render.light.irradiance import GENTLE_NORMAL, Light, smooth_stride
+from gelgap.render.light.irradiance import GENTLE_NORMAL, DirectLight, smooth_stride
 from gelgap.render.light.leds import LedSamples, ShadowDetail
 from gelgap.render.light.occlusion import HeightField, find_occluders, vertex_at, visible_parts
 from gelgap.render.surface import Surface
@@ -332,7 +332,7 @@ def gloss(
     surface: Surface,
     leds: LedSamples,
     detail: ShadowDetail,
-    light: Light,
+    light: DirectLight,
     camera_mm: tuple[float, float, float],
     roughness: float,
     reference: np.ndarray | None,
