@@ -39,7 +39,8 @@ class Calibrate:
       point_mm = [1.5, -0.8]         # or center_px = [200, 110]; optional: found in the picture otherwise
       marks_off_px = 20              # how far radius_px and center_px may be off; 3 if left out
 
-    A sphere whose diameter no press has is fitted, if the pictures hold it.
+    A sphere whose diameter no press has is fitted, if the pictures hold it. LEDs are fitted with all else: what was
+    --leds-only is this command without it.
     Prints how presses that a fit has not seen are predicted; one that is worse than the unchanged reference is refused.
 
     For example:

@@ -73,10 +73,10 @@ class FlatField(Settings):
             raise ValueError(
                 f"flat_field.file = {self.file!r} must lie in the folder of the sensor file, {folder}"
             )
-        digest = self.sha256 or hashlib.sha256(_checked_bytes(path)).hexdigest()
-        found = self.model_copy(update={"file": str(path), "sha256": digest})
+        found = self.model_copy(update={"file": str(path)})
         load_maps(found)
-        return found
+        digest = self.sha256 or hashlib.sha256(path.read_bytes()).hexdigest()
+        return found.model_copy(update={"sha256": digest})
 
 
 @dataclass(frozen=True)
@@ -109,18 +109,6 @@ class FlatFieldMaps:
         return FlatFieldMaps(cv2.resize(self.ratio, size_px, interpolation=way), loaded)
 
 
-def _checked_bytes(path: Path) -> bytes:
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"the sensor's flat field {path} does not exist; calibrate writes it beside the sensor"
-        )
-    if path.stat().st_size > LARGEST_FILE_BYTES:
-        raise ValueError(
-            f"flat field {path} has {path.stat().st_size} bytes; at most {LARGEST_FILE_BYTES} are read"
-        )
-    return path.read_bytes()
-
-
 def load_maps(flat_field: FlatField) -> FlatFieldMaps:
     """Read the maps of a flat field, whose file is a full path.
 
@@ -132,7 +120,15 @@ def load_maps(flat_field: FlatField) -> FlatFieldMaps:
         If its digest, names, shapes or values are not right; nothing in it is executed.
     """
     path = Path(flat_field.file)
-    data = _checked_bytes(path)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"the sensor's flat field {path} does not exist; calibrate writes it beside the sensor"
+        )
+    if path.stat().st_size > LARGEST_FILE_BYTES:
+        raise ValueError(
+            f"flat field {path} has {path.stat().st_size} bytes; at most {LARGEST_FILE_BYTES} are read"
+        )
+    data = path.read_bytes()
     if flat_field.sha256 and hashlib.sha256(data).hexdigest() != flat_field.sha256:
         raise ValueError(
             f"flat field {path} is not the file that the sensor was made with: its SHA-256 differs"

@@ -15,7 +15,7 @@ import os
 import sys
 import threading
 import types
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 
@@ -221,15 +221,7 @@ class Rasterizer:
         self._vertex_buffer = primitive._buffers[0]
         program = self._renderer._get_primitive_program(primitive, flags, ProgramFlags.USE_MATERIAL)
         program.set_uniform = lambda *_: None
-        self._draw = partial(self._draw_primitive, primitive, program, flags)
-
-    def _draw_primitive(self, primitive, program, flags) -> None:
-        gl = self._gl
-        self._bind_target(flags)
-        gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
-        program._bind()
-        self._renderer._bind_and_draw_primitive(primitive, np.eye(4), program, flags)
-        program._unbind()
+        self._drawn = primitive, program, flags
 
     def _float_framebuffer(self, width: int, height: int) -> tuple[int, np.ndarray]:
         gl = self._gl
@@ -273,7 +265,12 @@ class Rasterizer:
             self._context.make_current()
             gl.glBindBuffer(gl.GL_ARRAY_BUFFER, self._vertex_buffer)
             gl.glBufferSubData(gl.GL_ARRAY_BUFFER, 0, self._vertices.nbytes, self._vertices)
-            self._draw()
+            primitive, program, flags = self._drawn
+            self._bind_target(flags)
+            gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
+            program._bind()
+            self._renderer._bind_and_draw_primitive(primitive, np.eye(4), program, flags)
+            program._unbind()
             height, width, _ = self._geometry.shape
             gl.glReadPixels(0, 0, width, height, gl.GL_RG, gl.GL_FLOAT, self._geometry)
         self._key = positions_mm.copy()

@@ -62,7 +62,6 @@ class LightFit:
         self.usable = ((codes > DARK) & (codes < SATURATED)).all(axis=0).astype(float)
         self.flat, self.flat_light = SeenPoints.flat(self.plane_mm), self.base.copy()  # the latter modelled
         self.residual = np.zeros_like(self.base)
-        self._pressed: SeenPoints | None = None
 
     @property
     def distance_mm(self) -> float:
@@ -98,13 +97,8 @@ class LightFit:
             if k == 0:
                 self._search_camera(0.4)
 
-    def _seen(self) -> SeenPoints:
-        """Return what the samples see of the presses where they now are."""
-        if self._pressed is None:
-            self._pressed = self._points(self.presses)
-        return self._pressed
-
-    def _points(self, presses: np.ndarray) -> SeenPoints:
+    def _seen(self, presses: np.ndarray) -> SeenPoints:
+        """Return what the samples see of presses (k, 3)."""
         return SeenPoints.pressed(self.plane_mm, self.index, presses, self.profiles, self.camera_mm)
 
     def _ridge(self) -> np.ndarray:
@@ -117,7 +111,7 @@ class LightFit:
 
     def _solve(self) -> None:
         """Solve for all intensities: the picture shall be predicted, and the flat light be near the reference."""
-        pressed, flat = self._seen().columns(self.light), self.flat.columns(self.light)
+        pressed, flat = self._seen(self.presses).columns(self.light), self.flat.columns(self.light)
         base, ridge, leds = self.base, self._ridge(), self.light.bars.count
         solved = np.empty((pressed.shape[1], 3))
         for channel in range(3):
@@ -139,7 +133,7 @@ class LightFit:
         from scipy.optimize import least_squares
 
         light, ridge, leds = self.light, self._ridge(), self.light.bars.count
-        pressed, flat = self._seen(), self.flat
+        pressed, flat = self._seen(self.presses), self.flat
         of_pressed_fixed = light.fixed_columns(pressed.positions, pressed.normals)
         of_flat_fixed = light.fixed_columns(flat.positions, flat.normals)
         held = []
@@ -206,7 +200,7 @@ class LightFit:
         other.presses = other.start_presses + self.presses - self.start_presses
         deepest = [profiles.deepest_mm for profiles in self.profiles]
         other.presses[:, 2] = np.clip(other.presses[:, 2], _LEAST_DEPTH_MM, deepest)
-        other.flat_light, other._pressed = self.flat_light.copy(), None
+        other.flat_light = self.flat_light.copy()
         other._solve()
         other.refine_presses(1)
         other._solve()
@@ -233,7 +227,6 @@ class LightFit:
                 )
                 self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
                 self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
-        self._pressed = None
 
     def refined(self, seen: PlacedPresses, press: int) -> "LightFit":
         """Return the light with one press only, moved to where the light explains its picture best.
@@ -249,7 +242,7 @@ class LightFit:
         return float(np.sqrt(np.mean(self._errors(self.presses, self.flat.light(self.light)) ** 2)))
 
     def _errors(self, presses: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
-        return self._error(self._points(presses).light(self.light), flat_light)
+        return self._error(self._seen(presses).light(self.light), flat_light)
 
     def _error(self, pressed_light: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
         """Return (n, 3): what is predicted less what the camera read, in codes; 0 where nothing can be read."""
