@@ -1,5 +1,6 @@
 """`gelgap calibrate`: fit a sensor's light to pictures of a real one."""
 
+import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,18 +12,18 @@ from gelgap.cli.arguments import Flag, load_sensor, optional
 from gelgap.cli.rules import Between, InputFile, OutputFile, OutputFolder, Preset, TaximPackage
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
 
-    from gelgap.render import PressPicture, Sensor
+    from gelgap.render import HeldOut, LightCalibration, PressPicture, Sensor, SphereSize
 
-KNOWN_FIELDS = (
-    *("picture", "sphere_diameter_mm", "depth_mm", "radius_px", "marks_off_px"),
-    *("point_mm", "center_px"),
-)
-
-FEWEST_PRESSES = 3
+NUMBERS = ("sphere_diameter_mm", "depth_mm", "radius_px", "marks_off_px")
+PLACES = ("point_mm", "center_px")
 # A fit from a right start leaves 1 to 2 code values, camera noise included; one from a wrong start ten times as much.
 DOUBTFUL_RMS_CODE_VALUES = 5.0
+DIFFERENCE_GAIN = 4
+NEARLY_PARALLEL_MM = 200
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Calibrate:
       point_mm = [1.5, -0.8]         # or center_px = [200, 110]; optional: found in the picture otherwise
       marks_off_px = 20              # how far radius_px and center_px may be off; 3 if left out
 
-    A sphere whose diameter no press has is fitted, if the pictures hold it.
+    A sphere whose diameter no press has is fitted, if the pictures hold it. LEDs are fitted with all else: what was
+    --leds-only is this command without it.
     Prints how presses that a fit has not seen are predicted; one that is worse than the unchanged reference is refused.
 
     For example:
@@ -71,20 +73,36 @@ class Calibrate:
     """Leave the camera where the sensor has it; otherwise its distance is fitted, as far as seems parallel."""
     membrane_quality: Literal["draft", "standard", "fine"] = "draft"
     """How finely the membrane around the spheres is solved."""
-    leds_only: Flag = False
-    """Fit levels and positions of the LEDs alone, each within 6 mm of its place; three presses do."""
-    fit_gloss: Flag = False
-    """With --leds-only, which it implies: fit the weight of the coat's gloss as well."""
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
+        from gelgap.domains import sphere_profiles
+        from gelgap.render import calibrate_light, save_calibration
+
         if self.held_out_parts == 1:
             raise ValueError("held_out_parts = 1: must be 0, or 2 to 24")
         sensor, reference, presses = self._inputs()
-        if self.leds_only or self.fit_gloss:
-            self._fit_leds(sensor, reference, presses)
-        else:
-            self._fit_light(sensor, reference, presses)
+        fit = calibrate_light(
+            sensor,
+            reference,
+            presses,
+            lambda diameters, deepest: sphere_profiles(diameters, deepest, self.membrane_quality),
+            keep_camera=self.keep_camera,
+            folds=self.held_out_parts,
+        )
+        fitted = save_calibration(replace(fit, sensor=described(fit)), self.output)
+        print(f"wrote {self.output} and {fitted.flat_field.file}")
+        print_calibration(fit)
+        if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
+            print(
+                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
+                f"{DOUBTFUL_RMS_CODE_VALUES:g}): check the LEDs' directions, the spheres' diameters and, among few "
+                "presses, the picture of each, since one can spoil the fit",
+                file=sys.stderr,
+            )
+        if fit.held_out:
+            folder = self.pictures or self.output.with_name(f"{self.output.stem}-held-out")
+            write_comparisons(fit, presses, folder)
 
     def _inputs(self) -> "tuple[Sensor, np.ndarray, tuple[PressPicture, ...]]":
         if self.from_taxim is not None:
@@ -107,56 +125,6 @@ class Calibrate:
         if self.sphere_diameter_mm is None:
             return presses
         return tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
-
-    def _fit_leds(self, sensor, reference, presses) -> None:
-        from gelgap.render import calibrate, save_sensor
-
-        if len(presses) < FEWEST_PRESSES:
-            raise ValueError(
-                f"{self.presses} lists {len(presses)} presses; LED positions need {FEWEST_PRESSES} or more, apart from "
-                "each other"
-            )
-        fit = calibrate(sensor, reference, presses, fit_gloss=self.fit_gloss)
-        save_sensor(fit.sensor, self.output)
-        points = ", ".join(f"({x:.2f}, {y:.2f})" for x, y in fit.press_points_mm)
-        print(
-            f"wrote {self.output}; residual {fit.rms_code_values:.2f} code values rms; presses at {points} mm"
-        )
-        if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
-            print(
-                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
-                f"{DOUBTFUL_RMS_CODE_VALUES:g}): check where the LEDs of {self.sensor} start, each within 6 mm of its "
-                "place, and the depths and points of the presses",
-                file=sys.stderr,
-            )
-
-    def _fit_light(self, sensor, reference, presses) -> None:
-        from gelgap.cli.workflows.calibration_report import described, print_calibration, write_comparisons
-        from gelgap.domains import sphere_profiles
-        from gelgap.render import calibrate_light, save_calibration
-
-        fit = calibrate_light(
-            sensor,
-            reference,
-            presses,
-            lambda diameters, deepest: sphere_profiles(diameters, deepest, self.membrane_quality),
-            keep_camera=self.keep_camera,
-            folds=self.held_out_parts,
-        )
-        fit = replace(fit, sensor=described(fit))
-        fitted = save_calibration(fit, self.output)
-        print(f"wrote {self.output} and {fitted.flat_field.file}")
-        print_calibration(fit)
-        if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
-            print(
-                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
-                f"{DOUBTFUL_RMS_CODE_VALUES:g}): check the LEDs' directions, the spheres' diameters and, among few "
-                "presses, the picture of each, since one can spoil the fit",
-                file=sys.stderr,
-            )
-        if fit.held_out:
-            folder = self.pictures or self.output.with_name(f"{self.output.stem}-held-out")
-            write_comparisons(fit, presses, folder)
 
 
 def read_presses(path: Path) -> "tuple[PressPicture, ...]":
@@ -181,35 +149,34 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
         if not isinstance(table, dict):
             raise ValueError(f"{path}, press {number}: must be a table [[presses]]")
         needed = {"picture"} | (set() if "radius_px" in table else {"depth_mm", "sphere_diameter_mm"})
-        wrong = (needed - table.keys()) | (table.keys() - set(KNOWN_FIELDS))
+        wrong = (needed - table.keys()) | (table.keys() - {"picture", *NUMBERS, *PLACES})
         if wrong:
             raise ValueError(
                 f"{path}, press {number}: {', '.join(sorted(wrong))} missing or unknown; a press has picture, "
                 "sphere_diameter_mm, depth_mm or radius_px and, if known, point_mm or center_px and marks_off_px"
             )
-        if not isinstance(table["picture"], str) or not stays_inside(table["picture"]):
+        picture = table.pop("picture")
+        if not isinstance(picture, str) or not stays_inside(picture):
             raise ValueError(
-                f"{path}, press {number}: picture = {table['picture']!r} must lie in the folder of the list"
+                f"{path}, press {number}: picture = {picture!r} must lie in the folder of the list"
             )
-        for field in set(table) - {"picture"}:
-            _check_numbers(
-                f"{path}, press {number}: {field}", table[field], 2 if field in KNOWN_FIELDS[5:] else 1
-            )
-        places = {field: tuple(table[field]) for field in ("point_mm", "center_px") if field in table}
-        sizes = {f: table[f] for f in ("depth_mm", "radius_px", "marks_off_px") if f in table}
-        picture = read_picture(path.parent / table["picture"])
-        name = f"press {number} ({table['picture']})"
-        presses.append(PressPicture(picture, table.get("sphere_diameter_mm"), name=name, **sizes, **places))
+        values = {"sphere_diameter_mm": None}
+        for field, value in table.items():
+            count = 2 if field in PLACES else 1
+            values[field] = _numbers(f"{path}, press {number}: {field}", value, count)
+        name = f"press {number} ({picture})"
+        presses.append(PressPicture(read_picture(path.parent / picture), name=name, **values))
     return tuple(presses)
 
 
-def _check_numbers(what: str, value: object, count: int) -> None:
+def _numbers(what: str, value: object, count: int) -> float | tuple[float, ...]:
     values = value if isinstance(value, list) else [value]
     numbers = all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in values)
     if not numbers or len(values) != count or isinstance(value, list) != (count > 1):
         raise ValueError(
             f"{what} is {value!r}; it must be {'a finite number' if count == 1 else 'two finite numbers'}"
         )
+    return tuple(values) if count > 1 else value
 
 
 def read_picture(path: Path) -> "np.ndarray":
@@ -230,3 +197,90 @@ def read_picture(path: Path) -> "np.ndarray":
     if picture is None:
         raise ValueError(f"{path} is not a picture that OpenCV can read")
     return picture[..., ::-1].copy()
+
+
+def print_calibration(fit: "LightCalibration") -> None:
+    """Print how well the fit predicts presses that it has not seen, and what it found."""
+    print(f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses")
+    if fit.sphere_size is not None:
+        print(_sphere_line(fit.sphere_size))
+    if fit.left_out:
+        print(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
+    if fit.held_out:
+        print(
+            f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
+        )
+        print(f"  {'unchanged reference':32s} {_scores(fit.held_out, 'unchanged')}")
+        print(f"  {'predicted, press as marked':32s} {_scores(fit.held_out, 'marked')}")
+        print(f"  {'predicted, marks corrected':32s} {_scores(fit.held_out, 'corrected')}")
+        print(f"  {'predicted, press refined':32s} {_scores(fit.held_out, 'refined')}")
+    print("\n".join(_found(fit)))
+
+
+def described(fit: "LightCalibration") -> "Sensor":
+    """Return the fitted sensor with what the fit says of itself as `known`, and what it cannot say as `assumed`."""
+    known = [f"Fitted to pictures of {len(fit.names)} presses, {fit.rms_code_values:.2f} code values rms"]
+    if fit.held_out:
+        known += [
+            f"held out, PSNR in dB, median (worst), as marked {_scores(fit.held_out, 'marked')}",
+            f"marks corrected {_scores(fit.held_out, 'corrected')}",
+            f"refined {_scores(fit.held_out, 'refined')}",
+        ]
+    assumed = "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
+    return fit.sensor.model_copy(
+        update={"known": "; ".join([*known, *_found(fit)]) + ".", "assumed": assumed}
+    )
+
+
+def _found(fit: "LightCalibration") -> list[str]:
+    """Return a line for each thing that was fitted, with its standard error where that is known."""
+    leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg, fit.led_elevations_deg, strict=True)
+    lines = [
+        f"LED {led.name or '?'}: azimuth {_with_error(*azimuth)}°, elevation {_with_error(*elevation)}°"
+        for led, azimuth, elevation in leds
+    ]
+    distance_mm = -fit.sensor.camera.position_mm[2]
+    error_mm = distance_mm**2 * fit.nearness_error_per_mm
+    parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""
+    lines.append(f"camera {_with_error(distance_mm, error_mm)} mm from the gel{parallel}")
+    depths = fit.poses_mm[:, 2]
+    lines.append(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
+    return lines
+
+
+def _with_error(value: float, error: float) -> str:
+    return f"{value:.0f}" if math.isnan(error) else f"{value:.0f} ± {error:.0f}"
+
+
+def _sphere_line(size: "SphereSize") -> str:
+    tried = zip(size.tried_mm, size.rms_code_values, strict=True)
+    return (
+        f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
+        "code values rms by diameter: " + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
+    )
+
+
+def _scores(held_out: "Sequence[HeldOut]", kind: str) -> str:
+    from statistics import median
+
+    values = zip(*(getattr(press, kind) for press in held_out), strict=True)
+    inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in values)
+    return f"inside the contact {inside}, from one to two radii {ring}"
+
+
+def write_comparisons(fit: "LightCalibration", presses: "Sequence[PressPicture]", folder: Path) -> None:
+    """Write a picture of each held-out press: real, predicted, and 128 plus four times the difference."""
+    import cv2
+    import numpy as np
+
+    from gelgap.render import difference_picture
+
+    folder.mkdir(parents=True, exist_ok=True)
+    by_name = {press.name or f"press {number}": press for number, press in enumerate(presses, start=1)}
+    for number, held_out in enumerate(fit.held_out, start=1):
+        real = by_name[held_out.name].picture
+        difference = difference_picture(held_out.picture, real, DIFFERENCE_GAIN)
+        path = folder / f"held-out-{number:02d}.png"
+        if not cv2.imwrite(str(path), np.hstack([real, held_out.picture, difference])[..., ::-1]):
+            raise RuntimeError(f"{path} could not be written")
+    print(f"wrote {len(fit.held_out)} comparisons to {folder}")

@@ -83,6 +83,17 @@ class Camera(Settings):
             }
         )
 
+    def plane_points_mm(self, columns: np.ndarray, rows: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+        """Return (n, 2): where the rays through pixels' centres meet the plane of the undeformed membrane."""
+        pixels = np.stack([columns + 0.5, rows + 0.5], axis=1)
+        distorted = (pixels - np.asarray(size_px) / 2) / self.focal_length_px(size_px[0])
+        k1, k2 = self.radial_distortion
+        slope = distorted.copy()
+        for _ in range(10):
+            r2 = (slope**2).sum(1, keepdims=True)
+            slope = distorted / (1 + r2 * (k1 + r2 * k2))
+        return np.asarray(self.position_mm[:2]) - self.position_mm[2] * slope
+
     def project_px(self, points_mm: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
         """Return (…, 2) picture coordinates of (…, 3) points; pixel (column, row) has its centre at +0.5."""
         relative = np.asarray(points_mm, float) - self.position_mm

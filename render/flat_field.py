@@ -6,8 +6,6 @@ depends on where the gel is pressed. Both grow with the volume of the dent, so t
 """
 
 import hashlib
-import zipfile
-import zlib
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -16,10 +14,11 @@ import numba
 import numpy as np
 from pydantic import Field, field_serializer, model_validator
 
+from gelgap.assets.array_file import read_arrays
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
-from gelgap.render.scattered import PLACES, monomials
-from gelgap.render.shaded_surface import Surface
+from gelgap.render.light.scattered import PLACES, places
+from gelgap.render.surface import Surface
 
 RATIO_BOUNDS = (0.0, 8.0)
 LOADED_BOUNDS = (0.25, 4.0)
@@ -75,10 +74,9 @@ class FlatField(Settings):
                 f"flat_field.file = {self.file!r} must lie in the folder of the sensor file, {folder}"
             )
         found = self.model_copy(update={"file": str(path)})
-        digest = self.sha256 or hashlib.sha256(_checked_bytes(path)).hexdigest()
-        found = found.model_copy(update={"sha256": digest})
         load_maps(found)
-        return found
+        digest = self.sha256 or hashlib.sha256(path.read_bytes()).hexdigest()
+        return found.model_copy(update={"sha256": digest})
 
 
 @dataclass(frozen=True)
@@ -111,18 +109,6 @@ class FlatFieldMaps:
         return FlatFieldMaps(cv2.resize(self.ratio, size_px, interpolation=way), loaded)
 
 
-def _checked_bytes(path: Path) -> bytes:
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"the sensor's flat field {path} does not exist; calibrate writes it beside the sensor"
-        )
-    if path.stat().st_size > LARGEST_FILE_BYTES:
-        raise ValueError(
-            f"flat field {path} has {path.stat().st_size} bytes; at most {LARGEST_FILE_BYTES} are read"
-        )
-    return path.read_bytes()
-
-
 def load_maps(flat_field: FlatField) -> FlatFieldMaps:
     """Read the maps of a flat field, whose file is a full path.
 
@@ -134,56 +120,42 @@ def load_maps(flat_field: FlatField) -> FlatFieldMaps:
         If its digest, names, shapes or values are not right; nothing in it is executed.
     """
     path = Path(flat_field.file)
-    data = _checked_bytes(path)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"the sensor's flat field {path} does not exist; calibrate writes it beside the sensor"
+        )
+    if path.stat().st_size > LARGEST_FILE_BYTES:
+        raise ValueError(
+            f"flat field {path} has {path.stat().st_size} bytes; at most {LARGEST_FILE_BYTES} are read"
+        )
+    data = path.read_bytes()
     if flat_field.sha256 and hashlib.sha256(data).hexdigest() != flat_field.sha256:
         raise ValueError(
             f"flat field {path} is not the file that the sensor was made with: its SHA-256 differs"
         )
     try:
-        with zipfile.ZipFile(BytesIO(data)) as archive:
-            maps = {name.removesuffix(".npy"): _read_map(archive, name) for name in archive.namelist()}
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        OSError,
-        EOFError,
-        NotImplementedError,
-        RuntimeError,
-        ValueError,
-    ) as error:
+        maps = read_arrays(data)
+    except ValueError as error:
         raise ValueError(f"flat field {path} cannot be read: {error}") from None
     if "ratio" not in maps or maps.keys() - {"ratio", "loaded"}:
         raise ValueError(
             f"flat field {path} holds {', '.join(sorted(maps)) or 'nothing'}; it has ratio, perhaps loaded"
         )
-    for name, (low, high) in (("ratio", RATIO_BOUNDS), ("loaded", LOADED_BOUNDS)):
-        values = maps.get(name)
-        if values is None:
+    for name, values in maps.items():
+        shape, (least, most) = values.shape, SIDES_PX
+        low, high = RATIO_BOUNDS if name == "ratio" else LOADED_BOUNDS
+        if len(shape) != 3 or shape[2] != 3 or not all(least <= side <= most for side in shape[:2]):
+            wrong = f"has shape {shape}; (h, w, 3) with sides of {least}…{most} is allowed"
+        elif values.dtype not in (np.float16, np.float32):
+            wrong = f"has type {values.dtype}; float16 or float32 is allowed"
+        elif shape != maps["ratio"].shape:
+            wrong = "has another shape than ratio"
+        elif not np.isfinite(values).all() or values.min() < low or values.max() > high:
+            wrong = f"must be finite and lie in [{low:g}, {high:g}]"
+        else:
             continue
-        if values.shape != maps["ratio"].shape:
-            raise ValueError(f"flat field {path}: loaded has another shape than ratio")
-        if not np.isfinite(values).all() or values.min() < low or values.max() > high:
-            raise ValueError(f"flat field {path}: {name} must be finite and lie in [{low:g}, {high:g}]")
-    return FlatFieldMaps(maps["ratio"], maps.get("loaded"))
-
-
-def _read_map(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Return one array, its shape and type checked before any of it is read."""
-    with archive.open(name) as member:
-        version = np.lib.format.read_magic(member)
-        if version != (1, 0):
-            raise ValueError(f"{name} has NumPy's format {version}")
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(member)
-        low, high = SIDES_PX
-        if len(shape) != 3 or shape[2] != 3 or not all(low <= side <= high for side in shape[:2]):
-            raise ValueError(f"{name} has shape {shape}; (h, w, 3) with sides of {low}…{high} is allowed")
-        if fortran or dtype not in (np.float16, np.float32):
-            raise ValueError(f"{name} has type {dtype}; float16 or float32 in C order is allowed")
-        size = int(np.prod(shape)) * dtype.itemsize
-        data = member.read(size)
-    if len(data) != size:
-        raise ValueError(f"{name} ends early")
-    return np.frombuffer(data, dtype).reshape(shape).astype(np.float32)
+        raise ValueError(f"flat field {path}: {name} {wrong}")
+    return FlatFieldMaps(**{name: np.ascontiguousarray(values, np.float32) for name, values in maps.items()})
 
 
 def save_maps(maps: FlatFieldMaps, path: Path) -> str:
@@ -197,15 +169,9 @@ def save_maps(maps: FlatFieldMaps, path: Path) -> str:
     return hashlib.sha256(buffer.getvalue()).hexdigest()
 
 
-def dent_of(surface: Surface) -> tuple[float, float, float]:
-    """Return the volume in mm³ of what stands above the flat membrane, and its centre (x, y) in mm."""
-    volume, x, y = _dent(surface.positions_mm, surface.changed)
-    cell = float(surface.grid.spacing_mm) ** 2
-    return volume * cell, x, y
-
-
 @numba.njit(cache=True)
 def _dent(positions, changed):
+    """Return the volume in cells × mm of what stands above the flat membrane, and its centre (x, y) in mm."""
     volume, x, y = 0.0, 0.0, 0.0
     rows, columns = changed.shape
     for j in range(rows):
@@ -222,9 +188,7 @@ def _dent(positions, changed):
 
 def press_gain(flat_field: FlatField, volume: float, x_mm: float, y_mm: float) -> np.ndarray:
     """Return (3,): the picture's level for a dent at a place, `volume` times as large as the calibration's."""
-    x0, x1, y0, y1 = flat_field.span_mm
-    place = np.array([np.clip(x_mm, x0, x1), np.clip(y_mm, y0, y1)]) / flat_field.scale_mm
-    terms = monomials(place[0], place[1], 2)
+    terms = places(x_mm, y_mm, flat_field.span_mm, flat_field.scale_mm, 2)
     levels = [1 + volume * (terms @ np.array(row) if row else 0.0) for row in flat_field.gain]
     return np.clip(levels, 0.25, 4.0)
 
@@ -242,7 +206,8 @@ class FlatFieldFilter:
 
     def apply(self, linear: np.ndarray, surface: Surface) -> None:
         """Multiply a (h, w, 3) float32 picture by the flat field under the surface's dent, in place."""
-        volume_mm3, x_mm, y_mm = dent_of(surface)
+        volume, x_mm, y_mm = _dent(surface.positions_mm, surface.changed)
+        volume_mm3 = volume * float(surface.grid.spacing_mm) ** 2
         volume = min(volume_mm3 / self._settings.volume_mm3, LARGEST_VOLUME)
         gain = press_gain(self._settings, volume, x_mm, y_mm).astype(np.float32)
         share = np.float32(min(volume, 1.0) if self._has_loaded else 0.0)

@@ -1,5 +1,6 @@
-"""From light on the membrane to the camera's picture: gathering, markers, lens, noise and 8-bit encoding."""
+"""From light on the membrane to the camera's picture: gathering, markers, lens, noise, sRGB; and pictures compared."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numba
@@ -195,3 +196,39 @@ def sensor_noise(linear: np.ndarray, camera: Camera, rng: np.random.Generator) -
     flat = np.ascontiguousarray(linear, np.float32).reshape(-1)
     _add_noise(flat, draws, _normal_quantiles(), full_well, read_noise, out.reshape(-1))
     return out
+
+
+def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the peak signal-to-noise ratio of values of 0…255, over all of them."""
+    return float(10 * np.log10(255**2 / max(np.mean((one.astype(float) - other) ** 2), 1e-9)))
+
+
+def difference_picture(one: np.ndarray, other: np.ndarray, contrast: float) -> np.ndarray:
+    """Return 128 + contrast × (one − other) of two uint8 pictures, as one."""
+    return np.clip(128 + contrast * (one.astype(float) - other), 0, 255).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class ColourGap:
+    """Colour difference of two pictures over their pixels, CIEDE2000 (Sharma, Wu, Dalal 2005); about 1 is just seen."""
+
+    mean: float
+    median: float
+    percentile_95: float
+
+
+def picture_gap(one: np.ndarray, other: np.ndarray) -> ColourGap:
+    """Return the colour gap of two uint8 (h, w, 3) sRGB pictures.
+
+    Raises
+    ------
+    ValueError
+        If their shapes differ.
+    """
+    from skimage.color import deltaE_ciede2000, rgb2lab
+
+    if one.shape != other.shape:
+        raise ValueError(f"pictures have shapes {one.shape} and {other.shape}; a gap needs equal ones")
+    difference = deltaE_ciede2000(rgb2lab(one), rgb2lab(other))
+    median, percentile_95 = np.percentile(difference, (50, 95))
+    return ColourGap(float(difference.mean()), float(median), float(percentile_95))

@@ -2,10 +2,8 @@
 
 import numpy as np
 
-Picture = np.ndarray
 
-
-def detect_markers(picture: Picture, largest_diameter_px: float | None = None) -> np.ndarray:
+def detect_markers(picture: np.ndarray, largest_diameter_px: float | None = None) -> np.ndarray:
     """Return the bool (h, w) mask of dark dots in a uint8 (h, w, 3) sRGB picture.
 
     A dot is darker than its surroundings in every channel, which shading under coloured light never is: a black
@@ -24,7 +22,7 @@ def detect_markers(picture: Picture, largest_diameter_px: float | None = None) -
     """
     import cv2
 
-    _check_picture(picture)
+    _check(picture)
     width = picture.shape[1]
     size = int(largest_diameter_px or max(0.08 * width, 5)) | 1
     # OpenCV finds the brightest channel twenty times as fast as NumPy, whose inner loop is over three values.
@@ -51,30 +49,25 @@ def detect_markers(picture: Picture, largest_diameter_px: float | None = None) -
 _SMALLEST_CONTRAST = 0.25
 
 
-def inpaint_telea(picture: Picture, mask: np.ndarray, radius_px: float = 3.0) -> Picture:
+def inpaint_telea(picture: np.ndarray, mask: np.ndarray, radius_px: float = 3.0) -> np.ndarray:
     """Return the uint8 picture with the masked pixels filled by Telea's fast marching (2004), the paper's choice."""
     import cv2
 
-    _check_picture(picture)
-    _check_mask(picture, mask)
+    _check(picture, mask)
     return cv2.inpaint(np.ascontiguousarray(picture), mask.astype(np.uint8), radius_px, cv2.INPAINT_TELEA)
 
 
-def inpaint_biharmonic(picture: Picture, mask: np.ndarray) -> Picture:
+def inpaint_biharmonic(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return the uint8 picture with the masked pixels filled by the biharmonic equation: smoother, slower."""
     from skimage.restoration import inpaint_biharmonic as fill
 
-    _check_picture(picture)
-    _check_mask(picture, mask)
+    _check(picture, mask)
     filled = fill(picture.astype(np.float64) / 255, mask, split_into_regions=True, channel_axis=2)
     return np.clip(np.round(255 * filled), 0, 255).astype(np.uint8)
 
 
-def _check_picture(picture: Picture) -> None:
+def _check(picture: np.ndarray, mask: np.ndarray | None = None) -> None:
     if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
         raise ValueError(f"picture must be uint8 (h, w, 3), not {picture.dtype} {picture.shape}")
-
-
-def _check_mask(picture: Picture, mask: np.ndarray) -> None:
-    if mask.shape != picture.shape[:2]:
+    if mask is not None and mask.shape != picture.shape[:2]:
         raise ValueError(f"mask has shape {mask.shape}, and the picture asks for {picture.shape[:2]}")

@@ -1,52 +1,38 @@
 """The façade: a deformed membrane in, what the camera inside the sensor sees out."""
 
 import copy
-from dataclasses import dataclass
-from typing import Literal
+import logging
+from typing import Any, Literal
 
 import numpy as np
+from numba.core import event
 
-from gelgap.render import (
-    first_use,  # noqa: F401  it says so when numba compiles
-    imaging,
-)
-from gelgap.render.displacement import Membrane
+from gelgap.render import imaging
 from gelgap.render.flat_field import FlatFieldFilter
-from gelgap.render.gloss import gloss
-from gelgap.render.illumination import Illumination
-from gelgap.render.irradiance import Light, direct_light
-from gelgap.render.lattice import Lattice
-from gelgap.render.led_samples import ShadowDetail, led_samples
-from gelgap.render.markers import marker_rest_mm
+from gelgap.render.light.gloss import gloss
+from gelgap.render.light.irradiance import DirectLight, direct_light
+from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
+from gelgap.render.light.scattered import ScatteredTable
 from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
-from gelgap.render.scattered import ScatteredTable
-from gelgap.render.sensor import Sensor
-from gelgap.render.shaded_surface import Surface, shared_surface
+from gelgap.render.sensor import Sensor, marker_rest_mm
+from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
 
-# How many times coarser than the shaded grid the rastered mesh may be, least and most; in between, as many times for
-# each mm that a pixel is wide, which makes its cells up to 5.5 pixels wide at `standard`.
+# The rastered mesh only says which rest point a pixel sees; light is gathered from the finer shaded grid. How many
+# times coarser than that grid it may be, least and most; in between, as many times for each mm that a pixel is wide,
+# which makes its cells up to 5.5 pixels wide at `standard`.
 RASTER_STEPS = (2, 3)
 RASTER_STEPS_PER_MM = 55.0
 
 Quality = Literal["draft", "standard", "fine"]
+LOG = logging.getLogger(__name__)
+FIRST_USE = "numba compiles the renderer, which takes a minute the first time on a machine"
 
 
-@dataclass(frozen=True)
-class QualitySettings:
-    """What a quality level means.
-
-    The rastered mesh only says which rest point a pixel sees, and the light is gathered from the finer shaded grid: it
-    is two or three times as coarse, the more so the wider the view.
-    """
-
-    spacing_mm: float
-    shadows: ShadowDetail
-
-
-QUALITIES: dict[str, QualitySettings] = {
-    "draft": QualitySettings(0.2, ShadowDetail(strip_width_mm=3.0, fewest_strips=2, march_step_mm=0.5)),
-    "standard": QualitySettings(0.1, ShadowDetail(strip_width_mm=3.0, fewest_strips=3, march_step_mm=0.5)),
-    "fine": QualitySettings(0.05, ShadowDetail(strip_width_mm=0.8, fewest_strips=8, march_step_mm=0.1)),
+# By quality level the spacing of the shaded grid in mm, and how finely shadows are sampled.
+QUALITIES: dict[str, tuple[float, ShadowDetail]] = {
+    "draft": (0.2, ShadowDetail(strip_width_mm=3.0, fewest_strips=2, march_step_mm=0.5)),
+    "standard": (0.1, ShadowDetail(strip_width_mm=3.0, fewest_strips=3, march_step_mm=0.5)),
+    "fine": (0.05, ShadowDetail(strip_width_mm=0.8, fewest_strips=8, march_step_mm=0.1)),
 }
 
 
@@ -83,31 +69,23 @@ class MembraneRenderer:
             raise ValueError(f"render quality {quality!r} is unknown; known: {', '.join(QUALITIES)}")
         if not all(16 <= side <= 4096 for side in size_px):
             raise ValueError(f"size_px is {size_px[0]}×{size_px[1]}; each side must lie in 16…4096")
-        settings = QUALITIES[quality]
-        self.sensor = sensor
-        self.illumination = illumination
+        spacing_mm, self._shadows = QUALITIES[quality]
+        self.sensor, self.illumination, self.quality = sensor, illumination, quality
         self.size_px = (int(size_px[0]), int(size_px[1]))
-        self.quality = quality
         pixel_mm = sensor.camera.footprint_mm(self.size_px)[0] / self.size_px[0]
         self._raster_step = min(max(int(RASTER_STEPS_PER_MM * pixel_mm), RASTER_STEPS[0]), RASTER_STEPS[1])
-        self.lattice = Lattice.covering(sensor.camera, self.size_px, settings.spacing_mm, self._raster_step)
-        self._shadows = settings.shadows
-        self._marker_rest_mm = np.nan_to_num(marker_rest_mm(sensor.markers), nan=-NOWHERE_MM).astype(
-            np.float32
-        )
-        self._marker_ratio = (
-            np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
-        ).astype(np.float32)
-        self._gain = (
-            imaging.vignetting_gain(sensor.camera, self.size_px) if sensor.camera.vignetting > 0 else None
-        )
-        self._flat_field = (
-            None if sensor.flat_field is None else FlatFieldFilter(sensor.flat_field, self.size_px)
-        )
+        self.lattice = Lattice.covering(sensor.camera, self.size_px, spacing_mm, self._raster_step)
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
-        self._take_colours(illumination, linear_by_led_to_camera)
-        self._take_scattered(illumination)
-        self._take_places(illumination)
+        rest_mm = marker_rest_mm(sensor.markers)
+        self._marker_rest_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM).astype(np.float32)
+        ratio = np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
+        self._marker_ratio = ratio.astype(np.float32)
+        vignetted, field = sensor.camera.vignetting > 0, sensor.flat_field
+        self._gain = imaging.vignetting_gain(sensor.camera, self.size_px) if vignetted else None
+        self._flat_field = None if field is None else FlatFieldFilter(field, self.size_px)
+        self._set_colours(illumination, linear_by_led_to_camera)
+        self._set_scattered(illumination)
+        self._set_leds(illumination)
 
     def relit(
         self, illumination: Illumination, linear_by_led_to_camera: np.ndarray | None = None
@@ -119,14 +97,14 @@ class MembraneRenderer:
         """
         other, before = copy.copy(self), self.illumination
         other.illumination = illumination
-        other._take_colours(illumination, linear_by_led_to_camera)
+        other._set_colours(illumination, linear_by_led_to_camera)
         if illumination.scattered != before.scattered:
-            other._take_scattered(illumination)
+            other._set_scattered(illumination)
         if [led.face for led in illumination.leds] != [led.face for led in before.leds]:
-            other._take_places(illumination)
+            other._set_leds(illumination)
         return other
 
-    def _take_colours(self, illumination: Illumination, led_to_camera: np.ndarray | None) -> None:
+    def _set_colours(self, illumination: Illumination, led_to_camera: np.ndarray | None) -> None:
         """Compute what depends on the LEDs' colours."""
         if led_to_camera is None:
             led_to_camera = illumination.led_to_camera(self.sensor.camera)
@@ -136,20 +114,18 @@ class MembraneRenderer:
                 f"linear_by_led_to_camera has shape {self.linear_by_led_to_camera.shape}; this illumination asks for "
                 f"{(len(illumination.leds), 3)}"
             )
-        coating = self.sensor.coating
-        diffuse = self.linear_by_led_to_camera * np.asarray(coating.albedo) / np.pi
-        self._lambert_to_linear = ((1 - coating.specular) * diffuse).astype(np.float32)
+        glossy, radiance = self.sensor.coating.specular, self.linear_by_led_to_camera
+        diffuse = radiance * np.asarray(self.sensor.coating.albedo) / np.pi
+        self._lambert_to_linear = ((1 - glossy) * diffuse).astype(np.float32)
         # Rows as `gloss` gives them: base and highlight of each LED.
-        gloss_to_linear = np.stack(
-            [coating.specular * diffuse, coating.specular * self.linear_by_led_to_camera], 1
-        )
+        gloss_to_linear = np.stack([glossy * diffuse, glossy * radiance], 1)
         self._gloss_to_linear = gloss_to_linear.reshape(-1, 3).astype(np.float32)
 
-    def _take_scattered(self, illumination: Illumination) -> None:
+    def _set_scattered(self, illumination: Illumination) -> None:
         scattered, exposure = illumination.scattered, self.sensor.camera.exposure
         self._scattered = None if scattered is None else ScatteredTable(scattered, self.lattice, exposure)
 
-    def _take_places(self, illumination: Illumination) -> None:
+    def _set_leds(self, illumination: Illumination) -> None:
         """Compute what depends on where the LEDs are: their light on the undeformed membrane."""
         emitters = illumination.emitters(self.sensor.camera, self.linear_by_led_to_camera)
         self._leds = led_samples(emitters, self._shadows)
@@ -158,7 +134,7 @@ class MembraneRenderer:
         self._reference_irradiance = light.irradiance
         self._reference_gloss = self._gloss(flat, light, None) if self.sensor.coating.specular > 0 else None
 
-    def _gloss(self, surface: Surface, light: Light, reference: np.ndarray | None) -> np.ndarray:
+    def _gloss(self, surface: Surface, light: DirectLight, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
         return gloss(surface, self._leds, self._shadows, light, camera_mm, roughness, reference)
 
@@ -210,9 +186,9 @@ class MembraneRenderer:
         return linear
 
     def _encoded(self, linear: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
-        return imaging.encode(
-            linear if rng is None else imaging.sensor_noise(linear, self.sensor.camera, rng)
-        )
+        if rng is not None:
+            linear = imaging.sensor_noise(linear, self.sensor.camera, rng)
+        return imaging.encode(linear)
 
     def linear(
         self,
@@ -302,9 +278,8 @@ class MembraneRenderer:
         on_lattice = Membrane(x_mm, y_mm, displacement_mm, frame_name).displacement_on(lattice)
         cells = (rest_mm - (lattice.x0_mm, lattice.y0_mm)) / lattice.spacing_mm
         at = np.nan_to_num(cells[..., ::-1]).transpose(2, 0, 1)
-        moved = np.stack(
-            [map_coordinates(on_lattice[..., k], at, order=1, mode="nearest") for k in range(3)], -1
-        )
+        fields = np.moveaxis(on_lattice, 2, 0)
+        moved = np.stack([map_coordinates(field, at, order=1, mode="nearest") for field in fields], -1)
         points = np.concatenate([rest_mm, np.zeros((*rest_mm.shape[:2], 1))], axis=2) + moved
         return self.sensor.camera.project_px(points, self.size_px)
 
@@ -313,3 +288,27 @@ def _weighted(parts: np.ndarray, to_linear: np.ndarray) -> np.ndarray:
     """Return (rows, columns, 3): parts of light (rows, columns, ...) times what each is to the camera (parts, 3)."""
     rows, columns = parts.shape[:2]
     return (parts.reshape(rows * columns, -1) @ to_linear).reshape(rows, columns, 3)
+
+
+def reference_gap(one: MembraneRenderer, other: MembraneRenderer, markers: bool = False) -> imaging.ColourGap:
+    """Return the colour gap of two renderers' pictures of the undeformed membrane, without noise."""
+    return imaging.picture_gap(one.reference(markers), other.reference(markers))
+
+
+class _Announcement(event.Listener):
+    """Warns at the first compilation of a function of gelgap; one that is loaded from numba's cache is none."""
+
+    def __init__(self) -> None:
+        self._made = False
+
+    def on_start(self, event: Any) -> None:
+        function = getattr(event.data.get("dispatcher"), "py_func", None)
+        if not self._made and getattr(function, "__module__", "").startswith("gelgap."):
+            self._made = True
+            LOG.warning(FIRST_USE)
+
+    def on_end(self, event: Any) -> None:
+        """Say nothing: what is compiled next follows at once."""
+
+
+event.register("numba:compile", _Announcement())

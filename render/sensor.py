@@ -1,9 +1,11 @@
 """A sensor: camera, coating and markers, and, where it has its own, the LEDs; one readable TOML file each."""
 
+import json
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+import numpy as np
+from pydantic import Field
 
 from gelgap.assets import asset_path, load_preset
 from gelgap.assets.settings import Settings
@@ -11,7 +13,7 @@ from gelgap.assets.toml_file import named_in_errors, read_toml, toml_text
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField
-from gelgap.render.illumination import Illumination
+from gelgap.render.light.leds import Illumination
 
 Reflectance = Annotated[float, Field(ge=0, le=1)]
 Rgb = tuple[Reflectance, Reflectance, Reflectance]
@@ -39,6 +41,31 @@ class Markers(Settings):
     seed: int = Field(default=0, ge=0, description="of jitter and missing dots")
 
 
+def marker_rest_mm(markers: Markers) -> np.ndarray:
+    """Return (rows, columns, 2) rest positions of the dots; a missing dot is NaN. Layout `none` gives (0, 0, 2).
+
+    Raises
+    ------
+    ValueError
+        If jitter could make dots overlap.
+    """
+    if markers.layout == "none":
+        return np.zeros((0, 0, 2))
+    room_mm = (markers.pitch_mm - markers.diameter_mm) / 2
+    if markers.jitter_mm > room_mm:
+        raise ValueError(
+            f"markers.jitter_mm is {markers.jitter_mm}; dots of {markers.diameter_mm} mm at a pitch of "
+            f"{markers.pitch_mm} mm leave at most {max(room_mm, 0):.3f} mm"
+        )
+    column = (np.arange(markers.columns) - (markers.columns - 1) / 2) * markers.pitch_mm
+    row = (np.arange(markers.rows) - (markers.rows - 1) / 2) * markers.pitch_mm
+    positions = np.stack(np.meshgrid(column, row), axis=-1)
+    rng = np.random.default_rng(markers.seed)
+    positions += rng.uniform(-1, 1, positions.shape) * markers.jitter_mm
+    positions[rng.random(positions.shape[:2]) < markers.missing_fraction] = np.nan
+    return positions
+
+
 class Sensor(Settings):
     """Everything about a sensor except its gel."""
 
@@ -50,16 +77,12 @@ class Sensor(Settings):
     coating: Coating = Coating()
     markers: Markers = Markers()
     illumination: Illumination | None = Field(default=None, description="the sensor's own LEDs")
+    # Left out where there is none, so that recipes without it keep their hashes.
     flat_field: FlatField | None = Field(
-        default=None, description="what the real reference shows beyond the model"
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="what the real reference shows beyond the model",
     )
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_off(self, as_dict: SerializerFunctionWrapHandler) -> dict:
-        """Leave out a flat field that is not there, so that recipes without it keep their hashes."""
-        return {
-            key: value for key, value in as_dict(self).items() if key != "flat_field" or value is not None
-        }
 
     @classmethod
     def preset(cls, name: str) -> "Sensor":
@@ -87,7 +110,8 @@ def save_sensor(sensor: Sensor, path: str | Path) -> None:
     RuntimeError
         If the file cannot be written.
     """
-    values = _rounded(sensor.model_dump(exclude_none=True))
+    dumped = json.dumps(sensor.model_dump(exclude_none=True))
+    values = json.loads(dumped, parse_float=lambda number: round(float(number), 9))
     if sensor.flat_field is not None:
         source = Path(sensor.flat_field.file)
         beside = Path(path).resolve().parent / source.name
@@ -95,14 +119,3 @@ def save_sensor(sensor: Sensor, path: str | Path) -> None:
             write_whole(beside, source.read_bytes())
         values["flat_field"]["file"] = source.name
     write_whole(Path(path), toml_text(values).encode())
-
-
-def _rounded(value: object) -> object:
-    match value:
-        case dict():
-            return {key: _rounded(item) for key, item in value.items()}
-        case tuple():
-            return [_rounded(item) for item in value]
-        case float():
-            return round(value, 9)
-    return value

@@ -4,10 +4,9 @@ import numpy as np
 from pydantic import Field
 
 from gelgap.assets.settings import Settings
-from gelgap.render.illumination import Illumination
-from gelgap.render.led import Led
+from gelgap.render.light.leds import Illumination, Led
+from gelgap.render.light.spectra import PeakSpectrum, Spectrum, WhiteSpectrum
 from gelgap.render.sensor import Sensor
-from gelgap.render.spectrum import PeakSpectrum, Spectrum, WhiteSpectrum
 
 
 class Variation(Settings):
@@ -31,19 +30,12 @@ class Variation(Settings):
     )
 
 
-class _Draws:
-    def __init__(self, rng: np.random.Generator) -> None:
-        self._rng = rng
-
-    def normal(self, spread: float, size: int | None = None) -> np.ndarray:
-        return spread * np.clip(self._rng.standard_normal(size), -2, 2)
-
-    def share(self) -> float:
-        return float(self._rng.random())
+def _normal(rng: np.random.Generator, spread: float, size: int | None = None) -> np.ndarray:
+    return spread * np.clip(rng.standard_normal(size), -2, 2)
 
 
-def _varied_spectrum(spectrum: Spectrum, variation: Variation, draws: _Draws) -> Spectrum:
-    shift = float(draws.normal(1.0))
+def _varied_spectrum(spectrum: Spectrum, variation: Variation, rng: np.random.Generator) -> Spectrum:
+    shift = float(_normal(rng, 1.0))
     match spectrum:
         case PeakSpectrum():
             peak_nm = np.clip(spectrum.peak_nm + variation.led_peak_nm * shift, 400, 700)
@@ -55,44 +47,33 @@ def _varied_spectrum(spectrum: Spectrum, variation: Variation, draws: _Draws) ->
     return spectrum
 
 
-def _varied_led(led: Led, variation: Variation, draws: _Draws) -> Led:
+def _varied_led(led: Led, variation: Variation, rng: np.random.Generator) -> Led:
     from scipy.spatial.transform import Rotation
 
-    turn = Rotation.from_euler("xyz", draws.normal(variation.led_angle_deg, 3), degrees=True)
-    position_mm = np.asarray(led.position_mm) + draws.normal(variation.led_position_mm, 3)
+    turn = Rotation.from_euler("xyz", _normal(rng, variation.led_angle_deg, 3), degrees=True)
+    position_mm = np.asarray(led.position_mm) + _normal(rng, variation.led_position_mm, 3)
     facing = turn.apply(led.normal)
-    drive = led.drive * max(1 + float(draws.normal(variation.led_drive)), 0.05)
-    spectrum = _varied_spectrum(led.spectrum, variation, draws)
-    changed = led.model_copy(
-        update={"facing": tuple(facing.tolist()), "position_mm": tuple(position_mm.tolist())}
-    )
+    drive = led.drive * max(1 + float(_normal(rng, variation.led_drive)), 0.05)
+    spectrum = _varied_spectrum(led.spectrum, variation, rng)
+    changed = led.model_copy(update={"facing": tuple(facing.tolist()), "position_mm": tuple(position_mm)})
     # A draw must not push an LED through the membrane.
     position_mm[2] -= max(changed.highest_z_mm() + 0.05, 0)
-    return Led(
-        **{
-            **led.model_dump(),
-            "position_mm": tuple(position_mm.tolist()),
-            "facing": tuple(facing.tolist()),
-            "drive": drive,
-            "spectrum": spectrum.model_dump(),
-        }
-    )
+    update = {"position_mm": position_mm.tolist(), "drive": drive, "spectrum": spectrum.model_dump()}
+    return Led(**changed.model_dump() | update)
 
 
 def vary_illumination(
     illumination: Illumination, variation: Variation, rng: np.random.Generator
 ) -> Illumination:
     """Return an illumination drawn around another; the same generator state gives the same draw."""
-    draws = _Draws(rng)
-    leds = tuple(_varied_led(led, variation, draws) for led in illumination.leds)
+    leds = tuple(_varied_led(led, variation, rng) for led in illumination.leds)
     return illumination.model_copy(update={"leds": leds})
 
 
 def vary_sensor(sensor: Sensor, variation: Variation, rng: np.random.Generator) -> Sensor:
     """Return a sensor drawn around another: its coat, its gel's age and, where it has its own, its LEDs."""
-    draws = _Draws(rng)
-    level = 1 + float(draws.normal(variation.albedo))
-    lost_blue = variation.yellowing * draws.share()
+    level = 1 + float(_normal(rng, variation.albedo))
+    lost_blue = variation.yellowing * float(rng.random())
     keeps = np.array([1.0, 1 - lost_blue / 3, 1 - lost_blue])
     albedo = np.clip(np.asarray(sensor.coating.albedo) * level * keeps, 0, 1)
     coating = sensor.coating.model_copy(update={"albedo": tuple(albedo.tolist())})

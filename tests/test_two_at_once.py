@@ -20,12 +20,12 @@ state = solve_pose(gel, Sphere(), Pose(depth_mm=0.1), "draft")
 print(len(solved), float(state.force_n[2]))
 """
 LED = """
-from gelgap.render import led_cache
-from gelgap.render.spectrum import PeakSpectrum
+from gelgap.render.light import spectra
+from gelgap.render.light.spectra import PeakSpectrum
 made = []
-led_cache.camera_rgb = lambda *_: made.append(1) or ((0.1, 0.2, 0.3),)
+spectra.camera_rgb = lambda *_: made.append(1) or ((0.1, 0.2, 0.3),)
 spectrum = PeakSpectrum(peak_nm=470.0, width_nm=20.0)
-print(len(made), led_cache.cached_camera_rgb((spectrum,), "test", None), len(made))
+print(len(made), spectra.cached_camera_rgb((spectrum,), "test", None), len(made))
 """
 PICTURES = """
 import sys

@@ -31,8 +31,7 @@ from gelgap.domains.plan import FrameBatch, GenerationPlan
 from gelgap.domains.schema import encode_shard
 from gelgap.domains.shard import render_batch
 from gelgap.render import MembraneRenderer, imaging
-from gelgap.render.displacement import Membrane
-from gelgap.render.shaded_surface import shared_surface
+from gelgap.render.surface import Membrane, shared_surface
 from gelgap.sim import ContactPath, SolvePlan, load_solution
 
 GEL_DOMAINS = ("mb0i0", "wmb0i0")

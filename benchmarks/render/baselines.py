@@ -4,8 +4,8 @@ import numpy as np
 
 from gelgap.benchmarks.render.scenes import Membrane, RenderScene, triangle_mesh
 from gelgap.render import MembraneRenderer
-from gelgap.render.displacement import Membrane as RestMembrane
-from gelgap.render.irradiance import direct_light
+from gelgap.render.light.irradiance import direct_light
+from gelgap.render.surface import Membrane as RestMembrane
 
 
 def without_shadows(renderer: MembraneRenderer, membrane: Membrane) -> np.ndarray:
@@ -20,7 +20,7 @@ class StockPyrender:
     """pyrender as it comes: its own shader and 8-bit output, and a point light for each LED (it takes four)."""
 
     def __init__(self, scene: RenderScene, size_px: tuple[int, int]) -> None:
-        from gelgap.render.compat import import_pyrender
+        from gelgap.render.rasterizer import import_pyrender
 
         pyrender, _ = import_pyrender()
         import trimesh

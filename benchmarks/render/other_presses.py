@@ -7,7 +7,7 @@ import numpy as np
 from gelgap.benchmarks.common.tables import print_table
 from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_presses, table_row
 from gelgap.render import PressPicture
-from gelgap.render.light_task import LightTask
+from gelgap.render.calibration.calibrator import LightTask
 
 Model = Callable[[np.ndarray, np.ndarray], Prediction]
 """Fits presses of some indices, and predicts presses of others."""
@@ -34,7 +34,7 @@ def measure_other_presses(
     task: LightTask, presses: Sequence[PressPicture], models: Sequence[Model]
 ) -> dict[str, dict[str, list[list[float]]]]:
     """Print how each model predicts presses unlike its own; return the metrics by split and model."""
-    fit, _ = task.fit(np.arange(len(presses)))
+    fit = task.fit(np.arange(len(presses)))
     rows, metrics = [], {}
     for name, (fitted, predicted) in splits(fit.presses).items():
         real = [presses[k] for k in predicted]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gelgap.render import PressPicture
-from gelgap.render.scattered import monomials
+from gelgap.render.light.scattered import monomials
 
 REACH = 4.0  # contact radii
 RADII, DIRECTIONS = 80, 72

@@ -26,8 +26,8 @@ from gelgap.render import (
     calibrate_light,
     save_calibration,
 )
+from gelgap.render.calibration.poses import place_presses
 from gelgap.render.imaging import srgb_decode
-from gelgap.render.press_poses import place_presses
 
 SET = "gelsight"
 SYNTHETIC = "gelsight-mini-like"

@@ -22,10 +22,9 @@ from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_pres
 from gelgap.benchmarks.render.taxim_rival import INSTALL, missing_packages
 from gelgap.domains import CALIBRATION_GEL, PressSet, sphere_profiles, taxim_presses
 from gelgap.render import LightCalibration, MembraneRenderer, Sensor, save_calibration
-from gelgap.render.light_calibration import FEWEST_FOR_ORDER_3
-from gelgap.render.light_fit import LightFit
-from gelgap.render.light_task import LightTask, corrected_poses, flat_field_maps
-from gelgap.render.press_poses import place_presses
+from gelgap.render.calibration.calibrator import FEWEST_FOR_ORDER_3, LightTask, corrected_poses
+from gelgap.render.calibration.fit import LightFit
+from gelgap.render.calibration.poses import place_presses
 
 SET = "gelsight"
 EXTENT_MM = (10.5, 8.2)
@@ -66,32 +65,22 @@ VARIANTS = (
 CORRECTED = (WHOLE, VARIANTS[-1])
 
 
-def fitted_renderer(
-    task: LightTask, fit: LightFit, field, used: np.ndarray, flat_field: bool
-) -> MembraneRenderer:
+def fitted_renderer(task: LightTask, fit: LightFit, flat_field: bool) -> MembraneRenderer:
     """Return gelgap's renderer of a fit, through the files that a user would have."""
-    lit = task.lit_sensor(fit)
-    placed = task.placed
-    volumes = [placed.profiles[k].volume_mm3(pose[2]) for k, pose in zip(used, fit.presses, strict=True)]
-    unknown = np.full((len(lit.illumination.leds), 2), np.nan)
+    unknown = np.full((len(fit.light.bars.azimuth), 2), np.nan)
     calibration = LightCalibration(
-        lit,
-        flat_field_maps(lit, placed, field),
-        tuple(map(tuple, field.gain.T.tolist())),
-        float(np.median(volumes)),
-        fit.presses,
-        (),
-        (),
-        fit.rms_code_values,
-        (),
-        unknown,
-        unknown,
+        **task.result(fit),
+        names=(),
+        left_out=(),
+        held_out=(),
+        led_azimuths_deg=unknown,
+        led_elevations_deg=unknown,
     )
     with tempfile.TemporaryDirectory() as folder:
         save_calibration(calibration, Path(folder) / "fitted.toml")
         sensor = Sensor.load(Path(folder) / "fitted.toml")
         kept = sensor if flat_field else sensor.model_copy(update={"flat_field": None})
-        return MembraneRenderer(kept, sensor.illumination, placed.size_px)
+        return MembraneRenderer(kept, sensor.illumination, task.placed.size_px)
 
 
 def drop_shadows(renderer: MembraneRenderer) -> None:
@@ -124,18 +113,17 @@ def predict(
     placed = task.placed
     held = replace(task, placed=replace(placed, sigma_mm=np.full_like(placed.sigma_mm, HELD_SIGMA_MM)))
     started = time.process_time()
-    fit, field = (task if variant.refines_fitted else held).fit(fitted)
+    fit = (task if variant.refines_fitted else held).fit(fitted)
     fit_s = time.process_time() - started
-    renderer = fitted_renderer(task, fit, field, fitted, variant.flat_field)
-    task = task.seen_as(fit)
-    placed = task.placed
+    renderer = fitted_renderer(task, fit, variant.flat_field)
+    placed = task.placed.seen_from(fit.distance_mm)
     if not variant.shadows:
         drop_shadows(renderer)
     corrected_mm = corrected_poses(placed.poses_mm, fitted, fit.presses)
     pose_of = {
         "marked": lambda press: placed.poses_mm[press],
         "corrected": lambda press: corrected_mm[press],
-        "refined": lambda press: task.refined_pose(fit, field, int(press)),
+        "refined": lambda press: fit.refined(placed, int(press)).presses[0],
     }
     predictions = []
     for way in ways:

@@ -25,15 +25,15 @@ from gelgap.render import (
     inpaint_biharmonic,
     inpaint_telea,
 )
-from gelgap.render.displacement import Membrane as RestMembrane
 from gelgap.render.renderer import QUALITIES
-from gelgap.render.shaded_surface import deformed_surface
+from gelgap.render.surface import Membrane as RestMembrane
+from gelgap.render.surface import deformed_surface
 
 SIZES_PX = ((320, 240), (640, 480))
 PAPER_LIGHTS = ("i0", "i1", "i2")
 START_UP = """
 import time
-from gelgap.render.compat import import_pyrender
+from gelgap.render.rasterizer import import_pyrender
 import_pyrender()
 started = time.process_time()
 from gelgap.benchmarks.render.scenes import sphere_dent

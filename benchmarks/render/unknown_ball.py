@@ -15,9 +15,8 @@ from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_pres
 from gelgap.benchmarks.render.sensors import WHOLE, Variant, predict
 from gelgap.domains import PressSet, sphere_profiles, taxim_presses
 from gelgap.render import PressPicture, PressProfiles
-from gelgap.render.light_calibration import unknown_sphere_size
-from gelgap.render.light_task import LightTask
-from gelgap.render.press_poses import place_presses
+from gelgap.render.calibration.calibrator import LightTask, unknown_sphere_size
+from gelgap.render.calibration.poses import place_presses
 
 SET = "gelsight_mini"
 VARIANTS = (
@@ -46,16 +45,16 @@ def sharp(found: PressSet) -> PressSet:
 
 def found_contacts(task: LightTask, fitted: np.ndarray, predicted: np.ndarray) -> list[PressPicture]:
     """Return the presses marked by their contacts as the fit finds them."""
-    fit, field = task.fit(fitted)
+    fit = task.fit(fitted)
     placed, presses = task.placed, []
-    mm_per_px = 2 * task.half_view_mm / placed.size_px[0]
+    mm_per_px = 2 * placed.half_view_mm / placed.size_px[0]
     for press in predicted:
-        x, y, depth = task.refined_pose(fit, field, int(press))
+        x, y, depth = fit.refined(placed, int(press)).presses[0]
         column, row = placed.camera.project_px(np.array([x, y, -depth]), placed.size_px) - 0.5
         profiles = placed.profiles[press]
         presses.append(
             PressPicture(
-                placed.pictures[press],
+                placed.presses[press].picture,
                 2 * profiles.sphere_radius_mm,
                 radius_px=profiles.contact_radius_mm(depth) / mm_per_px,
                 center_px=(float(column), float(row)),
@@ -115,7 +114,7 @@ def run(quick: bool, out_dir: Path) -> None:
 
 def assumed(found: PressSet, profiles: PressProfiles, even: np.ndarray, odd: np.ndarray) -> list[dict]:
     """Print how odd presses are predicted if the ball or the scale is another than was found."""
-    diameter_mm, mm_per_px = 2 * profiles.sphere_radius_mm, 2 * task_of(found, profiles).half_view_mm
+    diameter_mm, mm_per_px = 2 * profiles.sphere_radius_mm, 2 * task_of(found, profiles).placed.half_view_mm
     mm_per_px /= found.reference.shape[1]
     cases = [(found, mm_per_px, profiles.scaled(factor)) for factor in (1.0, *OTHER_DIAMETERS)]
     for factor in OTHER_SCALES:

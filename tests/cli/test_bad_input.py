@@ -132,7 +132,7 @@ WORK = {
     "adapt.report": "load_runs",
     "adapt.finetuning": "with_statistics_of",
     "render.renderer": "MembraneRenderer.linear",
-    "render.calibration": "_search",
+    "render.calibration.fit": "LightFit.run",
     "benchmarks.registry": "Benchmark.run",
     "cli.workflows.demo": "force_curve",
     "view.server": "viser.ViserServer",

@@ -11,7 +11,6 @@ import pytest
 from gelgap.cli.calibrate import read_presses
 from gelgap.cli.main import main
 from gelgap.render import HeldOut, LightCalibration, Scattered, Sensor
-from gelgap.render.calibration import Calibration
 from gelgap.render.flat_field import FlatFieldMaps
 
 
@@ -44,41 +43,6 @@ def test_the_list_that_help_shows_can_be_pasted(
     cv2.imwrite(str(tmp_path / "press-1.png"), np.zeros((24, 32, 3), np.uint8))
     (press,) = read_presses(tmp_path / "presses.toml")
     assert (press.sphere_diameter_mm, press.depth_mm, press.point_mm) == (3.0, 0.6, (1.5, -0.8))
-
-
-def calibrate_with(presses: int, folder: Path) -> None:
-    """Run the command on black pictures."""
-    cv2.imwrite(str(folder / "p.png"), np.zeros((24, 32, 3), np.uint8))
-    table = '[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\n'
-    (folder / "presses.toml").write_text(presses * table)
-    files = f"{folder}/presses.toml --reference {folder}/p.png -o {folder}/fitted.toml"
-    main(f"calibrate {files} --sensor digit-like --leds-only".split())
-
-
-def test_fewer_than_three_presses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        calibrate_with(2, tmp_path)
-    assert stop.value.code == 2
-    message = capsys.readouterr().err
-    assert "presses.toml lists 2 presses" in message
-    assert "3 or more" in message
-    assert not (tmp_path / "fitted.toml").exists()
-
-
-@pytest.mark.parametrize(("residual", "doubtful"), [(1.4, False), (17.0, True)])
-def test_a_fit_that_explains_little_is_told(
-    residual: float,
-    doubtful: bool,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    fit = Calibration(Sensor.preset("digit-like"), residual, ((0.0, 0.0),), 1)
-    monkeypatch.setattr("gelgap.render.calibrate", lambda *_, **__: fit)
-    calibrate_with(3, tmp_path)
-    said = capsys.readouterr()
-    assert f"residual {residual:.2f}" in said.out
-    assert ("warning: a residual of 17.00" in said.err) == doubtful
 
 
 def listed(folder: Path, text: str) -> Path:

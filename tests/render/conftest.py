@@ -5,7 +5,7 @@ from functools import cache
 import pytest
 
 from gelgap.benchmarks.render.scenes import sphere_dent
-from gelgap.render.illumination import Illumination
+from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Sensor
 

@@ -7,16 +7,20 @@ from hypothesis import strategies as st
 
 from gelgap.assets import list_presets
 from gelgap.render.camera import Camera
-from gelgap.render.colour_difference import picture_gap, reference_gap
-from gelgap.render.illumination import Illumination
-from gelgap.render.irradiance import direct_light
-from gelgap.render.led import Led
-from gelgap.render.led_cache import cached_camera_rgb, clear_led_cache
-from gelgap.render.led_samples import ShadowDetail, led_samples
-from gelgap.render.markers import marker_rest_mm
-from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.sensor import Markers, Sensor
-from gelgap.render.spectrum import PeakSpectrum, RgbSpectrum, TableSpectrum, WhiteSpectrum, camera_rgb
+from gelgap.render.imaging import picture_gap
+from gelgap.render.light.irradiance import direct_light
+from gelgap.render.light.leds import Illumination, Led, ShadowDetail, led_samples
+from gelgap.render.light.spectra import (
+    PeakSpectrum,
+    RgbSpectrum,
+    TableSpectrum,
+    WhiteSpectrum,
+    cached_camera_rgb,
+    camera_rgb,
+    clear_led_cache,
+)
+from gelgap.render.renderer import MembraneRenderer, reference_gap
+from gelgap.render.sensor import Markers, Sensor, marker_rest_mm
 from gelgap.render.variation import Variation, vary_illumination, vary_sensor
 
 NIKON = "Nikon 5100 (NPL)"
@@ -56,9 +60,9 @@ def test_led_colours_are_kept_on_disk_and_a_damaged_file_is_computed_anew(tmp_pa
     truth = camera_rgb(spectra, NIKON, None)
     assert cached_camera_rgb(spectra, NIKON, None) == truth
     (file,) = tmp_path.glob("*.led")
-    monkeypatch.setattr("gelgap.render.led_cache.camera_rgb", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr("gelgap.render.light.spectra.camera_rgb", lambda *_: pytest.fail("computed again"))
     assert cached_camera_rgb(spectra, NIKON, None) == truth
-    monkeypatch.setattr("gelgap.render.led_cache.camera_rgb", camera_rgb)
+    monkeypatch.setattr("gelgap.render.light.spectra.camera_rgb", camera_rgb)
     assert cached_camera_rgb(spectra, NIKON, 5000.0) != truth
     for damage in ("", "[[1, 2, 3]]", '[["a", 1, 2], [1, 2, 3]]', "7"):
         file.write_text(damage)

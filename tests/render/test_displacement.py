@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gelgap.render.displacement import Membrane
-from gelgap.render.lattice import Lattice
+from gelgap.render.surface import Lattice, Membrane
 
 
 def membrane() -> Membrane:

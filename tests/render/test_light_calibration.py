@@ -8,22 +8,22 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from gelgap.benchmarks.render.scenes import sphere_dent
-from gelgap.render.camera import Camera
-from gelgap.render.contact_pixels import PressPicture
-from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
-from gelgap.render.illumination import Illumination
-from gelgap.render.light_calibration import (
+from gelgap.render.calibration.calibrator import (
     _suspects,
     calibrate_light,
+    fit_sphere_size,
     save_calibration,
     unknown_sphere_size,
 )
-from gelgap.render.press_poses import place_presses
-from gelgap.render.press_profiles import PressProfiles, SolvedPress
+from gelgap.render.calibration.pictures import PressPicture
+from gelgap.render.calibration.poses import place_presses
+from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
+from gelgap.render.camera import Camera
+from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
+from gelgap.render.light.leds import Illumination
+from gelgap.render.light.scattered import Scattered
 from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.scattered import Scattered
 from gelgap.render.sensor import Markers, Sensor
-from gelgap.render.sphere_size import fit_sphere_size
 
 SIZE_PX = (320, 240)
 MIDDLE_PX, PX_PER_MM = np.array([160, 120]), 320 / 12
@@ -175,7 +175,7 @@ def test_a_press_that_is_named_with_an_outlier_is_taken_back(pictures, monkeypat
     start, reference, shots = pictures
     presses = eight_presses(shots)
     presses[2] = replace(presses[2], picture=(0.7 * shots[2]).astype(np.uint8))
-    monkeypatch.setattr("gelgap.render.light_calibration._suspects", lambda fit: np.array([2, 4]))
+    monkeypatch.setattr("gelgap.render.calibration.calibrator._suspects", lambda fit: np.array([2, 4]))
     fit = calibrate_light(start, reference, presses, profiles, order=2, degree=0, keep_camera=True, folds=0)
     assert fit.left_out == ("press 3",)
     assert len(fit.names) == 7

@@ -10,7 +10,7 @@ import pytest
 RENDER = """
 import sys
 import numpy as np
-from gelgap.render.illumination import Illumination
+from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Sensor
 
@@ -43,7 +43,7 @@ def test_osmesa_and_egl_give_the_same_picture(tmp_path):
 
 def test_an_unusable_platform_is_named():
     result = run(
-        "from gelgap.render.compat import choose_platform; choose_platform()", PYOPENGL_PLATFORM="glx"
+        "from gelgap.render.rasterizer import choose_platform; choose_platform()", PYOPENGL_PLATFORM="glx"
     )
     assert "PYOPENGL_PLATFORM is 'glx'" in result.stderr
     assert "osmesa" in result.stderr
@@ -56,7 +56,7 @@ class GLXPlatform: pass
 module = types.ModuleType("OpenGL.platform")
 module.PLATFORM = GLXPlatform()
 sys.modules["OpenGL.platform"] = module
-from gelgap.render.compat import choose_platform
+from gelgap.render.rasterizer import choose_platform
 choose_platform()
 """
     result = run(code)
@@ -65,13 +65,13 @@ choose_platform()
 
 def test_missing_libraries_are_named_and_egl_is_the_fallback():
     code = """
-from gelgap.render import compat
+from gelgap.render import rasterizer
 have = set()
-compat._library = lambda name: name in have or None
+rasterizer._library = lambda name: name in have or None
 have.add("EGL")
-print(compat.choose_platform())
+print(rasterizer.choose_platform())
 have.clear()
-compat.choose_platform()
+rasterizer.choose_platform()
 """
     result = run(code)
     assert result.stdout.strip() == "egl"
@@ -80,7 +80,7 @@ compat.choose_platform()
 
 def test_pyrender_finds_what_this_numpy_lacks():
     code = """
-from gelgap.render.compat import import_pyrender
+from gelgap.render.rasterizer import import_pyrender
 pyrender, _ = import_pyrender()
 print(pyrender.Mesh([]).bounds.shape)
 """
@@ -90,7 +90,7 @@ print(pyrender.Mesh([]).bounds.shape)
 def test_rendering_modules_import_no_heavy_package():
     code = """
 import sys
-import gelgap.render.sensor, gelgap.render.illumination, gelgap.render.inpainting, gelgap.render.colour_difference
+import gelgap.render.sensor, gelgap.render.light.leds, gelgap.render.inpainting, gelgap.render.imaging
 heavy = {"pyrender", "colour", "cv2", "torch", "mujoco", "matplotlib", "skimage"} & set(sys.modules)
 assert not heavy, heavy
 """

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gelgap.render.displacement import Membrane
 from gelgap.render.flat_field import FlatField, FlatFieldMaps, save_maps
-from gelgap.render.illumination import Illumination
+from gelgap.render.light.leds import Illumination
+from gelgap.render.light.scattered import Scattered, harmonics
 from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.scattered import Scattered, harmonics
 from gelgap.render.sensor import Sensor, save_sensor
+from gelgap.render.surface import Membrane
 
 SIZE_PX = (96, 72)
 SOME = tuple(tuple(0.02 * np.sin(np.arange(9) + channel)) for channel in range(3))
@@ -127,7 +127,7 @@ FLAT = np.ones((16, 20, 3), np.float32)
     [
         (lambda path: path.write_bytes(b"no archive"), "cannot be read"),
         (objects, "cannot be read"),
-        (huge, "shape"),
+        (huge, "another size than its header states"),
         (array(ratio=FLAT[..., :2]), "shape"),
         (array(ratio=FLAT.astype(int)), "type"),
         (array(ratio=np.full_like(FLAT, np.nan)), "finite"),

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from gelgap.assets import list_presets
-from gelgap.render.illumination import Illumination
+from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import QUALITIES, MembraneRenderer
 from gelgap.render.sensor import Coating, Sensor
-from gelgap.render.shaded_surface import deformed_surface
+from gelgap.render.surface import deformed_surface
 
 
 def centroid_px(darkness):
@@ -167,8 +167,8 @@ def test_light_interpolated_on_gentle_slopes_is_that_computed_at_every_vertex(de
     bulge = 0.06 * np.exp(-((x[None, :] / 4) ** 2) - (y[:, None] / 4) ** 2)
     membrane = x, y, displacement + np.stack([0.3 * bulge, -0.3 * bulge, bulge], axis=-1)
     quick = MembraneRenderer(sensor, light).picture(*membrane).astype(int)
-    monkeypatch.setattr("gelgap.render.irradiance.smooth_stride", lambda spacing_mm: 1)
-    monkeypatch.setattr("gelgap.render.gloss.smooth_stride", lambda spacing_mm: 1)
+    monkeypatch.setattr("gelgap.render.light.irradiance.smooth_stride", lambda spacing_mm: 1)
+    monkeypatch.setattr("gelgap.render.light.gloss.smooth_stride", lambda spacing_mm: 1)
     # One of 230 400 values is two off where light grazes the gel at 7 to 9°; with LEDs 3° higher none is.
     most = 2 if name == "gelsight-mini-fitted" else 1
     assert np.abs(MembraneRenderer(sensor, light).picture(*membrane).astype(int) - quick).max() <= most

@@ -12,7 +12,7 @@ from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import PressSet
 from gelgap.domains.taxim_package import start_sensor
 from gelgap.render import MembraneRenderer, PressPicture, PressProfiles, Sensor, SolvedPress
-from gelgap.render.light_task import corrected_poses
+from gelgap.render.calibration.calibrator import corrected_poses
 
 RADIUS_MM, DEPTH_MM, SIZE_PX = 2.0, 1.0, (160, 120)
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gelgap.render.lattice import Grid
+from gelgap.render.surface import Grid
 
 # A horizon below this slope is not looked for: an LED's light from there is negligible.
 SMALLEST_SLOPE = 0.01

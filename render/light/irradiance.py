@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from gelgap.render.led_samples import LedSamples, ShadowDetail
-from gelgap.render.occlusion import HeightField, find_occluders, may_be_hidden, vertex_at, visible_parts
-from gelgap.render.shaded_surface import Surface
+from gelgap.render.light.leds import LedSamples, ShadowDetail
+from gelgap.render.light.occlusion import HeightField, find_occluders, may_be_hidden, vertex_at, visible_parts
+from gelgap.render.surface import Surface
 
 # Cosine of the tilt below which a vertex counts as nearly flat: 2°.
 GENTLE_NORMAL = 0.9994
@@ -23,7 +23,7 @@ SHADED = np.float32(0.99999)
 SMOOTH_MM = 0.4
 
 
-class Light(NamedTuple):
+class DirectLight(NamedTuple):
     """Direct light on a surface, both (rows, columns, leds) float32.
 
     `irradiance` is per unit radiance of each LED, sr; `visible` is 1 where a vertex sees the whole LED, and below 1
@@ -206,7 +206,7 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
 
 def direct_light(
     surface: Surface, leds: LedSamples, detail: ShadowDetail, reference: np.ndarray | None
-) -> Light:
+) -> DirectLight:
     """Return the light of each LED on the surface.
 
     Where the contact neither moved the surface nor can shadow it, `reference` (the irradiance of the undeformed
@@ -221,4 +221,4 @@ def direct_light(
         stride = smooth_stride(surface.grid.spacing_mm)
     visible = np.empty_like(irradiance)
     _irradiance(surface, leds, np.float32(detail.march_step_mm), stride, irradiance, visible)
-    return Light(irradiance, visible)
+    return DirectLight(irradiance, visible)

@@ -10,8 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gelgap.assets.settings import Settings
-from gelgap.render.lattice import Lattice
-from gelgap.render.shaded_surface import Surface
+from gelgap.render.surface import Lattice, Surface
 
 HARMONICS = (0, 3, 8, 15)
 """How many harmonics there are up to each order, without the constant."""
@@ -68,11 +67,16 @@ def monomials(x: np.ndarray, y: np.ndarray, degree: int) -> np.ndarray:
     return np.stack(parts[: PLACES[degree]], axis=-1)
 
 
-def places(x_mm: np.ndarray, y_mm: np.ndarray, scattered: Scattered, degree: int) -> np.ndarray:
-    """Return the monomials of places in mm, held at the edges of the span."""
-    x0, x1, y0, y1 = scattered.span_mm
-    scale = scattered.scale_mm
-    return monomials(np.clip(x_mm, x0, x1) / scale, np.clip(y_mm, y0, y1) / scale, degree)
+def places(
+    x_mm: np.ndarray,
+    y_mm: np.ndarray,
+    span_mm: tuple[float, float, float, float],
+    scale_mm: float,
+    degree: int,
+) -> np.ndarray:
+    """Return the monomials of places in mm, in units of the scale and held at the edges of the span."""
+    x0, x1, y0, y1 = span_mm
+    return monomials(np.clip(x_mm, x0, x1) / scale_mm, np.clip(y_mm, y0, y1) / scale_mm, degree)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True, inline="always")
@@ -114,11 +118,12 @@ class ScatteredTable:
         x, y = np.meshgrid(lattice.x_mm, lattice.y_mm)
         count = HARMONICS[scattered.order]
         by_place = np.array(scattered.coefficients).reshape(3, count, PLACES[scattered.degree])
-        table = np.einsum("yxj,clj->yxcl", places(x, y, scattered, scattered.degree), by_place)
+        at = scattered.span_mm, scattered.scale_mm
+        table = np.einsum("yxj,clj->yxcl", places(x, y, *at, scattered.degree), by_place)
         ambient = np.zeros((lattice.rows, lattice.columns, 3))
         for channel, row in enumerate(scattered.ambient):
             if row:
-                ambient[..., channel] = places(x, y, scattered, 1) @ row
+                ambient[..., channel] = places(x, y, *at, 1) @ row
         self._by_harmonic = np.ascontiguousarray(exposure * table, np.float32)
         self._ambient = (exposure * ambient).astype(np.float32)
 

@@ -1,16 +1,32 @@
-"""LED spectra, and what a camera with given sensitivities makes of them: linear camera RGB, through colour-science."""
+"""LED spectra, and what a camera makes of them: linear camera RGB, kept on disk by content.
 
+Only the first use of a spectrum imports colour-science.
+"""
+
+import contextlib
+import hashlib
+import json
 from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
+from gelgap.assets.json_file import read_json, with_checksum, without_checksum
+from gelgap.assets.key_lock import key_lock
 from gelgap.assets.settings import Settings
+from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.whole_file import write_whole
 
 FIRST_NM, LAST_NM = 380, 780
 VISIBLE_NM = (400.0, 700.0)
+# Raise it when `camera_rgb` computes something else, or the file in the cache has another form.
+_MODEL = 2
 Channel = Annotated[float, Field(ge=0, le=100)]
+Rgb = tuple[float, float, float]
 
 
 class PeakSpectrum(Settings):
@@ -78,7 +94,7 @@ def _power(spectrum: PeakSpectrum | TableSpectrum | WhiteSpectrum, wavelength_nm
 @lru_cache(maxsize=64)
 def camera_rgb(
     spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None
-) -> tuple[tuple[float, float, float], ...]:
+) -> tuple[Rgb, ...]:
     """Return the linear camera RGB of each spectrum at unit power.
 
     The camera's channels are scaled so that white light (equal energy over 400–700 nm, or a Planckian radiator of
@@ -111,10 +127,57 @@ def camera_rgb(
     )
     gain = 1 / (_power(white, wavelength_nm) @ response)
 
-    def rgb(spectrum: Spectrum) -> tuple[float, float, float]:
+    def rgb(spectrum: Spectrum) -> Rgb:
         if isinstance(spectrum, RgbSpectrum):
             return spectrum.rgb
-        red, green, blue = (_power(spectrum, wavelength_nm) @ response * gain).tolist()
-        return red, green, blue
+        return tuple((_power(spectrum, wavelength_nm) @ response * gain).tolist())
 
     return tuple(rgb(spectrum) for spectrum in spectra)
+
+
+def cached_camera_rgb(
+    spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None
+) -> tuple[Rgb, ...]:
+    """Return `camera_rgb` of these spectra from the user's cache folder, or compute and keep it.
+
+    A damaged file is named and set aside; one that cannot be written costs the time to compute and nothing else.
+    """
+    if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
+        return camera_rgb(spectra, sensitivity, white_balance_cct_k)
+    key = _key(spectra, sensitivity, white_balance_cct_k)
+    path = cache_folder() / f"{key}.led"
+    if (found := _kept(path, len(spectra))) is None:
+        with key_lock(cache_folder(), key):
+            if (found := _kept(path, len(spectra))) is None:
+                found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
+                with contextlib.suppress(RuntimeError):
+                    write_whole(path, json.dumps(with_checksum({"rgb": found})).encode())
+    return found
+
+
+def clear_led_cache() -> None:
+    """Delete what `cached_camera_rgb` has kept."""
+    for pattern in ("*.led", f"*.led{DAMAGED_SUFFIX}"):
+        for path in cache_folder().glob(pattern):
+            path.unlink(missing_ok=True)
+
+
+def _kept(path: Path, count: int) -> tuple[Rgb, ...] | None:
+    """Return the colours of a file; None if there is none, or it was damaged and is now set aside."""
+    if not path.is_file():
+        return None
+    try:
+        rows = without_checksum(read_json(path)).get("rgb")
+        found = tuple((float(red), float(green), float(blue)) for red, green, blue in rows)
+        if len(found) != count or not np.isfinite(found).all():
+            raise ValueError(f"it does not hold {count} colours")
+    except (OSError, ValueError, TypeError) as error:
+        set_aside(path, f"is damaged ({error})")
+        return None
+    return found
+
+
+def _key(spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None) -> str:
+    content = [[type(spectrum).__name__, spectrum.model_dump()] for spectrum in spectra]
+    text = json.dumps([content, sensitivity, white_balance_cct_k, version("colour-science"), _MODEL])
+    return hashlib.sha256(text.encode()).hexdigest()

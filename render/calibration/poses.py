@@ -1,4 +1,4 @@
-"""Presses of real spheres as a fit starts from them: where each is, how deep, and which of its pixels are looked at."""
+"""Where each press of a real sphere is, as a fit starts: place, depth, and which pixels are looked at."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,36 +6,40 @@ from functools import cached_property
 
 import numpy as np
 
-from gelgap.render.camera import Camera
-from gelgap.render.contact_pixels import PressPicture, find_contact_mm, plane_points_mm
-from gelgap.render.far_field import FarField, plain_field
-from gelgap.render.imaging import srgb_encode
-from gelgap.render.inpainting import detect_markers, inpaint_telea
-from gelgap.render.light_fit import (
+from gelgap.render.calibration.light import Light, SeenPoints, predicted_light
+from gelgap.render.calibration.pictures import (
     DARK,
+    LEAST_USABLE,
     SATURATED,
-    Geometry,
-    Light,
-    Samples,
-    flat_geometry,
-    predicted_codes,
+    FarField,
+    PressPicture,
+    find_contact_mm,
+    fit_gain,
+    median_of_presses,
+    press_names,
 )
-from gelgap.render.press_profiles import PressProfiles
+from gelgap.render.calibration.profiles import PressProfiles
+from gelgap.render.camera import Camera
+from gelgap.render.imaging import psnr_db, srgb_decode, srgb_encode
+from gelgap.render.inpainting import detect_markers, inpaint_telea
+from gelgap.render.light.scattered import monomials
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
 SAMPLES = (220, 260, 120)
 REACH = 4.5
 MODELLED_MM = 5.5
 SCORED_RADII = 2.0
+MARGIN_MM = 0.5
+FEWEST_FOR_GAIN = 12
+_STEP_PX = 4
+_GAIN_BEYOND, _LOADED_BEYOND = 3.0, 2.5  # contact radii
 _FOUND_SIGMA_MM = 0.5
 _KNOWN_DEPTH_SIGMA_MM = 0.05
 _MARKED_DEPTH_SIGMA = 0.1 / 3  # radii of the sphere per pixel that the mark may be off
-_ROUGH_PX, LARGEST_MARKS_OFF_PX = 10.0, 100.0
 # Where rough marks say nothing of the depth, in radii of the sphere.
 _UNKNOWN_DEPTH, _UNKNOWN_DEPTH_SIGMA = 0.6, 0.4
 _LEAST_CHANGE = 2.0  # code values
 _LEAST_SPREAD = 0.2  # of all presses, in radii of the largest mark
-_MOST_SATURATED, _LEAST_USABLE = 0.95, 0.05  # shares of values
 
 
 @dataclass(frozen=True)
@@ -51,15 +55,22 @@ class PlacedPresses:
     centers_px: np.ndarray  # (n, 2)
     radii_px: np.ndarray  # (n,)
     profiles: list[PressProfiles]
-    has_dots: bool
+    has_dots: bool = False
+    samples_by_ring: tuple[int, int, int] = SAMPLES
 
     @property
     def size_px(self) -> tuple[int, int]:
         return self.reference.shape[1], self.reference.shape[0]
 
+    @property
+    def half_view_mm(self) -> float:
+        return self.camera.footprint_mm(self.size_px)[0] / 2
+
     @cached_property
-    def pictures(self) -> list[np.ndarray]:
-        return [press.picture for press in self.presses]
+    def scale_mm(self) -> float:
+        """The unit of places: how far apart the presses are, half of the view at most."""
+        box_mm = np.ptp(self.poses_mm[:, :2], axis=0).max() + 2 * MARGIN_MM
+        return min(self.half_view_mm, float(box_mm))
 
     def seen_from(self, distance_mm: float) -> "PlacedPresses":
         """Return the presses with the camera at another distance, from which it shows the same of the flat membrane."""
@@ -87,27 +98,51 @@ class PlacedPresses:
 
     @cached_property
     def untouched(self) -> FarField:
-        return plain_field(self.clean_reference)
+        """The field in which a press changes nothing."""
+        return FarField(srgb_decode(self.clean_reference / 255), None, np.zeros((6, 3)))
 
-    def samples(self, which: np.ndarray, field: FarField, scale_mm: float) -> Samples:
-        """Draw pixels of presses, the same for a press each time; those on dots are not taken."""
+    def far_field(self, which: np.ndarray) -> FarField:
+        """Return what some of the presses change where none reaches, from those parts of their pictures."""
+        untouched = srgb_decode(self.reference / 255)
+        coarse = np.s_[::_STEP_PX, ::_STEP_PX]
+        code = self.reference[coarse]
+        good = ((code > 20) & (code < 245)).all(axis=2)
+        away = [_radii_away(self.reference, self.centers_px[k], self.radii_px[k]) for k in which]
+        pictures = [self.presses[k].picture for k in which]
+        ratios = [srgb_decode(picture / 255) / np.maximum(untouched, 1e-4) for picture in pictures]
+        levels = []
+        for ratio, distance in zip(ratios, away, strict=True):
+            far = good & (distance[coarse] > _GAIN_BEYOND)
+            levels.append(np.median(ratio[coarse][far], axis=0) - 1 if far.any() else np.zeros(3))
+        places = self.poses_mm[which, :2] / self.scale_mm
+        enough = len(which) >= FEWEST_FOR_GAIN
+        gain = fit_gain(np.array(levels), places) if enough else np.zeros((6, 3))
+        stack = np.empty((len(which), *self.reference.shape), np.float32)
+        for layer, ratio, distance, place in zip(stack, ratios, away, places, strict=True):
+            layer[:] = ratio / (1 + monomials(place[0], place[1], 2) @ gain)
+            layer[distance < _LOADED_BEYOND] = np.nan
+        return FarField(untouched, np.clip(median_of_presses(stack), 0.5, 2.0), gain)
+
+    def samples(self, which: np.ndarray, field: FarField) -> tuple[np.ndarray, ...]:
+        """Draw pixels of presses, the same for a press each time; those on dots are not taken.
+
+        Return which press each is of (n,), the place that it sees on the flat membrane (n, 2) in mm, its code (n, 3),
+        and the linear light (n, 3) of the untouched gel there while the press lasts.
+        """
         parts = [self._pixels(int(press)) for press in which]
         index = np.repeat(np.arange(len(which)), [len(rows) for rows, _ in parts])
         rows, columns = (np.concatenate(values) for values in zip(*parts, strict=True))
-        code = np.concatenate([self.pictures[k][own] for k, own in zip(which, parts, strict=True)]).astype(
-            float
-        )
+        own = list(zip(which, parts, strict=True))
+        code = np.concatenate([self.presses[k].picture[pixels] for k, pixels in own]).astype(float)
         base = np.concatenate(
-            [field.base(*own, self.poses_mm[k, :2] / scale_mm) for k, own in zip(which, parts, strict=True)]
+            [field.base(*pixels, self.poses_mm[k, :2] / self.scale_mm) for k, pixels in own]
         )
-        return Samples(
-            index, rows, columns, plane_points_mm(self.camera, columns, rows, self.size_px), code, base
-        )
+        return index, self.camera.plane_points_mm(columns, rows, self.size_px), code, base
 
     def _pixels(self, press: int) -> tuple[np.ndarray, np.ndarray]:
         rng = np.random.default_rng([7, press])
         (x, y), radius = self.centers_px[press], self.radii_px[press]
-        bounds = zip((0, 1, 2), (1, 2, REACH), SAMPLES, strict=True)
+        bounds = zip((0, 1, 2), (1, 2, REACH), self.samples_by_ring, strict=True)
         r = np.concatenate([radius * np.sqrt(rng.uniform(low**2, high**2, n)) for low, high, n in bounds])
         angle = rng.uniform(0, 2 * np.pi, len(r))
         columns = np.round(x + r * np.cos(angle)).astype(int)
@@ -116,51 +151,42 @@ class PlacedPresses:
         seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         rows, columns = rows[seen], columns[seen]
         if self.has_dots:
-            clear = ~(self._dots(press)[rows, columns] | self._dots(None)[rows, columns])
+            dots = detect_markers(self.presses[press].picture) | detect_markers(self.reference)
+            clear = ~dots[rows, columns]
             rows, columns = rows[clear], columns[clear]
         return rows, columns
-
-    def _dots(self, press: int | None) -> np.ndarray:
-        return detect_markers(self.reference if press is None else self.pictures[press])
 
     @cached_property
     def _plane_mm(self) -> np.ndarray:
         rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
-        return plane_points_mm(self.camera, columns, rows, self.size_px)
+        return self.camera.plane_points_mm(columns, rows, self.size_px)
 
     def picture_of(
-        self,
-        light: Light,
-        field: FarField,
-        press: int,
-        pose_mm: np.ndarray,
-        scale_mm: float,
-        reach_mm: float = MODELLED_MM,
+        self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float = MODELLED_MM
     ) -> np.ndarray:
         """Return the uint8 picture of a press: modelled around it, the untouched gel's beyond."""
-        width, height = self.size_px
-        rows, columns = (values.ravel() for values in np.indices((height, width)))
-        base = field.base(rows, columns, pose_mm[:2] / scale_mm)
-        codes = 255 * srgb_encode(base)
-        plane = self._plane_mm
-        near = np.hypot(*(plane - pose_mm[:2]).T) < reach_mm
-        index = np.zeros(near.sum(), int)
-        samples = Samples(index, rows[near], columns[near], plane[near], codes[near], base[near])
-        camera_mm = np.array(self.camera.position_mm)
-        pressed = Geometry(samples, pose_mm[None], [self.seen_profiles[press]], camera_mm)
-        codes[near] = predicted_codes(light, samples, pressed, flat_geometry(samples).light(light))
-        return np.clip(np.round(codes), 0, 255).astype(np.uint8).reshape(height, width, 3)
+        rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
+        base = field.base(rows, columns, pose_mm[:2] / self.scale_mm)
+        near = np.hypot(*(self._plane_mm - pose_mm[:2]).T) < reach_mm
+        plane_mm, camera_mm = self._plane_mm[near], np.array(self.camera.position_mm)
+        index, profiles = np.zeros(len(plane_mm), int), [self.seen_profiles[press]]
+        pressed = SeenPoints.pressed(plane_mm, index, pose_mm[None], profiles, camera_mm)
+        flat = SeenPoints.flat(plane_mm)
+        base[near] = predicted_light(base[near], pressed.light(light), flat.light(light))
+        return np.round(255 * srgb_encode(base)).astype(np.uint8).reshape(self.reference.shape)
 
     def scores(self, press: int, predicted: np.ndarray) -> tuple[float, float]:
         """Return PSNR in dB inside the contact, and from one to two radii."""
-        rows, columns = np.indices(predicted.shape[:2])
-        distance = np.hypot(columns - self.centers_px[press, 0], rows - self.centers_px[press, 1])
-        share = distance / self.radii_px[press]
-        square = (predicted.astype(float) - self.pictures[press]) ** 2
-        inside, ring = (
-            np.mean(square[where]) for where in (share < 1, (share >= 1) & (share < SCORED_RADII))
-        )
-        return tuple(float(10 * np.log10(255**2 / max(value, 1e-9))) for value in (inside, ring))
+        share = _radii_away(predicted, self.centers_px[press], self.radii_px[press])
+        real = self.presses[press].picture
+        inside, ring = share < 1, (share >= 1) & (share < SCORED_RADII)
+        return psnr_db(predicted[inside], real[inside]), psnr_db(predicted[ring], real[ring])
+
+
+def _radii_away(picture: np.ndarray, center_px: np.ndarray, radius_px: float) -> np.ndarray:
+    """Return (h, w): each pixel's distance from a contact's centre, in its radii."""
+    rows, columns = np.indices(picture.shape[:2])
+    return np.hypot(columns - center_px[0], rows - center_px[1]) / radius_px
 
 
 def place_presses(
@@ -177,106 +203,42 @@ def place_presses(
         If no contact is found, or a sphere cannot reach its marked radius.
     """
     size_px = reference.shape[1], reference.shape[0]
-    mm_per_px = camera.footprint_mm(size_px)[0] / size_px[0]
-    names = _names(presses)
+    names, own = press_names(presses), [profiles[press.sphere_diameter_mm] for press in presses]
     located, poses, sigmas, centers, radii = [], [], [], [], []
-    for name, given in zip(names, presses, strict=True):
+    for name, given, around in zip(names, presses, own, strict=True):
         try:
             press = _located(given, reference, camera)
-            pose, radius_px = _start(camera, press, profiles[press.sphere_diameter_mm], size_px)
+            pose, radius_px = _start(camera, press, around, size_px)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         located.append(press)
         rim = np.array([*pose[:2], -pose[2]])
-        center = press.center_px or camera.project_px(rim, size_px) - 0.5
-        centers.append(np.array(center))
+        centers.append(np.array(press.center_px or camera.project_px(rim, size_px) - 0.5))
         poses.append(pose)
         radii.append(radius_px)
-        sigmas.append(_sigmas_mm(given, mm_per_px))
-    placed = PlacedPresses(
-        camera,
-        reference,
-        tuple(located),
-        names,
-        np.array(poses),
-        np.array(sigmas),
-        np.array(centers),
-        np.array(radii),
-        [profiles[press.sphere_diameter_mm] for press in presses],
-        has_dots=False,
-    )
+        sigmas.append(_sigmas_mm(given, camera.footprint_mm(size_px)[0] / size_px[0]))
+    arrays = (np.array(values) for values in (poses, sigmas, centers, radii))
+    placed = PlacedPresses(camera, reference, tuple(located), names, *arrays, own)
     _check_contacts(placed)
     # Few dark specks are dirt; dots are many.
     return replace(placed, has_dots=bool(detect_markers(reference).mean() > 0.01))
 
 
-def rough_marks(press: PressPicture) -> bool:
-    """Return whether a press's marks only say where its imprint is, not its contact's centre and edge."""
-    return press.marks_off_px > _ROUGH_PX
-
-
 def _sigmas_mm(press: PressPicture, mm_per_px: float) -> list[float]:
     """Return how far x, y and depth may be off."""
-    rough, radius_mm = rough_marks(press), press.sphere_diameter_mm / 2
-    if press.point_mm is None and (press.center_px is None or rough):
+    if press.point_mm is None and (press.center_px is None or press.has_rough_marks):
         aside = _FOUND_SIGMA_MM
     else:
         aside = press.marks_off_px * mm_per_px
     if press.depth_mm is not None:
         return [aside, aside, _KNOWN_DEPTH_SIGMA_MM]
-    depth = _UNKNOWN_DEPTH_SIGMA if rough else _MARKED_DEPTH_SIGMA * press.marks_off_px
-    return [aside, aside, depth * radius_mm]
-
-
-def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> None:
-    """Raise ValueError for a reference or presses that no light can be fitted to.
-
-    That is a picture of another size, a depth, radius or sphere that cannot be, a reference that is dark or saturated.
-    """
-    share = (reference >= SATURATED).mean(axis=(0, 1))
-    if share.max() > _MOST_SATURATED:
-        channel = ("red", "green", "blue")[int(share.argmax())]
-        raise ValueError(
-            f"the reference is saturated in {100 * share.max():.0f} % of its {channel} channel; expose it less"
-        )
-    if (reference > DARK).mean() < _LEAST_USABLE:
-        raise ValueError("the reference is dark; expose it more")
-    for name, press in zip(_names(presses), presses, strict=True):
-        _check(name, press, reference)
-
-
-def _names(presses: Sequence[PressPicture]) -> tuple[str, ...]:
-    return tuple(press.name or f"press {number}" for number, press in enumerate(presses, start=1))
-
-
-def _check(name: str, press: PressPicture, reference: np.ndarray) -> None:
-    if press.picture.shape != reference.shape:
-        raise ValueError(
-            f"{name} is a picture of {press.picture.shape[1]}×{press.picture.shape[0]} px, and the reference of "
-            f"{reference.shape[1]}×{reference.shape[0]} px; they must come from the same camera"
-        )
-    if (press.depth_mm is None) == (press.radius_px is None):
-        raise ValueError(f"{name} must have either depth_mm or radius_px")
-    diameter_mm = press.sphere_diameter_mm
-    if diameter_mm is not None and diameter_mm <= 0:
-        raise ValueError(f"{name}: sphere_diameter_mm is {diameter_mm}; it must be greater than 0")
-    known = press.depth_mm is not None and diameter_mm is not None
-    if known and not 0 < press.depth_mm < diameter_mm / 2:
-        raise ValueError(
-            f"{name}: depth_mm is {press.depth_mm}; it must lie between 0 and the sphere's radius, "
-            f"{diameter_mm / 2}"
-        )
-    if press.radius_px is not None and not 2 <= press.radius_px <= max(reference.shape):
-        raise ValueError(f"{name}: radius_px is {press.radius_px}; it must lie in 2…{max(reference.shape)}")
-    if not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
-        raise ValueError(
-            f"{name}: marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
-        )
+    depth = _UNKNOWN_DEPTH_SIGMA if press.has_rough_marks else _MARKED_DEPTH_SIGMA * press.marks_off_px
+    return [aside, aside, depth * press.sphere_diameter_mm / 2]
 
 
 def _located(press: PressPicture, reference: np.ndarray, camera: Camera) -> PressPicture:
     """Return the press with the centre of its imprint, found in the picture unless it is known well."""
-    if press.point_mm is not None or (press.center_px is not None and not rough_marks(press)):
+    if press.point_mm is not None or (press.center_px is not None and not press.has_rough_marks):
         return press
     point = np.array([*find_contact_mm(press.picture, reference, camera), 0.0])
     center = camera.project_px(point, (reference.shape[1], reference.shape[0])) - 0.5
@@ -288,32 +250,30 @@ def _start(
 ) -> tuple[np.ndarray, float]:
     """Return (x, y, depth) in mm and the contact's radius in pixels."""
     mm_per_px = camera.footprint_mm(size_px)[0] / size_px[0]
-    depth, nearer = press.depth_mm, 1.0
-    if depth is None and rough_marks(press):
+    depth, radius_px, nearer = press.depth_mm, press.radius_px, 1.0
+    if depth is None and press.has_rough_marks:
         depth = min(_UNKNOWN_DEPTH * profiles.sphere_radius_mm, profiles.deepest_mm)
     if depth is None:
         for _ in range(3):
             # The marked circle is the contact's edge, which stands nearer to the camera than the flat membrane.
-            contact_mm = press.radius_px * mm_per_px * nearer
+            contact_mm = radius_px * mm_per_px * nearer
             depth = profiles.depth_mm(contact_mm)
             nearer = _nearer(camera, profiles, depth, contact_mm)
-        radius_px = press.radius_px
+    elif depth > profiles.deepest_mm + 0.05:
+        raise ValueError(
+            f"depth_mm is {depth}; the membrane around a sphere of radius {profiles.sphere_radius_mm:g} mm is "
+            f"solved down to {profiles.deepest_mm:.2f} mm"
+        )
     else:
-        if depth > profiles.deepest_mm + 0.05:
-            raise ValueError(
-                f"depth_mm is {depth}; the membrane around a sphere of radius {profiles.sphere_radius_mm:g} mm is "
-                f"solved down to {profiles.deepest_mm:.2f} mm"
-            )
         contact_mm = profiles.contact_radius_mm(depth)
         nearer = _nearer(camera, profiles, depth, contact_mm)
-        radius_px = press.radius_px or contact_mm / mm_per_px
     if press.point_mm is not None:
         point = np.array(press.point_mm, float)
     else:
         columns, rows = (np.array([value], float) for value in press.center_px)
         axis = np.array(camera.position_mm[:2])
-        point = axis + nearer * (plane_points_mm(camera, columns, rows, size_px)[0] - axis)
-    return np.array([*point, min(depth, profiles.deepest_mm)]), float(radius_px)
+        point = axis + nearer * (camera.plane_points_mm(columns, rows, size_px)[0] - axis)
+    return np.array([*point, min(depth, profiles.deepest_mm)]), float(radius_px or contact_mm / mm_per_px)
 
 
 def _nearer(camera: Camera, profiles: PressProfiles, depth_mm: float, contact_mm: float) -> float:
@@ -329,15 +289,14 @@ def _check_contacts(placed: PlacedPresses) -> None:
         raise ValueError(
             f"all presses lie within {spread_px:.0f} px of each other; press at places spread over the view"
         )
-    rows, columns = np.indices(placed.reference.shape[:2])
-    for name, picture, (x, y), radius in zip(
-        placed.names, placed.pictures, placed.centers_px, placed.radii_px, strict=True
+    for name, press, *mark in zip(
+        placed.names, placed.presses, placed.centers_px, placed.radii_px, strict=True
     ):
-        inside = np.hypot(columns - x, rows - y) < radius
+        picture, inside = press.picture, _radii_away(press.picture, *mark) < 1
         if not inside.any():
             raise ValueError(f"{name}: its centre lies outside of the picture; no contact was found in it")
         readable = (picture[inside] > DARK) & (picture[inside] < SATURATED)
-        if readable.mean() < _LEAST_USABLE:
+        if readable.mean() < LEAST_USABLE:
             raise ValueError(f"{name} is dark or saturated inside of its contact; expose it otherwise")
         change = np.abs(picture[inside].astype(float) - placed.reference[inside]).mean()
         if change < _LEAST_CHANGE:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -70,14 +71,14 @@ class PressProfiles:
         solved = (1 - share) * self.z_mm[lower] + share * self.z_mm[lower + 1]
         r = STEP_MM * np.arange(len(solved))
         inside = r < np.interp(depth_mm, *self.edges_mm.T) - STEP_MM
-        height = np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
-        sphere = -depth_mm + self.sphere_radius_mm - height
+        sphere = _sphere(self.sphere_radius_mm, depth_mm, r)
         z = np.where(inside, sphere, np.minimum(solved, 0.1 * self.sphere_radius_mm))
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
         if self.softness_mm > 0:
             z = _blurred(z, r, self.softness_mm)
             return z, np.gradient(z, STEP_MM)
-        return z, np.where(inside, r / height, np.gradient(z, STEP_MM))
+        of_sphere = r / np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
+        return z, np.where(inside, of_sphere, np.gradient(z, STEP_MM))
 
     def scaled(self, factor: float) -> "PressProfiles":
         """Return the profiles around a sphere `factor` times as large, in a gel as many times as thick."""
@@ -142,6 +143,11 @@ class PressProfiles:
         return x, y, np.stack([np.zeros_like(height), np.zeros_like(height), height], axis=-1)
 
 
+def _sphere(radius_mm: float, depth_mm: float, r: np.ndarray) -> np.ndarray:
+    """Return the z of a sphere that is pressed down to a depth, at distances from its axis."""
+    return -depth_mm + radius_mm - np.sqrt(np.maximum(radius_mm**2 - r**2, 1e-9))
+
+
 def _blurred(z: np.ndarray, r: np.ndarray, sigma_mm: float) -> np.ndarray:
     """Return the axially symmetric z(r) blurred in the plane, by Gauss–Hermite quadrature."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
@@ -154,12 +160,7 @@ def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, rea
     """Return z at the radii, and where the membrane leaves the sphere."""
     from scipy.interpolate import PchipInterpolator
 
-    r, z = press.radius_mm, press.z_mm
-
-    def sphere(at: np.ndarray) -> np.ndarray:
-        height = np.sqrt(np.maximum(sphere_radius_mm**2 - at**2, 1e-9))
-        return -press.depth_mm + sphere_radius_mm - height
-
+    r, z, sphere = press.radius_mm, press.z_mm, partial(_sphere, sphere_radius_mm, press.depth_mm)
     gap = np.hypot(r, z - (sphere_radius_mm - press.depth_mm)) - sphere_radius_mm
     touching = np.flatnonzero(gap < _TOUCHING_MM)
     edge = float(r[touching.max()]) if touching.size else 0.0

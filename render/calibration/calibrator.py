@@ -1,0 +1,500 @@
+"""Fitting the whole light of a real sensor (LEDs, scattered light, flat field), and how well it predicts other presses.
+
+Presses that the fit has not seen say how good it is: it is done again without a part of them, which it then predicts.
+What the membrane looks like around a sphere is given, so that nothing here solves anything.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gelgap.render.calibration.fit import LightFit
+from gelgap.render.calibration.light import Bars, Light, bounded_flat
+from gelgap.render.calibration.pictures import FarField, PressPicture, check_presses
+from gelgap.render.calibration.poses import MARGIN_MM, SCORED_RADII, PlacedPresses, place_presses
+from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
+from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
+from gelgap.render.imaging import srgb_decode
+from gelgap.render.light.leds import Illumination
+from gelgap.render.light.scattered import LARGEST, Scattered
+from gelgap.render.renderer import MembraneRenderer
+from gelgap.render.sensor import Sensor, save_sensor
+
+Membranes = Callable[[set[float], float | None], Mapping[float, PressProfiles]]
+FEWEST_PRESSES = 6
+FEWEST_FOR_ORDER_3 = 12
+NEAREST_CAMERA_MM = 15.0
+# In a fit of at least this many presses, a single one hardly bends it.
+_MANY_PRESSES = 20
+# The number of presses by which sizes of an unknown sphere are compared, with light of a low order.
+_PRESSES_FOR_SIZE = 12
+# Radii that may be tried, in radii of the marked imprint: a mark is between a third and three times the sphere.
+RADII_IN_MARKS = 2.0 ** np.arange(-5 / 3, 5 / 3 + 0.01, 1 / 3)
+_BETWEEN = 2.0 ** (1 / 6)
+_SMALLEST_DIAMETER_MM, _LARGEST_DIAMETER_MM = 0.5, 50.0
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How a press that the fit had not seen was predicted, PSNR in dB: inside its contact, and from one to two radii.
+
+    `marked` takes the press where it was marked or found; `corrected` moves it as the fitted presses were moved, and
+    uses nothing of its picture either; `refined` moves its centre and depth in its own picture.
+    """
+
+    name: str
+    unchanged: tuple[float, float]
+    marked: tuple[float, float]
+    corrected: tuple[float, float]
+    refined: tuple[float, float]
+    picture: np.ndarray  # uint8 (h, w, 3), predicted, refined
+
+
+@dataclass(frozen=True)
+class SphereSize:
+    """Diameters that were tried, what each leaves unexplained, the best, and the interval that it lies in.
+
+    The interval's ends are the nearest sizes tried that are worse: their mean square over presses exceeds the best's by
+    two standard errors of the difference, or they are the last ones tried.
+    """
+
+    tried_mm: np.ndarray  # (sizes,)
+    rms_code_values: np.ndarray  # (sizes,)
+    diameter_mm: float
+    interval_mm: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LightCalibration:
+    """A fitted sensor without its flat field, the flat field, and what is known of the fit's quality."""
+
+    sensor: Sensor
+    maps: FlatFieldMaps
+    gain: tuple[tuple[float, ...], ...]
+    volume_mm3: float
+    poses_mm: np.ndarray  # (presses, 3): x, y, depth as refined
+    names: tuple[str, ...]
+    left_out: tuple[str, ...]
+    rms_code_values: float
+    held_out: tuple[HeldOut, ...]
+    led_azimuths_deg: np.ndarray  # (leds, 2): value, standard error (NaN without held-out fits)
+    led_elevations_deg: np.ndarray
+    sphere_size: SphereSize | None = None  # of an unknown sphere
+    nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
+
+
+def calibrate_light(
+    sensor: Sensor,
+    reference: np.ndarray,
+    presses: Sequence[PressPicture],
+    membranes: Membranes,
+    *,
+    order: int | None = None,
+    degree: int | None = None,
+    far: bool = True,
+    shadows: bool = True,
+    keep_camera: bool = False,
+    folds: int = 3,
+) -> LightCalibration:
+    """Fit LEDs, scattered light and flat field to pictures of pressed spheres.
+
+    Parameters
+    ----------
+    sensor
+        The start: what the camera sees, coat, and LEDs in the right directions (within 30°); the camera's distance and
+        the LEDs' places, sizes and colours are fitted.
+    reference
+        uint8 (h, w, 3) without contact.
+    presses
+        Six presses or more, spread over the view; if none has a diameter, one is fitted.
+    membranes
+        Gives by sphere diameter in mm the membrane around such a sphere, down to a depth in mm if one is known;
+        called with all diameters once the pictures are known to be right. `gelgap.domains.sphere_profiles` is one.
+    order, degree
+        Of scattered light; by default 3 and 2 from 12 presses on, and 2 and 1 below.
+    far
+        Whether a press changes the picture where it does not touch (`loaded` and `gain` of the flat field).
+    shadows
+        Whether the dent casts shadows in the fit's own model.
+    keep_camera
+        Whether the camera stays where it is; otherwise its distance is fitted, and it shows the same of the gel.
+    folds
+        Into how many parts the presses are divided to be held out, one part after the other; 0: none is.
+
+    Raises
+    ------
+    ValueError
+        If the sensor has no LEDs of its own, presses are too few, sizes differ, no contact is found, a sphere cannot
+        reach its marked radius, or the fit predicts held-out presses worse than the unchanged reference does.
+    """
+    _check_start(sensor)
+    if len(presses) < FEWEST_PRESSES:
+        raise ValueError(
+            f"{len(presses)} presses are too few to fit a sensor's light: it takes {FEWEST_PRESSES}, better 24, spread "
+            "over the view"
+        )
+    if folds > len(presses):
+        raise ValueError(
+            f"{len(presses)} presses cannot be held out in {folds} parts; at most {len(presses)} parts"
+        )
+    check_presses(reference, presses)
+    size = unknown_sphere_size(sensor, reference, presses, membranes, keep_camera=keep_camera)
+    if size is not None:
+        presses = [replace(press, sphere_diameter_mm=size.diameter_mm) for press in presses]
+    depths = [press.depth_mm for press in presses if press.depth_mm is not None]
+    profiles = membranes(
+        {press.sphere_diameter_mm for press in presses}, max(depths) if len(depths) == len(presses) else None
+    )
+    placed = place_presses(sensor.camera, reference, presses, profiles)
+    rich = len(presses) >= FEWEST_FOR_ORDER_3
+    order = (3 if rich else 2) if order is None else order
+    degree = (2 if rich else 1) if degree is None else degree
+    task = LightTask(sensor, placed, order, degree, far, shadows, keep_camera)
+    everything = np.arange(len(presses))
+    fit = task.fit(everything)
+    suspects = outliers = _suspects(fit)
+    if len(suspects):
+        others = task.fit(np.setdiff1d(everything, suspects))
+        outliers = _unexplained(others, placed.seen_from(others.distance_mm), suspects)
+        if len(outliers) == len(suspects):
+            fit = others
+        elif len(outliers):
+            fit = task.fit(np.setdiff1d(everything, outliers))
+    used, held_out, without = fit.which, [], []
+    for fold in range(folds):
+        other = task.fit(np.delete(used, np.s_[fold::folds]))
+        without.append(other)
+        seen = placed.seen_from(other.distance_mm)
+        held_out += [_predicted(other, seen, int(press)) for press in used[fold::folds]]
+    _refuse_if_worse(held_out)
+    angles = led_angles(fit.light.bars)
+    off = np.array([led_angles(other.light.bars) for other in without]).reshape(-1, *angles.shape) - angles
+    off[:, 0] = (off[:, 0] + 180) % 360 - 180
+    azimuths, elevations = np.stack([angles, _jackknife_error(off)], axis=-1)
+    nearness_error = _jackknife_error(np.array([1 / other.distance_mm for other in without]))
+    return LightCalibration(
+        **task.result(fit),
+        names=tuple(placed.names[k] for k in used),
+        left_out=tuple(placed.names[k] for k in outliers),
+        held_out=tuple(held_out),
+        led_azimuths_deg=azimuths,
+        led_elevations_deg=elevations,
+        sphere_size=size,
+        nearness_error_per_mm=float("nan") if keep_camera else float(nearness_error),
+    )
+
+
+def _check_start(sensor: Sensor) -> None:
+    if sensor.illumination is None:
+        raise ValueError(
+            f"sensor {sensor.name!r} has no LEDs of its own to start from; give it an [illumination]"
+        )
+
+
+def led_angles(bars: Bars) -> np.ndarray:
+    """Return (2, leds): azimuth and elevation in degrees."""
+    return np.degrees([np.angle(np.exp(1j * bars.azimuth)), np.arctan2(bars.height, bars.distance)])
+
+
+def _jackknife_error(values: np.ndarray) -> np.ndarray:
+    """Return the standard error of what was fitted without one part of the presses each time; NaN for no fit."""
+    groups = len(values)
+    if groups < 2:
+        return np.full(values.shape[1:], np.nan)
+    return np.sqrt((groups - 1) / groups * ((values - values.mean(0)) ** 2).sum(0))
+
+
+def _suspects(fit: LightFit) -> np.ndarray:
+    """Return the presses whose errors stand far out of the others', of few presses the worst; enough are always kept.
+
+    An outlier among few presses bends the fit towards itself, and only a fit without it shows what it is.
+    """
+    errors = np.sqrt(fit.press_errors())
+    far_out = np.flatnonzero(errors > _most_error(errors))
+    if len(errors) < _MANY_PRESSES:
+        far_out = np.union1d(far_out, errors.argmax())
+    worst_first = far_out[np.argsort(-errors[far_out])]
+    return np.sort(worst_first[: len(errors) - FEWEST_PRESSES])
+
+
+def _most_error(errors: np.ndarray) -> float:
+    """Return the rms error above which a press stands far out of the others."""
+    middle = np.median(errors)
+    return float(max(middle + 6 * np.median(np.abs(errors - middle)), 2.5 * middle))
+
+
+def _refuse_if_worse(held_out: list[HeldOut]) -> None:
+    if not held_out:
+        return
+    fitted, unchanged = (
+        np.median([getattr(press, kind) for press in held_out], axis=0) for kind in ("refined", "unchanged")
+    )
+    if fitted.sum() <= unchanged.sum():
+        raise ValueError(
+            "the fit predicts presses that it has not seen worse than the unchanged reference picture does (inside "
+            f"the contact {fitted[0]:.1f} against {unchanged[0]:.1f} dB, around it {fitted[1]:.1f} against "
+            f"{unchanged[1]:.1f} dB); check the LEDs' directions, the spheres' diameters and the camera's field of view"
+        )
+
+
+@dataclass(frozen=True)
+class LightTask:
+    """What every fit has in common, of all presses or of a part of them."""
+
+    sensor: Sensor
+    placed: PlacedPresses
+    order: int
+    degree: int
+    far: bool
+    shadows: bool
+    keep_camera: bool = False
+
+    def fit(self, which: np.ndarray, rounds: int = 3) -> LightFit:
+        """Fit the presses of the indices `which`."""
+        placed, camera = self.placed, self.sensor.camera
+        at_mm = placed.poses_mm[which, :2]
+        field = placed.far_field(which) if self.far else placed.untouched
+        (x0, y0), (x1, y1) = at_mm.min(0) - MARGIN_MM, at_mm.max(0) + MARGIN_MM
+        bars = Bars.of(self.sensor.illumination.leds, 1.05 * placed.half_view_mm)
+        where = placed.scale_mm, (x0, x1, y0, y1)
+        light = Light(self.order, self.degree, self.shadows, *where, bars, theta=np.zeros((0, 3)))
+        # The camera may look from as near as it was given, or nearer than most, to nearly parallel.
+        nearest_mm = min(NEAREST_CAMERA_MM, -camera.position_mm[2])
+        nearness_range = (
+            None if self.keep_camera else (1 / camera.farthest_mm(placed.size_px), 1 / nearest_mm)
+        )
+        fit = LightFit(placed, which, field, light, camera.position_mm, nearness_range)
+        fit.run(rounds)
+        return fit
+
+    def lit_sensor(self, fit: LightFit) -> Sensor:
+        """Return the start sensor under a fitted light, matt and without lens losses, which the flat field holds."""
+        coating = self.sensor.coating.model_copy(update={"specular": 0.0})
+        camera = self.placed.seen_from(fit.distance_mm).camera.model_copy(update={"vignetting": 0.0})
+        light, own, count = fit.light, self.sensor.illumination, fit.light.bars.count
+        linear = np.clip(light.theta[count:] / camera.exposure, -LARGEST, LARGEST)
+        ambient, coefficients = np.split(linear, [light.ambient_columns])
+        scattered = Scattered(
+            order=light.order,
+            degree=light.degree if light.order else 0,
+            coefficients=coefficients.T.tolist(),
+            ambient=np.pad(ambient, ((0, 3 - len(ambient)), (0, 0))).T.tolist(),
+            span_mm=light.span_mm,
+            scale_mm=light.scale_mm,
+        )
+        names = [led.name for led in own.leds]
+        leds = light.bars.leds(names, light.theta[:count], np.array(coating.albedo), camera.exposure)
+        illumination = Illumination(name=own.name, leds=leds, scattered=scattered)
+        update = {"camera": camera, "coating": coating, "illumination": illumination, "flat_field": None}
+        return self.sensor.model_copy(update=update)
+
+    def result(self, fit: LightFit) -> dict[str, object]:
+        """Return what a `LightCalibration` holds of a fit alone."""
+        sensor, field = self.lit_sensor(fit), fit.field
+        profiles = [self.placed.profiles[k] for k in fit.which]
+        volumes = [own.volume_mm3(pose[2]) for own, pose in zip(profiles, fit.presses, strict=True)]
+        return {
+            "sensor": sensor,
+            "maps": _flat_field_maps(sensor, self.placed, field),
+            "gain": tuple(map(tuple, field.gain.T.tolist())),
+            "volume_mm3": float(np.median(volumes)),
+            "poses_mm": fit.presses,
+            "rms_code_values": fit.rms_code_values,
+        }
+
+
+def _unexplained(fit: LightFit, seen: PlacedPresses, presses: np.ndarray) -> np.ndarray:
+    """Return those presses that a light fitted without them leaves far out: one bad press can spoil others."""
+    errors = [fit.refined(seen, int(press)).rms_against_picture() for press in presses]
+    return presses[np.array(errors) > _most_error(np.sqrt(fit.press_errors()))]
+
+
+def _predicted(fit: LightFit, seen: PlacedPresses, press: int) -> HeldOut:
+    """Predict a press that the fit has not seen, `seen` by the camera where the fit has put it."""
+    scored_mm = SCORED_RADII * seen.radii_px[press] * 2 * seen.half_view_mm / seen.size_px[0]
+    unseen = [
+        seen.picture_of(fit.light, fit.field, press, poses_mm[press], scored_mm + MARGIN_MM)
+        for poses_mm in (seen.poses_mm, corrected_poses(seen.poses_mm, fit.which, fit.presses))
+    ]
+    refined = seen.picture_of(fit.light, fit.field, press, fit.refined(seen, press).presses[0])
+    scores = [seen.scores(press, picture) for picture in (seen.reference, *unseen, refined)]
+    return HeldOut(seen.names[press], *scores, picture=refined)
+
+
+def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
+    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
+
+    Marked radii are so uncertain that most of their spread is not the depths'.
+    """
+    own = marked_mm[fitted]
+    poses = marked_mm + (refined_mm - own).mean(axis=0)
+    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
+    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
+    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
+    return poses
+
+
+def _flat_field_maps(sensor: Sensor, placed: PlacedPresses, field: FarField) -> FlatFieldMaps:
+    """Return what the real reference is, in units of the rendered one."""
+    renderer = MembraneRenderer(sensor, sensor.illumination, placed.size_px)
+    real = srgb_decode(placed.clean_reference / 255)
+    ratio = np.clip(real / bounded_flat(renderer.reference_linear(markers=False), real), *RATIO_BOUNDS)
+    loaded = None if field.loaded is None else np.clip(field.loaded, *LOADED_BOUNDS).astype(np.float32)
+    return FlatFieldMaps(ratio.astype(np.float32), loaded)
+
+
+def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:
+    """Write the fitted sensor, its flat field beside it as `<name>-flat-field.npz`; return the sensor with both.
+
+    Raises
+    ------
+    RuntimeError
+        If a file cannot be written.
+    """
+    beside = path.resolve().with_name(f"{path.stem}-flat-field.npz")
+    sensor = calibration.sensor
+    scattered = sensor.illumination.scattered
+    flat_field = FlatField(
+        file=str(beside),
+        sha256=save_maps(calibration.maps, beside),
+        gain=calibration.gain,
+        volume_mm3=calibration.volume_mm3,
+        span_mm=scattered.span_mm,
+        scale_mm=scattered.scale_mm,
+    )
+    whole = sensor.model_copy(update={"name": path.stem, "flat_field": flat_field})
+    save_sensor(whole, path)
+    return whole
+
+
+def unknown_sphere_size(
+    sensor: Sensor,
+    reference: np.ndarray,
+    presses: Sequence[PressPicture],
+    membranes: Membranes,
+    *,
+    keep_camera: bool = False,
+) -> SphereSize | None:
+    """Return the size of an unknown sphere, None if all are known."""
+    if all(press.sphere_diameter_mm is not None for press in presses):
+        return None
+    if any(press.sphere_diameter_mm is not None or press.radius_px is None for press in presses):
+        raise ValueError(
+            "some presses have no sphere_diameter_mm; a sphere of unknown size must be that of all presses, each with "
+            "radius_px"
+        )
+    mm_per_px = sensor.camera.footprint_mm((reference.shape[1], 1))[0] / reference.shape[1]
+    contacts_mm = [mm_per_px * press.radius_px for press in presses if not press.has_rough_marks]
+    some = np.unique(np.linspace(0, len(presses) - 1, _PRESSES_FOR_SIZE).astype(int))
+
+    def press_errors(profiles: PressProfiles) -> np.ndarray:
+        if not all(map(profiles.reaches, contacts_mm)):
+            return np.full(len(some), 255.0**2)  # such a sphere leaves no such mark
+        diameter = 2 * profiles.sphere_radius_mm
+        tried = [replace(presses[k], sphere_diameter_mm=diameter) for k in some]
+        placed = place_presses(sensor.camera, reference, tried, {diameter: profiles})
+        task = LightTask(sensor, placed, 2, 1, far=False, shadows=True, keep_camera=keep_camera)
+        return task.fit(np.arange(len(some)), rounds=2).press_errors()
+
+    mark_mm = mm_per_px * float(np.median([press.radius_px for press in presses]))
+    return fit_sphere_size(mark_mm, membranes, press_errors)
+
+
+def fit_sphere_size(
+    mark_radius_mm: float, membranes: Membranes, press_errors: Callable[[PressProfiles], np.ndarray]
+) -> SphereSize:
+    """Try spheres from the rough size of the imprints on, downhill, each with the membrane of one solve, scaled.
+
+    `press_errors` returns (presses,) the mean square error of each press in code values² for one sphere's membrane.
+
+    Raises
+    ------
+    ValueError
+        If the best size lies at an end of those tried: the pictures do not hold it.
+    """
+    sizes = 2 * mark_radius_mm * RADII_IN_MARKS
+    sizes = sizes[(sizes >= _SMALLEST_DIAMETER_MM) & (sizes <= _LARGEST_DIAMETER_MM)].tolist()
+    if len(sizes) < 3:
+        raise ValueError(
+            f"the marks are {2 * mark_radius_mm:.2f} mm wide, which no sphere of {_SMALLEST_DIAMETER_MM:g} to "
+            f"{_LARGEST_DIAMETER_MM:g} mm leaves; check radius_px and the camera's field of view"
+        )
+    middle = len(sizes) // 2
+    solved = membranes({sizes[middle]}, None)[sizes[middle]]
+    errors: dict[float, np.ndarray] = {}
+
+    def error(diameter_mm: float) -> float:
+        if diameter_mm not in errors:
+            errors[diameter_mm] = press_errors(solved.scaled(diameter_mm / sizes[middle]))
+        return float(errors[diameter_mm].mean())
+
+    at = middle
+    while 0 < at < len(sizes) - 1:
+        lowest = min((at, at - 1, at + 1), key=lambda k: error(sizes[k]))
+        if lowest == at:
+            break
+        at = lowest
+    else:
+        raise ValueError(
+            f"the pictures do not hold the sphere's size: of {sizes[0]:.2f} to {sizes[-1]:.2f} mm the end "
+            f"{sizes[at]:.2f} mm explains them best; give sphere_diameter_mm"
+        )
+    best = min((sizes[at] / _BETWEEN, sizes[at], sizes[at] * _BETWEEN), key=error)
+    tried = np.array(sorted(errors))
+    worse = np.array([errors[d] - errors[best] for d in tried])
+    like = np.flatnonzero(worse.mean(axis=1) <= 2 * worse.std(axis=1) / np.sqrt(worse.shape[1]))
+    interval = tried[max(like.min() - 1, 0)], tried[min(like.max() + 1, len(tried) - 1)]
+    rms = np.sqrt([errors[d].mean() for d in tried])
+    return SphereSize(tried, rms, best, tuple(map(float, interval)))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What `calibrate` found."""
+
+    sensor: Sensor
+    rms_code_values: float
+    press_points_mm: tuple[tuple[float, float], ...]
+
+
+def calibrate(
+    sensor: Sensor, reference: np.ndarray, presses: Sequence[PressPicture], fit_gloss: bool = False
+) -> Calibration:
+    """Fit LEDs alone, as matt bars, to the inside of contacts of known spheres and depths.
+
+    Deprecated, and gone in the next release: `calibrate_light` also fits what LEDs do not explain, and says how well it
+    predicts. `fit_gloss` has no effect.
+
+    Raises
+    ------
+    ValueError
+        If the sensor has no LEDs of its own, there is no press, sizes differ, a depth exceeds the sphere's radius, or
+        no contact is found in a picture.
+    """
+    warnings.warn(
+        "calibrate fits LEDs alone, without gloss, and goes with the next release; use calibrate_light",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+    _check_start(sensor)
+    if not presses or any(press.depth_mm is None or press.sphere_diameter_mm is None for press in presses):
+        raise ValueError("calibrate needs at least one press, and depth_mm and sphere_diameter_mm of each")
+    check_presses(reference, presses)
+    profiles = {press.sphere_diameter_mm: _cap(press.sphere_diameter_mm / 2) for press in presses}
+    placed = place_presses(sensor.camera, reference, presses, profiles)
+    placed = replace(placed, samples_by_ring=(600, 0, 0))
+    task = LightTask(sensor, placed, 0, 0, far=False, shadows=False, keep_camera=True)
+    fit = task.fit(np.arange(len(presses)))
+    points = tuple((float(x), float(y)) for x, y, _ in fit.presses)
+    return Calibration(task.lit_sensor(fit), fit.rms_code_values, points)
+
+
+def _cap(radius_mm: float) -> PressProfiles:
+    """Return the membrane around a sphere as the sphere's cap; what surely touches is 0.8 of a contact's radius."""
+    depths, r = np.linspace(0, 1, 65) * radius_mm, np.arange(0, 2 * radius_mm, STEP_MM)
+    cap = radius_mm - np.sqrt(np.maximum(radius_mm**2 - r**2, 0))
+    touching = np.column_stack([depths, 0.8 * np.sqrt(depths * radius_mm)])
+    return PressProfiles(radius_mm, depths, np.minimum(cap - depths[:, None], 0), touching, touching)

@@ -1,0 +1,250 @@
+"""The fit of a real sensor's light: variable projection over bars, scattered light and where each press is.
+
+The intensities of bars, ambient and scattered light enter linearly and are solved for exactly; the bars' geometry is
+searched, with the linear part solved inside every step, and each press's centre and depth follow by Gauss-Newton. The
+camera's distance is found by parabolas, each point of them with its own light and presses.
+"""
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from gelgap.render.calibration.light import Light, SeenPoints, equation_weights, predicted_light
+from gelgap.render.calibration.pictures import DARK, SATURATED, FarField
+from gelgap.render.calibration.poses import PlacedPresses
+from gelgap.render.imaging import srgb_decode, srgb_encode
+
+RIDGE = 0.3
+PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
+PRIOR_WEIGHT = 30.0
+_MOST_STEP_MM = 0.06
+_LEAST_DEPTH_MM = 0.02
+
+
+def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
+    """Solve normal equations with the first `count` unknowns at 0 or above, by dropping negative ones."""
+    free = np.ones(len(right), bool)
+    while True:
+        theta = np.zeros(len(right))
+        theta[free] = np.linalg.solve(normal[np.ix_(free, free)], right[free])
+        if (theta[:count] >= 0).all():
+            return theta
+        free[np.argmin(theta[:count])] = False
+
+
+class LightFit:
+    """Fits a light to some of the presses (indices `which`) on gel whose untouched light is `field`; start with `run`.
+
+    `nearness_range` bounds 1 / the camera's distance; without it the camera stays.
+    """
+
+    def __init__(
+        self,
+        placed: PlacedPresses,
+        which: np.ndarray,
+        field: FarField,
+        light: Light,
+        camera_mm: np.ndarray,
+        nearness_range: tuple[float, float] | None = None,
+    ) -> None:
+        self.placed, self.which, self.field, self.light = placed, which, field, light
+        self.index, self.plane_mm, self.code, self.base = placed.samples(which, field)
+        self.profiles = [placed.seen_profiles[k] for k in which]
+        self.sigma_mm = placed.sigma_mm[which]
+        self.start_presses = placed.poses_mm[which]
+        self.presses = self.start_presses.copy()
+        self.anchor = light.bars
+        self.camera_mm = np.asarray(camera_mm, float)
+        self.nearness_range = nearness_range
+        self.linear = srgb_decode(self.code / 255)
+        codes = np.stack([self.code, 255 * srgb_encode(self.base)])
+        self.usable = ((codes > DARK) & (codes < SATURATED)).all(axis=0).astype(float)
+        self.flat, self.flat_light = SeenPoints.flat(self.plane_mm), self.base.copy()  # the latter modelled
+        self.residual = np.zeros_like(self.base)
+
+    @property
+    def distance_mm(self) -> float:
+        """The camera's, from the flat membrane."""
+        return float(-self.camera_mm[2])
+
+    @property
+    def rms_code_values(self) -> float:
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    def press_errors(self) -> np.ndarray:
+        """Return (presses,): the mean square of each press's residual, in code values²."""
+        own = [self.residual[self.index == k] for k in range(len(self.presses))]
+        return np.array([np.mean(residual**2) for residual in own])
+
+    def run(self, rounds: int = 3) -> None:
+        """Fit bars alone first, so that scattered light does not take their place, then everything in turn."""
+        if (order := self.light.order) > 0:
+            self.light = replace(self.light, order=0)
+            self._solve()
+            self._search(("azimuth", "height"), 6)
+            self._solve()
+            self.refine_presses()
+            self._search(("azimuth", "height", "distance"), 4)
+            self.anchor, self.light = self.light.bars, replace(self.light, order=order)
+        self._solve()
+        self._search_camera(1.0)
+        for k in range(rounds):
+            self._search(tuple(PRIOR), 5)
+            self._solve()
+            self.refine_presses()
+            self._solve()
+            if k == 0:
+                self._search_camera(0.4)
+
+    def _seen(self, presses: np.ndarray) -> SeenPoints:
+        """Return what the samples see of presses (k, 3)."""
+        return SeenPoints.pressed(self.plane_mm, self.index, presses, self.profiles, self.camera_mm)
+
+    def _ridge(self) -> np.ndarray:
+        return RIDGE * len(self.index) * self.light.penalty() ** 2
+
+    def _weights(self, channel: int) -> list[np.ndarray]:
+        """Return weights of pressed and flat columns in the picture's error, and of flat ones in the reference's."""
+        values = (values[:, channel] for values in (self.base, self.linear, self.flat_light))
+        return [weights * self.usable[:, channel] for weights in equation_weights(*values)]
+
+    def _solve(self) -> None:
+        """Solve for all intensities: the picture shall be predicted, and the flat light be near the reference."""
+        pressed, flat = self._seen(self.presses).columns(self.light), self.flat.columns(self.light)
+        base, ridge, leds = self.base, self._ridge(), self.light.bars.count
+        solved = np.empty((pressed.shape[1], 3))
+        for channel in range(3):
+            for _ in range(2):
+                of_pressed, of_flat, of_reference = self._weights(channel)
+                rows = pressed * of_pressed[:, None] - flat * of_flat[:, None]
+                reference = flat * of_reference[:, None]
+                normal = rows.T @ rows + reference.T @ reference
+                normal[np.diag_indices_from(normal)] += ridge
+                right = reference.T @ (of_reference * base[:, channel])
+                theta = nonnegative_least_squares(normal, right, leds)
+                self.flat_light[:, channel] = flat @ theta
+            solved[:, channel] = theta
+        self.light = replace(self.light, theta=solved)
+        self.residual = self._error(pressed @ solved, self.flat_light)
+
+    def _search(self, fields: tuple[str, ...], evaluations: int) -> None:
+        """Search the bars' geometry; the modelled flat light is held, so most normal equations are formed once."""
+        from scipy.optimize import least_squares
+
+        light, ridge, leds = self.light, self._ridge(), self.light.bars.count
+        pressed, flat = self._seen(self.presses), self.flat
+        of_pressed_fixed = light.fixed_columns(pressed.positions, pressed.normals)
+        of_flat_fixed = light.fixed_columns(flat.positions, flat.normals)
+        held = []
+        for channel in range(3):
+            a, b, r = self._weights(channel)
+            rows = of_pressed_fixed * a[:, None] - of_flat_fixed * b[:, None]
+            reference = of_flat_fixed * r[:, None]
+            target = r * self.base[:, channel]
+            held.append((a, b, r, rows, reference, rows.T @ rows + reference.T @ reference, target))
+        prior = np.concatenate([np.full(leds, PRIOR[field]) for field in fields])
+        anchor = self.anchor.packed(fields)
+        kept_pressed: dict[bytes, np.ndarray] = {}
+        kept_flat: dict[bytes, np.ndarray] = {}
+
+        def moved(vector: np.ndarray) -> Light:
+            return replace(light, bars=light.bars.unpacked(vector, fields))
+
+        def unexplained(vector: np.ndarray) -> np.ndarray:
+            lit = pressed.bar_columns(moved(vector), kept_pressed)
+            unpressed = flat.bar_columns(moved(vector), kept_flat)
+            errors = []
+            for a, b, r, rows, reference, fixed, target in held:
+                of_bars, bars_reference = lit * a[:, None] - unpressed * b[:, None], unpressed * r[:, None]
+                normal = np.empty((leds + len(fixed),) * 2)
+                normal[:leds, :leds] = of_bars.T @ of_bars + bars_reference.T @ bars_reference
+                normal[:leds, leds:] = of_bars.T @ rows + bars_reference.T @ reference
+                normal[leds:, :leds] = normal[:leds, leds:].T
+                normal[leds:, leds:] = fixed
+                normal[np.diag_indices_from(normal)] += ridge
+                right = np.concatenate([bars_reference.T @ target, reference.T @ target])
+                theta = nonnegative_least_squares(normal, right, leds)
+                errors += [
+                    of_bars @ theta[:leds] + rows @ theta[leds:],
+                    bars_reference @ theta[:leds] + reference @ theta[leds:] - target,
+                    np.sqrt(ridge) * theta,
+                ]
+            return np.concatenate([*errors, PRIOR_WEIGHT * (vector - anchor) / prior])
+
+        start = light.bars.packed(fields)
+        found = least_squares(unexplained, start, max_nfev=evaluations, diff_step=3e-3, x_scale=prior)
+        self.light = moved(found.x)
+
+    def _search_camera(self, share: float) -> None:
+        """Move the camera to the least of a parabola over 1 / distance, through three in a share of its range."""
+        if self.nearness_range is None:
+            return
+        low, high = self.nearness_range
+        half = share * (high - low) / 2
+        middle = np.clip(1 / self.distance_mm, low + half, high - half)
+        nearness = np.array([middle - half, middle, middle + half])
+        tried = [self._seen_from(1 / value) for value in nearness]
+        curvature, slope, _ = np.polyfit(nearness - middle, [own.rms_code_values for own in tried], 2)
+        if curvature > 0:
+            least = np.clip(middle - slope / (2 * curvature), low, high)
+            if np.abs(nearness - least).min() > 1e-9:
+                tried.append(self._seen_from(1 / least))
+        vars(self).update(vars(min(tried, key=lambda own: own.rms_code_values)))
+
+    def _seen_from(self, distance_mm: float) -> "LightFit":
+        """Return the fit under a camera at another distance, with presses moved and light solved for anew."""
+        other = copy(self)
+        other.camera_mm = np.array([*self.camera_mm[:2], -distance_mm])
+        other.start_presses = self.placed.seen_from(distance_mm).poses_mm[self.which]
+        other.presses = other.start_presses + self.presses - self.start_presses
+        deepest = [profiles.deepest_mm for profiles in self.profiles]
+        other.presses[:, 2] = np.clip(other.presses[:, 2], _LEAST_DEPTH_MM, deepest)
+        other.flat_light = self.flat_light.copy()
+        other._solve()
+        other.refine_presses(1)
+        other._solve()
+        return other
+
+    def refine_presses(self, rounds: int = 2) -> None:
+        """Move each press's centre and depth by Gauss-Newton under the light as it is, all presses at once."""
+        flat_light = self.flat.light(self.light)
+        for _ in range(rounds):
+            now = self._errors(self.presses, flat_light)
+            slopes = []
+            for axis, step_mm in enumerate((0.015, 0.015, 0.01)):
+                moved = self.presses.copy()
+                moved[:, axis] += step_mm
+                slopes.append((self._errors(moved, flat_light) - now) / step_mm)
+            for k, profiles in enumerate(self.profiles):
+                own = self.index == k
+                jacobian, error = np.stack([s[own].ravel() for s in slopes], axis=1), now[own].ravel()
+                weighted = (jacobian / np.sqrt(1 + (error / 10) ** 2)[:, None]).T
+                stiffness = 100 / self.sigma_mm[k] ** 2
+                off = self.presses[k] - self.start_presses[k]
+                step = -np.linalg.solve(
+                    weighted @ jacobian + np.diag(stiffness), weighted @ error + stiffness * off
+                )
+                self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
+                self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
+
+    def refined(self, seen: PlacedPresses, press: int) -> "LightFit":
+        """Return the light with one press only, moved to where the light explains its picture best.
+
+        `seen` are the presses as the camera sees them from where the fit has put it.
+        """
+        own = LightFit(seen, np.array([press]), self.field, self.light, self.camera_mm)
+        own.refine_presses(4)
+        return own
+
+    def rms_against_picture(self) -> float:
+        """Return the rms error in code values under the light as it is, which need not be fitted to these presses."""
+        return float(np.sqrt(np.mean(self._errors(self.presses, self.flat.light(self.light)) ** 2)))
+
+    def _errors(self, presses: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
+        return self._error(self._seen(presses).light(self.light), flat_light)
+
+    def _error(self, pressed_light: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
+        """Return (n, 3): what is predicted less what the camera read, in codes; 0 where nothing can be read."""
+        codes = 255 * srgb_encode(predicted_light(self.base, pressed_light, flat_light))
+        return (codes - self.code) * self.usable

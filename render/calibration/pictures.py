@@ -1,0 +1,182 @@
+"""Pictures of presses: what a calibration is given, and what the pictures alone say.
+
+That is where a contact is, from which side each colour's light comes, and what a press changes far away from itself.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelgap.render.camera import Camera
+from gelgap.render.imaging import srgb_decode
+from gelgap.render.light.scattered import monomials
+
+DARK, SATURATED = 4, 250  # codes at and beyond which a value is not used
+LARGEST_MARKS_OFF_PX = 100.0
+_ROUGH_PX = 10.0
+_MOST_SATURATED, LEAST_USABLE = 0.95, 0.05  # shares of values
+_LEAST_CHANGE = 5.0  # code values
+
+
+@dataclass(frozen=True)
+class PressPicture:
+    """A picture of a pressed sphere. Depth is that of the sphere's lowest point below the undeformed membrane.
+
+    `point_mm` is where the sphere was pressed, or `center_px` (column, row) where its imprint's centre is; without
+    either it is found in the picture. Instead of the depth, `radius_px` may say how large the imprint is.
+    `marks_off_px` says by how much these two marks may be wrong. Without a diameter the sphere is an unknown one, the
+    same in all presses.
+    """
+
+    picture: np.ndarray  # uint8 (h, w, 3)
+    sphere_diameter_mm: float | None
+    depth_mm: float | None = None
+    point_mm: tuple[float, float] | None = None
+    radius_px: float | None = None
+    center_px: tuple[float, float] | None = None
+    name: str = ""
+    marks_off_px: float = 3.0
+
+    @property
+    def has_rough_marks(self) -> bool:
+        """Whether the marks only say where the imprint is, not its contact's centre and edge."""
+        return self.marks_off_px > _ROUGH_PX
+
+
+def press_names(presses: Sequence[PressPicture]) -> tuple[str, ...]:
+    """Return what messages call presses: their names, or numbers."""
+    return tuple(press.name or f"press {number}" for number, press in enumerate(presses, start=1))
+
+
+def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> None:
+    """Raise ValueError for a reference or presses that no light can be fitted to.
+
+    That is a picture of another size, a depth, radius or sphere that cannot be, a reference that is dark or saturated.
+    """
+    share = (reference >= SATURATED).mean(axis=(0, 1))
+    if share.max() > _MOST_SATURATED:
+        channel = ("red", "green", "blue")[int(share.argmax())]
+        raise ValueError(
+            f"the reference is saturated in {100 * share.max():.0f} % of its {channel} channel; expose it less"
+        )
+    if (reference > DARK).mean() < LEAST_USABLE:
+        raise ValueError("the reference is dark; expose it more")
+    for name, press in zip(press_names(presses), presses, strict=True):
+        wrong = _problem(press, reference.shape)
+        if wrong:
+            raise ValueError(name + wrong)
+
+
+def _problem(press: PressPicture, shape: tuple[int, int, int]) -> str:
+    """Return what is wrong with a press, to be said after its name."""
+    (height, width, _), depth_mm, diameter_mm = press.picture.shape, press.depth_mm, press.sphere_diameter_mm
+    if press.picture.shape != shape:
+        return (
+            f" is a picture of {width}×{height} px, and the reference of {shape[1]}×{shape[0]} px; they must come from "
+            "the same camera"
+        )
+    if (depth_mm is None) == (press.radius_px is None):
+        return " must have either depth_mm or radius_px"
+    if diameter_mm is not None and diameter_mm <= 0:
+        return f": sphere_diameter_mm is {diameter_mm}; it must be greater than 0"
+    if depth_mm is not None and diameter_mm is not None and not 0 < depth_mm < diameter_mm / 2:
+        return f": depth_mm is {depth_mm}; it must lie between 0 and the sphere's radius, {diameter_mm / 2}"
+    if press.radius_px is not None and not 2 <= press.radius_px <= max(shape):
+        return f": radius_px is {press.radius_px}; it must lie in 2…{max(shape)}"
+    if not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
+        return f": marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
+    return ""
+
+
+def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) -> tuple[float, float]:
+    """Return where a press is: midway between what it made brighter and what it made darker, in each channel.
+
+    A dent is brighter on the side that faces a light and darker on the other, and seldom as much.
+
+    Raises
+    ------
+    ValueError
+        If the picture hardly differs from the reference.
+    """
+    import cv2
+
+    change = picture.astype(np.float32) - reference
+    change = cv2.GaussianBlur(change, (0, 0), picture.shape[1] / 80)
+    if np.abs(change).max() < _LEAST_CHANGE:
+        raise ValueError("the picture hardly differs from the reference; no contact was found in it")
+    height, width, _ = change.shape
+    middles, weights = [], []
+    for channel in np.moveaxis(change, 2, 0):
+        lobes = [np.maximum(channel, 0), np.maximum(-channel, 0)]
+        weakest = min(lobe.max() for lobe in lobes)
+        if weakest >= _LEAST_CHANGE:
+            middles.append(np.mean([_center_px(lobe) for lobe in lobes], axis=0))
+            weights.append(weakest)
+    if not weights:
+        middles, weights = [_center_px(np.abs(change).max(axis=2))], [1.0]
+    column, row = np.average(middles, axis=0, weights=weights)
+    return tuple(camera.plane_points_mm(np.array([column]), np.array([row]), (width, height))[0].tolist())
+
+
+def _center_px(change: np.ndarray) -> tuple[float, float]:
+    """Return column and row of the centre of mass of what exceeds half of the largest change."""
+    strong = np.where(change > 0.5 * change.max(), change, 0)
+    rows, columns = np.indices(strong.shape)
+    return (strong * columns).sum() / strong.sum(), (strong * rows).sum() / strong.sum()
+
+
+def light_azimuths(
+    reference: np.ndarray, pictures: Sequence[np.ndarray], centers_px: np.ndarray, radii_px: np.ndarray
+) -> np.ndarray:
+    """Return (3,): by channel the azimuth in radians, from +x towards +y, that presses are lit from.
+
+    A dent is brighter on the side that faces the LED. `centers_px` (n, 2) and `radii_px` (n,) say which part of each
+    picture, uint8 (h, w, 3), is looked at.
+    """
+    untouched = np.maximum(srgb_decode(reference / 255), 1e-3)
+    rows, columns = np.indices(reference.shape[:2])
+    moments = np.zeros((3, 2))
+    for picture, (x, y), radius in zip(pictures, centers_px, radii_px, strict=True):
+        inside = np.hypot(columns - x, rows - y) < radius
+        change = srgb_decode(picture[inside] / 255) / untouched[inside] - 1
+        moments += change.T @ np.column_stack([columns[inside] - x, rows[inside] - y])
+    return np.arctan2(moments[:, 1], moments[:, 0])
+
+
+@dataclass(frozen=True)
+class FarField:
+    """The picture of the untouched gel while something presses: reference × loaded × (1 + gain at its place)."""
+
+    reference: np.ndarray  # (h, w, 3) linear
+    loaded: np.ndarray | None  # (h, w, 3) ratio
+    gain: np.ndarray  # (6, 3)
+
+    def base(self, rows: np.ndarray, columns: np.ndarray, place: np.ndarray) -> np.ndarray:
+        """Return (n, 3) linear light of pixels; `place` (2,) is the press's, in units of the scale."""
+        linear = self.reference[rows, columns]
+        if self.loaded is not None:
+            linear = linear * self.loaded[rows, columns]
+        return linear * (1 + monomials(place[0], place[1], 2) @ self.gain)
+
+
+def median_of_presses(stack: np.ndarray) -> np.ndarray:
+    """Return the median over presses, 1 where none is far enough."""
+    stack.sort(axis=0)  # NaN last
+    count = np.isfinite(stack).sum(axis=0)
+    lower, upper = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(stack) - 1)
+    middle = sum(np.take_along_axis(stack, at[None], axis=0)[0] for at in (lower, upper)) / 2
+    return np.where(count > 0, middle, 1.0).astype(float)
+
+
+def fit_gain(levels: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return (6, 3): a quadratic of the place through the levels (n, 3), deaf to outliers."""
+    terms = monomials(places[:, 0], places[:, 1], 2)
+    penalty = np.diag([0, 1, 1, 1, 1, 1.0]) * 0.02 * len(levels)
+    gain = np.zeros((6, 3))
+    for _ in range(3):
+        weights = 1 / np.sqrt(1 + ((levels - terms @ gain) / 0.02) ** 2)
+        for channel in range(3):
+            weighted = (terms * weights[:, channel, None]).T
+            gain[:, channel] = np.linalg.solve(weighted @ terms + penalty, weighted @ levels[:, channel])
+    return gain

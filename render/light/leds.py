@@ -1,0 +1,275 @@
+"""LEDs: where each is and what shines, those of a sensor as an illumination, and LEDs cut up for integration."""
+
+from dataclasses import dataclass
+from itertools import product
+from math import ceil
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from gelgap.assets import load_preset
+from gelgap.assets.settings import Settings
+from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.render.camera import Camera
+from gelgap.render.light.scattered import Scattered
+from gelgap.render.light.spectra import Spectrum, cached_camera_rgb
+
+Vector = tuple[float, float, float]
+Length = Annotated[float, Field(gt=0, le=200)]
+LedKind = Literal["bar", "disc", "point"]
+# Nodes of an LED in full view: along its level axis and across.
+OPEN_NODES = (8, 2)
+
+
+def _slices(kind: LedKind, count: int) -> np.ndarray:
+    """Return (slices, 3): thin pieces of an LED's face, in units of its half axes.
+
+    That is where each lies on the level axis, its width there, and how far it extends across.
+    """
+    match kind:
+        case "bar":  # at the nodes of Gauss' rule
+            nodes, weights = np.polynomial.legendre.leggauss(count)
+            return np.column_stack([nodes, weights, np.ones(count)])
+        case (
+            "disc"
+        ):  # at Chebyshev's nodes, whose rule includes the chord √(1 − s²): the area comes out exactly
+            angles = np.arange(1, count + 1) * np.pi / (count + 1)
+            chords = np.sin(angles)
+            return np.column_stack([np.cos(angles), np.pi / (count + 1) * chords, chords])
+    return np.zeros((1, 3))  # a point
+
+
+@dataclass(frozen=True)
+class Emitter:
+    """One LED as a path tracer needs it. Lengths in mm, sensor frame; radiance in linear camera RGB.
+
+    A `bar` is the rectangle center ± half_u ± half_v, a `disc` the ellipse with these half axes; both radiate
+    uniformly (Lambertian) on the side of `normal` and are black on the other. A `point` radiates alike in all
+    directions, and its `radiance_rgb` is its intensity in linear camera RGB × mm².
+    """
+
+    kind: LedKind
+    center_mm: np.ndarray
+    normal: np.ndarray
+    half_u_mm: np.ndarray
+    half_v_mm: np.ndarray
+    radiance_rgb: np.ndarray
+
+
+class Led(Settings):
+    """One light source. A bar's length lies level (in a plane of constant z), its height across that."""
+
+    name: str = ""
+    kind: LedKind = "bar"
+    position_mm: tuple[float, float, Annotated[float, Field(lt=0, ge=-300)]] = Field(
+        description="centre in the sensor frame; z < 0, inside the sensor"
+    )
+    facing: Vector = Field(
+        default=(0.0, 0.0, 1.0), description="direction that the emitting side faces, any length"
+    )
+    length_mm: Length = Field(default=1.0, description="length of a bar")
+    height_mm: Length = Field(default=1.0, description="height of a bar")
+    diameter_mm: Length = Field(default=1.0, description="diameter of a disc")
+    spectrum: Spectrum
+    drive: float = Field(
+        default=1.0, ge=0, le=1e5, description="radiance at unit spectrum; a point's intensity in mm²"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> "Led":
+        if np.linalg.norm(self.facing) == 0:
+            raise ValueError("facing must not be the zero vector")
+        highest_z_mm = self.highest_z_mm()
+        if highest_z_mm >= 0:
+            raise ValueError(
+                f"LED {self.name!r} at position_mm = {self.position_mm} reaches z = {highest_z_mm:.2f} mm, "
+                "through the undeformed membrane; keep all of it at z < 0"
+            )
+        return self
+
+    @property
+    def face(self) -> tuple:
+        """What its light's distribution depends on: all but spectrum and drive."""
+        return self.kind, self.position_mm, self.facing, self.length_mm, self.height_mm, self.diameter_mm
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """The face's length along its level axis and its height across; a point has none."""
+        match self.kind:
+            case "bar":
+                return self.length_mm, self.height_mm
+            case "disc":
+                return self.diameter_mm, self.diameter_mm
+        return 0.0, 0.0
+
+    @property
+    def normal(self) -> np.ndarray:
+        return np.asarray(self.facing) / np.linalg.norm(self.facing)
+
+    def half_axes_mm(self) -> np.ndarray:
+        """Return (2, 3): half the level axis and half the axis across it (towards −z, into the sensor)."""
+        normal = self.normal
+        level = np.cross((0.0, 0.0, 1.0), normal)
+        if np.linalg.norm(level) < 1e-9:
+            # It faces straight down: the axis across is radial, so that shadows are sampled along it.
+            radial = np.array([*self.position_mm[:2], 0.0])
+            radial = (
+                radial / np.linalg.norm(radial) if np.linalg.norm(radial) > 1e-9 else np.array([1.0, 0, 0])
+            )
+            level = np.cross(radial, normal)
+        level /= np.linalg.norm(level)
+        across = np.cross(normal, level)
+        if across[2] > 0:
+            across = -across
+        length_mm, height_mm = self.size_mm
+        return np.stack([level * length_mm / 2, across * height_mm / 2])
+
+    def half_extent_z_mm(self) -> float:
+        """Return how far the face reaches above and below its centre."""
+        return np.abs(self.half_axes_mm()[:, 2]).sum()
+
+    def highest_z_mm(self) -> float:
+        """Return the z of the face's edge that is nearest to the membrane."""
+        return self.position_mm[2] + self.half_extent_z_mm()
+
+    def emitter(self, radiance_rgb: np.ndarray) -> Emitter:
+        """Return the LED as an emitter of a radiance, (3,) in linear camera RGB."""
+        half_u_mm, half_v_mm = self.half_axes_mm()
+        return Emitter(self.kind, np.array(self.position_mm), self.normal, half_u_mm, half_v_mm, radiance_rgb)
+
+
+class Illumination(Settings):
+    """All LEDs of a sensor."""
+
+    name: str = ""
+    description: str = ""
+    known: str = Field(default="", description="what public data say of the sensor that this is like")
+    assumed: str = Field(default="", description="what is assumed")
+    leds: tuple[Led, ...] = Field(min_length=1, max_length=64)
+    # Left out where there is none, so that recipes without it keep their hashes.
+    scattered: Scattered | None = Field(
+        default=None,
+        exclude_if=lambda value: value is None,
+        description="light that comes from no LED directly; none: none",
+    )
+
+    @classmethod
+    def preset(cls, name: str) -> "Illumination":
+        """Return a preset of `assets/illuminations`; ValueError lists the known ones."""
+        return cls(**{"name": name, **load_preset("illuminations", name)})
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Illumination":
+        """Read an illumination TOML file."""
+        with named_in_errors(path):
+            return cls(**{"name": Path(path).stem, **read_toml(path)})
+
+    def led_to_camera(self, camera: Camera) -> np.ndarray:
+        """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""
+        rgb = cached_camera_rgb(
+            tuple(led.spectrum for led in self.leds), camera.sensitivity, camera.white_balance_cct_k
+        )
+        return camera.exposure * np.array([led.drive for led in self.leds])[:, None] * np.array(rgb)
+
+    def emitters(self, camera: Camera, led_to_camera: np.ndarray | None = None) -> tuple[Emitter, ...]:
+        """Return every LED as the emitter that a path tracer needs, in linear camera RGB of `camera`."""
+        radiance = self.led_to_camera(camera) if led_to_camera is None else led_to_camera
+        return tuple(led.emitter(rgb) for led, rgb in zip(self.leds, radiance, strict=True))
+
+
+@dataclass(frozen=True)
+class ShadowDetail:
+    """How finely partly hidden LEDs are sampled."""
+
+    strip_width_mm: float
+    fewest_strips: int
+    march_step_mm: float
+
+
+# A strip of an LED: its ends in mm (low is nearer to the membrane), its normal and its area in mm². A point is one
+# strip of 1 mm² without length.
+STRIP = np.dtype(
+    [
+        *((f"{part}_{axis}", np.float32) for part in ("low", "high", "normal") for axis in "xyz"),
+        ("area", np.float32),
+        ("is_point", np.bool_),
+    ],
+    align=True,
+)
+
+
+class Nodes(NamedTuple):
+    """The points that stand for each LED in full view, float32; a point light has only its first node."""
+
+    position_mm: np.ndarray  # (leds, 3, nodes): nodes lie side by side for vector registers
+    normal: np.ndarray  # (leds, 3, nodes)
+    area_mm2: np.ndarray  # (leds, nodes)
+
+
+class Outlines(NamedTuple):
+    """The bounds of each LED as seen from the membrane, float32."""
+
+    left_mm: np.ndarray  # (leds, 2): x and y of one end of the level axis
+    right_mm: np.ndarray  # (leds, 2): of the other end
+    lowest_mm: np.ndarray  # (leds,): the least height above the undeformed membrane
+
+
+class LedSamples(NamedTuple):
+    """All LEDs of an illumination as the kernels take them."""
+
+    is_point: np.ndarray  # (leds,) bool: an intensity of 1 mm² in all directions, not a Lambertian face
+    strips: np.ndarray  # (strips,) of STRIP; LED k owns those from first_strip[k] up to first_strip[k + 1]
+    first_strip: np.ndarray  # (leds + 1,) int32
+    nodes: Nodes
+    outlines: Outlines
+
+
+def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSamples:
+    """Return the strips, nodes and outlines of emitters."""
+    strips = [_strips(emitter, detail) for emitter in emitters]
+    return LedSamples(
+        is_point=np.array([emitter.kind == "point" for emitter in emitters]),
+        strips=np.concatenate(strips),
+        first_strip=np.cumsum([0] + [len(own) for own in strips]).astype(np.int32),
+        nodes=_nodes(emitters),
+        outlines=_outlines(emitters),
+    )
+
+
+def _strips(emitter: Emitter, detail: ShadowDetail) -> np.ndarray:
+    length_mm, is_point, strips = 2 * np.linalg.norm(emitter.half_u_mm), emitter.kind == "point", []
+    count = max(ceil(length_mm / detail.strip_width_mm), detail.fewest_strips)
+    for place, weight, chord in _slices(emitter.kind, count):
+        center = emitter.center_mm + place * emitter.half_u_mm
+        half = chord * emitter.half_v_mm
+        area = 1.0 if is_point else weight * length_mm / 2 * 2 * np.linalg.norm(half)
+        strips.append((*(center - half), *(center + half), *emitter.normal, area, is_point))
+    return np.array(strips, STRIP)
+
+
+def _nodes(emitters: tuple[Emitter, ...]) -> Nodes:
+    positions = np.empty((len(emitters), 3, OPEN_NODES[0] * OPEN_NODES[1]))
+    normals = np.empty_like(positions)
+    areas = np.zeros((len(emitters), positions.shape[2]))
+    across = list(zip(*np.polynomial.legendre.leggauss(OPEN_NODES[1]), strict=True))
+    for led, emitter in enumerate(emitters):
+        positions[led], normals[led] = emitter.center_mm[:, None], emitter.normal[:, None]
+        slices = _slices(emitter.kind, OPEN_NODES[0])
+        for node, ((place, weight, chord), (v, v_weight)) in enumerate(product(slices, across)):
+            half = chord * emitter.half_v_mm
+            positions[led, :, node] += place * emitter.half_u_mm + v * half
+            areas[led, node] = weight * np.linalg.norm(emitter.half_u_mm) * v_weight * np.linalg.norm(half)
+    return Nodes(*(values.astype(np.float32) for values in (positions, normals, areas)))
+
+
+def _outlines(emitters: tuple[Emitter, ...]) -> Outlines:
+    return Outlines(
+        left_mm=np.array([(led.center_mm - led.half_u_mm)[:2] for led in emitters], np.float32),
+        right_mm=np.array([(led.center_mm + led.half_u_mm)[:2] for led in emitters], np.float32),
+        lowest_mm=np.array(
+            [-led.center_mm[2] - abs(led.half_u_mm[2]) - abs(led.half_v_mm[2]) for led in emitters],
+            np.float32,
+        ),
+    )
