@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.assets.held_stops import stops_held_back
+from gelgap.assets.locks import defer_signals
 from gelgap.domains.generation_progress import GenerationProgress
 from gelgap.domains.plan import FrameBatch, GenerationPlan
 from gelgap.domains.shard import Shard, render_batch
@@ -173,7 +173,7 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
     with contextlib.ExitStack() as entered:
         entered.enter_context(dask.config.set(settings))
         # Half a cluster cannot be closed.
-        with stops_held_back():
+        with defer_signals():
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.assets.plain_name import is_plain_name
+from gelgap.assets.names import is_plain_name
 from gelgap.domains.ball_presses import SERIES, Presses, ball_presses
 from gelgap.domains.clip import CONTACT_N, AlignedClip, Clip, align, pressing_n
 from gelgap.domains.new_folder import new_folder

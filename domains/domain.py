@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from gelgap.assets import list_presets
-from gelgap.assets.names import meant, shown
+from gelgap.assets.names import closest_name, quoted
 
 OWN_LIGHT = "own"
 
@@ -37,7 +37,7 @@ class Domain:
         found = {domain.name: domain for domain in known_domains()}
         if name not in found:
             raise ValueError(
-                f"domain {shown(name)} is unknown;{meant(name, found)} a name is m or wm (with or "
+                f"domain {quoted(name)} is unknown;{closest_name(name, found)} a name is m or wm (with or "
                 "without markers), then an elastomer "
                 f"({', '.join(list_presets('elastomers'))}), then an illumination "
                 f"({', '.join(list_presets('illuminations'))}, or {OWN_LIGHT}: the sensor's own), for example mb0i0 or "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelgap.assets.names import listed
+from gelgap.assets.names import comma_list
 from gelgap.domains.frame_pictures import group_by_picture, led_to_camera, picture_cells
 from gelgap.domains.plan import GenerationPlan, plan_generation
 from gelgap.domains.recipe import DomainRecipe
@@ -54,7 +54,7 @@ class Estimate:
         ms, kilobytes = 1e3 * self.frame_core_s / self.frames, self.disk_bytes / self.frames / 1e3
         return "\n".join(
             [
-                f"domains  {listed(self.domains)}",
+                f"domains  {comma_list(self.domains)}",
                 f"frames   {self.frames} in {self.shards} shards",
                 f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
                 f"time     about {_duration(self.wall_s)} with {self.workers} workers: "
@@ -75,7 +75,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     """
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: must be 1 or more")
-    LOG.info("planning and rendering sample frames of %s", listed([recipe.name for recipe in recipes]))
+    LOG.info("planning and rendering sample frames of %s", comma_list([recipe.name for recipe in recipes]))
     plan = plan_generation(recipes)
     solves_s = [size.core_s for size in solve_sizes(plan, measured=True).values()]
     wall_start, core_start = time.perf_counter(), time.process_time()

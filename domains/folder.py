@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gelgap.assets.checksums import file_sha256
-from gelgap.assets.json_file import parse_json, with_checksum, without_checksum
-from gelgap.assets.plain_name import is_plain_name
+from gelgap.assets.checksums import file_sha256, parse_json, with_checksum, without_checksum
+from gelgap.assets.names import is_plain_name
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 
 MANIFEST = "manifest.json"

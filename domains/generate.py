@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from gelgap.assets.names import listed
-from gelgap.assets.sole_use import sole_use
+from gelgap.assets.locks import sole_use
+from gelgap.assets.names import comma_list
 from gelgap.domains.cluster import SYNCHRONOUS, dask_client, run_in_process, run_on_cluster
 from gelgap.domains.domain import Domain
 from gelgap.domains.estimate import workload
@@ -48,12 +48,12 @@ class GenerationReport:
     def __str__(self) -> str:
         rate = self.frames_written / self.wall_s if self.wall_s else 0.0
         lines = [
-            f"{listed(self.domains)}: {self.frames} frames in {self.out_dir}; now written {self.frames_written} "
+            f"{comma_list(self.domains)}: {self.frames} frames in {self.out_dir}; now written {self.frames_written} "
             f"frames, {self.bytes_written / 1e6:.1f} MB, {self.solves} solves in {self.wall_s:.1f} s "
             f"({rate:.1f} frames/s)"
         ]
         if self.skipped:
-            lines.append(f"already finished: {listed(self.skipped)}")
+            lines.append(f"already finished: {comma_list(self.skipped)}")
         if self.unconverged:
             because = (
                 f", {self.unrenderable} of them now because they could not be rendered ({RUN_LOG} says why)"
@@ -140,7 +140,7 @@ def generate_recipes(
     with sole_use(out_dir):
         writers = _prepared_writers(recipes, out_dir, overwrite)
         skipped = tuple(name for name in names if writers[name].complete)
-        LOG.info("planning %s", listed(names))
+        LOG.info("planning %s", comma_list(names))
         wall_start, core_start = time.perf_counter(), time.process_time()
         plan = plan_generation(recipes, {name: writer.finished for name, writer in writers.items()})
         busy = _busy(time.perf_counter() - wall_start, time.process_time() - core_start)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.assets.damage import warn
-from gelgap.assets.whole_file import whole_file
+from gelgap.assets.whole_file import warn, whole_file
 
 # NumPy maps the array alone, so the end is no concern of other readers of the file.
 _MARK = b"SHA-256\0"

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from gelgap.assets.sole_use import LOCK, sole_use
+from gelgap.assets.locks import LOCK, sole_use
 
 
 @contextmanager

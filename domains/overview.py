@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.assets.pages import html_page
+from gelgap.assets import html_page
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.generated import GeneratedDomain
 from gelgap.domains.inspection import DomainSummary, gap_rows, inspect_domain

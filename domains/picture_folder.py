@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.assets.plain_name import stays_inside
+from gelgap.assets.names import stays_inside
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.hidden_markers import without_markers
 from gelgap.domains.labels import (

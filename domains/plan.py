@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from gelgap.assets.json_file import canonical_json
+from gelgap.assets.checksums import canonical_json
 from gelgap.domains.folder import shard_name
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import ContactPath, Elastomer, PosePath, Sphere

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from gelgap.assets import load_preset
-from gelgap.assets.json_file import canonical_json
+from gelgap.assets.checksums import canonical_json
 from gelgap.assets.settings import Settings
 from gelgap.domains.acquisition import (
     AcquisitionError,

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from gelgap.assets.plain_name import stays_inside
+from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.recipe import DomainRecipe, own_recipe

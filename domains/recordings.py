@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.assets.plain_name import stays_inside
+from gelgap.assets.names import stays_inside
 from gelgap.domains.clip import Clip, pressing_n
 from gelgap.domains.clip_names import object_of
 from gelgap.domains.labels import FORCE_COLUMNS, known_labels

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gelgap.assets.names import shown
+from gelgap.assets.names import quoted
 from gelgap.domains.contacts import contact_points
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.random_streams import random_stream
@@ -194,7 +194,7 @@ def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: st
         if column not in frames.columns:
             has = [name for name, values in frames.columns.items() if values.dtype.kind in "iuOU"]
             raise ValueError(
-                f"{what} = {shown(column)}: data set {frames.name} has no such column; {known}, such as "
+                f"{what} = {quoted(column)}: data set {frames.name} has no such column; {known}, such as "
                 f"{', '.join(has)}"
             )
     values = np.concatenate([frames.columns[column] for frames in domains])

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.assets.key_lock import key_lock
-from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.domains.dataset import LabelledFrames
 from gelgap.domains.hidden_markers import without_markers
 from gelgap.domains.kept_pictures import open_kept_pictures, write_kept_pictures

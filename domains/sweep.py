@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets.json_file import with_checksum
-from gelgap.assets.plain_name import stays_inside
+from gelgap.assets.checksums import with_checksum
+from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.assets.whole_file import write_whole

@@ -7,11 +7,9 @@ import math
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
-from gelgap.assets.json_file import read_json, with_checksum, without_checksum
-from gelgap.assets.key_lock import key_lock
-from gelgap.assets.user_cache import cache_folder
-from gelgap.assets.whole_file import write_whole
+from gelgap.assets.checksums import read_json, with_checksum, without_checksum
+from gelgap.assets.locks import cache_folder, key_lock
+from gelgap.assets.whole_file import DAMAGED_SUFFIX, set_aside, write_whole
 from gelgap.render.spectrum import RgbSpectrum, Spectrum, camera_rgb
 
 Rgb = tuple[float, float, float]

@@ -4,9 +4,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
-from gelgap.assets.user_cache import cache_folder
-from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
+from gelgap.assets.locks import cache_folder
+from gelgap.assets.whole_file import DAMAGED_SUFFIX, TEMPORARY_SUFFIX, set_aside, write_whole
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.solution import Solution, is_of_this_format, solution_bytes, solution_from_bytes
 

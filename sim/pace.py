@@ -7,8 +7,7 @@ import statistics
 import time
 from dataclasses import dataclass
 
-from gelgap.assets.key_lock import key_lock
-from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.whole_file import write_whole
 from gelgap.sim.elastomer import Elastomer
 from gelgap.sim.indenters.sphere import Sphere

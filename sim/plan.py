@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gelgap.assets.key_lock import key_lock
-from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.sim.cache import load_solution, store_solution
 from gelgap.sim.canonical_frame import CanonicalFrame, canonical_frame, placed_state
 from gelgap.sim.elastomer import Elastomer

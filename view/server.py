@@ -6,7 +6,7 @@ import socket
 
 import viser
 
-from gelgap.assets.names import shown
+from gelgap.assets.names import quoted
 
 
 def start_server(host: str, port: int) -> viser.ViserServer:
@@ -31,7 +31,7 @@ def _check_free(host: str, port: int) -> None:
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError) as error:
-        raise ValueError(f"--host = {shown(host)}: is no address of this machine ({error})") from None
+        raise ValueError(f"--host = {quoted(host)}: is no address of this machine ({error})") from None
     with socket.socket(family, kind, protocol) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -42,7 +42,7 @@ def _check_free(host: str, port: int) -> None:
             if error.errno in (98, 48):
                 raise ValueError(_taken(port)) from None
             raise ValueError(
-                f"--host = {shown(host)}: is no address of this machine ({error.strerror})"
+                f"--host = {quoted(host)}: is no address of this machine ({error.strerror})"
             ) from None
 
 

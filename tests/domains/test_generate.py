@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.assets.sole_use import sole_use
+from gelgap.assets.locks import sole_use
 from gelgap.domains.folder import DomainFolder
 from gelgap.domains.generate import generate_recipes
 from gelgap.domains.opening import open_domain

@@ -7,12 +7,12 @@ import sys
 import threading
 from pathlib import Path
 
-from gelgap.assets.key_lock import LOCKS, key_lock
+from gelgap.assets.locks import key_lock
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from gelgap.assets.key_lock import key_lock
+from gelgap.assets.locks import key_lock
 with key_lock(Path(sys.argv[1]), sys.argv[2]):
     print("held", flush=True)
     time.sleep(600)
@@ -20,7 +20,7 @@ with key_lock(Path(sys.argv[1]), sys.argv[2]):
 COUNTER = """
 import sys
 from pathlib import Path
-from gelgap.assets.key_lock import key_lock
+from gelgap.assets.locks import key_lock
 folder = Path(sys.argv[1])
 for _ in range(20):
     with key_lock(folder, "count"):
@@ -33,12 +33,13 @@ def start(code: str, *arguments: str) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-c", code, *arguments], stdout=subprocess.PIPE, text=True)
 
 
-def test_processes_take_turns_and_leave_one_file(tmp_path: Path) -> None:
+def test_processes_take_turns_and_leave_one_empty_file_a_key(tmp_path: Path) -> None:
     (tmp_path / "count").write_text("0")
     children = [start(COUNTER, str(tmp_path)) for _ in range(10)]
     assert [child.wait(timeout=120) for child in children] == [0] * 10
     assert (tmp_path / "count").read_text() == "200"
-    assert sorted(path.name for path in tmp_path.iterdir()) == [LOCKS, "count"]
+    (lock,) = (path for path in tmp_path.iterdir() if path.name != "count")
+    assert (lock.suffix, lock.stat().st_size) == (".lock", 0)
 
 
 def test_the_kernel_gives_the_lock_of_a_killed_process_back(tmp_path: Path) -> None:
@@ -76,7 +77,8 @@ def test_threads_of_one_process_take_turns(tmp_path: Path) -> None:
     assert max(most) == 1
 
 
-def test_a_folder_that_takes_no_lock_is_used_without(tmp_path: Path) -> None:
+def test_a_folder_that_takes_no_lock_is_used_without_and_says_so(tmp_path: Path, caplog) -> None:
     (tmp_path / "file").write_text("no folder")
     with key_lock(tmp_path / "file", "a"):
         pass
+    assert "file takes no locks" in caplog.text
