@@ -48,17 +48,17 @@ def load_preset(kind: str, name: str) -> dict[str, Any]:
 
 
 def html_page(template: str, **values: Any) -> str:
-    """Return the page that a template (`report.html`, say) makes of the values, escaped unless marked safe."""
+    """Return the page that a template makes of the values; in `.html`, they are escaped unless marked safe."""
     return _environment().get_template(template).render(**values)
 
 
 @cache
 def _environment() -> Any:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
     return Environment(
         loader=FileSystemLoader(asset_path("templates")),
-        autoescape=True,
+        autoescape=select_autoescape(["html"]),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -4,7 +4,6 @@ A press is a gel and a sphere, solved at some depths, each with a travel. Every 
 modulus, a light, a camera and contacts of its own, none of which asks for another solve.
 """
 
-import hashlib
 import math
 import tomllib
 from collections.abc import Collection
@@ -18,6 +17,7 @@ from pydantic import Field, field_validator
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.domains.domain import word
 from gelgap.domains.recipe import DomainRecipe, Interval
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
@@ -187,8 +187,7 @@ class _Draws:
     without: frozenset[str]
 
     def stream(self, what: str, number: int) -> np.random.Generator:
-        key = int.from_bytes(hashlib.sha256(what.encode()).digest()[:8], "little")
-        return np.random.default_rng(np.random.SeedSequence([self.seed, key, number]))
+        return np.random.default_rng(np.random.SeedSequence([self.seed, word(what), number]))
 
     def shares(self, factor: str, what: str, number: int, count: int) -> list[float]:
         return [0.5] * count if factor in self.without else self.stream(what, number).random(count).tolist()

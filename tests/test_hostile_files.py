@@ -22,7 +22,7 @@ from gelgap.benchmarks.data import file_kinds
 from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.cli.calibrate import read_presses
 from gelgap.domains import Sweep, open_domain
-from gelgap.domains.folder import DomainFolder
+from gelgap.domains.formats.domain_folder import DomainFolder
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import MembraneState, load_path
 

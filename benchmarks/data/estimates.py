@@ -10,7 +10,7 @@ from pathlib import Path
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.benchmarks.physics.cases import own_cache
 from gelgap.domains import DomainRecipe, GenerationProgress, estimate, generate_recipes, make_recipes
-from gelgap.domains.time_left import TimeLeft, Workload
+from gelgap.domains.generation.progress import TimeLeft, Workload
 from gelgap.sim import ContactPath, Elastomer, Pose, PosePath, Sharing, Sphere, plan_solves
 from gelgap.sim.pace import known_pace, measured_pace, timed_solve
 from gelgap.sim.problem import ContactProblem

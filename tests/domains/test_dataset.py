@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains.array_frames import ArrayFrames
-from gelgap.domains.opening import open_domain
-from gelgap.domains.picture_codec import decode_picture, encode_png, resized
+from gelgap.domains.formats.pictures import decode_picture, encode_png, resized
+from gelgap.domains.frames.dataset import ArrayFrames
+from gelgap.domains.frames.folders import open_domain
 from gelgap.sim import Diagnostics
 
 
@@ -122,7 +122,7 @@ def test_pictures_without_markers_are_made_once_and_only_when_asked_for(
     assert (shown.max(axis=3) < 60).sum() > 1000
     assert not (hidden.max(axis=3) < 60).any()
     some = frames.take(np.array([5, 2]))
-    monkeypatch.setattr("gelgap.domains.stored.write_kept_pictures", pytest.fail)
+    monkeypatch.setattr("gelgap.domains.frames.stored.write_kept_pictures", pytest.fail)
     np.testing.assert_array_equal(some.images_without_markers(80), hidden[[5, 2]])
     held = ArrayFrames("held", frames.images(), frames.reference, frames.force_n)
     np.testing.assert_array_equal(held.images_without_markers((40, 30))[3], resized(hidden[3], (40, 30)))

@@ -1,0 +1,350 @@
+"""Parquet shards: the columns of a domain with type, unit, meaning and how each is made, and shards as bytes.
+
+A new column is one entry here.
+"""
+
+import dataclasses
+import io
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pyarrow as pa
+
+from gelgap.domains.formats.pictures import encode_png
+from gelgap.sim import Diagnostics, Pose
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
+
+    from gelgap.render import MembraneRenderer, Sensor
+    from gelgap.sim import MembraneState
+
+SCHEMA_VERSION = 1
+# A row group is what a reader must take from disk to see one frame: small, so that random access stays cheap.
+ROWS_PER_GROUP = 32
+PICTURE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+"""A picture as Hugging Face `datasets` reads it."""
+POINTS = pa.list_(pa.list_(pa.float32(), 2))
+
+# 16-bit height maps: 0.1 µm steps from 0.5 mm outwards (the membrane bulges) to 6 mm inwards.
+HEIGHT_MAP_STEP_MM = 1e-4
+HEIGHT_MAP_OFFSET_MM = -0.5
+
+
+@dataclass(frozen=True)
+class LabelSource:
+    """What the labels of one frame are made from: what was commanded, solved and measured."""
+
+    frame: int
+    pose: Pose
+    trajectory: int
+    step: int
+    split: str
+    state: "MembraneState"
+    force_n: tuple[float, float, float]
+    """What the force sensor reads; `state.force_n` is the true force."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One contact as a sensor sees it."""
+
+    renderer: "MembraneRenderer"
+    sensor: "Sensor"
+    state: "MembraneState"
+
+    @property
+    def membrane(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The arguments by which a renderer takes the membrane: x, y and displacement, mm."""
+        return self.state.x_mm, self.state.y_mm, self.state.displacement_mm
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the Parquet shards."""
+
+    name: str
+    type: pa.DataType
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class LabelColumn(Column):
+    """A column made from the contact alone; it has a value for every frame."""
+
+    value: Callable[[LabelSource], Any]
+
+
+@dataclass(frozen=True)
+class ViewColumn(Column):
+    """A column made by the renderer; null in frames without a picture."""
+
+    cell: Callable[[View], Any]
+
+
+def _height_map(view: View) -> dict[str, Any]:
+    height_mm = view.renderer.height_map_mm(*view.membrane)
+    codes = np.clip(np.rint((height_mm - HEIGHT_MAP_OFFSET_MM) / HEIGHT_MAP_STEP_MM), 0, 65535)
+    return picture_cell(codes.astype(np.uint16))
+
+
+def _contact_mask(view: View) -> dict[str, Any]:
+    mask = view.renderer.contact_mask(*view.membrane, view.state.contact)
+    return picture_cell(mask.astype(np.uint8) * 255)
+
+
+def _marker_rest_mm(view: View) -> list[list[float]]:
+    from gelgap.render import marker_rest_mm
+
+    return _point_list(marker_rest_mm(view.sensor.markers))
+
+
+def picture_cell(picture: np.ndarray) -> dict[str, Any]:
+    """Return the value of a picture column."""
+    return {"bytes": encode_png(picture), "path": None}
+
+
+def _point_list(points: np.ndarray) -> list[list[float]]:
+    return points.reshape(-1, 2).astype(np.float32).tolist()
+
+
+_INT, _FLOAT = pa.int32(), pa.float64()
+
+LABELS: tuple[LabelColumn, ...] = (
+    LabelColumn("frame_id", _INT, "", "position on the path", lambda c: c.frame),
+    LabelColumn("point_id", _INT, "", "number of the contact point", lambda c: c.pose.point_id),
+    LabelColumn(
+        "contact_class",
+        _INT,
+        "",
+        "0 without contact; −1 off the paper's grid",
+        lambda c: c.pose.contact_class,
+    ),
+    LabelColumn("depth_mm", _FLOAT, "mm", "commanded depth", lambda c: c.pose.depth_mm),
+    LabelColumn("radius_mm", _FLOAT, "mm", "commanded travel sideways", lambda c: c.pose.radius_mm),
+    LabelColumn(
+        "angle_deg",
+        _FLOAT,
+        "°",
+        "commanded direction of the travel; null without travel",
+        lambda c: c.pose.angle_deg if c.pose.radius_mm else None,
+    ),
+    LabelColumn(
+        "trajectory_id", _INT, "", "travel at one point, depth and direction", lambda c: c.trajectory
+    ),
+    LabelColumn("step", _INT, "", "place on the trajectory", lambda c: c.step),
+    LabelColumn("x_mm", _FLOAT, "mm", "commanded contact point, to the right", lambda c: c.pose.point_x_mm),
+    LabelColumn("y_mm", _FLOAT, "mm", "commanded contact point, down", lambda c: c.pose.point_y_mm),
+    LabelColumn("commanded_z_mm", _FLOAT, "mm", "minus the depth", lambda c: -c.pose.depth_mm),
+    LabelColumn("shear_x_mm", _FLOAT, "mm", "commanded travel along x", lambda c: c.pose.shear_x_mm),
+    LabelColumn("shear_y_mm", _FLOAT, "mm", "commanded travel along y", lambda c: c.pose.shear_y_mm),
+    LabelColumn("fx_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[0]),
+    LabelColumn("fy_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[1]),
+    LabelColumn("fz_n", _FLOAT, "N", "the same; ≤ 0 in compression", lambda c: c.force_n[2]),
+    LabelColumn("converged", pa.bool_(), "", "false: no picture", lambda c: bool(c.state.converged)),
+    LabelColumn(
+        "contact_radius_mm",
+        _FLOAT,
+        "mm",
+        "deformed radius where the normal pressure vanishes",
+        lambda c: float(c.state.contact_radius_mm),
+    ),
+    LabelColumn("split", pa.string(), "", "train, validation or test", lambda c: c.split),
+)
+IMAGE = Column("image", PICTURE, "", "what the camera sees")
+
+DIAGNOSTICS = tuple(
+    LabelColumn(
+        field.name,
+        _INT if field.type is int else _FLOAT,
+        "",
+        "how the pose was solved",
+        lambda c, name=field.name: getattr(c.state.diagnostics, name),
+    )
+    for field in dataclasses.fields(Diagnostics)
+)
+_VIEWS = (
+    ViewColumn(
+        "height_map",
+        PICTURE,
+        "mm",
+        f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGHT_MAP_STEP_MM:g} × code",
+        _height_map,
+    ),
+    ViewColumn(
+        "contact_mask",
+        PICTURE,
+        "",
+        "255 where the indenter touches",
+        _contact_mask,
+    ),
+    ViewColumn(
+        "marker_rest_mm",
+        POINTS,
+        "mm",
+        "(x, y) of each dot on the undeformed membrane",
+        _marker_rest_mm,
+    ),
+    ViewColumn(
+        "marker_px",
+        POINTS,
+        "px",
+        "(x, y) of each dot in the picture, pixel centres at +0.5",
+        lambda view: _point_list(view.renderer.marker_px(*view.membrane)),
+    ),
+)
+OPTIONAL: dict[str, tuple[Column, ...]] = {column.name: (column,) for column in _VIEWS} | {
+    "diagnostics": DIAGNOSTICS
+}
+"""What a domain may also hold, by the names by which it is asked for."""
+OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
+
+COLUMNS = {column.name: column for column in (*LABELS, IMAGE, *(c for own in OPTIONAL.values() for c in own))}
+"""Every column that there is, by its name."""
+
+
+def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
+    """Return the Arrow schema of a shard, with the metadata by which Hugging Face `datasets` decodes pictures."""
+    chosen = (column for name in OPTIONAL if name in optional for column in OPTIONAL[name])
+    columns = [*LABELS, IMAGE, *chosen]
+    features = {column.name: _huggingface_feature(column.type) for column in columns}
+    metadata = {"huggingface": json.dumps({"info": {"features": features}})}
+    return pa.schema([pa.field(column.name, column.type) for column in columns], metadata=metadata)
+
+
+def _huggingface_feature(kind: pa.DataType) -> dict[str, Any]:
+    if kind == PICTURE:
+        return {"_type": "Image"}
+    if kind == POINTS:
+        pair = {"feature": {"dtype": "float32", "_type": "Value"}, "length": 2, "_type": "List"}
+        return {"feature": pair, "_type": "List"}
+    names = {pa.float64(): "float64", pa.bool_(): "bool"}
+    return {"dtype": names.get(kind, str(kind)), "_type": "Value"}
+
+
+def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
+    """Return the Parquet file that holds these rows: the same rows always give the same bytes."""
+    import pyarrow.parquet as pq
+
+    # Labels are few, and noise leaves pictures nothing to gain: only optional columns are compressed.
+    leaves = {PICTURE: "bytes", POINTS: "list.element.list.element"}
+    packed = (column for name in optional for column in OPTIONAL[name] if column.type in leaves)
+    table = pa.Table.from_pylist(list(rows), schema=frame_schema(optional))
+    sink = io.BytesIO()
+    pq.write_table(
+        table,
+        sink,
+        compression={f"{column.name}.{leaves[column.type]}": "zstd" for column in packed},
+        row_group_size=ROWS_PER_GROUP,
+        use_dictionary=False,
+    )
+    return sink.getvalue()
+
+
+# More rows than any shard has; a few bytes of Parquet can claim billions.
+_MOST_ROWS = 100_000
+# More entries than any list in the footer has, and more bytes than any text there.
+_FOOTER_LIMITS = {"thrift_container_size_limit": 10_000, "thrift_string_size_limit": 2**20}
+# A label is a number or the name of a part; headers come on top.
+_LABEL_BYTES, _HEADER_BYTES = 64, 2**16
+# Coded pictures hardly become smaller; those that are nearly empty do, but are small.
+_MOST_GROWTH, _SMALL_BYTES = 8, 2**25
+
+
+class ShardFile:
+    """One shard, memory-mapped. Every method raises RuntimeError, which names the file, where it is damaged.
+
+    A shard that anyone may have written is read only if its footer states the columns that generation writes, and no
+    more rows and bytes than generation's shards have.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    @property
+    def schema(self) -> pa.Schema:
+        """The columns, as they lie in the file."""
+        return self._file.schema_arrow
+
+    @cached_property
+    def rows_per_group(self) -> tuple[int, ...]:
+        """The number of frames in each row group."""
+        metadata = self._file.metadata
+        return tuple(metadata.row_group(group).num_rows for group in range(metadata.num_row_groups))
+
+    def labels(self) -> dict[str, np.ndarray]:
+        """Return the columns that are made from the contact alone, by name, (n,)."""
+        names = [name for name in self.schema.names if isinstance(COLUMNS[name], LabelColumn)]
+        with self._named_if_damaged():
+            table = self._file.read(columns=names)
+        return {name: table[name].to_numpy() for name in names}
+
+    def cells(self, group: int, column: str) -> list[Any]:
+        """Return a column's values in one row group; of pictures their bytes."""
+        with self._named_if_damaged():
+            cells = self._file.read_row_group(group, columns=[column])[column]
+        if pa.types.is_struct(cells.type):
+            return [cell for chunk in cells.chunks for cell in chunk.field("bytes").to_pylist()]
+        return cells.to_pylist()
+
+    def table(self) -> pa.Table:
+        """Return the whole shard."""
+        with self._named_if_damaged():
+            return self._file.read()
+
+    @cached_property
+    def _file(self) -> "ParquetFile":
+        import pyarrow.parquet as pq
+
+        with self._named_if_damaged():
+            file = pq.ParquetFile(pa.memory_map(str(self.path)), **_FOOTER_LIMITS)
+            _check_footer(file)
+        return file
+
+    @contextmanager
+    def _named_if_damaged(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
+            raise damaged(self.path, str(error)) from None
+
+
+def _check_footer(file: "ParquetFile") -> None:
+    """Raise ValueError if a shard states other columns, more rows or more bytes than generation writes."""
+    metadata, schema = file.metadata, file.schema_arrow
+    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
+    rows = [group.num_rows for group in groups]
+    if min(rows, default=0) < 0 or sum(rows) != metadata.num_rows or metadata.num_rows > _MOST_ROWS:
+        raise ValueError(f"it states {max([metadata.num_rows, *rows])} rows")
+    for name in schema.names:
+        if name not in COLUMNS or schema.names.count(name) > 1:
+            raise ValueError(f"column {name[:40]!r} is unknown or there twice")
+    for name in dict.fromkeys([column.name for column in (*LABELS, IMAGE)] + schema.names):
+        if name not in schema.names or schema.field(name).type != COLUMNS[name].type:
+            raise ValueError(f"column {name} is missing or not {COLUMNS[name].type}")
+    for chunk in (group.column(number) for group in groups for number in range(group.num_columns)):
+        column, n_bytes = COLUMNS[chunk.path_in_schema.partition(".")[0]], chunk.total_uncompressed_size
+        if chunk.has_dictionary_page:
+            raise ValueError(f"column {column.name} has a dictionary")
+        is_label = isinstance(column, LabelColumn)
+        most_bytes = max(_SMALL_BYTES, _MOST_GROWTH * chunk.total_compressed_size)
+        if n_bytes > (_HEADER_BYTES + _LABEL_BYTES * max(rows) if is_label else most_bytes):
+            raise ValueError(f"column {column.name} would take {n_bytes / 2**20:.0f} MiB")
+        if chunk.num_values > max(rows) + (0 if is_label else n_bytes):
+            raise ValueError(f"column {column.name} states {chunk.num_values} values")
+
+
+def damaged(path: Path, problem: str) -> RuntimeError:
+    """Return the error that names a shard, what is wrong with it and what to do."""
+    problem = " ".join(problem.split())
+    return RuntimeError(
+        f"{path} is damaged ({problem}): run the same `gelgap generate` again to repair it; "
+        f"`gelgap inspect {path.parent} --verify` names all damage"
+    )
