@@ -1,6 +1,6 @@
 """Processes side by side: who writes to a folder, who fills a cache, and Ctrl-C that waits for a step to end.
 
-The kernel gives a lock back however its process ends; lock files stay behind, empty.
+The kernel gives a lock back however its process ends.
 """
 
 import contextlib
@@ -76,7 +76,8 @@ def key_lock(folder: Path, key: str, waiting: Callable[[], None] | None = None) 
     with contextlib.ExitStack() as held:
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(folder / f".{sha256(key.encode())[:16]}{LOCK}")
+            path = folder / f".{sha256(key.encode())[:16]}{LOCK}"
+            lock = FileLock(path)
             try:
                 lock.acquire(timeout=0)
             except Timeout:
@@ -84,6 +85,8 @@ def key_lock(folder: Path, key: str, waiting: Callable[[], None] | None = None) 
                     waiting()
                 lock.acquire()
             held.callback(lock.release)
+            # Who waits for a file that is gone makes a new one.
+            held.callback(path.unlink, missing_ok=True)
         except OSError as error:
             if os.access(folder, os.W_OK):
                 warn(f"{folder} takes no locks ({error}): processes that share it may do the same work twice")
