@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from gelgap.assets import load_preset
@@ -47,21 +46,23 @@ _RESOLUTION_MM = 1e-3
 class AcquisitionError(Settings):
     """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
 
-    point_offset_mm: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.0, description="offset of all contact points along x and along y, mm, 0 to 1"
+    point_offset_mm: float = Field(
+        0.0, ge=0, le=1, description="offset of all contact points along x and along y, mm, 0 to 1"
     )
-    depth_zero_mm: Annotated[float, Field(ge=0, le=0.5)] = Field(
-        default=0.0, description="error of the depth at which contact is taken to begin, mm, 0 to 0.5"
+    depth_zero_mm: float = Field(
+        0.0, ge=0, le=0.5, description="error of the depth at which contact is taken to begin, mm, 0 to 0.5"
     )
-    tilt_deg: Annotated[float, Field(ge=0, le=3)] = Field(
-        default=0.0,
-        description="tilt of the pad about x and about y, degrees, 0 to 3; it changes the depth from point to point",
+    tilt_deg: float = Field(
+        0.0,
+        ge=0,
+        le=3,
+        description="tilt of the pad about x and y, degrees, 0 to 3: depth changes with the point",
     )
-    force_noise_n: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.0, description="noise of the force sensor per frame and axis, N, 0 to 1"
+    force_noise_n: float = Field(
+        0.0, ge=0, le=1, description="noise of the force sensor per frame and axis, N, 0 to 1"
     )
-    force_bias_n: Annotated[float, Field(ge=0, le=1)] = Field(
-        default=0.0, description="bias of the force sensor along each axis, N, 0 to 1"
+    force_bias_n: float = Field(
+        0.0, ge=0, le=1, description="bias of the force sensor along each axis, N, 0 to 1"
     )
 
 
@@ -107,8 +108,10 @@ def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, 
     repeat their levels too, and poses at one level share their solves.
     """
     rng = random_stream(seed, domain, "contacts")
-    depths = _moved_levels(rng, path.depths_mm)
-    radii = _moved_levels(rng, path.radii_mm)
+    depths, radii = (
+        {level: max(_RESOLUTION_MM, _rounded(level + rng.uniform(-room, room))) for level in levels}
+        for levels, room in ((own, _spacing(own) / 4) for own in (path.depths_mm, path.radii_mm))
+    )
     half_angle = 180.0 / max(len(path.angles_deg), 1)
     point_room = [_spacing(values) / 4 for values in (path.points_x_mm, path.points_y_mm)]
     points: dict[int, tuple[float, float]] = {}
@@ -130,11 +133,6 @@ def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, 
             )
         )
     return tuple(moved)
-
-
-def _moved_levels(rng: np.random.Generator, levels: Sequence[float]) -> dict[float, float]:
-    room = _spacing(levels) / 4
-    return {level: max(_RESOLUTION_MM, _rounded(level + rng.uniform(-room, room))) for level in levels}
 
 
 def _spacing(values: Sequence[float]) -> float:
@@ -256,31 +254,28 @@ def make_recipes(
         raise ValueError(f"a domain is named twice in {', '.join(map(str, parsed))}; name each once")
     contact_path = load_path(path) if isinstance(path, str) else path
     seen_through = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
-    return tuple(
-        DomainRecipe(
+    recipes = []
+    for domain in parsed:
+        own_light = domain.illumination == OWN_LIGHT
+        light = seen_through.illumination if own_light else Illumination.preset(domain.illumination)
+        if light is None:
+            raise ValueError(
+                f"domain {domain.name}: sensor {seen_through.name!r} has no LEDs of its own; give it an "
+                "[illumination], choose another sensor, or name an illumination preset"
+            )
+        recipe = DomainRecipe(
             name=domain.name,
             elastomer=Elastomer.preset(domain.elastomer),
             path=contact_path,
             sensor=seen_through,
-            illumination=_light(domain, seen_through),
+            illumination=light,
             markers=domain.markers,
             inpainted_from=domain.name.removeprefix("w") if domain.name in inpainted else None,
             columns=tuple(sorted(columns)),
             **settings,
         )
-        for domain in parsed
-    )
-
-
-def _light(domain: Domain, sensor: Sensor) -> Illumination:
-    if domain.illumination != OWN_LIGHT:
-        return Illumination.preset(domain.illumination)
-    if sensor.illumination is None:
-        raise ValueError(
-            f"domain {domain.name}: sensor {sensor.name!r} has no LEDs of its own; give it an [illumination], choose "
-            "another sensor, or name an illumination preset"
-        )
-    return sensor.illumination
+        recipes.append(recipe)
+    return tuple(recipes)
 
 
 def own_recipe(
@@ -363,15 +358,14 @@ def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ..
         names = [entry.name for entry in content.domains]
         if len(set(names)) < len(names):
             raise ValueError(f"a domain is named twice in {', '.join(names)}; name each once")
-        return tuple(_recipe(entry, content.path, settings) for entry in content.domains)
-
-
-def _recipe(entry: RecipeEntry, path: str, settings: dict[str, object]) -> DomainRecipe:
-    return own_recipe(
-        entry.name,
-        path,
-        base="mb0i0" if entry.markers else "wmb0i0",
-        elastomer=entry.elastomer,
-        illumination=entry.illumination,
-        **settings | {"sensor": entry.sensor},
-    )
+        return tuple(
+            own_recipe(
+                entry.name,
+                content.path,
+                base="mb0i0" if entry.markers else "wmb0i0",
+                elastomer=entry.elastomer,
+                illumination=entry.illumination,
+                **settings | {"sensor": entry.sensor},
+            )
+            for entry in content.domains
+        )

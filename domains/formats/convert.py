@@ -10,7 +10,6 @@ import csv
 import logging
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
@@ -325,10 +324,18 @@ def _recorded_clip(table: Path) -> Clip:
         raise ValueError(f"the clip of {table}{many}; {_LAYOUT}")
     (source,) = sources
     if source.is_dir():
-        picture_names, time_s = _picture_times(source)
-        pictures = partial(_folder_pictures, source, picture_names)
+        tables = sorted(source.glob("*.csv"))
+        rows = read_table(tables[0]) if len(tables) == 1 else []
+        if not rows or not {"picture", _TIME} <= rows[0].keys():
+            raise ValueError(f"{source} must hold one table with the columns picture, {_TIME}")
+        names = [row["picture"] for row in rows]
+        if wrong := [name for name in names if not stays_inside(name) or not (source / name).is_file()]:
+            raise ValueError(f"{tables[0]} names the picture {wrong[0]!r}, which is not in {source}")
+        time_s, pictures = _numbers(rows, _TIME, tables[0]), partial(_folder_pictures, source, names)
     else:
-        time_s, pictures = _video_times_s(source), partial(video_pictures, source)
+        # 0 is OpenCV's CAP_PROP_POS_MSEC.
+        time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
+        pictures = partial(video_pictures, source)
     for times, place in ((time_s, source), (label_time_s, table)):
         if (np.diff(times) <= 0).any():
             row = int(np.argmax(np.diff(times) <= 0)) + 1
@@ -344,17 +351,6 @@ def _numbers(rows: list[dict[str, str]], name: str, table: Path) -> np.ndarray:
     if not np.isfinite(values).all():
         raise ValueError(f"{table}, column {name!r}: every row must hold a finite number")
     return values
-
-
-def _picture_times(folder: Path) -> tuple[list[str], np.ndarray]:
-    tables = sorted(folder.glob("*.csv"))
-    rows = read_table(tables[0]) if len(tables) == 1 else []
-    if not rows or not {"picture", _TIME} <= rows[0].keys():
-        raise ValueError(f"{folder} must hold one table with the columns picture, {_TIME}")
-    names = [row["picture"] for row in rows]
-    if wrong := [name for name in names if not stays_inside(name) or not (folder / name).is_file()]:
-        raise ValueError(f"{tables[0]} names the picture {wrong[0]!r}, which is not in {folder}")
-    return names, _numbers(rows, _TIME, tables[0])
 
 
 def _folder_pictures(folder: Path, names: list[str]) -> Iterator[np.ndarray]:
@@ -373,33 +369,23 @@ def video_pictures(path: Path) -> Iterator[np.ndarray]:
     ValueError
         If the file is no video that OpenCV's FFmpeg can read.
     """
-    with _opened(path) as video:
-        while True:
-            done, picture = video.read()
-            if not done:
-                return
-            yield np.ascontiguousarray(picture[..., ::-1])
+    for video in _grabbed(path):
+        done, picture = video.retrieve()
+        if not done:
+            return
+        yield np.ascontiguousarray(picture[..., ::-1])
 
 
-def _video_times_s(path: Path) -> np.ndarray:
-    import cv2
-
-    times = []
-    with _opened(path) as video:
-        while video.grab():
-            times.append(video.get(cv2.CAP_PROP_POS_MSEC) / 1000)
-    return np.array(times)
-
-
-@contextmanager
-def _opened(path: Path) -> "Iterator[VideoCapture]":
+def _grabbed(path: Path) -> "Iterator[VideoCapture]":
+    """Yield a video at each of its pictures, before it is decoded."""
     import cv2
 
     video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
     try:
         if not video.isOpened():
             raise ValueError(f"{path} is not a video that can be read")
-        yield video
+        while video.grab():
+            yield video
     finally:
         video.release()
 

@@ -155,7 +155,7 @@ def _plain(name: str) -> str:
 
 
 def _rising(interval: list[float]) -> list[float]:
-    if not interval[0] < interval[1]:
+    if len(interval) != 2 or not interval[0] < interval[1]:
         raise ValueError("must be a lower and a higher bound")
     return interval
 
@@ -181,8 +181,7 @@ class _Manifest(_Checked):
     complete: bool
     schema_version: int
     force_range_n: Annotated[
-        list[Annotated[list[float], Field(min_length=2, max_length=2), AfterValidator(_rising)]],
-        Field(min_length=3, max_length=3),
+        list[Annotated[list[float], AfterValidator(_rising)]], Field(min_length=3, max_length=3)
     ]
 
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -37,9 +37,8 @@ HEIGHT_MAP_STEP_MM = 1e-4
 HEIGHT_MAP_OFFSET_MM = -0.5
 
 
-@dataclass(frozen=True)
-class LabelSource:
-    """What the labels of one frame are made from: what was commanded, solved and measured."""
+class Contact(NamedTuple):
+    """What the labels of one frame are made from; `force_n` is what the force sensor reads, the state's is true."""
 
     frame: int
     pose: Pose
@@ -47,12 +46,14 @@ class LabelSource:
     step: int
     split: str
     state: "MembraneState"
-    force_n: tuple[float, float, float]
-    """What the force sensor reads; `state.force_n` is the true force."""
+    force_n: tuple[float, ...]
+
+    @property
+    def angle_deg(self) -> float | None:
+        return self.pose.angle_deg if self.pose.radius_mm else None
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """One contact as a sensor sees it."""
 
     renderer: "MembraneRenderer"
@@ -67,26 +68,18 @@ class View:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the Parquet shards."""
+    """A column of the Parquet shards.
+
+    A label has a `value` for every frame, made from the contact alone; other columns have a `cell`, made by the
+    renderer, which is null in frames without a picture.
+    """
 
     name: str
     type: pa.DataType
     unit: str
     meaning: str
-
-
-@dataclass(frozen=True)
-class LabelColumn(Column):
-    """A column made from the contact alone; it has a value for every frame."""
-
-    value: Callable[[LabelSource], Any]
-
-
-@dataclass(frozen=True)
-class ViewColumn(Column):
-    """A column made by the renderer; null in frames without a picture."""
-
-    cell: Callable[[View], Any]
+    value: Callable[[Contact], Any] | None = None
+    cell: Callable[[View], Any] | None = None
 
 
 def _height_map(view: View) -> dict[str, Any]:
@@ -106,6 +99,10 @@ def _marker_rest_mm(view: View) -> list[list[float]]:
     return _point_list(marker_rest_mm(view.sensor.markers))
 
 
+def _marker_px(view: View) -> list[list[float]]:
+    return _point_list(view.renderer.marker_px(*view.membrane))
+
+
 def picture_cell(picture: np.ndarray) -> dict[str, Any]:
     """Return the value of a picture column."""
     return {"bytes": encode_png(picture), "path": None}
@@ -115,96 +112,56 @@ def _point_list(points: np.ndarray) -> list[list[float]]:
     return points.reshape(-1, 2).astype(np.float32).tolist()
 
 
-_INT, _FLOAT = pa.int32(), pa.float64()
-
-LABELS: tuple[LabelColumn, ...] = (
-    LabelColumn("frame_id", _INT, "", "position on the path", lambda c: c.frame),
-    LabelColumn("point_id", _INT, "", "number of the contact point", lambda c: c.pose.point_id),
-    LabelColumn(
-        "contact_class",
-        _INT,
-        "",
-        "0 without contact; −1 off the paper's grid",
-        lambda c: c.pose.contact_class,
-    ),
-    LabelColumn("depth_mm", _FLOAT, "mm", "commanded depth", lambda c: c.pose.depth_mm),
-    LabelColumn("radius_mm", _FLOAT, "mm", "commanded travel sideways", lambda c: c.pose.radius_mm),
-    LabelColumn(
-        "angle_deg",
-        _FLOAT,
-        "°",
-        "commanded direction of the travel; null without travel",
-        lambda c: c.pose.angle_deg if c.pose.radius_mm else None,
-    ),
-    LabelColumn(
-        "trajectory_id", _INT, "", "travel at one point, depth and direction", lambda c: c.trajectory
-    ),
-    LabelColumn("step", _INT, "", "place on the trajectory", lambda c: c.step),
-    LabelColumn("x_mm", _FLOAT, "mm", "commanded contact point, to the right", lambda c: c.pose.point_x_mm),
-    LabelColumn("y_mm", _FLOAT, "mm", "commanded contact point, down", lambda c: c.pose.point_y_mm),
-    LabelColumn("commanded_z_mm", _FLOAT, "mm", "minus the depth", lambda c: -c.pose.depth_mm),
-    LabelColumn("shear_x_mm", _FLOAT, "mm", "commanded travel along x", lambda c: c.pose.shear_x_mm),
-    LabelColumn("shear_y_mm", _FLOAT, "mm", "commanded travel along y", lambda c: c.pose.shear_y_mm),
-    LabelColumn("fx_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[0]),
-    LabelColumn("fy_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[1]),
-    LabelColumn("fz_n", _FLOAT, "N", "the same; ≤ 0 in compression", lambda c: c.force_n[2]),
-    LabelColumn("converged", pa.bool_(), "", "false: no picture", lambda c: bool(c.state.converged)),
-    LabelColumn(
-        "contact_radius_mm",
-        _FLOAT,
-        "mm",
-        "deformed radius where the normal pressure vanishes",
-        lambda c: float(c.state.contact_radius_mm),
-    ),
-    LabelColumn("split", pa.string(), "", "train, validation or test", lambda c: c.split),
+_INT, _FLOAT, _BOOL, _TEXT = pa.int32(), pa.float64(), pa.bool_(), pa.string()
+_CLASS = "0 without contact; −1 off the paper's grid"
+_DIRECTION = "commanded direction of the travel; null without travel"
+_RADIUS = "deformed radius where the normal pressure vanishes"
+_HEIGHT = f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGHT_MAP_STEP_MM:g} × code"
+_REST = "(x, y) of each dot on the undeformed membrane"
+_SEEN = "(x, y) of each dot in the picture, pixel centres at +0.5"
+LABELS = (
+    Column("frame_id", _INT, "", "position on the path", lambda c: c.frame),
+    Column("point_id", _INT, "", "number of the contact point", lambda c: c.pose.point_id),
+    Column("contact_class", _INT, "", _CLASS, lambda c: c.pose.contact_class),
+    Column("depth_mm", _FLOAT, "mm", "commanded depth", lambda c: c.pose.depth_mm),
+    Column("radius_mm", _FLOAT, "mm", "commanded travel sideways", lambda c: c.pose.radius_mm),
+    Column("angle_deg", _FLOAT, "°", _DIRECTION, lambda c: c.angle_deg),
+    Column("trajectory_id", _INT, "", "travel at one point, depth and direction", lambda c: c.trajectory),
+    Column("step", _INT, "", "place on the trajectory", lambda c: c.step),
+    Column("x_mm", _FLOAT, "mm", "commanded contact point, to the right", lambda c: c.pose.point_x_mm),
+    Column("y_mm", _FLOAT, "mm", "commanded contact point, down", lambda c: c.pose.point_y_mm),
+    Column("commanded_z_mm", _FLOAT, "mm", "minus the depth", lambda c: -c.pose.depth_mm),
+    Column("shear_x_mm", _FLOAT, "mm", "commanded travel along x", lambda c: c.pose.shear_x_mm),
+    Column("shear_y_mm", _FLOAT, "mm", "commanded travel along y", lambda c: c.pose.shear_y_mm),
+    Column("fx_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[0]),
+    Column("fy_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[1]),
+    Column("fz_n", _FLOAT, "N", "the same; ≤ 0 in compression", lambda c: c.force_n[2]),
+    Column("converged", _BOOL, "", "false: no picture", lambda c: bool(c.state.converged)),
+    Column("contact_radius_mm", _FLOAT, "mm", _RADIUS, lambda c: float(c.state.contact_radius_mm)),
+    Column("split", _TEXT, "", "train, validation or test", lambda c: c.split),
 )
 IMAGE = Column("image", PICTURE, "", "what the camera sees")
 
-DIAGNOSTICS = tuple(
-    LabelColumn(
-        field.name,
-        _INT if field.type is int else _FLOAT,
-        "",
-        "how the pose was solved",
-        lambda c, name=field.name: getattr(c.state.diagnostics, name),
-    )
-    for field in dataclasses.fields(Diagnostics)
-)
-_VIEWS = (
-    ViewColumn(
-        "height_map",
-        PICTURE,
-        "mm",
-        f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGHT_MAP_STEP_MM:g} × code",
-        _height_map,
+OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
+OPTIONAL: dict[str, tuple[Column, ...]] = {
+    "height_map": (Column("height_map", PICTURE, "mm", _HEIGHT, cell=_height_map),),
+    "contact_mask": (
+        Column("contact_mask", PICTURE, "", "255 where the indenter touches", cell=_contact_mask),
     ),
-    ViewColumn(
-        "contact_mask",
-        PICTURE,
-        "",
-        "255 where the indenter touches",
-        _contact_mask,
+    "marker_rest_mm": (Column("marker_rest_mm", POINTS, "mm", _REST, cell=_marker_rest_mm),),
+    "marker_px": (Column("marker_px", POINTS, "px", _SEEN, cell=_marker_px),),
+    "diagnostics": tuple(
+        Column(
+            field.name,
+            _INT if field.type is int else _FLOAT,
+            "",
+            "how the pose was solved",
+            lambda c, name=field.name: getattr(c.state.diagnostics, name),
+        )
+        for field in dataclasses.fields(Diagnostics)
     ),
-    ViewColumn(
-        "marker_rest_mm",
-        POINTS,
-        "mm",
-        "(x, y) of each dot on the undeformed membrane",
-        _marker_rest_mm,
-    ),
-    ViewColumn(
-        "marker_px",
-        POINTS,
-        "px",
-        "(x, y) of each dot in the picture, pixel centres at +0.5",
-        lambda view: _point_list(view.renderer.marker_px(*view.membrane)),
-    ),
-)
-OPTIONAL: dict[str, tuple[Column, ...]] = {column.name: (column,) for column in _VIEWS} | {
-    "diagnostics": DIAGNOSTICS
 }
 """What a domain may also hold, by the names by which it is asked for."""
-OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
 
 COLUMNS = {column.name: column for column in (*LABELS, IMAGE, *(c for own in OPTIONAL.values() for c in own))}
 """Every column that there is, by its name."""
@@ -276,12 +233,12 @@ class ShardFile:
     @cached_property
     def rows_per_group(self) -> tuple[int, ...]:
         """The number of frames in each row group."""
-        metadata = self._file.metadata
-        return tuple(metadata.row_group(group).num_rows for group in range(metadata.num_row_groups))
+        groups = map(self._file.metadata.row_group, range(self._file.metadata.num_row_groups))
+        return tuple(group.num_rows for group in groups)
 
     def labels(self) -> dict[str, np.ndarray]:
         """Return the columns that are made from the contact alone, by name, (n,)."""
-        names = [name for name in self.schema.names if isinstance(COLUMNS[name], LabelColumn)]
+        names = [name for name in self.schema.names if COLUMNS[name].value]
         with self._named_if_damaged():
             table = self._file.read(columns=names)
         return {name: table[name].to_numpy() for name in names}
@@ -319,26 +276,26 @@ class ShardFile:
 def _check_footer(file: "ParquetFile") -> None:
     """Raise ValueError if a shard states other columns, more rows or more bytes than generation writes."""
     metadata, schema = file.metadata, file.schema_arrow
-    groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-    rows = [group.num_rows for group in groups]
-    if min(rows, default=0) < 0 or sum(rows) != metadata.num_rows or metadata.num_rows > _MOST_ROWS:
-        raise ValueError(f"it states {max([metadata.num_rows, *rows])} rows")
-    for name in schema.names:
+    if not 0 <= metadata.num_rows <= _MOST_ROWS:
+        raise ValueError(f"it states {metadata.num_rows} rows")
+    for name in (*schema.names, *(column.name for column in (*LABELS, IMAGE))):
         if name not in COLUMNS or schema.names.count(name) > 1:
             raise ValueError(f"column {name[:40]!r} is unknown or there twice")
-    for name in dict.fromkeys([column.name for column in (*LABELS, IMAGE)] + schema.names):
         if name not in schema.names or schema.field(name).type != COLUMNS[name].type:
             raise ValueError(f"column {name} is missing or not {COLUMNS[name].type}")
-    for chunk in (group.column(number) for group in groups for number in range(group.num_columns)):
-        column, n_bytes = COLUMNS[chunk.path_in_schema.partition(".")[0]], chunk.total_uncompressed_size
-        if chunk.has_dictionary_page:
-            raise ValueError(f"column {column.name} has a dictionary")
-        is_label = isinstance(column, LabelColumn)
-        most_bytes = max(_SMALL_BYTES, _MOST_GROWTH * chunk.total_compressed_size)
-        if n_bytes > (_HEADER_BYTES + _LABEL_BYTES * max(rows) if is_label else most_bytes):
-            raise ValueError(f"column {column.name} would take {n_bytes / 2**20:.0f} MiB")
-        if chunk.num_values > max(rows) + (0 if is_label else n_bytes):
-            raise ValueError(f"column {column.name} states {chunk.num_values} values")
+    for group in map(metadata.row_group, range(metadata.num_row_groups)):
+        for chunk in map(group.column, range(group.num_columns)):
+            column, n_bytes = COLUMNS[chunk.path_in_schema.partition(".")[0]], chunk.total_uncompressed_size
+            most_bytes, most_values = _HEADER_BYTES + _LABEL_BYTES * group.num_rows, group.num_rows
+            if not column.value:
+                most_bytes = max(_SMALL_BYTES, _MOST_GROWTH * chunk.total_compressed_size)
+                most_values += n_bytes
+            if chunk.has_dictionary_page:
+                raise ValueError(f"column {column.name} has a dictionary")
+            if n_bytes > most_bytes:
+                raise ValueError(f"column {column.name} would take {n_bytes / 2**20:.0f} MiB")
+            if chunk.num_values > most_values:
+                raise ValueError(f"column {column.name} states {chunk.num_values} values")
 
 
 def damaged(path: Path, problem: str) -> RuntimeError:

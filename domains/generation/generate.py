@@ -1,12 +1,13 @@
 """Generating domains: plan, check the folders, run, write; finished work is neither repeated nor lost."""
 
+import contextlib
 import json
 import logging
 import platform
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -29,15 +30,8 @@ LOG = logging.getLogger(__name__)
 RUN_LOG = "run.jsonl"
 """When, where and what; the one file that may differ between equal data sets."""
 PACKAGES = (
-    "gelgap",
-    "mujoco",
-    "numpy",
-    "scipy",
-    "numba",
-    "pyrender",
-    "colour-science",
-    "opencv-python-headless",
-    "pyarrow",
+    *("gelgap", "mujoco", "numpy", "scipy", "numba"),
+    *("pyrender", "colour-science", "opencv-python-headless", "pyarrow"),
 )
 """The packages whose versions a domain's bytes may depend on."""
 
@@ -60,27 +54,25 @@ class GenerationReport:
 
     def __str__(self) -> str:
         rate = self.frames_written / self.wall_s if self.wall_s else 0.0
-        lines = [
+        told = (
             f"{comma_list(self.domains)}: {self.frames} frames in {self.out_dir}; now written {self.frames_written} "
             f"frames, {self.bytes_written / 1e6:.1f} MB, {self.solves} solves in {self.wall_s:.1f} s "
             f"({rate:.1f} frames/s)"
-        ]
+        )
         if self.skipped:
-            lines.append(f"already finished: {comma_list(self.skipped)}")
+            told += f"\nalready finished: {comma_list(self.skipped)}"
         if self.unconverged:
-            because = (
+            told += f"\n{self.unconverged} frames did not converge: written without a picture"
+        if self.unrenderable:
+            told += (
                 f", {self.unrenderable} of them now because they could not be rendered ({RUN_LOG} says why)"
             )
-            lines.append(
-                f"{self.unconverged} frames did not converge: written without a picture"
-                f"{because if self.unrenderable else ''}"
-            )
         if self.outside_range:
-            lines.append(
-                f"{self.outside_range} frames have a force outside the declared range; training will refuse them: "
+            told += (
+                f"\n{self.outside_range} frames have a force outside the declared range; training will refuse them: "
                 "declare a wider range (force_range_n) or change the gel"
             )
-        return "\n".join(lines)
+        return told
 
 
 def generate(
@@ -88,21 +80,23 @@ def generate(
     path: str | ContactPath | PosePath,
     out_dir: Path | str,
     *,
-    quality: str = "standard",
-    seed: int = 0,
     scheduler: str | None = None,
     workers: int | None = None,
     overwrite: bool = False,
     progress: GenerationProgress | None = None,
     **settings: Any,
 ) -> GenerationReport:
-    """Generate domains by their names into one folder each under `out_dir`; see `make_recipes` for the settings.
+    """Generate domains by their names into one folder each under `out_dir`.
 
-    See `generate_recipes` for what is resumed, skipped, refused and raised.
+    See `make_recipes` for the settings (quality, seed, …), `generate_recipes` for what is resumed, refused and raised.
     """
-    recipes = make_recipes(domains, path, quality=quality, seed=seed, **settings)
     return generate_recipes(
-        recipes, out_dir, scheduler=scheduler, workers=workers, overwrite=overwrite, progress=progress
+        make_recipes(domains, path, **settings),
+        out_dir,
+        scheduler=scheduler,
+        workers=workers,
+        overwrite=overwrite,
+        progress=progress,
     )
 
 
@@ -155,13 +149,13 @@ def generate_recipes(
         for writer in writers.values():
             writer.check(overwrite)
         for writer in writers.values():
-            writer.prepare()
+            writer.prepare(overwrite)
         skipped = tuple(name for name in names if writers[name].complete)
         plan = plan.without({name: writer.finished for name, writer in writers.items()})
         solves, written, unrenderable = len(plan.solves), 0, 0
         progress.begin(solves, plan.frames, plan.workload())
-        log = RunLog(out_dir)
-        log.event("begin", domains=names, solves=solves, frames=plan.frames, scheduler=scheduler)
+        log = partial(_log_event, out_dir)
+        log("begin", domains=names, solves=solves, frames=plan.frames, scheduler=scheduler)
         try:
             LOG.info("rendering the reference pictures")
             for writer in writers.values():
@@ -173,11 +167,11 @@ def generate_recipes(
                 progress.written(shard.frames)
                 unrenderable += len(shard.unrenderable)
                 if shard.unrenderable:
-                    log.event("not rendered", domain=shard.domain, frames=shard.unrenderable)
+                    log("not rendered", domain=shard.domain, frames=shard.unrenderable)
             for writer in writers.values():
                 writer.finish()
         except BaseException as error:
-            log.event("stopped", error=f"{type(error).__name__}: {error}")
+            log("stopped", error=f"{type(error).__name__}: {error}")
             raise
         report = GenerationReport(
             out_dir=out_dir,
@@ -192,7 +186,7 @@ def generate_recipes(
             bytes_written=written,
             wall_s=time.monotonic() - start,
         )
-        log.event("end", wall_s=round(report.wall_s, 3), bytes=written)
+        log("end", wall_s=round(report.wall_s, 3), bytes=written)
         return report
 
 
@@ -204,7 +198,6 @@ class DomainWriter:
         self.folder = DomainFolder(path)
         self.files: dict[str, Any] = {}
         self.complete = False
-        self._replace = False
 
     @property
     def finished(self) -> set[str]:
@@ -213,7 +206,6 @@ class DomainWriter:
 
     def check(self, overwrite: bool) -> None:
         """Refuse a folder that holds something else, before anything is changed; else see what is intact."""
-        self._replace = overwrite
         if overwrite or not self.folder.exists():
             return
         manifest = self.folder.read_manifest()
@@ -233,10 +225,10 @@ class DomainWriter:
             )
         self.files = intact
 
-    def prepare(self) -> None:
+    def prepare(self, overwrite: bool) -> None:
         """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
-        if self._replace:
+        if overwrite:
             self.folder.clear()
         self.folder.remove_leftovers(set(self.files))
         if not self.complete:
@@ -265,28 +257,26 @@ class DomainWriter:
         return sum(entry.get(count, 0) for entry in self.files.values())
 
     def _write_manifest(self) -> None:
-        complete = self.complete and len(self.finished) == len(shard_bounds(len(self.recipe.path.poses)))
+        recipe, shards = self.recipe, self.files.values()
+        complete = self.complete and len(self.finished) == len(shard_bounds(len(recipe.path.poses)))
+        lows, highs = ([e[name] for e in shards if e.get(name)] for name in ("force_min_n", "force_max_n"))
         manifest = {
             "schema_version": SCHEMA_VERSION,
-            "domain": self.recipe.name,
+            "domain": recipe.name,
             "complete": complete,
-            "configuration": self.recipe.configuration(),
-            "seed": self.recipe.seed,
-            "frames": len(self.recipe.path.poses),
+            "configuration": recipe.configuration(),
+            "seed": recipe.seed,
+            "frames": len(recipe.path.poses),
             "unconverged": self.total("unconverged"),
             "outside_range": self.total("outside_range"),
-            "force_range_n": self.recipe.force_range_n,
-            "force_min_n": self._over_shards(np.min, "force_min_n"),
-            "force_max_n": self._over_shards(np.max, "force_max_n"),
+            "force_range_n": recipe.force_range_n,
+            "force_min_n": np.min(lows, axis=0).tolist() if lows else None,
+            "force_max_n": np.max(highs, axis=0).tolist() if highs else None,
             "height_map": {"step_mm": HEIGHT_MAP_STEP_MM, "offset_mm": HEIGHT_MAP_OFFSET_MM},
             "versions": package_versions(),
             "files": dict(sorted(self.files.items())),
         }
         self.folder.write_manifest(manifest)
-
-    def _over_shards(self, extreme: Callable[..., np.ndarray], entry_name: str) -> list[float] | None:
-        found = [entry[entry_name] for entry in self.files.values() if entry.get(entry_name)]
-        return extreme(found, axis=0).tolist() if found else None
 
 
 @lru_cache(maxsize=1)
@@ -314,21 +304,9 @@ def _differences(there: Any, asked: Any, field: str = "") -> list[str]:
     return [f"{field}: {texts[0]} there, {texts[1]} asked for"]
 
 
-class RunLog:
-    """Appends events to the run log of an output folder."""
-
-    def __init__(self, out_dir: Path):
-        self._path = out_dir / RUN_LOG
-
-    def event(self, what: str, **values: Any) -> None:
-        line = {
-            "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            "host": platform.node(),
-            "event": what,
-        }
-        try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line | values) + "\n")
-        except OSError:
-            # A log that cannot be written, on a full disk, must not hide the original error.
-            pass
+def _log_event(out_dir: Path, what: str, **values: Any) -> None:
+    time_now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    line = {"time": time_now, "host": platform.node(), "event": what} | values
+    # A log that cannot be written, on a full disk, must not hide the original error.
+    with contextlib.suppress(OSError), (out_dir / RUN_LOG).open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")

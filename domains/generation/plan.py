@@ -2,7 +2,6 @@
 
 import logging
 import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from gelgap.assets.names import comma_list
 from gelgap.domains.generation.progress import Workload
-from gelgap.domains.generation.shard import FrameBatch, group_by_picture, picture_cells
+from gelgap.domains.generation.shard import FrameBatch, picture_cells
 from gelgap.domains.recipe import DomainRecipe
 
 if TYPE_CHECKING:
@@ -19,11 +18,10 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 FRAMES_PER_SHARD = 128
-# Seconds of a core of a server of 2023: a load step of the paper's sphere and gel, and the start of a process.
-_STEP_S = {"draft": 0.3, "standard": 1.1, "fine": 3.0}
+# Seconds of a core of a server of 2023: the start of a process, a load step of the paper's sphere and gel, a frame.
 _START_S = 4.0
-# What a frame takes besides its pictures: the membrane, its table and Parquet, as shares of the pictures' own time.
-_FRAME_SHARE = 1.5
+_STEP_S = {"draft": 0.3, "standard": 1.1, "fine": 3.0}
+_FRAME_S, _FRAME_PIXEL_S = 0.006, 1e-7
 
 
 @dataclass(frozen=True)
@@ -54,12 +52,13 @@ class GenerationPlan:
         return GenerationPlan(self.recipes, {key: self.solves[key] for key in needed}, tuple(batches))
 
     def workload(self) -> Workload:
-        """Return what is to be done, in load steps of solves that the cache lacks and in frames."""
+        """Return what is to be done: load steps of solves that the cache lacks, and frames."""
         from gelgap.sim import has_solution
 
         steps = {key: solve.problem.load_steps for key, solve in self.solves.items() if not has_solution(key)}
-        slowest = max((_STEP_S[recipe.quality] for recipe in self.recipes), default=0.0)
-        return Workload(steps, slowest)
+        step_s = max((_STEP_S[recipe.quality] for recipe in self.recipes), default=0.0)
+        pixels = max((recipe.size_px[0] * recipe.size_px[1] for recipe in self.recipes), default=0)
+        return Workload(steps, step_s, _FRAME_S + _FRAME_PIXEL_S * pixels)
 
 
 def shard_bounds(frames: int) -> list[tuple[int, int]]:
@@ -133,7 +132,7 @@ class Estimate:
 
 
 def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Estimate:
-    """Plan domains and estimate their cost; two frames of each light are rendered for it.
+    """Plan domains and estimate their cost; one frame is rendered for it.
 
     Raises
     ------
@@ -142,12 +141,16 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     """
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: must be 1 or more")
-    LOG.info("planning and rendering sample frames of %s", comma_list([recipe.name for recipe in recipes]))
+    LOG.info("planning and rendering a sample frame of %s", comma_list([recipe.name for recipe in recipes]))
     plan = plan_generation(recipes)
     load, processes = plan.workload(), plan.processes(workers)
     shards = sum(len(batch.recipes) for batch in plan.batches)
-    frames_s, n_bytes = _frame_costs(plan)
     longest_s = load.step_s * max(load.load_steps.values(), default=0)
+    # One solve is not shared; frames are shared as shards.
+    solving_s = max(load.step_s * sum(load.load_steps.values()) / processes, longest_s)
+    rendering_s = load.frame_s * plan.frames / min(processes, shards or 1)
+    (sample,) = picture_cells(recipes[:1], 0, _dent())
+    frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
     return Estimate(
         domains=tuple(recipe.name for recipe in recipes),
         frames=plan.frames,
@@ -157,33 +160,10 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         ),
         solves=len(plan.solves),
         solves_cached=len(plan.solves) - len(load.load_steps),
-        # One solve is not shared; frames are shared as shards.
-        wall_s=_START_S + max(load.solve_s / processes, longest_s) + frames_s / min(processes, shards or 1),
-        disk_bytes=n_bytes,
+        wall_s=_START_S + solving_s + rendering_s,
+        disk_bytes=frame_bytes * plan.frames,
         workers=processes,
     )
-
-
-def _frame_costs(plan: GenerationPlan) -> tuple[float, float]:
-    """Return seconds of one core and bytes for all frames of a plan, from a frame of each kind of batch."""
-    state, seconds, n_bytes = _dent(), 0.0, 0.0
-    samples: dict[tuple[DomainRecipe, ...], tuple[float, float]] = {}
-    for batch in plan.batches:
-        if batch.recipes not in samples:
-            for _ in range(2):  # the first frame compiles and starts the renderer
-                start = time.process_time()
-                cells = [
-                    cell
-                    for group in group_by_picture(batch.recipes)
-                    for row in picture_cells([batch.recipes[index] for index in group], 0, state)
-                    for cell in row.values()
-                ]
-                spent_s = time.process_time() - start
-            size = sum(len(cell["bytes"]) for cell in cells if isinstance(cell, dict))
-            samples[batch.recipes] = (_FRAME_SHARE * spent_s, size)
-        seconds += samples[batch.recipes][0] * len(batch)
-        n_bytes += samples[batch.recipes][1] * len(batch)
-    return seconds, n_bytes
 
 
 def _dent() -> "MembraneState":

@@ -9,21 +9,15 @@ from dataclasses import dataclass, field
 from typing import Any, TextIO
 
 _SECONDS_BETWEEN_LINES = 10.0
-# What a frame takes of a core, beside a load step's `Workload.step_s`: it only weighs the two.
-_FRAME_S = 0.015
 
 
 @dataclass(frozen=True)
 class Workload:
-    """The load steps of each solve that the cache lacks, by its key, and the seconds of a core that one takes."""
+    """The load steps of each solve that the cache lacks, by its key, and what a step and a frame take of a core, s."""
 
     load_steps: Mapping[str, int] = field(default_factory=dict)
-    step_s: float = 0.0
-
-    @property
-    def solve_s(self) -> float:
-        """Expected seconds of a core for all solves."""
-        return self.step_s * sum(self.load_steps.values())
+    step_s: float = 1.0
+    frame_s: float = 0.015
 
 
 class GenerationProgress:
@@ -85,7 +79,7 @@ class _Counted(GenerationProgress):
     @property
     def left(self) -> str:
         """How long the rest takes if it goes on as until now; nothing where that is not known, or next to nothing."""
-        weight_s = {"load steps": self._load.step_s, "frames": _FRAME_S}
+        weight_s = {"load steps": self._load.step_s, "frames": self._load.frame_s}
         done_s, all_s = (sum(weight_s[what] * self.counts[what][i] for what in weight_s) for i in (0, 1))
         left_s = self.passed_s * (all_s - done_s) / done_s if done_s else 0.0
         if left_s < 1:

@@ -1,6 +1,6 @@
 """From contacts to shards: what a worker does with a batch of frames. Imports neither torch nor colour-science."""
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -14,10 +14,8 @@ from gelgap.domains.formats.pictures import encode_png, without_markers
 from gelgap.domains.formats.shards import (
     LABELS,
     OPTIONAL,
-    LabelColumn,
-    LabelSource,
+    Contact,
     View,
-    ViewColumn,
     encode_shard,
     picture_cell,
 )
@@ -117,7 +115,7 @@ def _shards_of_groups(
     """
     recipes, physics = batch.recipes, batch.contacts
     rows: dict[int, list[Row]] = {index: [] for members in groups for index in members}
-    labels = {index: _labels_of(recipes[index]) for index in rows}
+    label_cells = {index: _label_cells_of(recipes[index]) for index in rows}
     unrenderable: list[dict[int, str]] = [{} for _ in groups]
     cameras = [(recipes[members[0]].sensor.camera, recipes[members[0]].size_px) for members in groups]
     extents = [view_half_extent_mm(*camera) for camera in cameras]
@@ -137,7 +135,7 @@ def _shards_of_groups(
                     is_ours = isinstance(error, ValueError)
                     refused[frame] = str(error) if is_ours else f"{type(error).__name__}: {error}"
             for index, own_cells in zip(members, cells, strict=True):
-                rows[index].append(labels[index].cells(frame, state) | own_cells)
+                rows[index].append(label_cells[index](frame, state) | own_cells)
     for members, refused in zip(groups, unrenderable, strict=True):
         if len(refused) > max(len(batch) / 2, 1):
             frame, reason = next(iter(refused.items()))
@@ -174,7 +172,7 @@ def picture_cells(
             column.name: column.cell(view)
             for name in recipe.columns
             for column in OPTIONAL[name]
-            if isinstance(column, ViewColumn)
+            if column.cell
         }
         for recipe in recipes
     ]
@@ -205,48 +203,26 @@ def _as_shown(recipe: DomainRecipe, picture: np.ndarray) -> np.ndarray:
     return picture if recipe.inpainted_from is None else without_markers(picture)
 
 
-@dataclass(frozen=True)
-class _Labels:
-    """The labels of one domain's frames: what does not depend on the frame is found once."""
-
-    recipe: DomainRecipe
-    columns: tuple[LabelColumn, ...]
-    poses: "tuple[Pose, ...]"
-    trajectories: list[tuple[int, int]]
-    split: list[str]
-    force_bias_n: tuple[float, float, float]
-
-    def cells(self, frame: int, state: "MembraneState") -> Row:
-        """Return the label columns of one frame."""
-        recipe, force_n = self.recipe, np.asarray(state.force_n, float) + self.force_bias_n
-        if recipe.acquisition.force_noise_n:
-            rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
-            force_n = force_n + recipe.acquisition.force_noise_n * rng.standard_normal(3)
-        trajectory, step = self.trajectories[frame]
-        source = LabelSource(
-            frame=frame,
-            pose=self.poses[frame],
-            trajectory=trajectory,
-            step=step,
-            split=self.split[frame],
-            state=state,
-            # Adding zero turns −0.0, which some readers show, into 0.0.
-            force_n=tuple(float(value) + 0.0 for value in force_n),
-        )
-        return {column.name: column.value(source) for column in self.columns}
-
-
 @lru_cache(maxsize=8)
-def _labels_of(recipe: DomainRecipe) -> _Labels:
+def _label_cells_of(recipe: DomainRecipe) -> "Callable[[int, MembraneState], Row]":
+    """Return what makes the label columns of one frame; what does not depend on the frame is found once."""
     optional = (column for name in recipe.columns for column in OPTIONAL[name])
-    return _Labels(
-        recipe=recipe,
-        columns=(*LABELS, *(column for column in optional if isinstance(column, LabelColumn))),
-        poses=recipe.commanded_poses(),
-        trajectories=trajectories(recipe.path.poses),
-        split=[PARTS[part] for part in draw_parts(len(recipe.path.poses), recipe.seed)],
-        force_bias_n=recipe.drawn_errors().force_bias_n,
-    )
+    columns = (*LABELS, *(column for column in optional if column.value))
+    poses, travels = recipe.commanded_poses(), trajectories(recipe.path.poses)
+    split = draw_parts(len(poses), recipe.seed)
+    bias_n, noise_n = recipe.drawn_errors().force_bias_n, recipe.acquisition.force_noise_n
+
+    def cells(frame: int, state: "MembraneState") -> Row:
+        force_n = np.asarray(state.force_n, float) + bias_n
+        if noise_n:
+            rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
+            force_n = force_n + noise_n * rng.standard_normal(3)
+        # Adding zero turns −0.0, which some readers show, into 0.0.
+        force_n = tuple(float(value) + 0.0 for value in force_n)
+        contact = Contact(frame, poses[frame], *travels[frame], PARTS[split[frame]], state, force_n)
+        return {column.name: column.value(contact) for column in columns}
+
+    return cells
 
 
 def trajectories(poses: "Sequence[Pose]") -> list[tuple[int, int]]:
