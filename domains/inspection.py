@@ -79,24 +79,26 @@ class DomainSummary:
         return tuple(facts.largest for facts in self.labels if facts.name in FORCE_COLUMNS)
 
     def __str__(self) -> str:
-        forces = [facts for facts in self.labels if facts.name in FORCE_COLUMNS]
-        others = [f"{facts} {QUANTITIES[facts.name].unit}" for facts in self.labels if facts not in forces]
+        forces = [str(facts) for facts in self.labels if facts.name in FORCE_COLUMNS]
+        others = [
+            f"{facts} {QUANTITIES[facts.name].unit}"
+            for facts in self.labels
+            if facts.name not in FORCE_COLUMNS
+        ]
         outside_range = f"; {self.outside_range} frames outside the declared range"
-        told = [f"  forces   {', '.join(map(str, forces))} N{outside_range}"] if forces else []
-        told += [f"  labels   {', '.join(others)}{'' if forces else outside_range}"] if others else []
-        told += (
-            [f"  groups   {', '.join(f'{count} of {name}' for name, count in self.groups)}"]
-            if self.groups
-            else []
-        )
         lines = [
             f"{self.name} ({self.folder})",
             f"  frames   {self.frames} of {self.size_px[0]}×{self.size_px[1]} px, {self.bytes / 1e6:.1f} MB; "
             f"{self.unconverged} left out (not converged)",
             f"  contacts {self.points} points, {self.classes} classes",
-            *told,
-            f"  columns  {', '.join(self.optional_columns) or 'none beyond the standard ones'}",
         ]
+        if forces:
+            lines.append(f"  forces   {', '.join(forces)} N{outside_range}")
+        if others:
+            lines.append(f"  labels   {', '.join(others)}{'' if forces else outside_range}")
+        if self.groups:
+            lines.append(f"  groups   {', '.join(f'{count} of {name}' for name, count in self.groups)}")
+        lines.append(f"  columns  {', '.join(self.optional_columns) or 'none beyond the standard ones'}")
         return "\n".join([*lines, *(f"  note     {note}" for note in self.notes)])
 
 
@@ -169,13 +171,12 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     FileNotFoundError
         If it is not a data set of a known layout.
     """
-    if DomainFolder(folder).exists() or not Path(folder).is_dir():
-        return tuple(DomainFolder(folder).damages()) or _vouched_damages(folder)
-    return tuple(table_damages(open_domain(folder)))
-
-
-def _vouched_damages(folder: Path | str) -> tuple[Damage, ...]:
-    """Return what no reader takes of a domain whose bytes are those that its manifest states."""
+    files = DomainFolder(folder)
+    if not files.exists() and files.path.is_dir():
+        return tuple(table_damages(open_domain(folder)))
+    if damages := files.damages():
+        return tuple(damages)
+    # A manifest may vouch for bytes that no reader takes.
     try:
         found = [str(damage) for damage in header_damages(GeneratedDomain(folder))]
     except (RuntimeError, ValueError) as error:
@@ -197,14 +198,14 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
     if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):
         gap = domain_gap(base.recipe, frames.recipe)
+        colours = _colours(gap.colour_difference, gap.colour_difference_p95)
+        counts = Counter(field.split(".")[0] for field in gap.fields)
+        fields = [f"{name} ({count})" if count > 1 else name for name, count in counts.items()]
         rows += [
-            (
-                "the same without markers and noise",
-                _colours(gap.colour_difference, gap.colour_difference_p95),
-            ),
+            ("the same without markers and noise", colours),
             ("modulus", f"× {gap.modulus_ratio:.4g}"),
             ("markers", gap.markers),
-            ("fields that differ", _in_short(gap.fields)),
+            ("fields that differ", ", ".join(fields) or "none"),
         ]
         mine, theirs = paired_contacts(frames, base)
         if len(mine):
@@ -216,11 +217,6 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
 
 def _colours(mean: float, percentile_95: float) -> str:
     return f"mean {mean:.2f}, 95th percentile {percentile_95:.2f}"
-
-
-def _in_short(fields: tuple[str, ...]) -> str:
-    counts = Counter(field.split(".")[0] for field in fields)
-    return ", ".join(f"{name} ({count})" if count > 1 else name for name, count in counts.items()) or "none"
 
 
 def _distinct(numbers: np.ndarray) -> int:

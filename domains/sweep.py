@@ -186,33 +186,24 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
 def _change(node: Any, steps: list[str], value: Value, change: str, field: str) -> None:
     """Change the value at `steps` inside a configuration; `*` goes to all of a list or table."""
     head, *rest = steps
-    for key in _keys(node, head, field):
+    parts = node if isinstance(node, dict) else dict(enumerate(node if isinstance(node, list) else ()))
+    chosen = [key for key in parts if head in ("*", str(key))]
+    if not chosen:
+        known = ", ".join(parts) if isinstance(node, dict) else f"*, 0…{len(parts) - 1}"
+        raise ValueError(
+            f"factor {field}: {head!r} does not exist; there is {known if parts else 'nothing inside it'}"
+        )
+    for key in chosen:
         if rest:
             _change(node[key], rest, value, change, field)
+        elif change == "set":
+            node[key] = value
+        elif any(isinstance(n, bool) or not isinstance(n, int | float) for n in (node[key], value)):
+            raise ValueError(
+                f"factor {field}: cannot {change} {node[key]!r} by {value!r}; both must be numbers"
+            )
         else:
-            node[key] = _changed(node[key], value, change, field)
-
-
-def _keys(node: Any, head: str, field: str) -> Sequence[int | str]:
-    """Return the indices or names that one step of a field means."""
-    if isinstance(node, list):
-        names, known = [str(index) for index in range(len(node))], f"*, 0…{len(node) - 1}"
-    elif isinstance(node, dict):
-        names, known = list(node), ", ".join(node)
-    else:
-        names, known = [], "nothing inside it"
-    chosen = names if head == "*" else [name for name in names if name == head]
-    if not chosen:
-        raise ValueError(f"factor {field}: {head!r} does not exist; there is {known}")
-    return [int(name) for name in chosen] if isinstance(node, list) else chosen
-
-
-def _changed(old: Any, value: Value, change: str, field: str) -> Value:
-    if change == "set":
-        return value
-    if any(isinstance(number, bool) or not isinstance(number, int | float) for number in (old, value)):
-        raise ValueError(f"factor {field}: cannot {change} {old!r} by {value!r}; both must be numbers")
-    return old * value if change == "scale" else old + value
+            node[key] = node[key] * value if change == "scale" else node[key] + value
 
 
 @dataclass(frozen=True)

@@ -136,10 +136,7 @@ class Clip:
 def write_clips(clips: Iterable[Clip], out_dir: Path, every: int) -> list[ConvertedClip]:
     """Write clips in the order of their sessions; a session is a domain.
 
-    Raises
-    ------
-    ValueError
-        If a clip is too short, its clocks have no time in common, or its force or its pictures do not change.
+    A ValueError if a clip is too short, its clocks have no time in common, or its force or pictures do not change.
     """
     facts = []
     for session, members in groupby(clips, key=lambda clip: clip.session):
@@ -270,13 +267,7 @@ def write_picture(folder: Path, name: str, picture: np.ndarray) -> str:
 
 
 def write_picture_table(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write the table of a picture folder, each row a dictionary by `COLUMNS`.
-
-    Raises
-    ------
-    ValueError
-        If there are no rows, or a column has a value in some rows only.
-    """
+    """Write the table of a picture folder, each row a dictionary by `COLUMNS`; all rows must have the same ones."""
     if not rows:
         raise ValueError(f"{folder.name}: no frame is left to be written")
     kept = [name for name in COLUMNS if any(name in row for row in rows)]
@@ -362,13 +353,7 @@ def _folder_pictures(folder: Path, names: list[str]) -> Iterator[np.ndarray]:
 
 
 def video_pictures(path: Path) -> Iterator[np.ndarray]:
-    """Yield the pictures (h, w, 3) uint8 RGB of a video.
-
-    Raises
-    ------
-    ValueError
-        If the file is no video that OpenCV's FFmpeg can read.
-    """
+    """Yield the pictures (h, w, 3) uint8 RGB of a video; a ValueError if OpenCV's FFmpeg cannot read it."""
     for video in _grabbed(path):
         done, picture = video.retrieve()
         if not done:

@@ -13,11 +13,7 @@ def encode_png(picture: np.ndarray) -> bytes:
 
     Sensor noise leaves nothing for string matching to find, so that Huffman coding alone, of rows less the average of
     their neighbours, is faster and smaller than a compression level (`gelgap benchmark throughput` prints the table).
-
-    Raises
-    ------
-    ValueError
-        If the picture has another shape or type.
+    A ValueError if the picture has another shape or type.
     """
     from zlib_ng import zlib_ng
 
@@ -50,10 +46,8 @@ def encode_jpeg(picture: np.ndarray, quality: int = 95) -> bytes:
 def stated_size_px(data: bytes) -> tuple[int, int]:
     """Return the width and height that a PNG, JPEG or BMP states, without decoding it.
 
-    Raises
-    ------
-    ValueError
-        If it is none of these, has more than 64 million pixels, its end is missing, or a checksum of a PNG differs.
+    A ValueError if it is none of these, has more than 64 million pixels, its end is missing, or a checksum of a PNG
+    differs.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -78,10 +72,7 @@ def stated_size_px(data: bytes) -> tuple[int, int]:
 def decode_picture(data: bytes) -> np.ndarray:
     """Decode a PNG, JPEG or BMP to (h, w, 3) RGB uint8, or a grey picture to (h, w) in its own depth.
 
-    Raises
-    ------
-    ValueError
-        If `stated_size_px` raises it, or the pixels cannot be decoded.
+    A ValueError where `stated_size_px` raises it, or if the pixels cannot be decoded.
     """
     import cv2
 
@@ -104,12 +95,8 @@ def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     """Return the picture at (width, height) px: each pixel the mean of the area that it covers.
 
     A size of another aspect may be longer on one side, if it has no more pixels in all: the other side is reduced by
-    area means first, then this one is interpolated linearly (320×240 to 256×256, say).
-
-    Raises
-    ------
-    ValueError
-        If the size has more pixels than the picture, or is longer on both sides: enlarging invents pixels.
+    area means first, then this one is interpolated linearly (320×240 to 256×256, say). A ValueError if the size has
+    more pixels than the picture, or is longer on both sides: enlarging invents pixels.
     """
     import cv2
 

@@ -185,23 +185,22 @@ class LabelledFrames(ABC):
         ValueError
             If one does not; the message names the first such frame.
         """
-        low, high = self.labels.low, self.labels.high
-        values = self.label_values
-        outside = ~((values >= low) & (values <= high))
-        if outside.any():
-            frame, label = np.argwhere(outside)[0]
-            value, (symbol, unit) = values[frame, label], self.labels.quantities[label]
-            bounds = f"[{low[label]:g}, {high[label]:g}] {unit}"
-            what = "a force" if set(self.labels.names) <= set(FORCE_COLUMNS) else "a label"
-            wrong, advice = "that is not a number", "take such frames out"
+        labels, values = self.labels, self.label_values
+        wrong = ~((values >= labels.low) & (values <= labels.high))
+        if wrong.any():
+            frame, label = np.argwhere(wrong)[0]
+            value, (symbol, unit) = values[frame, label], labels.quantities[label]
+            what = "a force" if set(labels.names) <= set(FORCE_COLUMNS) else "a label"
+            how, advice = "that is not a number", "take such frames out"
             if np.isfinite(value):
-                wrong, advice = (
+                how, advice = (
                     "outside the declared range",
                     "labels are never clipped: give a wider one (--range)",
                 )
             raise ValueError(
-                f"domain {self.name}: {outside.any(axis=1).sum()} of {len(self)} frames have {what} {wrong}; "
-                f"first: frame {frame}, {symbol} = {value:.4g} {unit}, allowed {bounds}; {advice}"
+                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have {what} {how}; first: frame "
+                f"{frame}, {symbol} = {value:.4g} {unit}, allowed [{labels.low[label]:g}, {labels.high[label]:g}] "
+                f"{unit}; {advice}"
             )
         classes = self.contact_class
         if len(self) and not (classes.min() >= -1 and classes.max() < self.n_classes):
@@ -308,33 +307,27 @@ class ArrayFrames(LabelledFrames):
         self.name, self.n_classes = name, n_classes
         self.force_range_n = np.asarray(force_range_n, float)
         self._images, self._reference = images, reference
-        given = {"contact_class": contact_class, "point_id": point_id}
-        columns |= {label: values for label, values in given.items() if values is not None}
-        self._check({"force_n": force_n} | columns)
+        columns |= {
+            label: values
+            for label, values in (("contact_class", contact_class), ("point_id", point_id))
+            if values is not None
+        }
+        if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
+            raise ValueError(
+                f"domain {name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"
+            )
+        n, shape = len(images), images.shape[1:]
+        expected = {"reference": shape, "force_n": (n, 3), "force_range_n": (3, 2)}
+        given = {"reference": reference, "force_n": force_n, "force_range_n": self.force_range_n} | columns
+        for label, values in given.items():
+            if values is not None and values.shape != (needed := expected.get(label, (n,))):
+                raise ValueError(f"domain {name}: {label} has shape {values.shape}; {n} images need {needed}")
+        if not (np.diff(self.force_range_n) > 0).all():
+            raise ValueError(f"domain {name}: force_range_n must be (3, 2) with lower < upper bounds")
         forces = {} if force_n is None else dict(zip(FORCE_COLUMNS, force_n.T, strict=True))
         self.columns = forces | columns
         if not known_labels(self.columns):
             raise ValueError(f"domain {name} has no label; known labels: {', '.join(QUANTITIES)}")
-
-    def _check(self, given: dict[str, np.ndarray | None]) -> None:
-        images, n = self._images, len(self._images)
-        if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
-            raise ValueError(
-                f"domain {self.name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"
-            )
-        if self._reference.shape != images.shape[1:]:
-            raise ValueError(
-                f"domain {self.name}: the reference picture is {self._reference.shape}, the images are "
-                f"{images.shape[1:]}; they must have one size"
-            )
-        for label, values in given.items():
-            expected = (n, 3) if label == "force_n" else (n,)
-            if values is not None and values.shape != expected:
-                raise ValueError(
-                    f"domain {self.name}: {label} has shape {values.shape}; {n} images need {expected}"
-                )
-        if self.force_range_n.shape != (3, 2) or not (np.diff(self.force_range_n) > 0).all():
-            raise ValueError(f"domain {self.name}: force_range_n must be (3, 2) with lower < upper bounds")
 
     @property
     def reference(self) -> np.ndarray:

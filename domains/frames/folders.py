@@ -164,13 +164,7 @@ class PictureFiles(StoredFrames):
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV table by the names of its columns, without spaces around names and values.
-
-    Raises
-    ------
-    ValueError
-        If it is not a table in UTF-8; the message names the file.
-    """
+    """Return the rows of a CSV table by the names of its columns, without spaces around names and values."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             return [

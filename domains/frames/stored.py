@@ -124,13 +124,7 @@ class StoredFrames(LabelledFrames):
 
 
 def write_kept_pictures(path: Path, shape: tuple[int, ...], pieces: Iterable[bytes]) -> None:
-    """Write uint8 pictures of this shape, given piece by piece, as one npy file with its checksum behind the array.
-
-    Raises
-    ------
-    RuntimeError
-        If the disk does not take the file.
-    """
+    """Write uint8 pictures of this shape, given piece by piece, as one npy file with its checksum behind the array."""
     digest = hashlib.sha256()
     # Plain writes, not a memory map: a full disk is then an error and not a crash.
     with whole_file(path) as temporary, temporary.open("wb") as file:

@@ -30,10 +30,7 @@ def run(
 ) -> Iterator[Shard]:
     """Run a plan and yield the shards as they come; see `dask_client` for scheduler and workers.
 
-    Raises
-    ------
-    RuntimeError
-        If the cluster is lost, or workers keep dying on one task.
+    A RuntimeError if the cluster is lost, or workers keep dying on one task.
     """
     if not plan.batches:
         return

@@ -79,14 +79,7 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     """Render a batch's frames in the light of each of its domains, and encode one shard per domain.
 
     `solutions` holds the batch's solves by key. A frame whose membrane cannot be rendered, whatever goes wrong, is
-    flagged as not converged.
-
-    Raises
-    ------
-    RuntimeError
-        If that happens to most of several frames: then something else is wrong.
-    MemoryError, OSError
-        If the machine cannot go on.
+    flagged as not converged; if that happens to most of several frames, something else is wrong: a RuntimeError.
     """
     groups = group_by_picture(batch.recipes)
     shards: dict[int, Shard] = {}
@@ -150,13 +143,7 @@ def _shards_of_groups(
 def picture_cells(
     recipes: Sequence[DomainRecipe], frame: int, state: "MembraneState"
 ) -> list[dict[str, Any]]:
-    """Return the picture columns of one contact for recipes that are one group of `group_by_picture`, rendered once.
-
-    Raises
-    ------
-    ValueError
-        If the membrane cannot be rendered.
-    """
+    """Return the picture columns of one contact for recipes that are one group of `group_by_picture`, rendered once."""
     first = recipes[0]
     renderer = _renderer(first.sensor, first.illumination, first.size_px, first.render_quality)
     view = View(renderer, first.sensor, state)

@@ -170,7 +170,7 @@ def test_arrays_are_a_data_set_like_any_other():
     ("changes", "message"),
     [
         ({"images": np.zeros((6, 6, 8, 3))}, r"images must be uint8 \(n, h, w, 3\), not float64"),
-        ({"reference": np.zeros((3, 4, 3), np.uint8)}, "they must have one size"),
+        ({"reference": np.zeros((3, 4, 3), np.uint8)}, r"reference has shape \(3, 4, 3\); 6 images need"),
         ({"force_n": np.zeros((5, 3))}, r"force_n has shape \(5, 3\); 6 images need \(6, 3\)"),
         ({"point_id": np.zeros(7, int)}, r"point_id has shape \(7,\)"),
         ({"force_range_n": np.ones((3, 2))}, r"must be \(3, 2\) with lower < upper"),
