@@ -224,17 +224,15 @@ class ShardFile:
 
     def __init__(self, path: Path):
         self.path = path
+        self._kept: tuple[tuple[int, str] | None, list[Any]] = (None, [])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "_kept": (None, [])}
 
     @property
     def schema(self) -> pa.Schema:
         """The columns, as they lie in the file."""
         return self._file.schema_arrow
-
-    @cached_property
-    def rows_per_group(self) -> tuple[int, ...]:
-        """The number of frames in each row group."""
-        groups = map(self._file.metadata.row_group, range(self._file.metadata.num_row_groups))
-        return tuple(group.num_rows for group in groups)
 
     def labels(self) -> dict[str, np.ndarray]:
         """Return the columns that are made from the contact alone, by name, (n,)."""
@@ -243,13 +241,22 @@ class ShardFile:
             table = self._file.read(columns=names)
         return {name: table[name].to_numpy() for name in names}
 
-    def cells(self, group: int, column: str) -> list[Any]:
-        """Return a column's values in one row group; of pictures their bytes."""
-        with self._named_if_damaged():
-            cells = self._file.read_row_group(group, columns=[column])[column]
-        if pa.types.is_struct(cells.type):
-            return [cell for chunk in cells.chunks for cell in chunk.field("bytes").to_pylist()]
-        return cells.to_pylist()
+    def cell(self, row: int, column: str) -> Any:
+        """Return one value of a column, of a picture its bytes; its row group is kept for the next one."""
+        group = int(np.searchsorted(self._ends, row, side="right"))
+        if self._kept[0] != (group, column):
+            with self._named_if_damaged():
+                cells = self._file.read_row_group(group, columns=[column])[column]
+            if pa.types.is_struct(cells.type):
+                cells = pa.chunked_array([chunk.field("bytes") for chunk in cells.chunks])
+            self._kept = ((group, column), cells.to_pylist())
+        return self._kept[1][row - int(self._ends[group])]  # counted from the group's end
+
+    @cached_property
+    def _ends(self) -> np.ndarray:
+        """The row after the last of each row group."""
+        groups = map(self._file.metadata.row_group, range(self._file.metadata.num_row_groups))
+        return np.cumsum([group.num_rows for group in groups])
 
     def table(self) -> pa.Table:
         """Return the whole shard."""

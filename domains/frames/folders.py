@@ -5,7 +5,7 @@ folder of pictures and one CSV table with named columns, as of a GelSight Mini.
 """
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -190,42 +190,43 @@ def _published(folder: Path) -> PictureFiles:
     Row i of `force.csv` belongs to `i.jpg`; columns are found by name. Where the parts `train` and `test` exist they
     are read, and `ori`, which repeats them, is not. A part whose rows and pictures do not match is an error.
     """
-    name, notes = _ALIASES.get(folder.name, folder.name), []
-    if name != folder.name:
-        notes.append(f"the folder {folder.name!r} is the domain {name}")
+    domain, notes = _ALIASES.get(folder.name, folder.name), []
+    if domain != folder.name:
+        notes.append(f"the folder {folder.name!r} is the domain {domain}")
     parts = [part for part in PUBLISHED_PARTS if (folder / part / "images").is_dir()] or [UNSPLIT]
     if parts != [UNSPLIT] and (folder / UNSPLIT).is_dir():
         notes.append(f"{UNSPLIT}/ repeats the frames of {' and '.join(parts)}: not read")
     tables = [folder / part / "forcePosition" / "force.csv" for part in parts]
-    rows = [(part, *row) for part, table in zip(parts, tables, strict=True) for row in _published_rows(table)]
-    forces = np.array([force for _, _, force, _ in rows], dtype=np.float64).reshape(-1, 3)
-    columns: dict[str, np.ndarray] = dict(zip(FORCE_COLUMNS, forces.T, strict=True))
-    labels = [label for *_, label in rows]
-    if None in labels:
+    read = [_published_part(table) for table in tables]
+    paths = [path for own, _ in read for path in own]
+    names = [name for name in read[0][1] if all(name in values for _, values in read)]
+    columns = {name: np.concatenate([values[name] for _, values in read]) for name in names}
+    classes = columns.get("contact_class")
+    if classes is None:
         notes.append("the table has no contact labels: contact classes are off")
     else:
-        classes = np.array(labels, dtype=np.int64)
+        columns["contact_class"] = classes % CONTACT_CLASSES
         if beyond := int((classes >= CONTACT_CLASSES).sum()):
             notes.append(f"{beyond} labels are running numbers: taken modulo {CONTACT_CLASSES}")
-        columns["contact_class"] = classes % CONTACT_CLASSES
     if parts != [UNSPLIT]:
-        columns["split"] = np.array([part for part, *_ in rows], dtype=object)
-    columns["frame_id"] = np.arange(len(rows))
+        counts = [len(own) for own, _ in read]
+        columns["split"] = np.repeat(np.array(parts, dtype=object), counts)
+    columns["frame_id"] = np.arange(len(paths))
     declared = LabelledFrames.force_range_n
+    forces = np.stack([columns[name] for name in FORCE_COLUMNS], axis=1)
     forces = forces[np.isfinite(forces).all(axis=1)]
     if outside := int(((forces < declared[:, 0]) | (forces > declared[:, 1])).any(axis=1).sum()):
         smallest, largest = (np.round(part, 3).tolist() for part in (forces.min(axis=0), forces.max(axis=0)))
         notes.append(
-            f"{outside} of {len(rows)} frames have a force outside the declared range {declared.tolist()} N: "
+            f"{outside} of {len(paths)} frames have a force outside the declared range {declared.tolist()} N: "
             f"found {smallest}…{largest} N"
         )
     reference = folder / PUBLISHED_REFERENCE
-    paths = [path for _, path, _, _ in rows]
-    return PictureFiles(folder, name, columns, paths, [reference], [reference, *tables], notes)
+    return PictureFiles(folder, domain, columns, paths, [reference], [reference, *tables], notes)
 
 
-def _published_rows(table: Path) -> Iterator[tuple[Path, list[float], int | None]]:
-    """Yield picture, force and label of each row of a part."""
+def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
+    """Return the pictures of a part and its columns: forces, and contact classes where every row has one."""
     part = table.parents[1]
     try:
         rows = read_table(table)
@@ -239,20 +240,13 @@ def _published_rows(table: Path) -> Iterator[tuple[Path, list[float], int | None
         raise ValueError(
             f"{part} has {found} pictures and {len(rows)} rows of forces ({table}); they must match"
         )
-    for number, row in enumerate(rows):
-        picture = part / "images" / f"{number}.jpg"
-        if not picture.is_file():
-            raise ValueError(f"{picture} is missing; row {number} of {table} belongs to it")
-        try:
-            force = [float(row[name]) for name in PUBLISHED_FORCES]
-            label = int(float(row[PUBLISHED_LABEL])) if row.get(PUBLISHED_LABEL) else None
-            if label is not None and abs(label) >= 2**31:
-                raise ValueError
-        except (ValueError, OverflowError):
-            raise ValueError(
-                f"{table}, row {number}: {row} has something else where a number is expected"
-            ) from None
-        yield picture, force, label
+    paths = [part / "images" / f"{number}.jpg" for number in range(found)]
+    if gone := [path for path in paths if not path.is_file()]:
+        raise ValueError(f"{gone[0]} is missing; a row of {table} belongs to it")
+    wanted = dict(zip(FORCE_COLUMNS, PUBLISHED_FORCES, strict=True))
+    if all(row.get(PUBLISHED_LABEL) for row in rows):
+        wanted["contact_class"] = PUBLISHED_LABEL
+    return paths, {ours: _values(ours, theirs, rows, table) for ours, theirs in wanted.items()}
 
 
 def _picture_folder(folder: Path) -> PictureFiles:

@@ -159,24 +159,16 @@ def _parts(
     found = []
     for frames, own in zip(domains, shares, strict=True):
         if by == "given" or (by is None and "split" in frames.columns):
-            if stratify_by is not None:
-                raise ValueError(
-                    f"data set {frames.name} states its split: it cannot be stratified by {stratify_by}"
-                )
-            found.append(_stated_parts(frames))
+            found.append(_stated_parts(frames, stratify_by))
         elif stratify_by is None:
-            found.append(_parts_at_random(frames, seed, own))
+            # Frames that did not converge are drawn too: a seed gives the same part whichever are left out.
+            drawn = draw_parts(len(frames) + frames.unconverged, seed, own)
+            found.append(drawn[frames.columns["frame_id"]] if frames.unconverged else drawn)
             _check_filled(frames, found[-1], own, f"{len(frames)} frames")
         else:
             each = [np.arange(len(frames))]
             found += _parts_by_group([frames], each, "frames", seed, [own], stratify_by)
     return found
-
-
-def _parts_at_random(frames: LabelledFrames, seed: int, shares: Shares) -> np.ndarray:
-    """Draw frames that did not converge too, so that a seed gives the same part whichever frames are left out."""
-    drawn = draw_parts(len(frames) + frames.unconverged, seed, shares)
-    return drawn[frames.columns["frame_id"]] if frames.unconverged else drawn
 
 
 def _parts_by_group(
@@ -239,18 +231,15 @@ def _strata_of(
     return found
 
 
-def _stated_parts(frames: LabelledFrames) -> np.ndarray:
-    stated = frames.columns.get("split")
-    if stated is None or not set(stated) <= set(PARTS):
-        raise ValueError(
-            f"data set {frames.name} gives no split into {', '.join(PARTS)}; split by random, point or a column"
-        )
-    for part in ("train", "test"):
-        if part not in stated:
-            raise ValueError(
-                f"data set {frames.name} states a split without {part} frames; split by random, point or a column"
-            )
-    return np.array([PARTS.index(part) for part in stated], dtype=np.int64)
+def _stated_parts(frames: LabelledFrames, stratify_by: str | None) -> np.ndarray:
+    stated, instead = set(frames.columns.get("split", ())), "split by random, point or a column"
+    if stratify_by is not None:
+        raise ValueError(f"data set {frames.name} states its split: it cannot be stratified by {stratify_by}")
+    if not stated or not stated <= set(PARTS):
+        raise ValueError(f"data set {frames.name} gives no split into {', '.join(PARTS)}; {instead}")
+    for part in {"train", "test"} - stated:
+        raise ValueError(f"data set {frames.name} states a split without {part} frames; {instead}")
+    return np.array([PARTS.index(part) for part in frames.columns["split"]], dtype=np.int64)
 
 
 def _check_filled(frames: LabelledFrames, parts: np.ndarray, shares: Shares, drawn: str) -> None:

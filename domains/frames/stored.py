@@ -191,26 +191,29 @@ class GeneratedDomain(StoredFrames):
             raise RuntimeError(
                 f"{self.folder} is not finished; run the same `gelgap generate` again to complete what is missing"
             )
-        self._shards = sorted(name for name in self.manifest["files"] if name != REFERENCE)
-        if not self._shards or REFERENCE not in self.manifest["files"]:
+        names = sorted(name for name in self.manifest["files"] if name != REFERENCE)
+        if not names or REFERENCE not in self.manifest["files"]:
             raise RuntimeError(
                 f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
             )
         self._check_bytes(files)
-        tables, places = zip(*map(self._read_labels, range(len(self._shards))), strict=True)
-        for path, table in zip(self.shard_paths, tables, strict=True):
+        self._shards = [ShardFile(self.folder / name) for name in names]
+        tables = [shard.labels() for shard in self._shards]
+        for shard, table in zip(self._shards, tables, strict=True):
             if table.keys() != tables[0].keys():
-                raise damaged(path, f"its columns are not those of {self._shards[0]}")
+                raise damaged(shard.path, f"its columns are not those of {names[0]}")
         joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
         kept = np.flatnonzero(joined["converged"])
         self.columns = {name: values[kept] for name, values in joined.items()}
-        count = len(joined["converged"])
-        self.unconverged = count - len(kept)
+        self.unconverged = len(joined["converged"]) - len(kept)
         if self.unconverged:
-            self.notes = (f"{self.unconverged} of {count} frames did not converge: left out",)
-        self._places = np.concatenate(places)[kept]
-        self._open_shards: dict[int, ShardFile] = {}
-        self._group: tuple[tuple[int, int, str] | None, list[bytes | None]] = (None, [])
+            self.notes = (
+                f"{self.unconverged} of {len(joined['converged'])} frames did not converge: left out",
+            )
+        places = [
+            (number, row) for number, table in enumerate(tables) for row in range(len(table["converged"]))
+        ]
+        self._places = np.array(places)[kept]
 
     def _check_bytes(self, files: DomainFolder) -> None:
         """Compare every file with the manifest: a changed label would train a model, and no one would see it."""
@@ -223,22 +226,10 @@ class GeneratedDomain(StoredFrames):
                 if problem:
                     raise damaged(self.folder / name, problem)
 
-    def _read_labels(self, number: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the plain columns of one shard, and where its rows are: shard, row group, row (n, 3)."""
-        shard = ShardFile(self.shard_paths[number])
-        labels = shard.labels()
-        places = [
-            (number, group, row) for group, rows in enumerate(shard.rows_per_group) for row in range(rows)
-        ]
-        return labels, np.array(places, dtype=np.int64).reshape(-1, 3)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open_shards": {}, "_group": (None, [])}
-
     @property
     def shard_paths(self) -> list[Path]:
         """The Parquet files that the manifest names, in order."""
-        return [self.folder / name for name in self._shards]
+        return [shard.path for shard in self._shards]
 
     @cached_property
     def reference(self) -> np.ndarray:
@@ -256,7 +247,7 @@ class GeneratedDomain(StoredFrames):
         return picture
 
     def place_of(self, index: int) -> str:
-        return self._shards[int(self._places[index][0])]
+        return self._shards[int(self._places[index][0])].path.name
 
     def optional(self, column: str, index: int) -> np.ndarray:
         """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
@@ -303,9 +294,5 @@ class GeneratedDomain(StoredFrames):
         return tuple(self.manifest["configuration"]["columns"])
 
     def _cell(self, index: int, column: str) -> Any:
-        shard, group, row = (int(number) for number in self._places[index])
-        if self._group[0] != (shard, group, column):
-            if shard not in self._open_shards:
-                self._open_shards[shard] = ShardFile(self.shard_paths[shard])
-            self._group = ((shard, group, column), self._open_shards[shard].cells(group, column))
-        return self._group[1][row]
+        shard, row = (int(number) for number in self._places[index])
+        return self._shards[shard].cell(row, column)

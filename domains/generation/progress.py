@@ -36,14 +36,18 @@ class GenerationProgress:
         """Say that this many more frames are on disk."""
 
 
-class _Counted(GenerationProgress):
-    """Counts (done, all) by what is counted; a subclass shows them."""
+class ShownProgress(GenerationProgress):
+    """Counts (done, all) of solves, load steps and frames, shown as bars of rich or as plain lines.
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._start, self._load = time.monotonic(), Workload()
-        self._steps: dict[str, int] = {}
-        self.counts: dict[str, tuple[int, int]] = {}
+    Lines come at the beginning, then at most every ten seconds, and at the end.
+    """
+
+    def __init__(self, stream: TextIO | None = None, bars: Any = None) -> None:
+        self._stream, self._bars, self._lock = stream, bars, threading.Lock()
+        self._start = self._told_at = time.monotonic()
+        self._load, self._steps = Workload(), dict[str, int]()
+        self.counts = {"solves": (0, 0), "load steps": (0, 0), "frames": (0, 0)}
+        self._tasks = {name: bars.add_task(name, total=None, left="") for name in self.counts if bars}
 
     def begin(self, solves: int, frames: int, load: Workload | None = None) -> None:
         self._start, self._load = time.monotonic(), load or Workload()
@@ -69,56 +73,29 @@ class _Counted(GenerationProgress):
             self.counts["load steps"] = (sum(self._steps.values()), self.counts["load steps"][1])
             self._show()
 
-    def _show(self, first: bool = False) -> None:
-        raise NotImplementedError
-
-    @property
-    def passed_s(self) -> float:
-        return time.monotonic() - self._start
-
     @property
     def left(self) -> str:
         """How long the rest takes if it goes on as until now; nothing where that is not known, or next to nothing."""
         weight_s = {"load steps": self._load.step_s, "frames": self._load.frame_s}
         done_s, all_s = (sum(weight_s[what] * self.counts[what][i] for what in weight_s) for i in (0, 1))
-        left_s = self.passed_s * (all_s - done_s) / done_s if done_s else 0.0
+        left_s = (time.monotonic() - self._start) * (all_s - done_s) / done_s if done_s else 0.0
         if left_s < 1:
             return ""
         return f"about {left_s:.0f} s left" if left_s < 90 else f"about {left_s / 60:.0f} min left"
 
-
-class PlainLines(_Counted):
-    """Prints what is to be done, then a line at most every ten seconds, and one at the end."""
-
-    def __init__(self, stream: TextIO):
-        super().__init__()
-        self._stream, self._last = stream, 0.0
-
     def _show(self, first: bool = False) -> None:
+        for name, task in self._tasks.items():
+            done, total = self.counts[name]
+            if first:
+                self._bars.reset(task, total=total)
+            self._bars.update(task, completed=done, left=self.left if name == "solves" else "")
         now, complete = time.monotonic(), all(done == total for done, total in self.counts.values())
-        if first or complete or now - self._last >= _SECONDS_BETWEEN_LINES:
-            self._last = now
+        if self._stream and (first or complete or now - self._told_at >= _SECONDS_BETWEEN_LINES):
+            self._told_at = now
             told = (f"{n}/{of} {what}" for what, (n, of) in self.counts.items() if of or what != "load steps")
             left = f"; {self.left}" if self.left else ""
-            when = "to do" if first else f"{self.passed_s:6.0f} s"
+            when = "to do" if first else f"{now - self._start:6.0f} s"
             print(f"{when}: {', '.join(told)}{left}", file=self._stream, flush=True)
-
-
-class _Bars(_Counted):
-    """Bars of solves, of their load steps and of frames; the time left stands beside the first."""
-
-    def __init__(self, bars: Any):
-        super().__init__()
-        self._bars = bars
-        self._tasks = {
-            name: bars.add_task(name, total=None, left="") for name in ("solves", "load steps", "frames")
-        }
-
-    def _show(self, first: bool = False) -> None:
-        for name, (done, total) in self.counts.items():
-            if first:
-                self._bars.reset(self._tasks[name], total=total)
-            self._bars.update(self._tasks[name], completed=done, left=self.left if name == "solves" else "")
 
 
 @contextlib.contextmanager
@@ -126,11 +103,11 @@ def shown_progress(stream: TextIO | None = None) -> Iterator[GenerationProgress]
     """Yield the progress that suits the stream (standard error by default): bars on a terminal, else plain lines."""
     stream = stream or sys.stderr
     if not stream.isatty():
-        yield PlainLines(stream)
+        yield ShownProgress(stream)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), "{task.fields[left]}")
     with Progress("{task.description}", *columns, console=Console(file=stream)) as bars:
-        yield _Bars(bars)
+        yield ShownProgress(bars=bars)

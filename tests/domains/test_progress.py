@@ -2,7 +2,7 @@ import io
 
 from gelgap.domains import shown_progress
 from gelgap.domains.generation import progress as module
-from gelgap.domains.generation.progress import PlainLines, Workload
+from gelgap.domains.generation.progress import ShownProgress, Workload
 
 
 def test_without_a_terminal_progress_is_plain_lines_and_starts_again_with_each_job():
@@ -12,7 +12,6 @@ def test_without_a_terminal_progress_is_plain_lines_and_starts_again_with_each_j
             progress.begin(1, 4)
             progress.solved()
             progress.written(4)
-    assert isinstance(progress, PlainLines)
     lines = stream.getvalue().splitlines()
     assert [line.split(": ")[1] for line in lines] == ["0/1 solves, 0/4 frames", "1/1 solves, 4/4 frames"] * 2
 
@@ -27,7 +26,7 @@ def clock(monkeypatch) -> list[float]:
 def test_load_steps_are_counted_inside_solves_and_say_how_long_the_rest_takes(monkeypatch):
     monkeypatch.setattr(module, "_SECONDS_BETWEEN_LINES", 0.0)
     now, stream = clock(monkeypatch), io.StringIO()
-    progress = PlainLines(stream)
+    progress = ShownProgress(stream)
     progress.begin(2, 8, Workload({"a": 4, "b": 2}, step_s=1.0))
     now[0] = 100.0
     progress.stepped("a", 2)
@@ -52,7 +51,7 @@ def test_load_steps_are_counted_inside_solves_and_say_how_long_the_rest_takes(mo
 
 def test_frames_alone_say_how_long_the_rest_takes(monkeypatch):
     now = clock(monkeypatch)
-    progress = PlainLines(io.StringIO())
+    progress = ShownProgress(io.StringIO())
     progress.begin(0, 1000)
     now[0] = 20.0
     progress.written(250)
