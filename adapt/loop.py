@@ -17,8 +17,7 @@ from gelgap.adapt.network import ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.schedules import learning_rate_factor
-from gelgap.assets.damage import set_aside
-from gelgap.assets.whole_file import whole_file
+from gelgap.assets.whole_file import set_aside, whole_file
 
 MAX_SKIPPED_IN_A_ROW = 20
 COLLAPSED_SPREAD = 0.05

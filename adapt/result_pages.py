@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from gelgap.adapt.result_table import ResultTable, markdown_text
-from gelgap.assets.pages import html_page
+from gelgap.assets import html_page
 from gelgap.assets.whole_file import write_whole
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from numbers import Real
 
 import numpy as np
 
-from gelgap.assets.pages import html_page
+from gelgap.assets import html_page
 
 _LATEX = {
     "\\": r"\textbackslash{}",

@@ -15,9 +15,8 @@ from pydantic import TypeAdapter, ValidationError
 from gelgap.adapt.evaluation import Evaluation
 from gelgap.adapt.model import ForceModel
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.checksums import checksum_problem, file_sha256, write_checksums
-from gelgap.assets.json_file import read_json
-from gelgap.assets.plain_name import is_plain_name
+from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
+from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import whole_file, write_whole
 from gelgap.domains import FORCE_COLUMNS, QUANTITIES

@@ -23,8 +23,8 @@ from gelgap.adapt.run_key import run_key, stage1_key
 from gelgap.adapt.run_record import Run, is_finished, load_run, run_folder, versions, write_run
 from gelgap.adapt.source_training import train_source, untrained
 from gelgap.adapt.splits import SplitFrames, check_classes, size_notes, split_for_training
-from gelgap.assets.damage import set_aside
-from gelgap.assets.sole_use import sole_use
+from gelgap.assets.locks import sole_use
+from gelgap.assets.whole_file import set_aside
 from gelgap.domains import LabelledFrames, label_notes, open_domain, open_domains
 
 LOG = logging.getLogger(__name__)

@@ -1,6 +1,7 @@
-"""Presets and reference tables that ship with gelgap, and the functions that list and read them."""
+"""Presets, reference tables and page templates that ship with gelgap, and the functions that read them."""
 
 import tomllib
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -44,3 +45,21 @@ def load_preset(kind: str, name: str) -> dict[str, Any]:
     if name not in known:
         raise ValueError(unknown_name(f"{kind[:-1]} preset", name, known, "known presets"))
     return tomllib.loads(asset_path(kind, f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def html_page(template: str, **values: Any) -> str:
+    """Return the page that a template makes of the values; in `.html`, they are escaped unless marked safe."""
+    return _environment().get_template(template).render(**values)
+
+
+@cache
+def _environment() -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
+
+    return Environment(
+        loader=FileSystemLoader(asset_path("templates")),
+        autoescape=select_autoescape(["html"]),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )

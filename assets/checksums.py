@@ -1,18 +1,26 @@
-"""SHA-256 sums of a folder's files, in the form that `sha256sum --check` reads, and what differs from them."""
+"""SHA-256 of bytes, of files, of a folder (in the form of `sha256sum --check`), and of JSON that carries its own."""
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from gelgap.assets.whole_file import write_whole
 
 SUMS = "SHA256SUMS"
+CHECKSUM = "sha256"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
 
 
+def sha256(data: bytes) -> str:
+    """Return the SHA-256 of bytes as hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
 def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file as hexadecimal digits, read in pieces."""
+    """Return the SHA-256 of a file, read in pieces."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -37,3 +45,38 @@ def _listed(folder: Path) -> dict[str, str]:
     except OSError:
         return {}
     return {match[2]: match[1] for line in lines if (match := _LINE.fullmatch(line))}
+
+
+def parse_json(data: bytes | str) -> Any:
+    """Return the value of JSON text in UTF-8, or raise ValueError; the message does not name the file."""
+    try:
+        return json.loads(data)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def read_json(path: Path) -> Any:
+    """Return the value of a JSON file; raises what `parse_json` does, and FileNotFoundError if there is none."""
+    return parse_json(path.read_bytes())
+
+
+def canonical_json(value: Any) -> bytes:
+    """Return the one JSON text of a value: sorted keys, so that equal values hash equally."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+
+
+def with_checksum(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values and, as `sha256`, the checksum of their canonical JSON."""
+    return {**values, CHECKSUM: sha256(canonical_json(values))}
+
+
+def without_checksum(values: Any) -> dict[str, Any]:
+    """Return what `with_checksum` was given, or raise ValueError if that is not what is there."""
+    content = {name: values[name] for name in values if name != CHECKSUM} if isinstance(values, dict) else {}
+    try:
+        intact = isinstance(values, dict) and with_checksum(content) == values
+    except (RecursionError, UnicodeEncodeError):
+        intact = False
+    if not intact:
+        raise ValueError("its own checksum does not match")
+    return content

@@ -1,9 +1,10 @@
-"""Names and values in error sentences: what is unknown, what was probably meant, and no value at full length."""
+"""Names and values in error sentences, and names that become names of files."""
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from pathlib import PurePosixPath, PureWindowsPath
 
-LONGEST_SHOWN = 80
+LONGEST_QUOTED = 80
 _MOST_LISTED = 12
 
 
@@ -14,30 +15,50 @@ def unknown_name(what: str, name: str, known: Iterable[str], of_known: str = "kn
     "profile preset 'cpus' is unknown; known: cpu, paper; did you mean cpu?"
     """
     known = tuple(known)
-    near = meant(name, known)
-    return f"{what} {shown(name)} is unknown; {of_known}: {', '.join(known)}{';' if near else ''}{near}"
+    near = closest_name(name, known)
+    return f"{what} {quoted(name)} is unknown; {of_known}: {', '.join(known)}{';' if near else ''}{near}"
 
 
-def meant(name: str, known: Iterable[str]) -> str:
+def closest_name(name: str, known: Iterable[str]) -> str:
     """Return the question whether the nearest of the known names was meant; nothing if none is near."""
-    near = get_close_matches(name[:LONGEST_SHOWN], tuple(known), n=1)
+    near = get_close_matches(name[:LONGEST_QUOTED], tuple(known), n=1)
     return f" did you mean {near[0]}?" if near else ""
 
 
-def shown(value: object) -> str:
+def quoted(value: object) -> str:
     """Return a value as an error message shows it; the middle of a long one is left out."""
     text = repr(value)
-    if len(text) <= LONGEST_SHOWN:
+    if len(text) <= LONGEST_QUOTED:
         return text
-    return f"{text[: LONGEST_SHOWN // 2]}…{text[-LONGEST_SHOWN // 4 :]}"
+    return f"{text[: LONGEST_QUOTED // 2]}…{text[-LONGEST_QUOTED // 4 :]}"
 
 
-def listed(names: Sequence[str]) -> str:
+def comma_list(names: Sequence[str]) -> str:
     """Return names side by side; of more than twelve the first two, the last, and how many there are.
 
-    >>> listed([f"d{number}" for number in range(60)])
+    >>> comma_list([f"d{number}" for number in range(60)])
     'd0, d1, … d59 (60)'
     """
     if len(names) <= _MOST_LISTED:
         return ", ".join(names)
     return f"{names[0]}, {names[1]}, … {names[-1]} ({len(names)})"
+
+
+def is_plain_name(name: object) -> bool:
+    """Return whether a value is a text that names one file or folder, without control characters."""
+    return (
+        isinstance(name, str)
+        and 0 < len(name) <= 255
+        and name not in (".", "..")
+        and not any(letter in "/\\" or not letter.isprintable() for letter in name)
+    )
+
+
+def stays_inside(name: str) -> bool:
+    """Return whether a relative path leads to nothing outside of the folder it starts from."""
+    paths = PurePosixPath(name), PureWindowsPath(name)
+    return (
+        bool(name)
+        and "\0" not in name
+        and not any(path.is_absolute() or path.anchor or ".." in path.parts for path in paths)
+    )

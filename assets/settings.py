@@ -4,7 +4,7 @@ from typing import Any, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from gelgap.assets.names import shown
+from gelgap.assets.names import quoted
 
 
 class Settings(BaseModel):
@@ -49,7 +49,9 @@ def _sentence(detail: Any) -> str:
     # A table given for a field would fill the screen; the field's name says where it stands.
     is_table = isinstance(detail["input"], dict | list | tuple) and "{" in repr(detail["input"])
     value = (
-        "" if is_table or detail["type"] in ("missing", "extra_forbidden") else f" = {shown(detail['input'])}"
+        ""
+        if is_table or detail["type"] in ("missing", "extra_forbidden")
+        else f" = {quoted(detail['input'])}"
     )
     message = detail["msg"].removeprefix("Value error, ")
     if not message[:2].isupper():  # an abbreviation keeps its capitals

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-MOST_BYTES = 2**24
-
 
 def read_toml(path: Path | str) -> dict[str, Any]:
     """Return the tables of a TOML file.
@@ -24,14 +22,10 @@ def read_toml(path: Path | str) -> dict[str, Any]:
         raise FileNotFoundError(
             f"{path} {'is a folder, not a TOML file' if path.is_dir() else 'does not exist'}"
         )
-    if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"{path} is not valid TOML: it is larger than {MOST_BYTES // 2**20} MiB")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path} is not valid TOML: {error}") from None
-    except RecursionError:
-        raise ValueError(f"{path} is not valid TOML: it is nested too deeply") from None
     if not values:
         raise ValueError(f"{path} is empty: it states no field")
     return values

@@ -1,12 +1,14 @@
-"""Files that are there completely or not at all, also after a crash or on a full disk."""
+"""Files that are there completely or not at all, also after a crash or on a full disk; damaged ones are set aside."""
 
 import contextlib
+import logging
 import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 TEMPORARY_SUFFIX = ".tmp"
+DAMAGED_SUFFIX = ".damaged"
 
 
 @contextlib.contextmanager
@@ -28,7 +30,12 @@ def whole_file(path: Path) -> Iterator[Path]:
         os.close(descriptor)
         temporary = Path(name)
         yield temporary
-        _make_durable(temporary)
+        # The permissions that an ordinary new file has.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
         raise RuntimeError(
@@ -42,21 +49,18 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file completely or not at all.
-
-    Raises
-    ------
-    RuntimeError
-        If the disk does not take it; what was there before is untouched.
-    """
+    """Write a file completely or not at all; raises what `whole_file` does."""
     with whole_file(path) as temporary:
         temporary.write_bytes(data)
 
 
-def _make_durable(temporary: Path) -> None:
-    """Flush the file to the disk, with the permissions that an ordinary new file has."""
-    umask = os.umask(0)
-    os.umask(umask)
-    temporary.chmod(0o666 & ~umask)
-    with temporary.open("rb") as file:
-        os.fsync(file.fileno())
+def warn(sentence: str) -> None:
+    """Log what is wrong with a file that is made again; the command line prints it on standard error."""
+    logging.getLogger("gelgap").warning(sentence)
+
+
+def set_aside(path: Path, why: str) -> None:
+    """Rename a cached file that cannot be used and say so on standard error; the caller makes it again."""
+    with contextlib.suppress(OSError):
+        path.replace(path.with_name(f"{path.name}{DAMAGED_SUFFIX}"))
+    warn(f"{path} {why}: set aside as {path.name}{DAMAGED_SUFFIX} and made again")

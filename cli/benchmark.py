@@ -50,7 +50,7 @@ class Benchmark:
 
     def run(self, started: float) -> None:
         """Run the chosen benchmarks, one after the other."""
-        from gelgap.assets.sole_use import sole_use
+        from gelgap.assets.locks import sole_use
 
         chosen = find_benchmarks(self.subject, self.what, self.quick)
         if any(benchmark.needs_data for benchmark in chosen) != (self.data is not None):

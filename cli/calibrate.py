@@ -137,7 +137,7 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     ValueError
         If the list is not valid TOML, or a table lacks a field or has an unknown one.
     """
-    from gelgap.assets.plain_name import stays_inside
+    from gelgap.assets.names import stays_inside
     from gelgap.assets.toml_file import read_toml
     from gelgap.render import PressPicture
 

@@ -45,9 +45,10 @@ class Convert:
 
     def run(self, started: float) -> None:
         """Convert, print what became of each clip, and name what was written."""
+        from gelgap.benchmarks.real.published_sets import LAYOUTS
         from gelgap.domains import convert
 
-        clips = convert(self.folder, self.layout, self.out, self.every)
+        clips = convert(self.folder, LAYOUTS.get(self.layout, self.layout), self.out, self.every)
         print(_table(clips))
         for domain in dict.fromkeys(clip.domain for clip in clips):
             print(f"wrote {self.out / domain}")

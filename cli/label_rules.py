@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from gelgap.assets.names import meant, shown
+from gelgap.assets.names import closest_name, quoted
 
 _RANGE = re.compile(r"(?P<name>\w+)=(?P<low>[^:]+):(?P<high>[^:]+)")
 
@@ -36,11 +36,11 @@ class LabelRanges:
             try:
                 name, (low, high) = parsed_range(text)
             except ValueError:
-                return f"{shown(text)} must be a label, its lower and its upper bound, as fz_n=-30:0"
+                return f"{quoted(text)} must be a label, its lower and its upper bound, as fz_n=-30:0"
             if name not in label_names():
                 known = label_names()
-                return f"{shown(name)} is unknown;{meant(name, known)} known: {', '.join(known)}"
+                return f"{quoted(name)} is unknown;{closest_name(name, known)} known: {', '.join(known)}"
             if not low < high:
-                return f"the lower bound of {shown(text)} must be below the upper one"
+                return f"the lower bound of {quoted(text)} must be below the upper one"
             names.append(name)
         return "a label stands twice" if len(set(names)) < len(names) else None

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Protocol, Union
 
 import tyro
 
-from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.locks import cache_folder
 from gelgap.cli.adapt import Adapt
 from gelgap.cli.benchmark import Benchmark
 from gelgap.cli.cache import Cache

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import tyro
 
-from gelgap.assets.names import shown
+from gelgap.assets.names import quoted
 from gelgap.cli.rules import Rule
 
 _POSITIONAL = get_args(tyro.conf.Positional[int])[1]
@@ -65,7 +65,7 @@ def check_values(command: Any) -> None:
 
 def _as_given(value: Any) -> str:
     """Return a value as it was typed."""
-    return shown(" ".join(map(str, value)) if isinstance(value, tuple) else str(value))
+    return quoted(" ".join(map(str, value)) if isinstance(value, tuple) else str(value))
 
 
 def _option(field: str, hint: Any) -> Option:

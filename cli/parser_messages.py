@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping, Sequence
 
-from gelgap.assets.names import meant, shown, unknown_name
+from gelgap.assets.names import closest_name, quoted, unknown_name
 from gelgap.cli.options import Option, options_of
 
 _BOX_AND_COLOUR = re.compile(r"\x1b\[[0-9;]*m|[│╭╮╰╯─┃━]")
@@ -62,9 +62,9 @@ def _wrong_value(called: str, options: Sequence[Option], arguments: Sequence[str
     if option is None:
         return text
     given = _values_given(option, arguments)
-    value = f" = {shown(given)}" if given else ": its value is missing;"
+    value = f" = {quoted(given)}" if given else ": its value is missing;"
     choices = getattr(option.type, "__args__", ())
-    near = meant(given, [str(choice) for choice in choices]) if given else ""
+    near = closest_name(given, [str(choice) for choice in choices]) if given else ""
     return f"{option.name}{value}{':' if given else ''} must be {option.needs()}{';' + near if near else ''}"
 
 
@@ -87,8 +87,8 @@ def _values_given(option: Option, arguments: Sequence[str]) -> str:
 def _unknown_option(word: str, options: Sequence[Option], command: str) -> str:
     word = word.rstrip(",")
     if not word.startswith("-"):
-        return f"{shown(word)} is one value too many for gelgap {command}; see: gelgap {command} --help"
+        return f"{quoted(word)} is one value too many for gelgap {command}; see: gelgap {command} --help"
     names = [name for option in options if not option.positional for name in option.names]
-    near = meant(word, names)
+    near = closest_name(word, names)
     known = near or f" options: {', '.join(names)};"
-    return f"option {shown(word)} is unknown;{known} see: gelgap {command} --help"
+    return f"option {quoted(word)} is unknown;{known} see: gelgap {command} --help"

@@ -36,7 +36,7 @@ class Report:
     def run(self, started: float) -> None:
         """Write the report and say where it is."""
         from gelgap.adapt import write_report
-        from gelgap.assets.sole_use import sole_use
+        from gelgap.assets.locks import sole_use
         from gelgap.benchmarks.adaptation.parts import write_benchmark_report
         from gelgap.benchmarks.adaptation.results import is_benchmark
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from gelgap.assets import list_presets
-from gelgap.assets.names import meant, shown
+from gelgap.assets.names import closest_name, quoted
 
 
 @runtime_checkable
@@ -55,8 +55,8 @@ class OneOf:
             return None
         if not unknown:
             return f"name at least one; known: {', '.join(known)}"
-        which = f"{shown(unknown[0])} is unknown" if len(values) > 1 else "is unknown"
-        return f"{which};{meant(unknown[0], known)} known: {', '.join(known)}"
+        which = f"{quoted(unknown[0])} is unknown" if len(values) > 1 else "is unknown"
+        return f"{which};{closest_name(unknown[0], known)} known: {', '.join(known)}"
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,7 @@ class Preset:
         if value in known:
             return None
         file = ", or a file whose name ends in .toml" if self.or_file else ""
-        return (
-            f"must be a preset of {self.kind}{file};{meant(value, known)} known presets: {', '.join(known)}"
-        )
+        return f"must be a preset of {self.kind}{file};{closest_name(value, known)} known presets: {', '.join(known)}"
 
 
 @dataclass(frozen=True)
@@ -206,7 +204,7 @@ def _not_there(
 
 
 def _short(path: Path) -> str:
-    return shown(str(path)).strip("'")
+    return quoted(str(path)).strip("'")
 
 
 def _unwritable(folder: Path) -> str | None:

@@ -1,12 +1,21 @@
-"""What a domain is: an elastomer under an illumination, with or without markers, named as in the paper."""
+"""What a domain is: an elastomer under an illumination, with or without markers, named as in the paper.
 
+Random numbers are keyed by the domain and by what they are for.
+"""
+
+import hashlib
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
+from typing import Literal
+
+import numpy as np
 
 from gelgap.assets import list_presets
-from gelgap.assets.names import meant, shown
+from gelgap.assets.names import closest_name, quoted
 
 OWN_LIGHT = "own"
+Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]
 
 
 @dataclass(frozen=True, order=True)
@@ -37,7 +46,7 @@ class Domain:
         found = {domain.name: domain for domain in known_domains()}
         if name not in found:
             raise ValueError(
-                f"domain {shown(name)} is unknown;{meant(name, found)} a name is m or wm (with or "
+                f"domain {quoted(name)} is unknown;{closest_name(name, found)} a name is m or wm (with or "
                 "without markers), then an elastomer "
                 f"({', '.join(list_presets('elastomers'))}), then an illumination "
                 f"({', '.join(list_presets('illuminations'))}, or {OWN_LIGHT}: the sensor's own), for example mb0i0 or "
@@ -54,3 +63,14 @@ def known_domains() -> tuple[Domain, ...]:
             list_presets("elastomers"), (*list_presets("illuminations"), OWN_LIGHT), (True, False)
         )
     )
+
+
+def random_stream(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> np.random.Generator:
+    """Return the random numbers of one domain, frame and purpose, whoever draws them and whenever."""
+    return np.random.default_rng(np.random.SeedSequence([seed, word(domain), word(purpose), frame]))
+
+
+@lru_cache(maxsize=64)
+def word(text: str) -> int:
+    """Return the number that stands for a text among the seeds of random numbers."""
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little")

@@ -1,22 +1,37 @@
-"""What a data set holds: counts, ranges, what is unusual, and whether its files are intact."""
+"""What a data set holds: counts, ranges, what is unusual, whether its files are intact, and one page that shows it."""
 
+import base64
+import io
+import json
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.domains.contacts import paired_contacts
-from gelgap.domains.dataset import LabelledFrames
-from gelgap.domains.domain_gaps import domain_gap
-from gelgap.domains.folder import MANIFEST, Damage, DomainFolder
-from gelgap.domains.generated import GeneratedDomain
-from gelgap.domains.label_notes import label_notes, outside
-from gelgap.domains.labels import FORCE_COLUMNS, QUANTITIES, Labels, Range, known_labels, usual_labels
-from gelgap.domains.opening import open_domain
-from gelgap.domains.picture_damages import header_damages, table_damages
-from gelgap.domains.picture_folder import GROUPS
-from gelgap.domains.stored import PictureFiles
+from gelgap.assets import html_page
+from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
+from gelgap.domains.formats.pictures import encode_png, stated_size_px
+from gelgap.domains.frames.dataset import LabelledFrames, outside
+from gelgap.domains.frames.folders import GROUPS, PictureFiles, open_domain
+from gelgap.domains.frames.labels import (
+    FORCE_COLUMNS,
+    QUANTITIES,
+    Labels,
+    Range,
+    known_labels,
+    usual_labels,
+)
+from gelgap.domains.frames.splits import paired_contacts
+from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
+from gelgap.domains.sweep import domain_gap
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
 
 @dataclass(frozen=True)
@@ -64,24 +79,26 @@ class DomainSummary:
         return tuple(facts.largest for facts in self.labels if facts.name in FORCE_COLUMNS)
 
     def __str__(self) -> str:
-        forces = [facts for facts in self.labels if facts.name in FORCE_COLUMNS]
-        others = [f"{facts} {QUANTITIES[facts.name].unit}" for facts in self.labels if facts not in forces]
+        forces = [str(facts) for facts in self.labels if facts.name in FORCE_COLUMNS]
+        others = [
+            f"{facts} {QUANTITIES[facts.name].unit}"
+            for facts in self.labels
+            if facts.name not in FORCE_COLUMNS
+        ]
         outside_range = f"; {self.outside_range} frames outside the declared range"
-        told = [f"  forces   {', '.join(map(str, forces))} N{outside_range}"] if forces else []
-        told += [f"  labels   {', '.join(others)}{'' if forces else outside_range}"] if others else []
-        told += (
-            [f"  groups   {', '.join(f'{count} of {name}' for name, count in self.groups)}"]
-            if self.groups
-            else []
-        )
         lines = [
             f"{self.name} ({self.folder})",
             f"  frames   {self.frames} of {self.size_px[0]}×{self.size_px[1]} px, {self.bytes / 1e6:.1f} MB; "
             f"{self.unconverged} left out (not converged)",
             f"  contacts {self.points} points, {self.classes} classes",
-            *told,
-            f"  columns  {', '.join(self.optional_columns) or 'none beyond the standard ones'}",
         ]
+        if forces:
+            lines.append(f"  forces   {', '.join(forces)} N{outside_range}")
+        if others:
+            lines.append(f"  labels   {', '.join(others)}{'' if forces else outside_range}")
+        if self.groups:
+            lines.append(f"  groups   {', '.join(f'{count} of {name}' for name, count in self.groups)}")
+        lines.append(f"  columns  {', '.join(self.optional_columns) or 'none beyond the standard ones'}")
         return "\n".join([*lines, *(f"  note     {note}" for note in self.notes)])
 
 
@@ -112,7 +129,16 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
     known = (
         usual_labels(frames.columns) if isinstance(frames, GeneratedDomain) else known_labels(frames.columns)
     )
-    facts = tuple(_facts(frames, name) for name in known)
+    facts = []
+    for name in known:
+        values = frames.columns[name][np.isfinite(frames.columns[name])]
+        extremes = (float(values.min()) + 0.0, float(values.max()) + 0.0) if len(values) else (0.0, 0.0)
+        facts.append(LabelFacts(name, frames.label_range(name), *extremes))
+    # Generated pictures were compared with their manifest.
+    damages = header_damages(frames) if isinstance(frames, PictureFiles) else []
+    pictures = (
+        (f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}",) if damages else ()
+    )
     return DomainSummary(
         folder=str(folder),
         name=frames.name,
@@ -122,11 +148,15 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         points=_distinct(frames.point_id),
         classes=_distinct(frames.contact_class),
         groups=tuple((name, len(set(frames.columns[name]))) for name in GROUPS if name in frames.columns),
-        labels=facts,
+        labels=tuple(facts),
         outside_range=int(outside(frames, Labels.of({label.name: label.range for label in facts})).sum()),
         optional_columns=frames.optional_columns if isinstance(frames, GeneratedDomain) else (),
-        bytes=sum(path.stat().st_size for path in Path(folder).rglob("*") if _is_data(path)),
-        notes=(*frames.notes, *label_notes(frames), *_picture_notes(frames)),
+        bytes=sum(
+            path.stat().st_size
+            for path in Path(folder).rglob("*")
+            if path.is_file() and ".cache" not in path.parts
+        ),
+        notes=(*frames.notes, *label_notes(frames), *pictures),
     )
 
 
@@ -141,14 +171,12 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     FileNotFoundError
         If it is not a data set of a known layout.
     """
-    if DomainFolder(folder).exists() or not Path(folder).is_dir():
-        return tuple(DomainFolder(folder).damages()) or _vouched_damages(folder)
-    frames = open_domain(folder)
-    return tuple(table_damages(frames)) if isinstance(frames, PictureFiles) else ()
-
-
-def _vouched_damages(folder: Path | str) -> tuple[Damage, ...]:
-    """Return what no reader takes of a domain whose bytes are those that its manifest states."""
+    files = DomainFolder(folder)
+    if not files.exists() and files.path.is_dir():
+        return tuple(table_damages(open_domain(folder)))
+    if damages := files.damages():
+        return tuple(damages)
+    # A manifest may vouch for bytes that no reader takes.
     try:
         found = [str(damage) for damage in header_damages(GeneratedDomain(folder))]
     except (RuntimeError, ValueError) as error:
@@ -170,14 +198,14 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
     if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):
         gap = domain_gap(base.recipe, frames.recipe)
+        colours = _colours(gap.colour_difference, gap.colour_difference_p95)
+        counts = Counter(field.split(".")[0] for field in gap.fields)
+        fields = [f"{name} ({count})" if count > 1 else name for name, count in counts.items()]
         rows += [
-            (
-                "the same without markers and noise",
-                _colours(gap.colour_difference, gap.colour_difference_p95),
-            ),
+            ("the same without markers and noise", colours),
             ("modulus", f"× {gap.modulus_ratio:.4g}"),
             ("markers", gap.markers),
-            ("fields that differ", _in_short(gap.fields)),
+            ("fields that differ", ", ".join(fields) or "none"),
         ]
         mine, theirs = paired_contacts(frames, base)
         if len(mine):
@@ -187,34 +215,226 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     return rows
 
 
-def _facts(frames: LabelledFrames, name: str) -> LabelFacts:
-    values = frames.columns[name][np.isfinite(frames.columns[name])]
-    extremes = (float(values.min()) + 0.0, float(values.max()) + 0.0) if len(values) else (0.0, 0.0)
-    return LabelFacts(name, frames.label_range(name), *extremes)
-
-
 def _colours(mean: float, percentile_95: float) -> str:
     return f"mean {mean:.2f}, 95th percentile {percentile_95:.2f}"
-
-
-def _in_short(fields: tuple[str, ...]) -> str:
-    counts = Counter(field.split(".")[0] for field in fields)
-    return ", ".join(f"{name} ({count})" if count > 1 else name for name, count in counts.items()) or "none"
-
-
-def _is_data(path: Path) -> bool:
-    return path.is_file() and ".cache" not in path.parts
 
 
 def _distinct(numbers: np.ndarray) -> int:
     return len(np.unique(numbers[numbers >= 0]))
 
 
-def _picture_notes(frames: LabelledFrames) -> list[str]:
-    """Return what pictures say of themselves that is wrong; generated ones were compared with their manifest."""
-    if not isinstance(frames, PictureFiles):
-        return []
-    damages = header_damages(frames)
-    if not damages:
-        return []
-    return [f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}"]
+def label_notes(frames: LabelledFrames) -> list[str]:
+    """Return what is unusual about labels, in sentences: NaN, and forces that pull the sensor."""
+    notes = []
+    known = known_labels(frames.columns)
+    for names, what in (
+        ([name for name in known if name in FORCE_COLUMNS], "a force"),
+        ([name for name in known if name not in FORCE_COLUMNS], "a label other than force"),
+    ):
+        wrong = np.zeros(len(frames), bool)
+        for name in names:
+            wrong |= ~np.isfinite(frames.columns[name])
+        if wrong.any():
+            notes.append(f"{int(wrong.sum())} frames have {what} that is not a number")
+    pulling = int((frames.columns.get("fz_n", np.zeros(0)) > 0).sum())
+    if pulling:
+        notes.append(f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one")
+    return notes
+
+
+def header_damages(frames: StoredFrames) -> list[Damage]:
+    """Return the pictures that state another size than the reference, or are no pictures; none is decoded."""
+    found, (width, height) = [], frames.size_px
+    for index in range(len(frames)):
+        try:
+            size_px = stated_size_px(frames.encoded_picture(index))
+            if size_px == (width, height):
+                continue
+            problem = f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px"
+        except (OSError, ValueError) as error:
+            problem = str(error)
+        found.append(Damage(frames.place_of(index), f"frame {index}: {problem}"))
+    return found
+
+
+def table_damages(frames: PictureFiles) -> Iterator[Damage]:
+    """Yield every picture that cannot be decoded to the reference's size, and every label that is NaN or infinite."""
+    headers = header_damages(frames)
+    wrong = {damage.file for damage in headers}
+    yield from headers
+    for index in range(len(frames)):
+        if frames.place_of(index) not in wrong:
+            try:
+                frames.picture(index)
+            except ValueError as error:
+                yield Damage(frames.place_of(index), str(error).partition("; `gelgap")[0])
+    for path in frames.reference_paths:
+        try:
+            frames.reference_picture(path)
+        except ValueError as error:
+            yield Damage(str(path.relative_to(frames.folder)), str(error))
+    for name in known_labels(frames.columns):
+        for index in np.flatnonzero(~np.isfinite(frames.columns[name])).tolist():
+            value, symbol = frames.columns[name][index], QUANTITIES[name].symbol
+            yield Damage(frames.place_of(index), f"frame {index} has {symbol} = {value} in the table")
+
+
+def write_overview(folder: Path | str, page: Path | str, other: Path | str | None = None) -> Path:
+    """Write the page of one domain; with `other`, the gap from that domain to this one is on it.
+
+    Raises
+    ------
+    FileNotFoundError, RuntimeError
+        As `open_domain`.
+    """
+    frames, summary = open_domain(folder), inspect_domain(folder)
+    base = None if other is None else open_domain(other)
+    quantiles = np.quantile(frames.label_values, [0, 0.05, 0.5, 0.95, 1], axis=0).T
+    manifest = frames.manifest if isinstance(frames, GeneratedDomain) else None
+    text = html_page(
+        "overview.html",
+        name=frames.name,
+        counts=[
+            ("frames", str(summary.frames)),
+            ("left out, not converged", str(summary.unconverged)),
+            ("contact points", str(summary.points)),
+            ("contact classes", str(summary.classes)),
+            ("picture", f"{summary.size_px[0]}×{summary.size_px[1]} px"),
+            ("on disk", f"{summary.bytes / 1e6:.1f} MB"),
+            (
+                f"{'forces' if summary.force_min_n else 'labels'} outside the declared range",
+                str(summary.outside_range),
+            ),
+        ],
+        notes=summary.notes,
+        label_histograms=_plot(_label_histograms, frames),
+        label_quantiles=[
+            (str(what), *(f"{value:.3f}" for value in row))
+            for what, row in zip(frames.labels.quantities, quantiles, strict=True)
+        ],
+        force_against_contact=_plot(_force_against_contact, frames),
+        coverage=_plot(_coverage, frames),
+        samples=_samples(frames),
+        marker_flow=_marker_flow(frames),
+        unconverged=frames.unconverged,
+        gap=None if base is None else {"base": base.name, "rows": gap_rows(frames, base)},
+        folder=frames.folder,
+        manifest=manifest,
+        configuration=manifest and json.dumps(manifest["configuration"], indent=1, ensure_ascii=False),
+        hashes=manifest and [(name, entry["sha256"]) for name, entry in manifest["files"].items()],
+        left_out=np.setdiff1d(np.arange(manifest["frames"]), frames.columns["frame_id"]).tolist()
+        if manifest
+        else [],
+    )
+    page = Path(page)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    page.write_text(text, encoding="utf-8")
+    return page
+
+
+def _plot(draw: "Callable[[Figure, LabelledFrames], None]", frames: LabelledFrames) -> str:
+    """Return a plot as PNG in base64; an empty text if nothing was drawn."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.5, 3.2), layout="constrained")
+    draw(figure, frames)
+    if not figure.axes:
+        return ""
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(False)
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=110)
+    return _base64(out.getvalue())
+
+
+def _base64(png: bytes) -> str:
+    return base64.b64encode(png).decode()
+
+
+def _label_histograms(figure: "Figure", frames: LabelledFrames) -> None:
+    labels = frames.labels
+    for number, axes in enumerate(figure.subplots(1, len(labels), squeeze=False)[0]):
+        axes.hist(frames.label_values[:, number], bins=50, color=_COLOURS[number % len(_COLOURS)])
+        axes.axvspan(*labels.ranges[number], color="#000", alpha=0.05, zorder=0)
+        symbol, unit = labels.quantities[number]
+        axes.set_xlabel(f"{symbol} in {unit} (grey: declared range)")
+        axes.set_ylabel("frames")
+
+
+def _force_against_contact(figure: "Figure", frames: LabelledFrames) -> None:
+    if not {"depth_mm", "radius_mm", *FORCE_COLUMNS} <= frames.columns.keys():
+        return
+    depth, radius = frames.columns["depth_mm"], frames.columns["radius_mm"]
+    shear_n = np.hypot(frames.force_n[:, 0], frames.force_n[:, 1])
+    press, drag, ratio = figure.subplots(1, 3)
+    points = press.scatter(depth, -frames.force_n[:, 2], c=radius, s=6, cmap="viridis")
+    figure.colorbar(points, ax=press, label="radius, mm")
+    press.set(xlabel="commanded depth, mm", ylabel="−Fz, N")
+    points = drag.scatter(radius, shear_n, c=depth, s=6, cmap="viridis")
+    figure.colorbar(points, ax=drag, label="depth, mm")
+    drag.set(xlabel="commanded radius, mm", ylabel="shear force, N")
+    pressed = frames.force_n[:, 2] < -1e-3
+    ratio.scatter(
+        radius[pressed], shear_n[pressed] / -frames.force_n[pressed, 2], c=depth[pressed], s=6, cmap="viridis"
+    )
+    ratio.set(xlabel="commanded radius, mm", ylabel="shear / normal force")
+
+
+def _coverage(figure: "Figure", frames: LabelledFrames) -> None:
+    """Draw where contacts are, and how many of each class are at each point, as far as that is known."""
+    known = {
+        "places": {"x_mm", "y_mm"} <= frames.columns.keys(),
+        "counts": frames.has_classes and bool((frames.point_id >= 0).all()),
+    }
+    drawn = [what for what, is_known in known.items() if is_known]
+    axes = dict(zip(drawn, figure.subplots(1, len(drawn), squeeze=False)[0] if drawn else (), strict=True))
+    if "places" in axes:
+        x_mm, y_mm = (
+            frames.columns[f"{axis}_mm"] + frames.columns.get(f"shear_{axis}_mm", 0.0) for axis in "xy"
+        )
+        axes["places"].scatter(x_mm, y_mm, s=2, color=_COLOURS[2])
+        axes["places"].invert_yaxis()
+        axes["places"].set(xlabel="x, mm", ylabel="y, mm (down, as in the picture)", aspect="equal")
+    if "counts" in axes:
+        points, point = np.unique(frames.point_id, return_inverse=True)
+        classes, contact_class = np.unique(frames.contact_class, return_inverse=True)
+        counts = np.zeros((len(points), len(classes)))
+        np.add.at(counts, (point, contact_class), 1)
+        grey = axes["counts"].imshow(counts, aspect="auto", cmap="Greys", interpolation="nearest", vmin=0)
+        axes["counts"].set(xlabel="contact class (in order)", ylabel="contact point (in order)")
+        figure.colorbar(grey, ax=axes["counts"], label="frames")
+
+
+def _samples(frames: LabelledFrames, count: int = 14) -> list[dict[str, str]]:
+    """Return the reference and frames of evenly spread classes, or without classes of an evenly spread label."""
+    order = np.argsort(frames.label_values[:, -1])
+    if frames.has_classes:
+        order = np.lexsort((frames.point_id, frames.contact_class))
+    chosen = order[np.unique(np.linspace(0, len(order) - 1, count).astype(int))] if len(order) else order
+    shown = [{"png": _base64(encode_png(frames.reference)), "caption": "reference"}]
+    for index in chosen.tolist():
+        values = ", ".join(f"{value:.2f}" for value in frames.label_values[index])
+        units = ", ".join(dict.fromkeys(what.unit for what in frames.labels.quantities))
+        caption = f"({values}) {units}" if len(frames.labels) > 1 else f"{values} {units}"
+        if frames.contact_class[index] >= 0:
+            caption = f"class {frames.contact_class[index]}: {caption}"
+        shown.append({"png": _base64(encode_png(frames.picture(index))), "caption": caption})
+    return shown
+
+
+def _marker_flow(frames: LabelledFrames) -> dict[str, str] | None:
+    """Return the frame with the largest shear force with its markers' motion, where the data set has it."""
+    if not isinstance(frames, GeneratedDomain) or "marker_px" not in frames.optional_columns:
+        return None
+    sheared = int(np.linalg.norm(frames.force_n[:, :2], axis=1).argmax())
+    rest = frames.marker_px(int(np.linalg.norm(frames.force_n, axis=1).argmin()))
+    moved = frames.marker_px(sheared) - rest
+
+    def draw(figure: "Figure", frames: LabelledFrames) -> None:
+        axes = figure.subplots()
+        axes.imshow(frames.picture(sheared))
+        axes.quiver(*rest.T, *moved.T, angles="xy", scale_units="xy", scale=0.25, color="white", width=0.002)
+        axes.set_axis_off()
+
+    caption = f"The frame with the largest shear force (row {sheared}); arrows four times as long."
+    return {"png": _plot(draw, frames), "caption": caption}

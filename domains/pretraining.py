@@ -4,7 +4,6 @@ A press is a gel and a sphere, solved at some depths, each with a travel. Every 
 modulus, a light, a camera and contacts of its own, none of which asks for another solve.
 """
 
-import hashlib
 import math
 import tomllib
 from collections.abc import Collection
@@ -18,6 +17,7 @@ from pydantic import Field, field_validator
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.domains.domain import word
 from gelgap.domains.recipe import DomainRecipe, Interval
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
@@ -36,6 +36,10 @@ _SHARE_OF_VIEW = 0.7
 # Deeper than this share of its radius a sphere is not pressed.
 _DEEPEST_BY_RADIUS = 0.6
 _DOTS_BY_PITCH = 0.35
+_LOGARITHMIC = {
+    *("young_modulus_mpa", "friction", "sphere_diameter_mm"),
+    *("full_well_electrons", "read_noise_electrons"),
+}
 _QUICK = {
     "presses": 1,
     "depths": 1,
@@ -151,47 +155,33 @@ def pretraining_recipes(
             f"frames_per_domain = {frames_per_domain}: must be {ranges.contacts + 1} or more, a reference and "
             f"{ranges.contacts} contacts at {ranges.depths} depths"
         )
-    draws = _Draws(seed, frozenset(without))
-    presses = [_press(number, ranges, draws) for number in range(min(ranges.presses, domains))]
+    draws = _Draws(ranges, seed, frozenset(without))
+    presses = [draws.press(number) for number in range(min(ranges.presses, domains))]
     recipes = []
     for number in range(domains):
         name, press = f"pretraining-{number:04d}", presses[number % len(presses)]
-        sensor, illumination = _light(number, ranges, draws)
-        sensor = sensor.model_copy(update={"camera": _camera(sensor.camera, number, ranges, draws)})
-        markers = _markers(number, ranges, draws)
-        view_mm = sensor.camera.footprint_mm(size_px)
-        recipes.append(
-            DomainRecipe(
-                name=name,
-                elastomer=_elastomer(press, number, ranges, draws),
-                indenter=press.indenter,
-                path=PosePath(name, _poses(press, number, frames_per_domain, view_mm, draws)),
-                quality=quality,
-                sensor=sensor if markers is None else sensor.model_copy(update={"markers": markers}),
-                illumination=illumination,
-                markers=markers is not None,
-                size_px=size_px,
-                render_quality=quality,
-                seed=seed,
-                force_range_n=ranges.force_range_n,
-            )
+        sensor, illumination = draws.light(number)
+        markers = draws.markers(number)
+        parts = {"camera": draws.camera(number, sensor.camera)} | ({"markers": markers} if markers else {})
+        sensor = sensor.model_copy(update=parts)
+        (modulus_mpa,) = draws.values("gel", "modulus", number, "young_modulus_mpa")
+        poses = draws.poses(number, press, frames_per_domain, sensor.camera.footprint_mm(size_px))
+        recipe = DomainRecipe(
+            name=name,
+            elastomer=Elastomer(young_modulus_mpa=round(modulus_mpa, 5), **press.gel),
+            indenter=press.indenter,
+            path=PosePath(name, poses),
+            quality=quality,
+            sensor=sensor,
+            illumination=illumination,
+            markers=markers is not None,
+            size_px=size_px,
+            render_quality=quality,
+            seed=seed,
+            force_range_n=ranges.force_range_n,
         )
+        recipes.append(recipe)
     return tuple(recipes)
-
-
-@dataclass(frozen=True)
-class _Draws:
-    """Random numbers by what they are for; even draws in [0, 1) of a factor that is left out are all 0.5."""
-
-    seed: int
-    without: frozenset[str]
-
-    def stream(self, what: str, number: int) -> np.random.Generator:
-        key = int.from_bytes(hashlib.sha256(what.encode()).digest()[:8], "little")
-        return np.random.default_rng(np.random.SeedSequence([self.seed, key, number]))
-
-    def shares(self, factor: str, what: str, number: int, count: int) -> list[float]:
-        return [0.5] * count if factor in self.without else self.stream(what, number).random(count).tolist()
 
 
 @dataclass(frozen=True)
@@ -203,100 +193,109 @@ class _Press:
     contacts_mm: tuple[tuple[float, float], ...]
 
 
-def _press(number: int, ranges: PretrainingRanges, draws: _Draws) -> _Press:
-    ratio, friction, thickness = draws.shares("gel", "gel of a press", number, 3)
-    (size,) = draws.shares("sphere", "sphere of a press", number, 1)
-    deepest, travel = draws.stream("depths of a press", number).random(2).tolist()
-    thickness_mm = round(_between(ranges.thickness_mm, thickness), 2)
-    sphere = Sphere(diameter_mm=round(_between_in_logarithm(ranges.sphere_diameter_mm, size), 2))
-    gel = {
-        "poisson_ratio": round(_between(ranges.poisson_ratio, ratio), 4),
-        "friction": round(_between_in_logarithm(ranges.friction, friction), 3),
-        "thickness_mm": thickness_mm,
-        "pad_size_mm": _PAD_MM,
-    }
-    wanted_mm = thickness_mm * _between(ranges.deepest_by_thickness, deepest)
-    deepest_mm = min(wanted_mm, _DEEPEST_BY_RADIUS * sphere.radius_mm)
-    # Force grows about as the square of the depth: then it is spread evenly.
-    shares = np.sqrt(np.arange(1, ranges.depths + 1) / ranges.depths)
-    depths_mm = np.round(deepest_mm * shares, 3).tolist()
-    travel_by_depth = _between(ranges.travel_by_depth, travel)
-    contacts = [(depth, round(part * depth, 3)) for depth in depths_mm for part in (0.0, travel_by_depth)]
-    return _Press(gel, sphere, tuple(contacts))
+@dataclass(frozen=True)
+class _Draws:
+    """What is drawn, by its number; of the factors left out, everything has the middle."""
 
+    ranges: PretrainingRanges
+    seed: int
+    without: frozenset[str]
 
-def _elastomer(press: _Press, number: int, ranges: PretrainingRanges, draws: _Draws) -> Elastomer:
-    (modulus,) = draws.shares("gel", "modulus", number, 1)
-    return Elastomer(
-        young_modulus_mpa=round(_between_in_logarithm(ranges.young_modulus_mpa, modulus), 5), **press.gel
-    )
+    def stream(self, what: str, number: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence([self.seed, word(what), number]))
 
+    def values(self, factor: str, what: str, number: int, *fields: str) -> list[float]:
+        """Return a value of each of these ranges."""
+        if factor in self.without:
+            return [self.at(field, 0.5) for field in fields]
+        shares = self.stream(what, number).random(len(fields)).tolist()
+        return [self.at(field, share) for field, share in zip(fields, shares, strict=True)]
 
-def _light(number: int, ranges: PretrainingRanges, draws: _Draws) -> tuple[Sensor, Illumination]:
-    """Return a sensor without light of its own, and its light."""
-    rng = draws.stream("light", number)
-    is_drawn = "light" not in draws.without
-    sensor = Sensor.preset(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
-    other = str(rng.choice(ranges.illuminations)) if is_drawn else ranges.illuminations[0]
-    illumination = sensor.illumination or Illumination.preset(other)
-    sensor = sensor.model_copy(update={"illumination": None})
-    if not is_drawn:
-        return sensor, illumination
-    sensor, illumination = (
-        vary_sensor(sensor, ranges.variation, rng),
-        vary_illumination(illumination, ranges.variation, rng),
-    )
-    exposure = sensor.camera.exposure * _between(ranges.brightness, rng.random())
-    camera = Camera(**{**sensor.camera.model_dump(), "exposure": exposure})
-    return sensor.model_copy(update={"camera": camera}), _with_colours_swapped(illumination, rng)
+    def at(self, field: str, share: float) -> float:
+        """Return the value at a share of a range, 0 to 1."""
+        low, high = getattr(self.ranges, field)
+        return low * (high / low) ** share if field in _LOGARITHMIC else low + share * (high - low)
 
+    def press(self, number: int) -> _Press:
+        ratio, friction, thickness_mm = self.values(
+            "gel", "gel of a press", number, "poisson_ratio", "friction", "thickness_mm"
+        )
+        (diameter_mm,) = self.values("sphere", "sphere of a press", number, "sphere_diameter_mm")
+        deepest, travel = self.stream("depths of a press", number).random(2).tolist()
+        sphere, thickness_mm = Sphere(diameter_mm=round(diameter_mm, 2)), round(thickness_mm, 2)
+        gel = {
+            "poisson_ratio": round(ratio, 4),
+            "friction": round(friction, 3),
+            "thickness_mm": thickness_mm,
+            "pad_size_mm": _PAD_MM,
+        }
+        wanted_mm = thickness_mm * self.at("deepest_by_thickness", deepest)
+        deepest_mm = min(wanted_mm, _DEEPEST_BY_RADIUS * sphere.radius_mm)
+        # Force grows about as the square of the depth: then it is spread evenly.
+        shares = np.sqrt(np.arange(1, self.ranges.depths + 1) / self.ranges.depths)
+        parts = (0.0, self.at("travel_by_depth", travel))
+        depths_mm = np.round(deepest_mm * shares, 3).tolist()
+        return _Press(
+            gel, sphere, tuple((depth, round(part * depth, 3)) for depth in depths_mm for part in parts)
+        )
 
-def _with_colours_swapped(illumination: Illumination, rng: np.random.Generator) -> Illumination:
-    leds = illumination.leds
-    colours = [leds[k].model_dump(include={"spectrum", "drive"}) for k in rng.permutation(len(leds))]
-    swapped = [type(led)(**{**led.model_dump(), **own}) for led, own in zip(leds, colours, strict=True)]
-    return illumination.model_copy(update={"leds": tuple(swapped)})
+    def light(self, number: int) -> tuple[Sensor, Illumination]:
+        """Return a sensor without light of its own, and its light: varied, and its colours change places."""
+        rng, ranges = self.stream("light", number), self.ranges
+        is_drawn = "light" not in self.without
+        sensor = Sensor.preset(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
+        other = str(rng.choice(ranges.illuminations)) if is_drawn else ranges.illuminations[0]
+        illumination = sensor.illumination or Illumination.preset(other)
+        sensor = sensor.model_copy(update={"illumination": None})
+        if not is_drawn:
+            return sensor, illumination
+        sensor = vary_sensor(sensor, ranges.variation, rng)
+        illumination = vary_illumination(illumination, ranges.variation, rng)
+        leds = illumination.leds
+        exposure = sensor.camera.exposure * self.at("brightness", rng.random())
+        camera = Camera(**{**sensor.camera.model_dump(), "exposure": exposure})
+        colours = [leds[k].model_dump(include={"spectrum", "drive"}) for k in rng.permutation(len(leds))]
+        swapped = [type(led)(**{**led.model_dump(), **own}) for led, own in zip(leds, colours, strict=True)]
+        return (
+            sensor.model_copy(update={"camera": camera}),
+            illumination.model_copy(update={"leds": tuple(swapped)}),
+        )
 
+    def camera(self, number: int, camera: Camera) -> Camera:
+        (view_mm,) = self.values("camera", "view", number, "view_mm")
+        (blur_px,) = self.values("blur", "blur", number, "point_spread_px")
+        well, read = self.values("noise", "noise", number, "full_well_electrons", "read_noise_electrons")
+        half_angle = math.atan2(view_mm / 2, -camera.position_mm[2])
+        drawn = {
+            "horizontal_field_of_view_deg": 2 * math.degrees(half_angle),
+            "point_spread_px": blur_px,
+            "full_well_electrons": well,
+            "read_noise_electrons": read,
+        }
+        return Camera(**{**camera.model_dump(), **{name: round(value, 6) for name, value in drawn.items()}})
 
-def _camera(camera: Camera, number: int, ranges: PretrainingRanges, draws: _Draws) -> Camera:
-    (view,) = draws.shares("camera", "view", number, 1)
-    (blur,) = draws.shares("blur", "blur", number, 1)
-    well, read = draws.shares("noise", "noise", number, 2)
-    half_mm = _between(ranges.view_mm, view) / 2
-    drawn = {
-        "horizontal_field_of_view_deg": 2 * math.degrees(math.atan2(half_mm, -camera.position_mm[2])),
-        "point_spread_px": _between(ranges.point_spread_px, blur),
-        "full_well_electrons": _between_in_logarithm(ranges.full_well_electrons, well),
-        "read_noise_electrons": _between_in_logarithm(ranges.read_noise_electrons, read),
-    }
-    return Camera(**{**camera.model_dump(), **{name: round(value, 6) for name, value in drawn.items()}})
+    def markers(self, number: int) -> Markers | None:
+        """Return dots over the whole view, or None."""
+        has_markers, pitch = self.stream("markers", number).random(2).tolist()
+        if "markers" in self.without or has_markers >= self.ranges.with_markers:
+            return None
+        pitch_mm = round(self.at("marker_pitch_mm", pitch), 3)
+        across = math.ceil(self.ranges.view_mm[1] / pitch_mm)
+        diameter_mm = round(_DOTS_BY_PITCH * pitch_mm, 3)
+        return Markers(columns=across, rows=across, pitch_mm=pitch_mm, diameter_mm=diameter_mm)
 
-
-def _markers(number: int, ranges: PretrainingRanges, draws: _Draws) -> Markers | None:
-    """Return dots over the whole view, or None."""
-    has_markers, pitch = draws.stream("markers", number).random(2).tolist()
-    if "markers" in draws.without or has_markers >= ranges.with_markers:
-        return None
-    pitch_mm = round(_between(ranges.marker_pitch_mm, pitch), 3)
-    across = math.ceil(ranges.view_mm[1] / pitch_mm)
-    return Markers(
-        columns=across, rows=across, pitch_mm=pitch_mm, diameter_mm=round(_DOTS_BY_PITCH * pitch_mm, 3)
-    )
-
-
-def _poses(
-    press: _Press, number: int, frames: int, view_mm: tuple[float, float], draws: _Draws
-) -> tuple[Pose, ...]:
-    """Return a reference and contacts at drawn places in drawn directions: each contact of the press, and again."""
-    rng = draws.stream("contacts", number)
-    rounds = -(-(frames - 1) // len(press.contacts_mm))
-    order = np.concatenate([rng.permutation(len(press.contacts_mm)) for _ in range(rounds)])[: frames - 1]
-    poses = [Pose(depth_mm=0.0, contact_class=0)]
-    for point, contact in enumerate(order.tolist(), start=1):
-        depth_mm, travel_mm = press.contacts_mm[contact]
-        x, y, angle = np.round(rng.uniform((-1, -1, 0), (1, 1, 2 * math.pi)), 4).tolist()
-        poses.append(
-            Pose(
+    def poses(
+        self, number: int, press: _Press, frames: int, view_mm: tuple[float, float]
+    ) -> tuple[Pose, ...]:
+        """Return a reference and contacts at drawn places in drawn directions: each contact of the press, and again."""
+        rng, contacts = self.stream("contacts", number), len(press.contacts_mm)
+        rounds = -(-(frames - 1) // contacts)
+        order = np.concatenate([rng.permutation(contacts) for _ in range(rounds)])[: frames - 1]
+        poses = [Pose(depth_mm=0.0, contact_class=0)]
+        for point, contact in enumerate(order.tolist(), start=1):
+            depth_mm, travel_mm = press.contacts_mm[contact]
+            x, y, angle = np.round(rng.uniform((-1, -1, 0), (1, 1, 2 * math.pi)), 4).tolist()
+            pose = Pose(
                 depth_mm=depth_mm,
                 shear_x_mm=round(travel_mm * math.cos(angle), 12) + 0.0,
                 shear_y_mm=round(travel_mm * math.sin(angle), 12) + 0.0,
@@ -304,13 +303,5 @@ def _poses(
                 point_y_mm=round(y * _SHARE_OF_VIEW * view_mm[1] / 2, 4),
                 point_id=point,
             )
-        )
-    return tuple(poses)
-
-
-def _between(interval: Interval, share: float) -> float:
-    return interval[0] + share * (interval[1] - interval[0])
-
-
-def _between_in_logarithm(interval: Interval, share: float) -> float:
-    return interval[0] * (interval[1] / interval[0]) ** share
+            poses.append(pose)
+        return tuple(poses)

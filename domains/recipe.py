@@ -1,24 +1,25 @@
-"""The full configuration of one domain: everything on which its bytes depend."""
+"""The full configuration of one domain, everything on which its bytes depend: made by name, of one's own, from a file.
 
-import hashlib
+Acquisition errors, off by default, are those of a misplaced rig and an inaccurate force sensor.
+"""
+
+import itertools
+import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from gelgap.assets import load_preset
-from gelgap.assets.json_file import canonical_json
+from gelgap.assets.checksums import canonical_json, sha256
+from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
-from gelgap.domains.acquisition import (
-    AcquisitionError,
-    ContactSampling,
-    DrawnErrors,
-    draw_errors,
-    independent_poses,
-)
-from gelgap.domains.columns import OptionalColumn
-from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains
-from gelgap.domains.labels import PAPER_FORCE_RANGE_N
+from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains, random_stream
+from gelgap.domains.formats.shards import OptionalColumn
+from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import (
     AnyIndenter,
@@ -34,9 +35,113 @@ from gelgap.sim import (
 
 Interval = tuple[float, float]
 Side = Annotated[int, Field(ge=16, le=4096)]
+ContactSampling = Literal["paired", "independent"]
 
 INPAINTED_IN_THE_PAPER = ("wmb0i0",)
 """The domains that the paper made by inpainting the markers of the domain with markers."""
+# Poses that agree share a solve; a micrometre is far below what a rig can tell.
+_RESOLUTION_MM = 1e-3
+
+
+class AcquisitionError(Settings):
+    """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
+
+    point_offset_mm: float = Field(
+        0.0, ge=0, le=1, description="offset of all contact points along x and along y, mm, 0 to 1"
+    )
+    depth_zero_mm: float = Field(
+        0.0, ge=0, le=0.5, description="error of the depth at which contact is taken to begin, mm, 0 to 0.5"
+    )
+    tilt_deg: float = Field(
+        0.0,
+        ge=0,
+        le=3,
+        description="tilt of the pad about x and y, degrees, 0 to 3: depth changes with the point",
+    )
+    force_noise_n: float = Field(
+        0.0, ge=0, le=1, description="noise of the force sensor per frame and axis, N, 0 to 1"
+    )
+    force_bias_n: float = Field(
+        0.0, ge=0, le=1, description="bias of the force sensor along each axis, N, 0 to 1"
+    )
+
+
+@dataclass(frozen=True)
+class DrawnErrors:
+    """The errors of one domain as drawn: which a real rig would not know."""
+
+    point_offset_mm: tuple[float, float]
+    depth_zero_mm: float
+    tilt_deg: tuple[float, float]
+    force_bias_n: tuple[float, float, float]
+
+    def actual(self, pose: Pose) -> Pose:
+        """Return the contact that happens when this pose is commanded."""
+        if pose.depth_mm == 0:
+            return pose
+        slope_x, slope_y = (math.tan(math.radians(angle)) for angle in self.tilt_deg)
+        depth = pose.depth_mm + self.depth_zero_mm + slope_x * pose.point_x_mm + slope_y * pose.point_y_mm
+        return replace(
+            pose,
+            depth_mm=max(0.0, _rounded(depth)),
+            point_x_mm=_rounded(pose.point_x_mm + self.point_offset_mm[0]),
+            point_y_mm=_rounded(pose.point_y_mm + self.point_offset_mm[1]),
+        )
+
+
+def draw_errors(error: AcquisitionError, seed: int, domain: str) -> DrawnErrors:
+    """Draw a domain's errors: the same (seed, domain) always gives the same."""
+    unit = [float(value) for value in random_stream(seed, domain, "acquisition").standard_normal(8)]
+    return DrawnErrors(
+        point_offset_mm=(error.point_offset_mm * unit[0], error.point_offset_mm * unit[1]),
+        depth_zero_mm=error.depth_zero_mm * unit[2],
+        tilt_deg=(error.tilt_deg * unit[3], error.tilt_deg * unit[4]),
+        force_bias_n=tuple(error.force_bias_n * value for value in unit[5:]),
+    )
+
+
+def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, ...]:
+    """Return the path's poses moved within their cells, so that no contact has an exact partner in another domain.
+
+    Uniformly, a point moves by up to a quarter of the spacing of points, a direction by up to half the spacing of
+    angles, and each level of depth and travel by up to a quarter of its spacing. A level moves as a whole: real runs
+    repeat their levels too, and poses at one level share their solves.
+    """
+    rng = random_stream(seed, domain, "contacts")
+    depths, radii = (
+        {level: max(_RESOLUTION_MM, _rounded(level + rng.uniform(-room, room))) for level in levels}
+        for levels, room in ((own, _spacing(own) / 4) for own in (path.depths_mm, path.radii_mm))
+    )
+    half_angle = 180.0 / max(len(path.angles_deg), 1)
+    point_room = [_spacing(values) / 4 for values in (path.points_x_mm, path.points_y_mm)]
+    points: dict[int, tuple[float, float]] = {}
+    moved = []
+    for pose in path.poses:
+        if pose.point_id not in points:
+            dx, dy = (_rounded(rng.uniform(-room, room)) for room in point_room)
+            points[pose.point_id] = (pose.point_x_mm + dx, pose.point_y_mm + dy)
+        angle = math.radians(pose.angle_deg + rng.uniform(-half_angle, half_angle))
+        radius = radii.get(pose.radius_mm, pose.radius_mm)
+        moved.append(
+            replace(
+                pose,
+                depth_mm=depths.get(pose.depth_mm, pose.depth_mm),
+                shear_x_mm=radius * math.cos(angle),
+                shear_y_mm=radius * math.sin(angle),
+                point_x_mm=points[pose.point_id][0],
+                point_y_mm=points[pose.point_id][1],
+            )
+        )
+    return tuple(moved)
+
+
+def _spacing(values: Sequence[float]) -> float:
+    ordered = sorted(set(values))
+    return min((b - a for a, b in itertools.pairwise(ordered)), default=0.0)
+
+
+def _rounded(value_mm: float) -> float:
+    return round(round(value_mm / _RESOLUTION_MM) * _RESOLUTION_MM, 9)
 
 
 class DomainRecipe(Settings):
@@ -78,7 +183,7 @@ class DomainRecipe(Settings):
     @property
     def key(self) -> str:
         """A hash of everything in the recipe."""
-        return hashlib.sha256(canonical_json(self.configuration())).hexdigest()
+        return sha256(canonical_json(self.configuration()))
 
     @property
     def picture_name(self) -> str:
@@ -149,31 +254,28 @@ def make_recipes(
         raise ValueError(f"a domain is named twice in {', '.join(map(str, parsed))}; name each once")
     contact_path = load_path(path) if isinstance(path, str) else path
     seen_through = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
-    return tuple(
-        DomainRecipe(
+    recipes = []
+    for domain in parsed:
+        own_light = domain.illumination == OWN_LIGHT
+        light = seen_through.illumination if own_light else Illumination.preset(domain.illumination)
+        if light is None:
+            raise ValueError(
+                f"domain {domain.name}: sensor {seen_through.name!r} has no LEDs of its own; give it an "
+                "[illumination], choose another sensor, or name an illumination preset"
+            )
+        recipe = DomainRecipe(
             name=domain.name,
             elastomer=Elastomer.preset(domain.elastomer),
             path=contact_path,
             sensor=seen_through,
-            illumination=_light(domain, seen_through),
+            illumination=light,
             markers=domain.markers,
             inpainted_from=domain.name.removeprefix("w") if domain.name in inpainted else None,
             columns=tuple(sorted(columns)),
             **settings,
         )
-        for domain in parsed
-    )
-
-
-def _light(domain: Domain, sensor: Sensor) -> Illumination:
-    if domain.illumination != OWN_LIGHT:
-        return Illumination.preset(domain.illumination)
-    if sensor.illumination is None:
-        raise ValueError(
-            f"domain {domain.name}: sensor {sensor.name!r} has no LEDs of its own; give it an [illumination], choose "
-            "another sensor, or name an illumination preset"
-        )
-    return sensor.illumination
+        recipes.append(recipe)
+    return tuple(recipes)
 
 
 def own_recipe(
@@ -219,3 +321,51 @@ def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:
         for group in values["groups"]
         for recipe in make_recipes(group["domains"], group["path"], **settings)
     )
+
+
+class RecipeEntry(Settings):
+    """One domain of the file; a sensor is a preset's name or a table."""
+
+    name: str
+    elastomer: Elastomer
+    illumination: Illumination
+    sensor: str | Sensor = "paper"
+    markers: bool = True
+
+
+class RecipeFile(Settings):
+    """The domains of a file and the contact path that they share."""
+
+    path: str = Field("cpu", description="a path preset, or a TOML file below the working folder")
+    domains: Annotated[tuple[RecipeEntry, ...], Field(min_length=1)]
+
+
+def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ...]:
+    """Read the recipes of a TOML file; settings are further fields of `DomainRecipe`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not valid TOML, a field is unknown or missing, a value is out of range, or two domains share a name.
+    """
+    values = read_toml(file)
+    if isinstance(path := values.get("path"), str) and not stays_inside(path):
+        raise ValueError(f"{file}: path = {path!r} must be a preset or a TOML file below the working folder")
+    with named_in_errors(file):
+        content = RecipeFile(**values)
+        names = [entry.name for entry in content.domains]
+        if len(set(names)) < len(names):
+            raise ValueError(f"a domain is named twice in {', '.join(names)}; name each once")
+        return tuple(
+            own_recipe(
+                entry.name,
+                content.path,
+                base="mb0i0" if entry.markers else "wmb0i0",
+                elastomer=entry.elastomer,
+                illumination=entry.illumination,
+                **settings | {"sensor": entry.sensor},
+            )
+            for entry in content.domains
+        )

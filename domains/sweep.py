@@ -1,23 +1,25 @@
-"""Sweeps: domains that differ from a base domain in chosen factors, each with its gap to the base recorded."""
+"""Sweeps: domains that differ from a base domain in chosen factors, and how far any two domains are apart."""
 
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets.json_file import with_checksum
-from gelgap.assets.plain_name import stays_inside
+from gelgap.assets.checksums import with_checksum
+from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.assets.whole_file import write_whole
-from gelgap.domains.domain_gaps import domain_gap
 from gelgap.domains.recipe import DomainRecipe, make_recipes
 from gelgap.render import Variation, vary_illumination, vary_sensor
+
+if TYPE_CHECKING:
+    from gelgap.render import MembraneRenderer
 
 SWEEP_FILE = "sweep.json"
 Value = float | int | str | bool | None
@@ -158,14 +160,13 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
         for field, value in values.items():
             _change(configuration, field.split("."), value, changes[field], field)
         drawn_as = {"draw": number} if sweep.variation is not None else {}
-        variants.append(Variant(_with_flat_field_of(base, DomainRecipe(**configuration)), drawn_as | values))
+        recipe = DomainRecipe(**configuration)
+        if base.sensor.flat_field:
+            # Of a flat field, a configuration does not say where its file lies.
+            sensor = recipe.sensor.model_copy(update={"flat_field": base.sensor.flat_field})
+            recipe = recipe.model_copy(update={"sensor": sensor})
+        variants.append(Variant(recipe, drawn_as | values))
     return tuple(variants)
-
-
-def _with_flat_field_of(base: DomainRecipe, recipe: DomainRecipe) -> DomainRecipe:
-    """Return the recipe with the flat field of its base, of which a configuration does not say where its file lies."""
-    sensor = recipe.sensor.model_copy(update={"flat_field": base.sensor.flat_field})
-    return recipe.model_copy(update={"sensor": sensor}) if base.sensor.flat_field else recipe
 
 
 def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
@@ -185,30 +186,71 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
 def _change(node: Any, steps: list[str], value: Value, change: str, field: str) -> None:
     """Change the value at `steps` inside a configuration; `*` goes to all of a list or table."""
     head, *rest = steps
-    for key in _keys(node, head, field):
+    parts = node if isinstance(node, dict) else dict(enumerate(node if isinstance(node, list) else ()))
+    chosen = [key for key in parts if head in ("*", str(key))]
+    if not chosen:
+        known = ", ".join(parts) if isinstance(node, dict) else f"*, 0…{len(parts) - 1}"
+        raise ValueError(
+            f"factor {field}: {head!r} does not exist; there is {known if parts else 'nothing inside it'}"
+        )
+    for key in chosen:
         if rest:
             _change(node[key], rest, value, change, field)
+        elif change == "set":
+            node[key] = value
+        elif any(isinstance(n, bool) or not isinstance(n, int | float) for n in (node[key], value)):
+            raise ValueError(
+                f"factor {field}: cannot {change} {node[key]!r} by {value!r}; both must be numbers"
+            )
         else:
-            node[key] = _changed(node[key], value, change, field)
+            node[key] = node[key] * value if change == "scale" else node[key] + value
 
 
-def _keys(node: Any, head: str, field: str) -> Sequence[int | str]:
-    """Return the indices or names that one step of a field means."""
-    if isinstance(node, list):
-        names, known = [str(index) for index in range(len(node))], f"*, 0…{len(node) - 1}"
-    elif isinstance(node, dict):
-        names, known = list(node), ", ".join(node)
-    else:
-        names, known = [], "nothing inside it"
-    chosen = names if head == "*" else [name for name in names if name == head]
-    if not chosen:
-        raise ValueError(f"factor {field}: {head!r} does not exist; there is {known}")
-    return [int(name) for name in chosen] if isinstance(node, list) else chosen
+@dataclass(frozen=True)
+class DomainGap:
+    """The gap from a base domain to another.
+
+    `modulus_ratio` is E over the base's E; `colour_difference` the mean CIEDE2000 between the two reference pictures
+    without markers and noise, `colour_difference_p95` its 95th percentile over the pixels; `markers` says whether they
+    are `equal`, `added` or `removed`, `fields` which fields of the configuration differ.
+    """
+
+    modulus_ratio: float
+    colour_difference: float
+    colour_difference_p95: float
+    markers: str
+    fields: tuple[str, ...]
 
 
-def _changed(old: Any, value: Value, change: str, field: str) -> Value:
-    if change == "set":
-        return value
-    if any(isinstance(number, bool) or not isinstance(number, int | float) for number in (old, value)):
-        raise ValueError(f"factor {field}: cannot {change} {old!r} by {value!r}; both must be numbers")
-    return old * value if change == "scale" else old + value
+def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
+    """Return the gap from `base` to `other`, from their recipes alone."""
+    from gelgap.render import reference_gap
+
+    colours = reference_gap(_renderer(base), _renderer(other))
+    changed = (other.markers, base.markers)
+    return DomainGap(
+        modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
+        colour_difference=round(colours.mean, 3),
+        colour_difference_p95=round(colours.percentile_95, 3),
+        markers={(True, False): "added", (False, True): "removed"}.get(changed, "equal"),
+        fields=tuple(differing_fields(base.configuration(), other.configuration())),
+    )
+
+
+def _renderer(recipe: DomainRecipe) -> "MembraneRenderer":
+    from gelgap.render import MembraneRenderer
+
+    return MembraneRenderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
+
+
+def differing_fields(one: Any, other: Any, field: str = "") -> list[str]:
+    """Return the dotted names of the fields in which two configurations differ."""
+    if isinstance(one, list) and isinstance(other, list):
+        one, other = dict(enumerate(one)), dict(enumerate(other))
+    if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
+        return [
+            name
+            for key in one
+            for name in differing_fields(one[key], other[key], f"{field}.{key}" if field else str(key))
+        ]
+    return [] if one == other else [field]

@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gelgap.assets.key_lock import key_lock
-from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.damage import DAMAGED_SUFFIX, set_aside
-from gelgap.assets.user_cache import cache_folder
+from gelgap.assets.whole_file import DAMAGED_SUFFIX, set_aside
+from gelgap.assets.locks import cache_folder
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 from gelgap.sim.problem import ContactProblem
 

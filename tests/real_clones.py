@@ -134,3 +134,14 @@ def write_table(path: Path, rows: list[dict]) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+
+
+def rows_of(domain: Path) -> list[dict[str, str]]:
+    with (domain / "frames.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def force_of(domain: Path, clip: str) -> dict[int, float]:
+    """Return Fz in N by the number of the picture in its clip."""
+    own = [row for row in rows_of(domain) if row["clip"] == clip]
+    return {int(Path(row["picture"]).stem): float(row["fz_n"]) for row in own}

@@ -15,14 +15,14 @@ from hostile_bytes import npz, npz_of_bait, pickled, png_that_claims, torch_bait
 
 from gelgap.adapt import ForceModel, load_predictions, load_run
 from gelgap.adapt.resnet import load_imagenet_weights
-from gelgap.assets.json_file import with_checksum
+from gelgap.assets.checksums import with_checksum
 from gelgap.benchmarks.adaptation.results import ORACLES, GroupOracles
 from gelgap.benchmarks.common.records import read_results
 from gelgap.benchmarks.data import file_kinds
 from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.cli.calibrate import read_presses
 from gelgap.domains import Sweep, open_domain
-from gelgap.domains.folder import DomainFolder
+from gelgap.domains.formats.domain_folder import DomainFolder
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import MembraneState, load_path
 

@@ -20,7 +20,7 @@ from gelgap.benchmarks.common.records import read_records
 from gelgap.benchmarks.data import file_kinds
 from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.domains import export, inspect_domain, open_domain, verify_domain
-from gelgap.domains.folder import DomainFolder, sha256
+from gelgap.domains.formats.domain_folder import DomainFolder, sha256
 from gelgap.sim.solution import solution_from_bytes
 
 

@@ -30,7 +30,7 @@ print(len(made), spectra.cached_camera_rgb((spectrum,), "test", None), len(made)
 PICTURES = """
 import sys
 from gelgap.domains import open_domain
-from gelgap.domains import stored
+from gelgap.domains.frames import stored
 write, made = stored.write_kept_pictures, []
 stored.write_kept_pictures = lambda *given: (made.append(1), write(*given))[1]
 images = open_domain(sys.argv[1]).images(32)
@@ -59,13 +59,13 @@ def test_ten_processes_on_a_cold_cache_solve_once(tmp_path: Path) -> None:
     printed = ten_processes(SOLVE, tmp_path)
     assert sorted(count for count, _ in printed) == ["0"] * 9 + ["1"]
     assert len({force for _, force in printed}) == 1
-    assert sorted(path.suffix or path.name for path in tmp_path.iterdir()) == [".locks", ".solution"]
+    assert [path.suffix for path in tmp_path.iterdir()] == [".solution"]
 
 
 def test_ten_processes_on_a_cold_cache_compute_the_colours_of_leds_once(tmp_path: Path) -> None:
     printed = ten_processes(LED, tmp_path)
     assert sorted(words[-1] for words in printed) == ["0"] * 9 + ["1"]
-    assert sorted(path.suffix or path.name for path in tmp_path.iterdir()) == [".led", ".locks"]
+    assert [path.suffix for path in tmp_path.iterdir()] == [".led"]
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_ten_processes_shrink_the_pictures_of_a_data_set_once(pictures: Path, tm
 def held(folder: Path, name: str = ".lock") -> subprocess.Popen:
     """Return a process that holds the lock of an output folder."""
     code = (
-        "import sys, pathlib\nfrom gelgap.assets.sole_use import sole_use\n"
+        "import sys, pathlib\nfrom gelgap.assets.locks import sole_use\n"
         f"with sole_use(pathlib.Path({str(folder)!r}), {name!r}):\n    print('held', flush=True); sys.stdin.read()"
     )
     child = subprocess.Popen(

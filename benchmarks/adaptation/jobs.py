@@ -173,7 +173,7 @@ def configuration_of(bench: Bench, job: TrainingJob) -> str:
 
 def configuration_hash(profile: "Profile", *data: Any) -> str:
     """Return a hash of a profile without methods' settings, and of what says which data are used."""
-    from gelgap.assets.json_file import canonical_json
+    from gelgap.assets.checksums import canonical_json
 
     common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
     return hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]

@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field
 
 from gelgap.adapt import ResultTable
-from gelgap.assets.json_file import read_json
-from gelgap.assets.plain_name import is_plain_name
+from gelgap.assets.checksums import read_json
+from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks.adaptation.compared import METHODS

@@ -23,10 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.damage import set_aside, warn
-from gelgap.assets.held_stops import stops_held_back
-from gelgap.assets.json_file import canonical_json, parse_json, with_checksum, without_checksum
-from gelgap.assets.whole_file import write_whole
+from gelgap.assets.checksums import canonical_json, parse_json, with_checksum, without_checksum
+from gelgap.assets.locks import defer_signals
+from gelgap.assets.whole_file import set_aside, warn, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -163,7 +162,7 @@ def _on_workers(
                 in_the_making = {needs[key] for key in running.values()} - made
                 for key in list(todo):
                     if len(running) < workers and needs[key] not in in_the_making and time.time() < stop:
-                        with stops_held_back():
+                        with defer_signals():
                             running[pool.submit(_measured, *measure, key, todo.pop(key))] = key
                         in_the_making |= {needs[key]} - made
                 if not running:

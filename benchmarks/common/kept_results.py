@@ -13,9 +13,8 @@ import numpy as np
 from pydantic import BaseModel
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.damage import set_aside
-from gelgap.assets.json_file import parse_json
-from gelgap.assets.whole_file import write_whole
+from gelgap.assets.checksums import parse_json
+from gelgap.assets.whole_file import set_aside, write_whole
 
 
 def result_bytes(value: Any) -> bytes:

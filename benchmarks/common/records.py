@@ -6,9 +6,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gelgap.assets.checksums import checksum_problem, file_sha256, write_checksums
-from gelgap.assets.damage import warn
-from gelgap.assets.json_file import CHECKSUM, parse_json, read_json, with_checksum, without_checksum
+from gelgap.assets.checksums import (
+    CHECKSUM,
+    checksum_problem,
+    file_sha256,
+    parse_json,
+    read_json,
+    with_checksum,
+    without_checksum,
+    write_checksums,
+)
+from gelgap.assets.whole_file import warn
 from gelgap.benchmarks.common.tables import plain, write_json
 
 T = TypeVar("T")

@@ -10,8 +10,10 @@ from pathlib import Path
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.benchmarks.physics.cases import own_cache
 from gelgap.domains import DomainRecipe, GenerationProgress, estimate, generate_recipes, make_recipes
-from gelgap.domains.time_left import TimeLeft, Workload
-from gelgap.sim import ContactPath, Elastomer, Pose, Sharing, Solve, Sphere, plan_visit
+from gelgap.domains.generation.progress import TimeLeft, Workload
+from gelgap.sim import ContactPath, Elastomer, Pose, PosePath, Sharing, Sphere, plan_solves
+from gelgap.sim.pace import known_pace, measured_pace, timed_solve
+from gelgap.sim.problem import ContactProblem
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
 SMALL = {"quality": "draft", "render_quality": "draft", "size_px": (160, 120)}
@@ -103,6 +105,7 @@ def run(quick: bool, out_dir: Path) -> None:
     folder = out_dir / "estimates"
     shutil.rmtree(folder, ignore_errors=True)
     with own_cache(folder / "solves"):
+        measured_pace()
         guesses = []
         for guess in (*presses(quick), *generations(folder, quick)):
             print(f"{guess.work}: {guess.core_ratio:.2f} of what was estimated", flush=True)
@@ -111,29 +114,33 @@ def run(quick: bool, out_dir: Path) -> None:
     write_json(out_dir / "estimates.json", guesses)
 
 
-def press(quality: str, diameter_mm: float = 3.0, **pose: float) -> Solve:
-    """Return the solve of one pose."""
-    sphere = Sphere(diameter_mm=diameter_mm)
-    return plan_visit(GEL, sphere, (Pose(**pose),), quality, Sharing(cache=False)).solves[0]
+def press(quality: str, diameter_mm: float = 3.0, **pose: float) -> ContactProblem:
+    """Return the problem of one pose."""
+    path = PosePath("one", (Pose(**pose),))
+    return (
+        plan_solves(GEL, Sphere(diameter_mm=diameter_mm), path, quality, Sharing(cache=False))
+        .solves[0]
+        .problem
+    )
 
 
 def presses(quick: bool) -> Iterator[Guess]:
     """Solve problems of several kinds, one process each."""
-    solves = {
+    problems = {
         "press, draft": press("draft", depth_mm=0.6),
         "press and drag, draft": press("draft", depth_mm=0.6, shear_x_mm=0.3),
         "press near an edge, draft": press("draft", depth_mm=0.4, point_x_mm=10.0),
     }
     if not quick:
-        solves |= {
+        problems |= {
             "press, standard": press("standard", depth_mm=0.6),
             "press and drag, standard": press("standard", depth_mm=0.6, shear_x_mm=0.3),
             "sphere of 12 mm, standard": press("standard", 12.0, depth_mm=0.6),
         }
-    for work, solve in solves.items():
-        expected_s = solve.expected_core_s
+    for work, problem in problems.items():
+        expected_s = known_pace().solve_s(problem)
         core, wall = time.process_time(), time.perf_counter()
-        solve.run()
+        timed_solve(problem)
         taken_s = time.process_time() - core, time.perf_counter() - wall
         yield Guess(work, 1, expected_s, taken_s[0], None, taken_s[1])
 

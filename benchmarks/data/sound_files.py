@@ -84,7 +84,7 @@ def _membrane(folder: Path) -> None:
 
 
 def _pictures(folder: Path) -> None:
-    from gelgap.domains.picture_codec import encode_png
+    from gelgap.domains.formats.pictures import encode_png
 
     folder.mkdir(parents=True)
     lines = ["image,fx_n,fy_n,fz_n"]
@@ -96,7 +96,7 @@ def _pictures(folder: Path) -> None:
 
 
 def _published(folder: Path) -> None:
-    from gelgap.domains.picture_codec import encode_jpeg
+    from gelgap.domains.formats.pictures import encode_jpeg
 
     lines = ["Fx(N),Fy(N),Fz(N),label"]
     (folder / "train" / "images").mkdir(parents=True)
@@ -153,7 +153,7 @@ def _settings(folder: Path) -> None:
         shutil.copy(asset_path(kind, f"{name}.toml"), folder / f"{kind}.toml")
     (folder / "sweep.toml").write_text(_SWEEP, encoding="utf-8")
     (folder / "presses.toml").write_text(_PRESSES, encoding="utf-8")
-    from gelgap.domains.picture_codec import encode_png
+    from gelgap.domains.formats.pictures import encode_png
 
     (folder / "0.png").write_bytes(encode_png(picture(0)))
 

@@ -24,12 +24,10 @@ from gelgap.domains import (
     plan_generation,
     preset_recipes,
 )
-from gelgap.domains.frame_pictures import led_to_camera
-from gelgap.domains.hidden_markers import without_markers
-from gelgap.domains.picture_codec import encode_png
-from gelgap.domains.plan import FrameBatch, GenerationPlan
-from gelgap.domains.schema import encode_shard
-from gelgap.domains.shard import render_batch
+from gelgap.domains.formats.pictures import encode_png, without_markers
+from gelgap.domains.formats.shards import encode_shard
+from gelgap.domains.generation.plan import GenerationPlan
+from gelgap.domains.generation.shard import FrameBatch, render_batch
 from gelgap.render import MembraneRenderer, imaging
 from gelgap.render.surface import Membrane, shared_surface
 from gelgap.sim import ContactPath, SolvePlan, load_solution
@@ -165,11 +163,10 @@ def frame_costs(batch: FrameBatch, inpainted: float, folder: Path) -> list[Stage
 
 def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:
     """Return the ms per frame of each stage of a batch: shares by the profiler, of the time without it."""
-    matrices = [led_to_camera(recipe) for recipe in batch.recipes]
     solutions = {key: load_solution(key) for key in batch.solve_keys}
 
     def work() -> None:
-        for shard in render_batch(batch, matrices, solutions):
+        for shard in render_batch(batch, solutions):
             (folder / shard.domain).mkdir(parents=True, exist_ok=True)
             DomainFolder(folder / shard.domain).write_file(shard.file, shard.data)
 

@@ -29,7 +29,7 @@ from gelgap.domains import (
     preset_recipes,
     shown_progress,
 )
-from gelgap.domains.picture_codec import encode_png
+from gelgap.domains.formats.pictures import encode_png
 
 READING_SIZE_PX = 64
 BATCH = 32

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from gelgap import sim
-from gelgap.assets.held_stops import stops_held_back
+from gelgap.assets.locks import defer_signals
 from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks import fem
 from gelgap.benchmarks.common.kept_results import read_kept, result_bytes, result_from_bytes
@@ -87,7 +87,7 @@ class Workers:
             ) as pool,
             _no_wait_when_stopped(pool),
         ):
-            with stops_held_back():
+            with defer_signals():
                 pending = [
                     pool.submit(_keep, function, argument, file)
                     for argument, file in files.items()

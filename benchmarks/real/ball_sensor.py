@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.benchmarks.real.plain_points import dots_of, level_point_px
+from gelgap.benchmarks.real.published_sets import MM_PER_PX, Presses
 from gelgap.domains import sphere_profiles
-from gelgap.domains.ball_presses import MM_PER_PX, Presses
-from gelgap.domains.taxim_package import start_sensor
+from gelgap.domains.calibration_presses import start_sensor
 from gelgap.render import (
     Led,
     LightCalibration,

@@ -35,6 +35,7 @@ from gelgap.benchmarks.real.point_trials import (
     errors_of,
     record_of,
 )
+from gelgap.benchmarks.real.published_sets import BALL_CLONE, LAYOUTS, SERIES, ball_presses
 from gelgap.benchmarks.real.synthetic_presses import (
     CALIBRATED,
     DRAWN,
@@ -44,7 +45,6 @@ from gelgap.benchmarks.real.synthetic_presses import (
     synthetic_presses,
 )
 from gelgap.domains import convert
-from gelgap.domains.ball_presses import CLONE, SERIES, ball_presses
 from gelgap.render import Sensor
 
 Key = tuple[str, int, int]
@@ -156,9 +156,9 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     folder = out_dir / "real" / "contact-point" / plan.profile.name
     converted = out_dir / "real" / "balls"
     if not clone.is_dir():
-        raise FileNotFoundError(f"{clone} is missing; get it: {CLONE} {clone}")
+        raise FileNotFoundError(f"{clone} is missing; get it: {BALL_CLONE} {clone}")
     if not converted.is_dir():
-        convert(clone, "ball-presses", converted)
+        convert(clone, LAYOUTS["ball-presses"], converted)
     presses = RealPresses(contact_points([converted / "ball-presses"]))
     table = point_table(Trials(plan, presses, clone, folder).records(), presses)
     table.show()

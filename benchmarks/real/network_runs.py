@@ -12,7 +12,7 @@ from gelgap.benchmarks.adaptation.jobs import Bench, Changes, TrainingJob, confi
 from gelgap.benchmarks.adaptation.work import control_of, train_stages, versions_line
 from gelgap.benchmarks.real.clip_folds import ClipFold, clip_folds
 from gelgap.benchmarks.real.sessions import Session, session_named
-from gelgap.domains.clip import CONTACT_N
+from gelgap.domains.formats.convert import CONTACT_N
 
 if TYPE_CHECKING:
     from gelgap.domains import LabelledFrames

@@ -13,8 +13,8 @@ import numpy as np
 from gelgap.benchmarks.adaptation.statistics import bootstrap_interval
 from gelgap.benchmarks.real.plain_points import center_of_change_px, level_point_px
 from gelgap.benchmarks.real.press_windows import Windows, windows_of
+from gelgap.benchmarks.real.published_sets import MM_PER_PX
 from gelgap.domains import LabelledFrames
-from gelgap.domains.ball_presses import MM_PER_PX
 
 DRAWS = tuple(range(4))
 NO_LABELS, FEW = 0, (5, 20, 100)

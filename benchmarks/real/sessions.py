@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from gelgap.domains import convert, wedge_grasps
-from gelgap.domains.clip import CONTACT_N
-from gelgap.domains.picture_codec import decode_picture, resized
-from gelgap.domains.picture_table import TABLE
-from gelgap.domains.stored import read_table
+from gelgap.benchmarks.real.published_sets import LAYOUTS, WEDGE_CLONE
+from gelgap.domains import convert
+from gelgap.domains.formats.convert import CONTACT_N, TABLE
+from gelgap.domains.formats.pictures import decode_picture, resized
+from gelgap.domains.frames.folders import read_table
 
 LOG = logging.getLogger(__name__)
 CLONE = "EstimateModulus"
@@ -67,10 +67,10 @@ def converted_sessions(data: Path, out_dir: Path) -> Path:
     """
     clone, converted = data / CLONE, out_dir / "real" / "wedge"
     if not clone.is_dir():
-        raise FileNotFoundError(f"{clone} is missing; get it: {wedge_grasps.CLONE} {clone}")
+        raise FileNotFoundError(f"{clone} is missing; get it: {WEDGE_CLONE} {clone}")
     if not converted.is_dir():
         LOG.info("converting %s, once", clone)
-        convert(clone, "wedge", converted)
+        convert(clone, LAYOUTS["wedge"], converted)
     if missing := [name for name in SESSIONS if not (converted / name).is_dir()]:
         raise ValueError(f"{clone} has no session {missing[0]}; it has {', '.join(_folders(converted))}")
     return converted

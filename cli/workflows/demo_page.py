@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.assets.pages import html_page
+from gelgap.assets import html_page
 from gelgap.cli.workflows.demo_result import SOURCE, TARGET, DemoResult
 
 if TYPE_CHECKING:

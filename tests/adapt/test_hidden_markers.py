@@ -22,7 +22,9 @@ DOT = (slice(14, 17), slice(18, 21))
 @pytest.fixture
 def easy_markers(monkeypatch):
     """Pictures of 40×32 px are too small for the detection: here a marker is what is black."""
-    monkeypatch.setattr("gelgap.domains.dataset.without_markers", lambda picture: picture.clip(100, 255))
+    monkeypatch.setattr(
+        "gelgap.domains.frames.dataset.without_markers", lambda picture: picture.clip(100, 255)
+    )
 
 
 def dotted(frames: ArrayFrames) -> ArrayFrames:
@@ -81,7 +83,7 @@ def test_stage_2_hides_markers_in_both_domains_independently(source, target, pro
 
 
 def test_without_hiding_nothing_is_inpainted(source, target, profile, monkeypatch):
-    monkeypatch.setattr("gelgap.domains.dataset.without_markers", pytest.fail)
+    monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", pytest.fail)
     short = profile.replace(source_epochs=1, adapt_epochs=1)
     adapt(train_source(source, short), source, target, "coral")
 

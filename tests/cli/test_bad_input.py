@@ -123,10 +123,10 @@ ALLOWED: dict[tuple[str | Rule, str], str] = {
 
 WORK = {
     "sim.plan": "Solve.run",
-    "domains.generate": "_run",
-    "domains.export": "_paper",
-    "domains.convert": "align",
-    "domains.estimate": "_frame_costs",
+    "domains.generation.generate": "run",
+    "domains.formats.export": "_paper",
+    "domains.formats.convert": "_write_clip",
+    "domains.generation.plan": "_frame_costs",
     "adapt.runs": "Stage1.model",
     "adapt.source_training": "train",
     "adapt.report": "load_runs",
@@ -314,9 +314,12 @@ def test_every_excuse_is_needed() -> None:
 
 def test_the_layouts_of_export_are_those_that_there_are() -> None:
     (option,) = (option for option in options_of(COMMANDS["export"]) if option.field == "format_name")
-    assert set(get_args(option.type)) == set(import_module("gelgap.domains.export").FORMATS)
+    assert set(get_args(option.type)) == set(import_module("gelgap.domains.formats.export").FORMATS)
 
 
 def test_the_layouts_of_convert_are_those_that_there_are() -> None:
     (option,) = (option for option in options_of(COMMANDS["convert"]) if option.field == "layout")
-    assert set(get_args(option.type)) == set(import_module("gelgap.domains.convert").LAYOUTS)
+    published = import_module("gelgap.benchmarks.real.published_sets").LAYOUTS
+    assert set(get_args(option.type)) == set(import_module("gelgap.domains.formats.convert").LAYOUTS) | set(
+        published
+    )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.domains.generate import GenerationReport, generate
+from gelgap.domains.generation.generate import GenerationReport, generate
 from gelgap.sim import ContactPath
 
 # One shallow level and one radius: a single cheap solve serves all 26 frames.
@@ -31,7 +31,7 @@ def solve_cache(tmp_path_factory: pytest.TempPathFactory):
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Four shards a domain."""
-    monkeypatch.setattr("gelgap.domains.plan.FRAMES_PER_SHARD", 8)
+    monkeypatch.setattr("gelgap.domains.generation.plan.FRAMES_PER_SHARD", 8)
 
 
 @pytest.fixture(scope="session")

@@ -3,11 +3,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.domains.acquisition import AcquisitionError, draw_errors
-from gelgap.domains.contacts import paired_contacts
-from gelgap.domains.opening import open_domain
-from gelgap.domains.recipe import make_recipes
-from gelgap.domains.shard import _trajectories
+from gelgap.domains.frames.folders import open_domain
+from gelgap.domains.frames.splits import paired_contacts
+from gelgap.domains.generation.shard import trajectories
+from gelgap.domains.recipe import AcquisitionError, draw_errors, make_recipes
 from gelgap.sim import ContactPath
 
 
@@ -89,7 +88,7 @@ def test_a_path_of_one_level_has_no_room_to_move_in():
 
 def test_listed_poses_keep_their_trajectories_and_cannot_be_drawn_independently() -> None:
     (paired,) = make_recipes(["mb0i0"], "loops")
-    numbers = _trajectories(paired)
+    numbers = trajectories(paired.path.poses)
     assert [numbers[index] for index in (0, 1, 2, 5, 6, 7, 11)] == [
         (0, 0),
         (1, 0),

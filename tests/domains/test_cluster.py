@@ -58,14 +58,14 @@ def test_a_cluster_at_an_address_makes_the_same_bytes_and_workers_stay_light(
 def test_workers_tell_the_client_their_load_steps(
     scheduler: str, make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from gelgap.domains.generation_progress import GenerationProgress
+    from gelgap.domains.generation.progress import GenerationProgress
 
     class Listener(GenerationProgress):
         def __init__(self):
             self.begun, self.told, self.solves = {}, [], []
 
         def begin(self, solves, frames, load=None):
-            self.begun = load.solves
+            self.begun = load.load_steps
 
         def stepped(self, solve, done):
             self.told.append((solve, done))
@@ -88,7 +88,7 @@ def test_the_number_of_workers_is_the_clusters_own(scheduler: str, make, tmp_pat
 def test_a_scheduler_that_does_not_answer_is_an_error_that_says_how_to_start_one(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("gelgap.domains.cluster.CONNECTION_TIMEOUT_S", 1)
+    monkeypatch.setattr("gelgap.domains.generation.cluster.CONNECTION_TIMEOUT_S", 1)
     with pytest.raises(RuntimeError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9.*dask scheduler"):
         make(tmp_path, scheduler="tcp://127.0.0.1:9")
 
@@ -118,7 +118,7 @@ def test_no_worker_is_started_that_has_nothing_to_do(make, tmp_path: Path, monke
         asked.append(workers)
         raise RuntimeError("no cluster")
 
-    monkeypatch.setattr(sys.modules["gelgap.domains.generate"], "dask_client", no_client)
+    monkeypatch.setattr(sys.modules["gelgap.domains.generation.cluster"], "dask_client", no_client)
     with pytest.raises(RuntimeError, match="no cluster"):
         make(tmp_path, ("mb1i2",), scheduler=None, workers=64)
     assert 1 <= asked[0] < 64

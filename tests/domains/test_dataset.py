@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains.array_frames import ArrayFrames
-from gelgap.domains.opening import open_domain
-from gelgap.domains.picture_codec import decode_picture, encode_png, resized
+from gelgap.domains.formats.pictures import decode_picture, encode_png, resized
+from gelgap.domains.frames.dataset import ArrayFrames
+from gelgap.domains.frames.folders import open_domain
 from gelgap.sim import Diagnostics
 
 
@@ -122,7 +122,7 @@ def test_pictures_without_markers_are_made_once_and_only_when_asked_for(
     assert (shown.max(axis=3) < 60).sum() > 1000
     assert not (hidden.max(axis=3) < 60).any()
     some = frames.take(np.array([5, 2]))
-    monkeypatch.setattr("gelgap.domains.stored.write_kept_pictures", pytest.fail)
+    monkeypatch.setattr("gelgap.domains.frames.stored.write_kept_pictures", pytest.fail)
     np.testing.assert_array_equal(some.images_without_markers(80), hidden[[5, 2]])
     held = ArrayFrames("held", frames.images(), frames.reference, frames.force_n)
     np.testing.assert_array_equal(held.images_without_markers((40, 30))[3], resized(hidden[3], (40, 30)))
@@ -170,7 +170,7 @@ def test_arrays_are_a_data_set_like_any_other():
     ("changes", "message"),
     [
         ({"images": np.zeros((6, 6, 8, 3))}, r"images must be uint8 \(n, h, w, 3\), not float64"),
-        ({"reference": np.zeros((3, 4, 3), np.uint8)}, "they must have one size"),
+        ({"reference": np.zeros((3, 4, 3), np.uint8)}, r"reference has shape \(3, 4, 3\); 6 images need"),
         ({"force_n": np.zeros((5, 3))}, r"force_n has shape \(5, 3\); 6 images need \(6, 3\)"),
         ({"point_id": np.zeros(7, int)}, r"point_id has shape \(7,\)"),
         ({"force_range_n": np.ones((3, 2))}, r"must be \(3, 2\) with lower < upper"),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gelgap.assets.checksums import file_sha256
-from gelgap.domains.export import export
-from gelgap.domains.opening import open_domain
+from gelgap.domains.formats.export import export
+from gelgap.domains.frames.folders import open_domain
 
 
 def test_the_papers_layout_is_read_back_with_the_same_labels(data: Path, tmp_path: Path):

@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 import json
 import shutil
 from pathlib import Path
@@ -6,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.assets.sole_use import sole_use
-from gelgap.domains.folder import DomainFolder
-from gelgap.domains.generate import generate_recipes
-from gelgap.domains.opening import open_domain
-from gelgap.domains.splits import split_frames
+from gelgap.assets.locks import sole_use
+from gelgap.domains.formats.domain_folder import DomainFolder
+from gelgap.domains.frames.folders import open_domain
+from gelgap.domains.frames.splits import split_frames
+from gelgap.domains.generation.generate import generate_recipes
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import SolvePlan
 
@@ -25,7 +26,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def finished(tmp_path_factory: pytest.TempPathFactory, make) -> Path:
     out = tmp_path_factory.mktemp("finished")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gelgap.domains.plan.FRAMES_PER_SHARD", 8)
+        patch.setattr("gelgap.domains.generation.plan.FRAMES_PER_SHARD", 8)
         make(out)
     return out
 
@@ -123,7 +124,7 @@ def test_two_writers_on_one_folder_are_refused(make, tmp_path: Path):
 def test_an_interrupted_run_keeps_what_it_finished(
     make, tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from gelgap.domains import cluster
+    from gelgap.domains.generation import cluster
 
     rendered = cluster.render_batch
 
@@ -138,7 +139,7 @@ def test_an_interrupted_run_keeps_what_it_finished(
     monkeypatch.undo()
     with pytest.raises(RuntimeError, match="not finished"):
         open_domain(tmp_path / "mb0i0")
-    monkeypatch.setattr("gelgap.domains.plan.FRAMES_PER_SHARD", 8)
+    monkeypatch.setattr("gelgap.domains.generation.plan.FRAMES_PER_SHARD", 8)
     assert make(tmp_path).frames_written == 10
     assert contents(tmp_path / "mb0i0") == contents(finished / "mb0i0")
 
@@ -165,10 +166,10 @@ def test_a_pose_that_did_not_converge_is_written_without_a_picture(
 ):
     import pyarrow.parquet as pq
 
-    solved = SolvePlan.state
+    solved, frames = SolvePlan.state, itertools.count()
 
-    def state(self, index, solution, extent):
-        return dataclasses.replace(solved(self, index, solution, extent), converged=index != 4)
+    def state(self, *given):
+        return dataclasses.replace(solved(self, *given), converged=next(frames) != 4)
 
     monkeypatch.setattr(SolvePlan, "state", state)
     report = make(tmp_path)
@@ -186,12 +187,12 @@ def test_a_pose_that_did_not_converge_is_written_without_a_picture(
 def test_a_membrane_that_cannot_be_rendered_is_a_flagged_frame(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    solved = SolvePlan.state
+    solved, frames = SolvePlan.state, itertools.count()
 
-    def state(self, index, solution, extent):
-        found = solved(self, index, solution, extent)
+    def state(self, *given):
+        found = solved(self, *given)
         broken = np.full_like(found.displacement_mm, np.nan)
-        return dataclasses.replace(found, displacement_mm=broken) if index == 7 else found
+        return dataclasses.replace(found, displacement_mm=broken) if next(frames) == 7 else found
 
     monkeypatch.setattr(SolvePlan, "state", state)
     report = make(tmp_path)
@@ -212,7 +213,9 @@ def test_whatever_goes_wrong_in_one_frame_is_a_flagged_frame(
 
     rendered = MembraneRenderer.picture
     monkeypatch.setattr(MembraneRenderer, "picture", picture)
-    monkeypatch.setattr("gelgap.domains.plan.FRAMES_PER_SHARD", per_shard)  # 25: alone in its shard
+    monkeypatch.setattr(
+        "gelgap.domains.generation.plan.FRAMES_PER_SHARD", per_shard
+    )  # 25: alone in its shard
     report = make(tmp_path)
     assert (report.unconverged, report.unrenderable) == (1, 1)
     events = [json.loads(line) for line in (tmp_path / "run.jsonl").read_text().splitlines()]

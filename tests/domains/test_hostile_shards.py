@@ -15,9 +15,8 @@ from hostile_bytes import png_that_claims
 from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.cli.main import main
 from gelgap.domains import export, open_domain, verify_domain
-from gelgap.domains.columns import PICTURE, POINTS
-from gelgap.domains.folder import DomainFolder, sha256
-from gelgap.domains.page_headers import plain_pages
+from gelgap.domains.formats.domain_folder import DomainFolder, sha256
+from gelgap.domains.formats.shards import PICTURE, POINTS
 
 # Reads a sound domain, then the others with little more memory than that took, and prints what became of each.
 READER = """
@@ -162,37 +161,14 @@ def test_a_picture_bomb_that_its_manifest_vouches_for_is_found(
     folder = files / "data" / DOMAIN
     assert verify_domain(folder) == ()
     shard = plant(folder, with_bomb)
-    with pytest.raises(ValueError, match="60000×60000 px") as on_reading:
+    with pytest.raises(ValueError, match="3600000000 pixels") as on_reading:
         open_domain(folder).picture(1)
     (damage,) = verify_domain(folder)
-    reason = "the picture states 60000×60000 px: allowed are 1 to 67108864 pixels"
+    reason = "3600000000 pixels"
     assert reason in str(on_reading.value)
-    assert str(damage).endswith(f"{shard.name}: frame 1: {reason}")
+    assert f"{shard.name}: frame 1: " in str(damage)
+    assert reason in str(damage)
     with pytest.raises(SystemExit) as stop:
         main(["inspect", str(folder), "--verify"])
     assert stop.value.code == 1
     assert "--overwrite makes it again" in capsys.readouterr().err
-
-
-def test_pages_say_what_they_hold(files: Path) -> None:
-    (shard,) = (files / "data" / DOMAIN).glob("frames-*.parquet")
-    data = shard.read_bytes()
-    group = pq.read_metadata(shard).row_group(0)
-    for chunk in map(group.column, range(group.num_columns)):
-        stop = chunk.data_page_offset + chunk.total_compressed_size
-        pages = list(plain_pages(memoryview(data)[chunk.data_page_offset : stop]))
-        assert sum(page.values for page in pages) == chunk.num_values == group.num_rows
-        # The footer counts headers too.
-        assert 0 < sum(page.plain_bytes for page in pages) < chunk.total_uncompressed_size
-        with pytest.raises(ValueError, match="page"):
-            list(plain_pages(memoryview(data)[chunk.data_page_offset : stop - 1]))
-
-
-def test_headers_of_pages_that_no_one_wrote_are_refused() -> None:
-    dictionary = bytes([0x15, 4, 0x15, 2, 0x15, 2, 0])  # kind 2, a byte in a byte
-    endless = bytes([0x15, *[255] * 20])
-    deep = bytes([0x1C] * 1000)
-    negative = bytes([0x15, 0, 0x15, 2, 0x15, 3, 0x2C, 0x15, 2, 0x15, 0, 0, 0])
-    for header in (dictionary, endless, deep, negative, b"\x15", b"\x1d\0"):
-        with pytest.raises(ValueError, match="page"):
-            list(plain_pages(memoryview(header + bytes(2))))

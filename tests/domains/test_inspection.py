@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.domains.inspection import domain_folders, inspect_domain, verify_domain
-from gelgap.domains.overview import write_overview
+from gelgap.domains.inspection import domain_folders, inspect_domain, verify_domain, write_overview
 
 
 def test_the_facts_are_those_of_the_data(data: Path):
@@ -61,7 +60,7 @@ def test_the_page_is_self_contained_and_holds_every_section(data: Path, tmp_path
 
 
 def test_a_page_of_real_data_leaves_out_what_is_not_known(tmp_path: Path, data: Path):
-    from gelgap.domains.export import export
+    from gelgap.domains.formats.export import export
 
     export(data / "mb0i1", "paper", tmp_path / "out")
     page = write_overview(tmp_path / "out" / "mb0i1", tmp_path / "page.html").read_text()

@@ -20,7 +20,7 @@ from gelgap.domains import (
     with_labels,
     write_overview,
 )
-from gelgap.domains.labels import covering
+from gelgap.domains.frames.labels import covering
 
 
 def folder_of(folder: Path, rows: list[dict], references: dict[str, int] | None = None) -> Path:
@@ -184,7 +184,7 @@ def test_what_data_declare_is_kept():
 @pytest.mark.parametrize(
     ("names", "ranges", "message"),
     [
-        (["x_mm"], None, "data set t has no label x_mm: t has fz_n"),
+        (["x_mm"], None, "data set t has no label x_mm; its labels: fz_n"),
         (["fz"], None, "label 'fz' is unknown; known labels: fx_n"),
         (["fz_n", "fz_n"], None, "one stands twice"),
         (["fz_n"], {"x_mm": (0, 1)}, "a range is given for x_mm, but the labels are fz_n"),

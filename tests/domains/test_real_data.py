@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains.opening import open_domain
+from gelgap.domains.frames.folders import open_domain
 
 
 def picture(path: Path, level: int, size: tuple[int, int] = (64, 48)) -> None:

@@ -3,10 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelgap.domains.array_frames import ArrayFrames
-from gelgap.domains.contacts import contact_points, paired_contacts
-from gelgap.domains.opening import open_domain
-from gelgap.domains.splits import split_domains, split_frames
+from gelgap.domains.frames.dataset import ArrayFrames
+from gelgap.domains.frames.folders import open_domain
+from gelgap.domains.frames.splits import contact_points, paired_contacts, split_domains, split_frames
 
 
 def pressed_at(points, name: str = "points", **columns) -> ArrayFrames:

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.domains.plan import plan_generation
+from gelgap.domains.generation.plan import plan_generation
 from gelgap.domains.recipe import make_recipes
 from gelgap.domains.sweep import Sweep, sweep_variants, write_sweep
 
@@ -99,7 +99,7 @@ def test_a_wrong_sweep_says_what_is_wrong(tmp_path: Path, old: str, new: str, me
 
 
 def test_without_markers_or_light_changed_the_gap_is_only_the_modulus():
-    from gelgap.domains.domain_gaps import domain_gap
+    from gelgap.domains.sweep import domain_gap
 
     one, other = make_recipes(["mb0i0", "mb1i0"], "smoke", size_px=(80, 60))
     gap = domain_gap(one, other)

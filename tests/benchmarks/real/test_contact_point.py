@@ -15,10 +15,10 @@ from gelgap.benchmarks.real.contact_point import QUICK, point_table
 from gelgap.benchmarks.real.plain_points import center_of_change_px, dots_of, level_point_px
 from gelgap.benchmarks.real.point_trials import NO_LABELS, PLAIN_METHODS, PointRecord, RealPresses, record_of
 from gelgap.benchmarks.real.press_windows import WINDOW_PX, windows_of
+from gelgap.benchmarks.real.published_sets import LAYOUTS, SERIES, ball_presses
 from gelgap.benchmarks.real.synthetic_presses import LABELS, VIEW_MM, Amount, contact_points, press_recipes
 from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames, convert
-from gelgap.domains.ball_presses import SERIES, ball_presses
 from gelgap.render import Sensor
 
 SIZE_PX = (240, 320)
@@ -58,7 +58,7 @@ def clones(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def presses(clones: Path, tmp_path_factory: pytest.TempPathFactory) -> RealPresses:
     """Its presses."""
     out = tmp_path_factory.mktemp("converted") / "balls"
-    convert(clones / "gelsight", "ball-presses", out)
+    convert(clones / "gelsight", LAYOUTS["ball-presses"], out)
     return RealPresses(contact_points([out / "ball-presses"]))
 
 

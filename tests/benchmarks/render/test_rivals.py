@@ -13,7 +13,7 @@ from gelgap.benchmarks.render.other_presses import splits
 from gelgap.benchmarks.render.predictions import Prediction
 from gelgap.benchmarks.render.taxim_rival import BINS, fit_table
 from gelgap.domains import PressSet
-from gelgap.domains.taxim_package import MM_PER_PX, start_sensor
+from gelgap.domains.calibration_presses import MM_PER_PX, start_sensor
 from gelgap.render import PressPicture
 
 SIZE_PX, RADIUS_PX, DIAMETER_MM = (160, 120), 15.0, 1.2

@@ -10,7 +10,7 @@ from gelgap.benchmarks.render import sensors
 from gelgap.benchmarks.render.other_presses import measure_other_presses
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import PressSet
-from gelgap.domains.taxim_package import start_sensor
+from gelgap.domains.calibration_presses import start_sensor
 from gelgap.render import MembraneRenderer, PressPicture, PressProfiles, Sensor, SolvedPress
 from gelgap.render.calibration.calibrator import corrected_poses
 

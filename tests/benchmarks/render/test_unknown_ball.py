@@ -5,7 +5,7 @@ import numpy as np
 from gelgap.benchmarks.render.predictions import Prediction
 from gelgap.benchmarks.render.unknown_ball import contact_levels, sharp
 from gelgap.domains import PressSet
-from gelgap.domains.taxim_package import start_sensor
+from gelgap.domains.calibration_presses import start_sensor
 from gelgap.render import PressPicture
 
 

@@ -1,0 +1,193 @@
+"""Presses for a calibration from pictures: sets of the package `taxim` (MIT), and gelgap's own solves of a sphere.
+
+A folder of a set holds `dataPack.npz` with f0 (h, w, 3), imgs (n, h, w, 3), touch_center (n, 2) as x and y in pixels,
+and touch_radius (n,), marked by hand. Their channels are blue, green, red: the package's own renderer turns them over.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from math import atan, degrees
+from pathlib import Path
+
+import numpy as np
+
+from gelgap.assets.array_file import read_arrays
+from gelgap.render import (
+    Camera,
+    Coating,
+    Illumination,
+    Led,
+    Markers,
+    PressPicture,
+    PressProfiles,
+    Sensor,
+    SolvedPress,
+    light_azimuths,
+)
+from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
+
+NAMES = ("gelsight", "gelsight_mini")
+MM_PER_PX = 0.0295
+BALL_DIAMETER_MM = 4.0
+# Marks of the Mini's set are off by up to 20 px and go round the whole dent; what its ball was is not said.
+ROUGH_SETS = ("gelsight_mini",)
+ROUGH_MARKS_OFF_PX = 20.0
+# Their pictures are blurred: by how much was chosen by presses held out among the even ones.
+ROUGH_POINT_SPREAD_PX = 1.7
+INSTALL = "pip install --no-deps taxim==1.4.1"
+_DISTANCE_MM = 25.0
+_COLOURS = ("red", "green", "blue")
+
+# Depths that are solved, in radii of the sphere.
+DEPTHS_IN_RADII = (0.075, 0.15, 0.225, 0.3, 0.375, 0.45, 0.525, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
+_DEEPEST_IN_THICKNESSES = 0.6
+_BEYOND = 1.3
+CALIBRATION_GEL = Elastomer(
+    young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5, thickness_mm=4.0, pad_size_mm=(40.0, 40.0)
+)
+"""What a gel is taken for; from 4 mm on, pictures of presses hardly depend on it."""
+
+
+@dataclass(frozen=True)
+class PressSet:
+    """A reference picture (h, w, 3) uint8 RGB, presses of one ball, and a sensor to start a calibration from."""
+
+    reference: np.ndarray
+    presses: tuple[PressPicture, ...]
+    start: Sensor
+
+
+def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
+    """Read a set by its name in the installed package, or by its folder; its scale is 0.0295 mm per px if not given.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the package is not installed, or there is no such folder.
+    ValueError
+        If `dataPack.npz` is not what it should be; nothing in it is executed.
+    """
+    path = _folder(name) / "dataPack.npz"
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} does not exist; give {' or '.join(NAMES)}, or a folder with a dataPack.npz"
+        )
+    try:
+        arrays = read_arrays(path, ("f0", "imgs", "touch_center", "touch_radius"))
+        f0, pictures = arrays["f0"], arrays["imgs"]
+        centers, radii = arrays["touch_center"].astype(float), arrays["touch_radius"].astype(float)
+    except (KeyError, ValueError) as error:
+        raise ValueError(f"{path} is not a calibration set: {error}") from None
+    n = len(pictures)
+    shapes = f0.ndim == 3 and f0.shape[2] == 3 and pictures.shape == (n, *f0.shape)
+    if not shapes or centers.shape != (n, 2) or radii.shape != (n,) or f0.dtype != np.uint8:
+        raise ValueError(
+            f"{path} is not a calibration set: f0 {f0.shape}, imgs {pictures.shape}, touch_center {centers.shape} and "
+            f"touch_radius {radii.shape} do not belong together"
+        )
+    rough = Path(name).name in ROUGH_SETS
+    marks = {"marks_off_px": ROUGH_MARKS_OFF_PX} if rough else {}
+    presses = tuple(
+        PressPicture(
+            picture[..., ::-1].copy(),
+            None if rough else BALL_DIAMETER_MM,
+            radius_px=float(radius),
+            center_px=(float(x), float(y)),
+            name=f"press {number}",
+            **marks,
+        )
+        for number, (picture, (x, y), radius) in enumerate(zip(pictures, centers, radii, strict=True))
+    )
+    reference = f0[..., ::-1].copy()
+    azimuths = light_azimuths(reference, [press.picture for press in presses], centers, radii)
+    start = start_sensor(f0.shape[1], azimuths, mm_per_px or MM_PER_PX)
+    if rough:
+        blurred = start.camera.model_copy(update={"point_spread_px": ROUGH_POINT_SPREAD_PX})
+        start = start.model_copy(update={"camera": blurred})
+    return PressSet(reference, presses, start)
+
+
+def _folder(name: str) -> Path:
+    if name not in NAMES:
+        return Path(name)
+    found = find_spec("taxim")  # looks it up without running any of it
+    if found is None or not found.submodule_search_locations:
+        raise FileNotFoundError(
+            f"the package taxim, which holds {name}, is not installed; install it: {INSTALL}"
+        )
+    return Path(next(iter(found.submodule_search_locations))) / "calib" / name
+
+
+def start_sensor(width_px: int, azimuths: Sequence[float], mm_per_px: float = MM_PER_PX) -> Sensor:
+    """Return what a calibration of these sets starts from: a camera 25 mm away, no dots, a bar for each channel.
+
+    `azimuths` (3,) are where red, green and blue come from, in radians from +x towards +y.
+    """
+    fov_deg = 2 * degrees(atan(width_px * mm_per_px / 2 / _DISTANCE_MM))
+    camera = Camera(position_mm=(0.0, 0.0, -_DISTANCE_MM), horizontal_field_of_view_deg=fov_deg)
+    leds = []
+    for name, azimuth in zip(_COLOURS, azimuths, strict=True):
+        x, y = np.cos(azimuth), np.sin(azimuth)
+        leds.append(
+            Led(
+                name=name,
+                position_mm=(14 * x, 14 * y, -4.0),
+                facing=(-x, -y, 0.0),
+                length_mm=14.0,
+                height_mm=2.5,
+                spectrum={"rgb": tuple(float(name == own) for own in _COLOURS)},
+            )
+        )
+    return Sensor(
+        name="taxim",
+        camera=camera,
+        coating=Coating(),
+        markers=Markers(layout="none"),
+        illumination=Illumination(leds=tuple(leds)),
+    )
+
+
+def sphere_profiles(
+    diameters_mm: Iterable[float],
+    deepest_mm: float | None = None,
+    quality: str = "draft",
+    elastomer: Elastomer = CALIBRATION_GEL,
+) -> dict[float, PressProfiles]:
+    """Return the membrane around spheres of some diameters, by diameter, down to a depth or as deep as can be.
+
+    Raises
+    ------
+    ValueError
+        If a diameter is not one that can be pressed.
+    RuntimeError
+        If too few depths were solved.
+    """
+    return {diameter: _profiles(diameter, deepest_mm, quality, elastomer) for diameter in set(diameters_mm)}
+
+
+def _profiles(
+    diameter_mm: float, deepest_mm: float | None, quality: str, elastomer: Elastomer
+) -> PressProfiles:
+    radius_mm = diameter_mm / 2
+    limit_mm = _DEEPEST_IN_THICKNESSES * elastomer.thickness_mm
+    depths = [share * radius_mm for share in DEPTHS_IN_RADII if share * radius_mm <= limit_mm]
+    if deepest_mm is not None:
+        needed = sum(depth < _BEYOND * deepest_mm for depth in depths) + 1
+        depths = depths[: max(needed, 3)]
+    poses = tuple(Pose(depth_mm=depth) for depth in depths)
+    states = solve_poses(elastomer, Sphere(diameter_mm=diameter_mm), poses, quality)
+    solves = []
+    for depth, state in zip(depths, states, strict=True):
+        if not state.converged:
+            continue
+        row, first = len(state.y_mm) // 2, len(state.x_mm) // 2
+        along = np.asarray(state.displacement_mm[row, first:], float)
+        solves.append(
+            SolvedPress(depth, state.x_mm[first:] + along[:, 0], along[:, 2], state.contact_radius_mm)
+        )
+    if len(solves) < 3:
+        raise RuntimeError(
+            f"only {len(solves)} of {len(depths)} depths of a {diameter_mm} mm sphere converged"
+        )
+    return PressProfiles.from_solves(radius_mm, solves)

@@ -1,0 +1,379 @@
+"""Recordings of a real sensor made into picture folders: pictures in time, and forces measured beside them.
+
+The folder holds for each clip `<clip>.csv` with `time_s` and labels by the names of a picture folder (`fz_n`, …), and
+`<clip>.mp4` (or another video) or `<clip>/` with pictures and a table `picture, time_s` of its own. The two clocks
+differ by a lag that no file states. It is estimated from the clip alone, by cross-correlation: at which lag does the
+change of the pictures go best with the force? No model is trained for it, and no other clip is used.
+"""
+
+import csv
+import logging
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby, islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gelgap.assets.names import is_plain_name, stays_inside
+from gelgap.domains.formats.domain_folder import new_folder
+from gelgap.domains.formats.pictures import as_colour, decode_picture, encode_png, resized
+from gelgap.domains.frames.folders import read_table
+from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
+
+if TYPE_CHECKING:
+    from cv2 import VideoCapture
+
+LOG = logging.getLogger(__name__)
+CONTACT_N = 0.3
+"""What is pressed harder than this is in contact."""
+TABLE = "frames.csv"
+COLUMNS = ("picture", "reference", *QUANTITIES, "clip", "object", "session", "time_s", "split")
+"""What a row of the table may hold. Pictures are paths inside the folder; forces are those on the sensor."""
+VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
+_LAYOUT = (
+    "expected for each clip a table of times and forces (press.csv with time_s, fz_n) beside a video (press.mp4) or a "
+    "folder of pictures (press/) with a table picture, time_s in it"
+)
+_TIME = "time_s"
+_LAGS = range(-15, 16)
+_REFERENCE_FRAMES = 5
+_FEWEST_FRAMES = 10
+_SIGNAL_PX = (80, 60)
+_NUMBER = re.compile(r"[\s_-]*(t=)?\d+$")
+
+
+@dataclass(frozen=True)
+class ConvertedClip:
+    """What became of one clip, or of one series of presses.
+
+    `pictures` and `in_contact` count pictures of the recording, `dropped` errors of the gauge and wrong marks,
+    `written` rows of the new table. The lag is in frames, positive where forces trail pictures; the correlation of
+    pictures and force there and at lag 0 says how sure it is. It is None where nothing is measured in time.
+    """
+
+    domain: str
+    session: str
+    name: str
+    pictures: int
+    in_contact: int
+    dropped: int
+    written: int
+    reference_rgb: tuple[float, float, float]
+    lag: int | None = None
+    correlation: float | None = None
+    correlation_at_0: float | None = None
+    lag_at_limit: bool = False
+    begins_in_contact: bool = False
+
+
+Writer = Callable[[Path, Path, int], list[ConvertedClip]]
+"""Writes what is in a folder as picture folders below another, every n-th picture in contact."""
+
+
+def convert(
+    folder: Path | str, layout: str | Writer, out_dir: Path | str, every: int = 1
+) -> tuple[ConvertedClip, ...]:
+    """Write recordings as picture folders, one a domain, below a new folder, and return what became of each clip.
+
+    Of the pictures in contact every n-th is written (n = `every`), and the few before that make a clip's reference.
+    The layout is `recordings`, a user's folder, or a function that writes another one:
+    `gelgap.benchmarks.real.published_sets.LAYOUTS` has those of two public repositories, by name.
+
+    Raises
+    ------
+    ValueError
+        If the layout is unknown, the folder has another, a file of it is not as it should be, or the output exists.
+    """
+    if isinstance(layout, str):
+        if layout not in LAYOUTS:
+            raise ValueError(f"layout {layout!r} is unknown; known layouts: {', '.join(LAYOUTS)}")
+        layout = LAYOUTS[layout]
+    with new_folder(Path(out_dir)) as building:
+        return tuple(layout(Path(folder), building, every))
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One recording: pictures at `time_s` (n,) and labels at `label_time_s` (m,), each by a clock of its own.
+
+    Attributes
+    ----------
+    pictures
+        Gives all pictures (h, w, 3) uint8 from the first, each time that it is called.
+    labels
+        What was measured, arrays (m,) by the name of their column, forces among them; NaN where a value is a glitch.
+    lags
+        The lags in frames that are possible, 0 among them; positive where the labels trail the pictures.
+    """
+
+    name: str
+    session: str
+    pictures: Callable[[], Iterator[np.ndarray]]
+    time_s: np.ndarray
+    label_time_s: np.ndarray
+    labels: dict[str, np.ndarray]
+    lags: range = _LAGS
+
+    @property
+    def object(self) -> str:
+        """What was pressed: the clip's name without the number at its end, `golf_ball` of `golf_ball_2`."""
+        return _NUMBER.sub("", self.name) or self.name
+
+    def labels_at(self, lag: int) -> dict[str, np.ndarray]:
+        """Return the labels (n,) that belong to the pictures at a lag in frames; NaN where there are none."""
+        frame_s = float(np.median(np.diff(self.time_s)))
+        time_s = self.time_s + lag * frame_s
+        return {
+            name: _interpolated(time_s, self.label_time_s, values, frame_s)
+            for name, values in self.labels.items()
+        }
+
+
+def write_clips(clips: Iterable[Clip], out_dir: Path, every: int) -> list[ConvertedClip]:
+    """Write clips in the order of their sessions; a session is a domain.
+
+    A ValueError if a clip is too short, its clocks have no time in common, or its force or pictures do not change.
+    """
+    facts = []
+    for session, members in groupby(clips, key=lambda clip: clip.session):
+        if not is_plain_name(session):
+            raise ValueError(f"the session's name {session!r} is not one of a folder")
+        table: list[dict[str, Any]] = []
+        for clip in members:
+            LOG.info("converting %s/%s", session, clip.name)
+            rows, found = _write_clip(clip, out_dir / session, every)
+            table += rows
+            facts.append(found)
+        write_picture_table(out_dir / session, table)
+    return facts
+
+
+def _write_clip(clip: Clip, folder: Path, every: int) -> tuple[list[dict[str, Any]], ConvertedClip]:
+    """Find a clip's lag and its reference, and write its pictures; return its rows and facts."""
+    correlations = _correlations(clip)
+    best = int(np.nanargmax(correlations))
+    lag = clip.lags[best]
+    labels = clip.labels_at(lag)
+    pressed_n = _pressing_n(labels)
+    touches = pressed_n > CONTACT_N
+    # The reference is made of the pictures before the contact, less one as a lag may be wrong by one.
+    before = int(np.argmax(touches)) if touches.any() else len(touches)
+    n_at_rest = min(max(before - 1, 1), _REFERENCE_FRAMES)
+    reference = np.median(list(islice(clip.pictures(), n_at_rest)), axis=0).round().astype(np.uint8)
+    known = np.isfinite(np.stack(list(labels.values()))).all(axis=0)
+    chosen = {
+        *np.flatnonzero((known & ~touches)[:n_at_rest]).tolist(),
+        *np.flatnonzero(known & touches)[::every].tolist(),
+    }
+    reference_name = write_picture(folder, f"{clip.name}/reference.png", reference)
+    rows = [
+        {
+            "picture": write_picture(folder, f"{clip.name}/{frame:05d}.png", picture),
+            "reference": reference_name,
+            **{name: float(values[frame]) for name, values in labels.items()},
+            "clip": clip.name,
+            "object": clip.object,
+            "session": clip.session,
+            "time_s": float(clip.time_s[frame]),
+        }
+        for frame, picture in enumerate(clip.pictures())
+        if frame in chosen
+    ]
+    facts = ConvertedClip(
+        domain=clip.session,
+        session=clip.session,
+        name=clip.name,
+        pictures=len(clip.time_s),
+        in_contact=int(touches.sum()),
+        dropped=int((~np.isfinite(np.stack(list(clip.labels.values())))).any(axis=0).sum()),
+        written=len(rows),
+        reference_rgb=mean_rgb(reference),
+        lag=lag,
+        correlation=correlations[best],
+        correlation_at_0=correlations[clip.lags.index(0)],
+        lag_at_limit=lag != 0 and lag in (clip.lags[0], clip.lags[-1]),
+        begins_in_contact=bool(pressed_n[np.isfinite(pressed_n)][0] > CONTACT_N),
+    )
+    return rows, facts
+
+
+def _correlations(clip: Clip) -> list[float]:
+    """Return Pearson's correlation of change and force at each lag of a clip; NaN where one of the two is constant."""
+    n, m = len(clip.time_s), len(clip.label_time_s)
+    if min(n, m) < _FEWEST_FRAMES:
+        raise ValueError(
+            f"clip {clip.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are needed"
+        )
+    if clip.time_s[0] > clip.label_time_s[-1] or clip.label_time_s[0] > clip.time_s[-1]:
+        raise ValueError(
+            f"clip {clip.name}: its pictures span {clip.time_s[0]:g}…{clip.time_s[-1]:g} s, its labels "
+            f"{clip.label_time_s[0]:g}…{clip.label_time_s[-1]:g} s; count both from the same moment"
+        )
+    first, changes = None, []
+    for picture in clip.pictures():
+        small = resized(picture, _SIGNAL_PX).astype(np.int16)
+        first = small if first is None else first
+        changes.append(np.abs(small - first).mean())
+    if len(changes) != n:
+        raise ValueError(f"clip {clip.name} has {len(changes)} pictures and {n} times of pictures")
+    change, found = np.array(changes), []
+    for lag in clip.lags:
+        pressed_n = _pressing_n(clip.labels_at(lag))
+        both = np.isfinite(pressed_n)
+        varies = both.sum() >= _FEWEST_FRAMES and np.ptp(change[both]) > 0 and np.ptp(pressed_n[both]) > 0
+        found.append(float(np.corrcoef(change[both], pressed_n[both])[0, 1]) if varies else np.nan)
+    if np.isnan(found).all():
+        raise ValueError(
+            f"clip {clip.name}: its force or its pictures do not change; take it out of the folder"
+        )
+    return found
+
+
+def _pressing_n(labels: dict[str, np.ndarray]) -> np.ndarray:
+    """Return how hard was pressed (n,): −Fz, or the size of what else of the force was measured, N."""
+    if "fz_n" in labels:
+        return -labels["fz_n"]
+    return np.linalg.norm([labels[name] for name in ("fx_n", "fy_n") if name in labels], axis=0)
+
+
+def _interpolated(
+    time_s: np.ndarray, label_time_s: np.ndarray, values: np.ndarray, frame_s: float
+) -> np.ndarray:
+    """Return values (m,) at other times (n,); NaN where the nearest one is, or is more than half a frame away."""
+    finite = np.isfinite(values)
+    if not finite.any():
+        return np.full(len(time_s), np.nan)
+    found = np.interp(time_s, label_time_s[finite], values[finite])
+    nearest = np.searchsorted((label_time_s[1:] + label_time_s[:-1]) / 2, time_s)
+    outside = (time_s < label_time_s[0] - frame_s / 2) | (time_s > label_time_s[-1] + frame_s / 2)
+    return np.where(finite[nearest] & ~outside, found, np.nan)
+
+
+def mean_rgb(picture: np.ndarray) -> tuple[float, float, float]:
+    red, green, blue = picture.mean(axis=(0, 1)).tolist()
+    return red, green, blue
+
+
+def write_picture(folder: Path, name: str, picture: np.ndarray) -> str:
+    """Write a picture (h, w, 3) as PNG below the folder and return its name."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode_png(picture))
+    return name
+
+
+def write_picture_table(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the table of a picture folder, each row a dictionary by `COLUMNS`; all rows must have the same ones."""
+    if not rows:
+        raise ValueError(f"{folder.name}: no frame is left to be written")
+    kept = [name for name in COLUMNS if any(name in row for row in rows)]
+    if partly := [name for name in kept if not all(name in row for row in rows)]:
+        raise ValueError(
+            f"{folder.name}: only some frames have {', '.join(partly)}; all or none must have them"
+        )
+    with (folder / TABLE).open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(kept)
+        for row in rows:
+            cells = (row[name] for name in kept)
+            writer.writerow(cell if isinstance(cell, str) else f"{cell:.7g}" for cell in cells)
+
+
+def _recordings(folder: Path, out_dir: Path, every: int) -> list[ConvertedClip]:
+    """Write the clips of a user's folder; the folder is their session."""
+    tables = sorted(folder.glob("*.csv"))
+    if not tables:
+        raise ValueError(f"{folder} holds no recordings: {_LAYOUT}")
+    return write_clips(map(_recorded_clip, tables), out_dir, every)
+
+
+def _recorded_clip(table: Path) -> Clip:
+    rows = read_table(table)
+    header = list(rows[0]) if rows else []
+    names = known_labels(header)
+    if _TIME not in header or not set(names) & set(FORCE_COLUMNS):
+        raise ValueError(
+            f"{table} must have the column {_TIME} and one of {', '.join(FORCE_COLUMNS)} at least; "
+            f"it has {', '.join(header)}"
+        )
+    label_time_s, *values = (_numbers(rows, name, table) for name in (_TIME, *names))
+    labels = dict(zip(names, values, strict=True))
+    pressed_n = _pressing_n(labels)
+    if pressed_n.max() < -pressed_n.min():
+        raise ValueError(
+            f"{table}: fz_n reaches {-pressed_n.min():.3g} N and no less than {-pressed_n.max():.3g} N; in compression "
+            "Fz must be negative (the force of the indenter on the sensor): turn its sign"
+        )
+    beside = [table.with_suffix(suffix) for suffix in ("", *VIDEOS)]
+    sources = [path for path in beside if path.exists()]
+    if len(sources) != 1:
+        many = f" has several: {', '.join(path.name for path in sources)}" if sources else " has no pictures"
+        raise ValueError(f"the clip of {table}{many}; {_LAYOUT}")
+    (source,) = sources
+    if source.is_dir():
+        tables = sorted(source.glob("*.csv"))
+        rows = read_table(tables[0]) if len(tables) == 1 else []
+        if not rows or not {"picture", _TIME} <= rows[0].keys():
+            raise ValueError(f"{source} must hold one table with the columns picture, {_TIME}")
+        names = [row["picture"] for row in rows]
+        if wrong := [name for name in names if not stays_inside(name) or not (source / name).is_file()]:
+            raise ValueError(f"{tables[0]} names the picture {wrong[0]!r}, which is not in {source}")
+        time_s, pictures = _numbers(rows, _TIME, tables[0]), partial(_folder_pictures, source, names)
+    else:
+        # 0 is OpenCV's CAP_PROP_POS_MSEC.
+        time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
+        pictures = partial(video_pictures, source)
+    for times, place in ((time_s, source), (label_time_s, table)):
+        if (np.diff(times) <= 0).any():
+            row = int(np.argmax(np.diff(times) <= 0)) + 1
+            raise ValueError(f"{place}: times must increase; that of row {row} does not")
+    return Clip(table.stem, table.parent.resolve().name, pictures, time_s, label_time_s, labels)
+
+
+def _numbers(rows: list[dict[str, str]], name: str, table: Path) -> np.ndarray:
+    try:
+        values = np.array([float(row[name]) for row in rows])
+    except ValueError:
+        values = np.array([np.nan])
+    if not np.isfinite(values).all():
+        raise ValueError(f"{table}, column {name!r}: every row must hold a finite number")
+    return values
+
+
+def _folder_pictures(folder: Path, names: list[str]) -> Iterator[np.ndarray]:
+    for name in names:
+        try:
+            yield as_colour(decode_picture((folder / name).read_bytes()))
+        except ValueError as error:
+            raise ValueError(f"{folder / name} is not readable: {error}") from None
+
+
+def video_pictures(path: Path) -> Iterator[np.ndarray]:
+    """Yield the pictures (h, w, 3) uint8 RGB of a video; a ValueError if OpenCV's FFmpeg cannot read it."""
+    for video in _grabbed(path):
+        done, picture = video.retrieve()
+        if not done:
+            return
+        yield np.ascontiguousarray(picture[..., ::-1])
+
+
+def _grabbed(path: Path) -> "Iterator[VideoCapture]":
+    """Yield a video at each of its pictures, before it is decoded."""
+    import cv2
+
+    video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
+    try:
+        if not video.isOpened():
+            raise ValueError(f"{path} is not a video that can be read")
+        while video.grab():
+            yield video
+    finally:
+        video.release()
+
+
+LAYOUTS: dict[str, Writer] = {"recordings": _recordings}
+"""What is converted, by name."""

@@ -1,0 +1,220 @@
+"""Folders on disk: a domain's, with its manifest and what differs from it, and output that is whole or not there."""
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+
+from gelgap.assets.checksums import file_sha256, parse_json, sha256, with_checksum, without_checksum
+from gelgap.assets.locks import sole_use
+from gelgap.assets.names import is_plain_name
+from gelgap.assets.settings import Settings
+from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
+
+MANIFEST = "manifest.json"
+REFERENCE = "reference.png"
+SHARDS = "frames-*.parquet"
+MISSING = "is missing"
+_SETTLED_NS = 2_000_000_000
+
+
+def shard_name(number: int) -> str:
+    return f"frames-{number:05d}.parquet"
+
+
+def remembered(check: Callable[..., Any]) -> Callable[..., Any]:
+    """Let a process check a file once: what `check(path, *more)` returns holds until its size or time changes."""
+    kept = lru_cache(maxsize=4096)(lambda path, size, modified_ns, *more: check(path, *more))
+
+    def checked(path: Path, *more: Any) -> Any:
+        about = path.stat()
+        # What was written a moment ago may be written again without a later time.
+        if time.time_ns() - about.st_mtime_ns < _SETTLED_NS:
+            return check(path, *more)
+        return kept(path.absolute(), about.st_size, about.st_mtime_ns, *more)
+
+    return checked
+
+
+remembered_sha256 = remembered(file_sha256)
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One thing that is wrong with a domain folder."""
+
+    file: str
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.problem}"
+
+
+class DomainFolder:
+    """The files of one domain. `entry` is what the manifest knows of a file: SHA-256, size and counts."""
+
+    def __init__(self, path: Path | str):
+        self.path = Path(path)
+
+    @property
+    def manifest_path(self) -> Path:
+        return self.path / MANIFEST
+
+    def exists(self) -> bool:
+        return self.manifest_path.exists()
+
+    def read_manifest(self) -> dict[str, Any]:
+        """Return the manifest.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the folder has none.
+        RuntimeError
+            If it is damaged.
+        """
+        try:
+            text = self.manifest_path.read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            raise FileNotFoundError(
+                f"{self.path} holds no {MANIFEST}; expected a domain folder as `gelgap generate` writes it"
+            ) from None
+        try:
+            manifest = without_checksum(parse_json(text))
+            _Manifest.model_validate(manifest)
+        except ValueError as error:
+            raise RuntimeError(
+                f"{self.manifest_path} is damaged ({error}); generate the domain again with --overwrite"
+            ) from None
+        return manifest
+
+    def write_manifest(self, manifest: dict[str, Any]) -> None:
+        text = json.dumps(with_checksum(manifest), indent=1, sort_keys=True, ensure_ascii=False)
+        write_whole(self.manifest_path, text.encode())
+
+    def write_file(self, name: str, data: bytes) -> dict[str, Any]:
+        """Write one file and return its manifest entry."""
+        write_whole(self.path / name, data)
+        return {"sha256": sha256(data), "bytes": len(data)}
+
+    def problem(
+        self, name: str, entry: dict[str, Any], digest: Callable[[Path], str] = file_sha256
+    ) -> str | None:
+        """Return how a file differs from what the manifest states, or None if it has exactly those bytes."""
+        path = self.path / name
+        if not path.exists():
+            return MISSING
+        size = path.stat().st_size
+        if size != entry["bytes"]:
+            return f"has {size} bytes, the manifest states {entry['bytes']}"
+        if digest(path) != entry["sha256"]:
+            return "has other bytes than the manifest states (SHA-256 differs)"
+        return None
+
+    def clear(self) -> None:
+        """Remove what generation wrote here, and nothing else."""
+        for pattern in (MANIFEST, REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}", ".cache/*"):
+            for path in self.path.glob(pattern):
+                path.unlink()
+
+    def remove_leftovers(self, names: set[str]) -> None:
+        """Remove temporary files, and shards that the plan does not know."""
+        for path in [*self.path.glob(f".*{TEMPORARY_SUFFIX}"), *self.path.glob(SHARDS)]:
+            if path.name not in names:
+                path.unlink()
+
+    def damages(self) -> list[Damage]:
+        """Return everything that differs from what the manifest states: missing, changed and unknown files."""
+        try:
+            manifest = self.read_manifest()
+        except FileNotFoundError:
+            return [Damage(MANIFEST, MISSING)]
+        except RuntimeError:
+            return [Damage(MANIFEST, "is damaged (its own checksum does not match)")]
+        files = manifest["files"]
+        problems = {name: self.problem(name, entry) for name, entry in sorted(files.items())}
+        found = [Damage(name, problem) for name, problem in problems.items() if problem]
+        unknown = {path.name for path in self.path.glob(SHARDS)} - set(files)
+        found += [Damage(name, "is not in the manifest") for name in sorted(unknown)]
+        if not manifest["complete"]:
+            found.append(Damage(MANIFEST, "says that generation has not finished"))
+        return found
+
+
+def _plain(name: str) -> str:
+    if not is_plain_name(name):
+        raise ValueError("must be a plain name")
+    return name
+
+
+def _rising(interval: list[float]) -> list[float]:
+    if len(interval) != 2 or not interval[0] < interval[1]:
+        raise ValueError("must be a lower and a higher bound")
+    return interval
+
+
+class _Checked(Settings, extra="allow", strict=True):
+    """What is checked of a manifest whose checksum is right; it may state more."""
+
+
+class _FileEntry(_Checked):
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    bytes: int
+
+
+class _Configuration(_Checked):
+    columns: list[str]
+
+
+class _Manifest(_Checked):
+    domain: Annotated[str, AfterValidator(_plain)]
+    files: dict[Annotated[str, Field(pattern=r"^(reference\.png|frames-\d{5,}\.parquet)$")], _FileEntry]
+    configuration: _Configuration
+    versions: dict[str, Any]
+    complete: bool
+    schema_version: int
+    force_range_n: Annotated[
+        list[Annotated[list[float], AfterValidator(_rising)]], Field(min_length=3, max_length=3)
+    ]
+
+
+@contextmanager
+def new_folder(out_dir: Path) -> Iterator[Path]:
+    """Give an empty folder to write to; it becomes `out_dir` when the block ends without error.
+
+    Raises
+    ------
+    ValueError
+        If there is something in `out_dir`.
+    RuntimeError
+        If the disk does not take it, or another process is writing it; nothing of it is left.
+    """
+    check_is_new(out_dir)
+    building = out_dir.with_name(f".{out_dir.name}.building")
+    with sole_use(building):
+        check_is_new(out_dir)
+        content = building / "content"
+        try:
+            shutil.rmtree(content, ignore_errors=True)  # what a killed process has left
+            content.mkdir()
+            yield content
+            if out_dir.exists():
+                out_dir.rmdir()
+            content.rename(out_dir)
+        except OSError as error:
+            raise RuntimeError(f"cannot write {out_dir}: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(building, ignore_errors=True)
+
+
+def check_is_new(out_dir: Path) -> None:
+    """Raise ValueError if a folder of output has something in it."""
+    if out_dir.exists() and any(out_dir.iterdir()):
+        raise ValueError(f"{out_dir} is not empty; name a new folder")

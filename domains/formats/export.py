@@ -1,0 +1,343 @@
+"""A data set in other formats: the paper's folders, WebDataset tars, a folder for Hugging Face, arrays for skada."""
+
+import csv
+import io
+import json
+import logging
+import os
+import tarfile
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import pyarrow as pa
+
+from gelgap.assets import asset_path, html_page
+from gelgap.assets.checksums import file_sha256
+from gelgap.domains.formats.domain_folder import check_is_new, new_folder
+from gelgap.domains.formats.pictures import encode_jpeg, encode_png
+from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION, ShardFile
+from gelgap.domains.frames.dataset import LabelledFrames
+from gelgap.domains.frames.folders import (
+    PUBLISHED_FORCES,
+    PUBLISHED_LABEL,
+    PUBLISHED_REFERENCE,
+    UNSPLIT,
+    open_domain,
+)
+from gelgap.domains.frames.splits import PARTS
+from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
+from gelgap.domains.inspection import domain_folders, inspect_domain
+
+LOG = logging.getLogger(__name__)
+_SAMPLES_PER_TAR = 1000
+_TITLE = "Synthetic GelSight pictures with force labels"
+_DESCRIPTION = (
+    "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the sensor's picture. "
+    "Nothing here was measured on a real sensor."
+)
+_LICENCE = "other"
+_CROISSANT_TYPES = {
+    pa.int32(): "sc:Integer",
+    pa.float64(): "sc:Float",
+    pa.bool_(): "sc:Boolean",
+    pa.string(): "sc:Text",
+    PICTURE: "sc:ImageObject",
+    POINTS: "sc:Float",
+}
+_CROISSANT_FORMATS = {".parquet": "application/x-parquet", ".png": "image/png"}
+Axis = Literal["x", "y", "z"]
+# The numbers that skada itself gives a single source and a single target; their sign is what counts.
+_SOURCE, _TARGET = 1, -2
+
+
+def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[Path, ...]:
+    """Write the domains at a path in another format and return what was written, one path per domain.
+
+    `paper` is the published layout (JPEG pictures), `webdataset` tars of PNG and JSON, `huggingface` one folder with a
+    data card, Croissant metadata and one configuration per domain. Frames that did not converge are left out.
+
+    Raises
+    ------
+    ValueError
+        If the format is unknown, or the output exists.
+    """
+    if format_name not in FORMATS:
+        raise ValueError(f"format {format_name!r} is unknown; known formats: {', '.join(FORMATS)}")
+    out_dir = Path(out_dir)
+    check_is_new(out_dir)
+    domains = [open_domain(path) for path in domain_folders(folder)]
+    with new_folder(out_dir) as building:
+        LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
+        FORMATS[format_name](domains, building)
+    return tuple(out_dir / name for name in sorted(path.name for path in out_dir.iterdir()))
+
+
+def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
+    """`ref.jpg`, and `{train,test,ori}/images/i.jpg` with `forcePosition/force.csv`; ori holds all frames in order."""
+    for frames in domains:
+        folder = out_dir / frames.name
+        folder.mkdir()
+        (folder / PUBLISHED_REFERENCE).write_bytes(encode_jpeg(frames.reference))
+        unsplit = folder / UNSPLIT
+        _paper_table(frames, unsplit, np.arange(len(frames)))
+        for index in range(len(frames)):
+            (unsplit / "images" / f"{index}.jpg").write_bytes(encode_jpeg(frames.picture(index)))
+        is_test = _stated_split(frames) == "test"
+        for part, members in {"train": ~is_test, "test": is_test}.items():
+            indices = np.flatnonzero(members)
+            if len(indices):
+                _paper_table(frames, folder / part, indices)
+                for number, frame in enumerate(indices):
+                    # The same picture in two places takes its bytes once.
+                    os.link(unsplit / "images" / f"{frame}.jpg", folder / part / "images" / f"{number}.jpg")
+
+
+def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> None:
+    (folder / "images").mkdir(parents=True)
+    (folder / "forcePosition").mkdir()
+    with (folder / "forcePosition" / "force.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*PUBLISHED_FORCES, *([PUBLISHED_LABEL] if frames.has_classes else [])])
+        for index in indices:
+            label = [int(frames.contact_class[index])] if frames.has_classes else []
+            writer.writerow([*frames.force_n[index].tolist(), *label])
+
+
+def _webdataset(domains: Iterable[StoredFrames], out_dir: Path) -> None:
+    """`<domain>/<split>-000000.tar` of `<frame>.png` and `<frame>.json`, and `<domain>/reference.png` beside them."""
+    for frames in domains:
+        folder = out_dir / frames.name
+        folder.mkdir()
+        (folder / "reference.png").write_bytes(encode_png(frames.reference))
+        for split, indices in _by_split(frames).items():
+            for start in range(0, len(indices), _SAMPLES_PER_TAR):
+                path = folder / f"{split}-{start // _SAMPLES_PER_TAR:06d}.tar"
+                with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
+                    for index in indices[start : start + _SAMPLES_PER_TAR]:
+                        name = f"{int(frames.columns['frame_id'][index]):06d}"
+                        picture = frames.encoded_picture(int(index))
+                        suffix = "png" if picture.startswith(b"\x89PNG") else "jpg"
+                        labels = {
+                            column: _plain_json(values[index]) for column, values in frames.columns.items()
+                        }
+                        _add(tar, f"{name}.{suffix}", picture)
+                        _add(tar, f"{name}.json", json.dumps(labels).encode())
+
+
+def _add(tar: tarfile.TarFile, name: str, data: bytes) -> None:
+    entry = tarfile.TarInfo(name)
+    entry.size = len(data)
+    tar.addfile(entry, io.BytesIO(data))
+
+
+def _plain_json(value: Any) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and np.isnan(value) else value
+
+
+def _stated_split(frames: LabelledFrames) -> np.ndarray:
+    """Return the part (n,) of each frame; without a stated split all are for training."""
+    return frames.columns.get("split", np.full(len(frames), "train", dtype=object))
+
+
+def _by_split(frames: LabelledFrames) -> dict[str, np.ndarray]:
+    split = _stated_split(frames)
+    return {part: np.flatnonzero(split == part) for part in PARTS if (split == part).any()}
+
+
+def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
+    """`<domain>/<split>-00000.parquet`, references, a data card that `datasets` reads, and `croissant.json`."""
+    import pyarrow.parquet as pq
+
+    for frames in domains:
+        if not isinstance(frames, GeneratedDomain):
+            raise ValueError(
+                f"data set {frames.name} is not in gelgap's format; only generated domains are exported so"
+            )
+        folder = out_dir / frames.name
+        folder.mkdir()
+        (folder / "reference.png").write_bytes(encode_png(frames.reference))
+        shards = [ShardFile(path) for path in frames.shard_paths]
+        writers = {
+            part: pq.ParquetWriter(folder / f"{part}-00000.parquet", shards[0].schema, compression="zstd")
+            for part in _by_split(frames)
+        }
+        for table in (shard.table() for shard in shards):
+            for part, writer in writers.items():
+                rows = table.filter(
+                    pa.compute.and_(table["converged"], pa.compute.equal(table["split"], part))
+                )
+                writer.write_table(rows, row_group_size=100)
+        for writer in writers.values():
+            writer.close()
+    (out_dir / "README.md").write_text(_data_card(domains), encoding="utf-8")
+    metadata = json.dumps(_croissant(out_dir), indent=1, ensure_ascii=False)
+    (out_dir / "croissant.json").write_text(metadata + "\n", encoding="utf-8")
+
+
+def _data_card(domains: Sequence[GeneratedDomain]) -> str:
+    rows, used = [], set()
+    for frames in domains:
+        facts, recipe = inspect_domain(frames.folder), frames.recipe
+        spans = zip(facts.force_min_n, facts.force_max_n, strict=True)
+        used |= set(frames.optional_columns)
+        rows.append(
+            {
+                "name": frames.name,
+                "parts": list(_by_split(frames)),
+                "frames": facts.frames,
+                "unconverged": facts.unconverged,
+                "modulus": f"{recipe.elastomer.young_modulus_mpa:g}",
+                "illumination": recipe.illumination.name,
+                "markers": recipe.markers,
+                "forces": " / ".join(f"{low:.2f}…{high:.2f}" for low, high in spans),
+            }
+        )
+    # The height map's scale is in no other file of the export.
+    optional = [
+        f"{', '.join(f'`{column.name}`' for column in columns)}"
+        f"{f' ({columns[0].unit})' if columns[0].unit else ''}: {columns[0].meaning}"
+        for name, columns in OPTIONAL.items()
+        if name in used
+    ]
+    card = html_page(
+        "data-card.md",
+        title=_TITLE,
+        description=_DESCRIPTION,
+        licence=_LICENCE,
+        domains=rows,
+        optional="; ".join(optional),
+        versions=", ".join(f"{name} {number}" for name, number in domains[0].manifest["versions"].items()),
+    )
+    return f"{card}\n"
+
+
+def _croissant(folder: Path) -> dict[str, Any]:
+    """Return JSON-LD by which other tools find the export's files, columns, types and units.
+
+    Format: https://docs.mlcommons.org/croissant/docs/croissant-spec.html, version 1.0.
+    """
+    files = sorted(path for path in folder.glob("*/*") if path.suffix in _CROISSANT_FORMATS)
+    names = {path: path.relative_to(folder).as_posix() for path in files}
+    return {
+        "@context": tomllib.loads(asset_path("croissant.toml").read_text(encoding="utf-8")),
+        "@type": "sc:Dataset",
+        "conformsTo": "http://mlcommons.org/croissant/1.0",
+        "name": _TITLE,
+        "description": _DESCRIPTION,
+        "license": _LICENCE,
+        "version": f"{SCHEMA_VERSION}.0.0",
+        "distribution": [
+            {
+                "@type": "cr:FileObject",
+                "@id": name,
+                "name": name,
+                "contentUrl": name,
+                "contentSize": f"{path.stat().st_size} B",
+                "encodingFormat": _CROISSANT_FORMATS[path.suffix],
+                "sha256": file_sha256(path),
+            }
+            for path, name in names.items()
+        ],
+        "recordSet": [_record_set(path, name) for path, name in names.items() if path.suffix == ".parquet"],
+    }
+
+
+def _record_set(path: Path, file: str) -> dict[str, Any]:
+    """Return the frames of one domain's part: `mb0i0/train` of the file `mb0i0/train-00000.parquet`."""
+    import pyarrow.parquet as pq
+
+    part = path.stem.partition("-")[0]
+    name = f"{path.parent.name}/{part}"
+    fields = []
+    for column in (COLUMNS[column] for column in pq.read_schema(path).names):
+        source: dict[str, Any] = {"fileObject": {"@id": file}, "extract": {"column": column.name}}
+        if column.type == PICTURE:
+            source["transform"] = {"jsonPath": "bytes"}
+        field = {
+            "@type": "cr:Field",
+            "@id": f"{name}/{column.name}",
+            "name": column.name,
+            "description": f"{column.meaning}{f', {column.unit}' if column.unit else ''}",
+            "dataType": _CROISSANT_TYPES[column.type],
+            "source": source,
+        }
+        fields.append(field | ({"repeated": True} if column.type == POINTS else {}))
+    return {
+        "@type": "cr:RecordSet",
+        "@id": name,
+        "name": name,
+        "description": f"The {part} frames of the domain {path.parent.name}.",
+        "field": fields,
+    }
+
+
+FORMATS: dict[str, Callable[[list[StoredFrames], Path], None]] = {
+    "paper": _paper,
+    "webdataset": _webdataset,
+    "huggingface": _huggingface,
+}
+"""Export formats by name."""
+
+
+def to_skada(
+    source: LabelledFrames,
+    target: LabelledFrames,
+    axis: Axis,
+    size_px: int | tuple[int, int] = 16,
+    mask_target_labels: bool = True,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return X, y and sample_domain of a source's frames, followed by a target's, for one axis of the force.
+
+    These are the arrays of skada, the library for domain adaptation in scikit-learn's manner.
+
+    Parameters
+    ----------
+    source, target
+        The domains, or some of their frames.
+    axis
+        Whose force is the label: skada takes labels of one dimension only.
+    size_px
+        Size of the reduced pictures: the longer side, or width and height.
+    mask_target_labels
+        Whether the target's labels are hidden, as training without them needs; to evaluate, they are given.
+
+    Returns
+    -------
+    X
+        (n, height·width·3) float32: each picture less its reference picture, in [−1, 1], pixels row by row.
+    y
+        (n,) float64, force in N; NaN where masked, by which skada tells regression from classification.
+    sample_domain
+        (n,) integers, positive for the source and negative for the target.
+
+    Raises
+    ------
+    ValueError
+        If the axis is unknown, or the pictures of the domains are reduced to different sizes.
+    """
+    if axis not in get_args(Axis):
+        raise ValueError(f"axis {axis!r} is unknown; known: {', '.join(get_args(Axis))}")
+    sizes = [frames.image_size_px(size_px) for frames in (source, target)]
+    if sizes[0] != sizes[1]:
+        (w0, h0), (w1, h1) = sizes
+        raise ValueError(
+            f"pictures of {source.name} and {target.name} become {w0}×{h0} and {w1}×{h1} px with size_px = {size_px}; "
+            f"give size_px as width and height"
+        )
+    differences, forces_n = [], []
+    for frames in (source, target):
+        rest = frames.references_at(sizes[0])[frames.reference_id]
+        difference = np.subtract(frames.images(sizes[0]), rest, dtype=np.float32)
+        differences.append(difference.reshape(len(frames), -1) / 255)
+        forces_n.append(frames.values_of((f"f{axis}_n",))[:, 0])
+    if mask_target_labels:
+        forces_n[1] = np.full(len(target), np.nan)
+    return (
+        np.concatenate(differences),
+        np.concatenate(forces_n).astype(np.float64),
+        np.repeat([_SOURCE, _TARGET], [len(source), len(target)]),
+    )

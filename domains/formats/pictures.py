@@ -1,0 +1,124 @@
+"""Pictures as arrays and as bytes: lossless coding, checks before decoding, reduction, and markers filled in."""
+
+import io
+import struct
+
+import numpy as np
+
+MOST_PIXELS = 2**26
+
+
+def encode_png(picture: np.ndarray) -> bytes:
+    """Encode an 8-bit RGB or 8/16-bit grey picture losslessly (PNG, W3C Recommendation, 3rd edition).
+
+    Sensor noise leaves nothing for string matching to find, so that Huffman coding alone, of rows less the average of
+    their neighbours, is faster and smaller than a compression level (`gelgap benchmark throughput` prints the table).
+    A ValueError if the picture has another shape or type.
+    """
+    from zlib_ng import zlib_ng
+
+    from gelgap.domains.formats.png_filter import less_average
+
+    colour = picture.ndim == 3 and picture.shape[2] == 3
+    if not (colour or picture.ndim == 2) or picture.dtype not in (np.uint8, np.uint16)[: 1 if colour else 2]:
+        raise ValueError(f"no PNG is written of a picture of shape {picture.shape} and type {picture.dtype}")
+    height, width = picture.shape[:2]
+    depth_bits = 8 * picture.itemsize
+    header = struct.pack(">IIBBBBB", width, height, depth_bits, 2 if colour else 0, 0, 0, 0)
+    coder = zlib_ng.compressobj(1, strategy=zlib_ng.Z_HUFFMAN_ONLY)
+    pixels = coder.compress(less_average(picture)) + coder.flush()
+    chunks = ((b"IHDR", header), (b"IDAT", pixels), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib_ng.crc32(name + data))
+        for name, data in chunks
+    )
+
+
+def encode_jpeg(picture: np.ndarray, quality: int = 95) -> bytes:
+    """Encode an 8-bit RGB picture as JPEG; `quality` is 1 to 100."""
+    import cv2
+
+    pixels = np.ascontiguousarray(picture[..., ::-1])
+    _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return data.tobytes()
+
+
+def stated_size_px(data: bytes) -> tuple[int, int]:
+    """Return the width and height that a PNG, JPEG or BMP states, without decoding it.
+
+    A ValueError if it is none of these, has more than 64 million pixels, its end is missing, or a checksum of a PNG
+    differs.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "BMP")) as picture:
+            size = picture.size
+            picture.verify()
+    except UnidentifiedImageError:
+        raise ValueError("it is neither PNG, JPEG nor BMP, or its header is damaged") from None
+    except (OSError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError) as error:
+        raise ValueError(f"it is not a readable picture: {error}") from None
+    # Pillow compares the checksums of a PNG; the other two have none.
+    if (data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-64:]) or (
+        data.startswith(b"BM") and int.from_bytes(data[2:6], "little") > len(data)
+    ):
+        raise ValueError("its end is missing")
+    if size[0] * size[1] > MOST_PIXELS:
+        raise ValueError(f"it states {size[0]}×{size[1]} px: allowed are {MOST_PIXELS} pixels")
+    return size
+
+
+def decode_picture(data: bytes) -> np.ndarray:
+    """Decode a PNG, JPEG or BMP to (h, w, 3) RGB uint8, or a grey picture to (h, w) in its own depth.
+
+    A ValueError where `stated_size_px` raises it, or if the pixels cannot be decoded.
+    """
+    import cv2
+
+    stated_size_px(data)
+    try:
+        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise ValueError("it cannot be decoded, so it is damaged")
+    return np.ascontiguousarray(picture[..., 2::-1]) if picture.ndim == 3 else picture
+
+
+def as_colour(picture: np.ndarray) -> np.ndarray:
+    """Return a picture (h, w, 3); a grey one (h, w) is repeated."""
+    return np.repeat(picture[..., None], 3, axis=2) if picture.ndim == 2 else picture
+
+
+def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
+    """Return the picture at (width, height) px: each pixel the mean of the area that it covers.
+
+    A size of another aspect may be longer on one side, if it has no more pixels in all: the other side is reduced by
+    area means first, then this one is interpolated linearly (320×240 to 256×256, say). A ValueError if the size has
+    more pixels than the picture, or is longer on both sides: enlarging invents pixels.
+    """
+    import cv2
+
+    height, width = picture.shape[:2]
+    if size_px == (width, height):
+        return picture
+    if not (min(size_px) >= 1 and size_px[0] * size_px[1] <= width * height):
+        raise ValueError(
+            f"image size {size_px[0]}×{size_px[1]} px is not possible: pictures are {width}×{height} px and are only "
+            f"down-sampled; allowed are 1…{width} × 1…{height}, or another aspect with no more pixels in all"
+        )
+    reduced_px = min(size_px[0], width), min(size_px[1], height)
+    reduced = cv2.resize(picture, reduced_px, interpolation=cv2.INTER_AREA)
+    return reduced if reduced_px == size_px else cv2.resize(reduced, size_px, interpolation=cv2.INTER_LINEAR)
+
+
+def without_markers(picture: np.ndarray) -> np.ndarray:
+    """Return the uint8 (h, w, 3) picture with its dots found and filled in, as one must with a real sensor's picture.
+
+    One in which none are found stays as it is.
+    """
+    from gelgap.render import detect_markers, inpaint_telea
+
+    mask = detect_markers(picture)
+    return inpaint_telea(picture, mask) if mask.any() else picture

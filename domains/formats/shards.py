@@ -1,0 +1,314 @@
+"""Parquet shards: the columns of a domain with type, unit, meaning and how each is made, and shards as bytes.
+
+A new column is one entry here.
+"""
+
+import dataclasses
+import io
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from gelgap.domains.formats.pictures import encode_png
+from gelgap.sim import Diagnostics, Pose
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
+
+    from gelgap.render import MembraneRenderer, Sensor
+    from gelgap.sim import MembraneState
+
+SCHEMA_VERSION = 1
+# A row group is what a reader must take from disk to see one frame: small, so that random access stays cheap.
+ROWS_PER_GROUP = 32
+PICTURE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+"""A picture as Hugging Face `datasets` reads it."""
+POINTS = pa.list_(pa.list_(pa.float32(), 2))
+
+# 16-bit height maps: 0.1 µm steps from 0.5 mm outwards (the membrane bulges) to 6 mm inwards.
+HEIGHT_MAP_STEP_MM = 1e-4
+HEIGHT_MAP_OFFSET_MM = -0.5
+
+
+class Contact(NamedTuple):
+    """What the labels of one frame are made from; `force_n` is what the force sensor reads, the state's is true."""
+
+    frame: int
+    pose: Pose
+    trajectory: int
+    step: int
+    split: str
+    state: "MembraneState"
+    force_n: tuple[float, ...]
+
+    @property
+    def angle_deg(self) -> float | None:
+        return self.pose.angle_deg if self.pose.radius_mm else None
+
+
+class View(NamedTuple):
+    """One contact as a sensor sees it."""
+
+    renderer: "MembraneRenderer"
+    sensor: "Sensor"
+    state: "MembraneState"
+
+    @property
+    def membrane(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The arguments by which a renderer takes the membrane: x, y and displacement, mm."""
+        return self.state.x_mm, self.state.y_mm, self.state.displacement_mm
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the Parquet shards.
+
+    A label has a `value` for every frame, made from the contact alone; other columns have a `cell`, made by the
+    renderer, which is null in frames without a picture.
+    """
+
+    name: str
+    type: pa.DataType
+    unit: str
+    meaning: str
+    value: Callable[[Contact], Any] | None = None
+    cell: Callable[[View], Any] | None = None
+
+
+def _height_map(view: View) -> dict[str, Any]:
+    height_mm = view.renderer.height_map_mm(*view.membrane)
+    codes = np.clip(np.rint((height_mm - HEIGHT_MAP_OFFSET_MM) / HEIGHT_MAP_STEP_MM), 0, 65535)
+    return picture_cell(codes.astype(np.uint16))
+
+
+def _contact_mask(view: View) -> dict[str, Any]:
+    mask = view.renderer.contact_mask(*view.membrane, view.state.contact)
+    return picture_cell(mask.astype(np.uint8) * 255)
+
+
+def _marker_rest_mm(view: View) -> list[list[float]]:
+    from gelgap.render import marker_rest_mm
+
+    return _point_list(marker_rest_mm(view.sensor.markers))
+
+
+def _marker_px(view: View) -> list[list[float]]:
+    return _point_list(view.renderer.marker_px(*view.membrane))
+
+
+def picture_cell(picture: np.ndarray) -> dict[str, Any]:
+    """Return the value of a picture column."""
+    return {"bytes": encode_png(picture), "path": None}
+
+
+def _point_list(points: np.ndarray) -> list[list[float]]:
+    return points.reshape(-1, 2).astype(np.float32).tolist()
+
+
+_INT, _FLOAT, _BOOL, _TEXT = pa.int32(), pa.float64(), pa.bool_(), pa.string()
+_CLASS = "0 without contact; −1 off the paper's grid"
+_DIRECTION = "commanded direction of the travel; null without travel"
+_RADIUS = "deformed radius where the normal pressure vanishes"
+_HEIGHT = f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGHT_MAP_STEP_MM:g} × code"
+_REST = "(x, y) of each dot on the undeformed membrane"
+_SEEN = "(x, y) of each dot in the picture, pixel centres at +0.5"
+LABELS = (
+    Column("frame_id", _INT, "", "position on the path", lambda c: c.frame),
+    Column("point_id", _INT, "", "number of the contact point", lambda c: c.pose.point_id),
+    Column("contact_class", _INT, "", _CLASS, lambda c: c.pose.contact_class),
+    Column("depth_mm", _FLOAT, "mm", "commanded depth", lambda c: c.pose.depth_mm),
+    Column("radius_mm", _FLOAT, "mm", "commanded travel sideways", lambda c: c.pose.radius_mm),
+    Column("angle_deg", _FLOAT, "°", _DIRECTION, lambda c: c.angle_deg),
+    Column("trajectory_id", _INT, "", "travel at one point, depth and direction", lambda c: c.trajectory),
+    Column("step", _INT, "", "place on the trajectory", lambda c: c.step),
+    Column("x_mm", _FLOAT, "mm", "commanded contact point, to the right", lambda c: c.pose.point_x_mm),
+    Column("y_mm", _FLOAT, "mm", "commanded contact point, down", lambda c: c.pose.point_y_mm),
+    Column("commanded_z_mm", _FLOAT, "mm", "minus the depth", lambda c: -c.pose.depth_mm),
+    Column("shear_x_mm", _FLOAT, "mm", "commanded travel along x", lambda c: c.pose.shear_x_mm),
+    Column("shear_y_mm", _FLOAT, "mm", "commanded travel along y", lambda c: c.pose.shear_y_mm),
+    Column("fx_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[0]),
+    Column("fy_n", _FLOAT, "N", "force of the indenter on the sensor", lambda c: c.force_n[1]),
+    Column("fz_n", _FLOAT, "N", "the same; ≤ 0 in compression", lambda c: c.force_n[2]),
+    Column("converged", _BOOL, "", "false: no picture", lambda c: bool(c.state.converged)),
+    Column("contact_radius_mm", _FLOAT, "mm", _RADIUS, lambda c: float(c.state.contact_radius_mm)),
+    Column("split", _TEXT, "", "train, validation or test", lambda c: c.split),
+)
+IMAGE = Column("image", PICTURE, "", "what the camera sees")
+
+OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
+OPTIONAL: dict[str, tuple[Column, ...]] = {
+    "height_map": (Column("height_map", PICTURE, "mm", _HEIGHT, cell=_height_map),),
+    "contact_mask": (
+        Column("contact_mask", PICTURE, "", "255 where the indenter touches", cell=_contact_mask),
+    ),
+    "marker_rest_mm": (Column("marker_rest_mm", POINTS, "mm", _REST, cell=_marker_rest_mm),),
+    "marker_px": (Column("marker_px", POINTS, "px", _SEEN, cell=_marker_px),),
+    "diagnostics": tuple(
+        Column(
+            field.name,
+            _INT if field.type is int else _FLOAT,
+            "",
+            "how the pose was solved",
+            lambda c, name=field.name: getattr(c.state.diagnostics, name),
+        )
+        for field in dataclasses.fields(Diagnostics)
+    ),
+}
+"""What a domain may also hold, by the names by which it is asked for."""
+
+COLUMNS = {column.name: column for column in (*LABELS, IMAGE, *(c for own in OPTIONAL.values() for c in own))}
+"""Every column that there is, by its name."""
+
+
+def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
+    """Return the Arrow schema of a shard, with the metadata by which Hugging Face `datasets` decodes pictures."""
+    chosen = (column for name in OPTIONAL if name in optional for column in OPTIONAL[name])
+    columns = [*LABELS, IMAGE, *chosen]
+    features = {column.name: _huggingface_feature(column.type) for column in columns}
+    metadata = {"huggingface": json.dumps({"info": {"features": features}})}
+    return pa.schema([pa.field(column.name, column.type) for column in columns], metadata=metadata)
+
+
+def _huggingface_feature(kind: pa.DataType) -> dict[str, Any]:
+    if kind == PICTURE:
+        return {"_type": "Image"}
+    if kind == POINTS:
+        pair = {"feature": {"dtype": "float32", "_type": "Value"}, "length": 2, "_type": "List"}
+        return {"feature": pair, "_type": "List"}
+    names = {pa.float64(): "float64", pa.bool_(): "bool"}
+    return {"dtype": names.get(kind, str(kind)), "_type": "Value"}
+
+
+def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
+    """Return the Parquet file that holds these rows: the same rows always give the same bytes."""
+    import pyarrow.parquet as pq
+
+    # Labels are few, and noise leaves pictures nothing to gain: only optional columns are compressed.
+    leaves = {PICTURE: "bytes", POINTS: "list.element.list.element"}
+    packed = (column for name in optional for column in OPTIONAL[name] if column.type in leaves)
+    table = pa.Table.from_pylist(list(rows), schema=frame_schema(optional))
+    sink = io.BytesIO()
+    pq.write_table(
+        table,
+        sink,
+        compression={f"{column.name}.{leaves[column.type]}": "zstd" for column in packed},
+        row_group_size=ROWS_PER_GROUP,
+        use_dictionary=False,
+    )
+    return sink.getvalue()
+
+
+# More rows than any shard has; a few bytes of Parquet can claim billions.
+_MOST_ROWS = 100_000
+# More entries than any list in the footer has, and more bytes than any text there.
+_FOOTER_LIMITS = {"thrift_container_size_limit": 10_000, "thrift_string_size_limit": 2**20}
+# A label is a number or the name of a part; headers come on top.
+_LABEL_BYTES, _HEADER_BYTES = 64, 2**16
+# Coded pictures hardly become smaller; those that are nearly empty do, but are small.
+_MOST_GROWTH, _SMALL_BYTES = 8, 2**25
+
+
+class ShardFile:
+    """One shard, memory-mapped. Every method raises RuntimeError, which names the file, where it is damaged.
+
+    A shard that anyone may have written is read only if its footer states the columns that generation writes, and no
+    more rows and bytes than generation's shards have.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._kept: tuple[tuple[int, str] | None, list[Any]] = (None, [])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"path": self.path, "_kept": (None, [])}
+
+    @property
+    def schema(self) -> pa.Schema:
+        """The columns, as they lie in the file."""
+        return self._file.schema_arrow
+
+    def labels(self) -> dict[str, np.ndarray]:
+        """Return the columns that are made from the contact alone, by name, (n,)."""
+        names = [name for name in self.schema.names if COLUMNS[name].value]
+        with self._named_if_damaged():
+            table = self._file.read(columns=names)
+        return {name: table[name].to_numpy() for name in names}
+
+    def cell(self, row: int, column: str) -> Any:
+        """Return one value of a column, of a picture its bytes; its row group is kept for the next one."""
+        group = int(np.searchsorted(self._ends, row, side="right"))
+        if self._kept[0] != (group, column):
+            with self._named_if_damaged():
+                cells = self._file.read_row_group(group, columns=[column])[column]
+            if pa.types.is_struct(cells.type):
+                cells = pa.chunked_array([chunk.field("bytes") for chunk in cells.chunks])
+            self._kept = ((group, column), cells.to_pylist())
+        return self._kept[1][row - int(self._ends[group])]  # counted from the group's end
+
+    @cached_property
+    def _ends(self) -> np.ndarray:
+        """The row after the last of each row group."""
+        groups = map(self._file.metadata.row_group, range(self._file.metadata.num_row_groups))
+        return np.cumsum([group.num_rows for group in groups])
+
+    def table(self) -> pa.Table:
+        """Return the whole shard."""
+        with self._named_if_damaged():
+            return self._file.read()
+
+    @cached_property
+    def _file(self) -> "ParquetFile":
+        import pyarrow.parquet as pq
+
+        with self._named_if_damaged():
+            file = pq.ParquetFile(pa.memory_map(str(self.path)), **_FOOTER_LIMITS)
+            _check_footer(file)
+        return file
+
+    @contextmanager
+    def _named_if_damaged(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
+            raise damaged(self.path, str(error)) from None
+
+
+def _check_footer(file: "ParquetFile") -> None:
+    """Raise ValueError if a shard states other columns, more rows or more bytes than generation writes."""
+    metadata, schema = file.metadata, file.schema_arrow
+    if not 0 <= metadata.num_rows <= _MOST_ROWS:
+        raise ValueError(f"it states {metadata.num_rows} rows")
+    for name in (*schema.names, *(column.name for column in (*LABELS, IMAGE))):
+        if name not in COLUMNS or schema.names.count(name) > 1:
+            raise ValueError(f"column {name[:40]!r} is unknown or there twice")
+        if name not in schema.names or schema.field(name).type != COLUMNS[name].type:
+            raise ValueError(f"column {name} is missing or not {COLUMNS[name].type}")
+    for group in map(metadata.row_group, range(metadata.num_row_groups)):
+        for chunk in map(group.column, range(group.num_columns)):
+            column, n_bytes = COLUMNS[chunk.path_in_schema.partition(".")[0]], chunk.total_uncompressed_size
+            most_bytes, most_values = _HEADER_BYTES + _LABEL_BYTES * group.num_rows, group.num_rows
+            if not column.value:
+                most_bytes = max(_SMALL_BYTES, _MOST_GROWTH * chunk.total_compressed_size)
+                most_values += n_bytes
+            if chunk.has_dictionary_page:
+                raise ValueError(f"column {column.name} has a dictionary")
+            if n_bytes > most_bytes:
+                raise ValueError(f"column {column.name} would take {n_bytes / 2**20:.0f} MiB")
+            if chunk.num_values > most_values:
+                raise ValueError(f"column {column.name} states {chunk.num_values} values")
+
+
+def damaged(path: Path, problem: str) -> RuntimeError:
+    """Return the error that names a shard, what is wrong with it and what to do."""
+    problem = " ".join(problem.split())
+    return RuntimeError(
+        f"{path} is damaged ({problem}): run the same `gelgap generate` again to repair it; "
+        f"`gelgap inspect {path.parent} --verify` names all damage"
+    )

@@ -1,0 +1,535 @@
+"""Labelled frames of one domain: in memory, some of them, with other labels, or several data sets as one."""
+
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gelgap.assets.checksums import sha256
+from gelgap.domains.formats.pictures import resized, without_markers
+from gelgap.domains.frames.labels import (
+    FORCE_COLUMNS,
+    PAPER_FORCE_RANGE_N,
+    QUANTITIES,
+    Labels,
+    Range,
+    covering,
+    hull,
+    known_labels,
+    usual_labels,
+)
+
+if TYPE_CHECKING:
+    from torch import device as Device
+
+    from gelgap.domains.frames.paired_frames import PairedFrames, Pairing
+
+CONTACT_CLASSES = 361
+"""How many contact classes the paper's grid has: without contact, and 5 depths × 6 radii × 12 directions."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One labelled picture: `image` (h, w, 3) uint8 RGB, the contact's class and point (−1: none), and its labels.
+
+    `labels` are by name, each in its unit; `force_n` (3,) N is None where an axis of the force is absent.
+    """
+
+    image: np.ndarray
+    force_n: np.ndarray | None
+    contact_class: int
+    point_id: int
+    labels: dict[str, float]
+
+
+class LabelledFrames(ABC):
+    """The frames of one domain: labels as `columns` (n,), pictures on demand; `take` gives some of them.
+
+    Attributes
+    ----------
+    name
+        The domain's.
+    columns
+        What is known of each frame, arrays (n,) by name; at least one of them is a label (`QUANTITIES`). `reference_id`
+        says which of several reference pictures is a frame's own.
+    force_range_n
+        The range of each axis of the force, (3, 2) N.
+    declares_ranges
+        Whether the data set states these ranges; otherwise they were found in its frames.
+    n_classes
+        How many contact classes the labels may take.
+    notes
+        Sentences on what is unusual about the data set.
+    unconverged
+        How many frames were left out because the simulation did not converge.
+    """
+
+    name: str
+    columns: dict[str, np.ndarray]
+    force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
+    declares_ranges: bool = True
+    n_classes: int = CONTACT_CLASSES
+    notes: tuple[str, ...] = ()
+    unconverged: int = 0
+
+    @property
+    @abstractmethod
+    def reference(self) -> np.ndarray:
+        """The picture without contact, (h, w, 3) uint8; the first one where frames have references of their own."""
+
+    @property
+    @abstractmethod
+    def digest(self) -> str:
+        """A hash that changes when the pictures change."""
+
+    @abstractmethod
+    def picture(self, index: int) -> np.ndarray:
+        """Return one picture as stored, (h, w, 3) uint8 RGB."""
+
+    @abstractmethod
+    def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
+        """Return all pictures (n, h, w, 3) uint8 of this width and height, or all with their markers filled in."""
+
+    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`)."""
+        return self.load(self.image_size_px(size_px), markers=True)
+
+    def images_without_markers(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        """Return what `images` does, of pictures whose markers are found and inpainted at the stored size."""
+        return self.load(self.image_size_px(size_px), markers=False)
+
+    def take(self, indices: np.ndarray) -> "LabelledFrames":
+        """Return the frames with these indices, in this order."""
+        return DerivedFrames(self, np.arange(len(self))[indices])
+
+    @property
+    def members(self) -> "tuple[LabelledFrames, ...]":
+        """The data sets that it is joined from; itself where it is one."""
+        return (self,)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def __getitem__(self, index: int) -> Frame:
+        index = range(len(self))[index]
+        known = known_labels(self.columns)
+        return Frame(
+            image=self.picture(index),
+            force_n=self.force_n[index] if set(FORCE_COLUMNS) <= set(known) else None,
+            contact_class=int(self.contact_class[index]),
+            point_id=int(self.point_id[index]),
+            labels={name: float(self.columns[name][index]) for name in known},
+        )
+
+    @cached_property
+    def force_n(self) -> np.ndarray:
+        """Forces (n, 3) in N; a ValueError where an axis is absent."""
+        return self.values_of(FORCE_COLUMNS)
+
+    @cached_property
+    def labels(self) -> Labels:
+        """The labels with their ranges: the axes of the force that there are, or without any all other labels."""
+        return Labels.of({name: self.label_range(name) for name in usual_labels(self.columns)})
+
+    @cached_property
+    def label_values(self) -> np.ndarray:
+        """The labels (n, k), each in its unit."""
+        return self.values_of(self.labels.names)
+
+    def values_of(self, names: Sequence[str]) -> np.ndarray:
+        """Return the values (n, k) of any labels; a ValueError where one is absent."""
+        missing = [name for name in names if name not in self.columns]
+        if missing:
+            has = ", ".join(known_labels(self.columns)) or "none"
+            raise ValueError(f"data set {self.name} has no label {', '.join(missing)}; its labels: {has}")
+        return np.stack([self.columns[name] for name in names], axis=1)
+
+    def label_range(self, name: str) -> Range:
+        """Return the range of a label by itself: of a force `force_range_n`, of others what covers the frames'."""
+        if name not in FORCE_COLUMNS:
+            return covering(self.columns[name], None)
+        low, high = np.asarray(self.force_range_n, float)[FORCE_COLUMNS.index(name)].tolist()
+        return low, high
+
+    def declared_range(self, name: str) -> Range | None:
+        """Return the range that the data set states for a label; None if it states none."""
+        return self.label_range(name) if self.declares_ranges and name in FORCE_COLUMNS else None
+
+    @property
+    def contact_class(self) -> np.ndarray:
+        """Contact class (n,), 0 without contact, −1 where the data set does not say."""
+        return self._integers("contact_class")
+
+    @property
+    def point_id(self) -> np.ndarray:
+        """Contact point (n,), −1 where the data set does not say."""
+        return self._integers("point_id")
+
+    def _integers(self, column: str) -> np.ndarray:
+        return self.columns.get(column, np.full(len(self), -1))
+
+    @property
+    def has_classes(self) -> bool:
+        """Whether every frame has a contact class."""
+        return bool((self.contact_class >= 0).all())
+
+    def check_labels(self) -> None:
+        """Check that every label is a number in its range, and every contact class is one or −1.
+
+        Raises
+        ------
+        ValueError
+            If one does not; the message names the first such frame.
+        """
+        labels, values = self.labels, self.label_values
+        wrong = ~((values >= labels.low) & (values <= labels.high))
+        if wrong.any():
+            frame, label = np.argwhere(wrong)[0]
+            value, (symbol, unit) = values[frame, label], labels.quantities[label]
+            what = "a force" if set(labels.names) <= set(FORCE_COLUMNS) else "a label"
+            how, advice = "that is not a number", "take such frames out"
+            if np.isfinite(value):
+                how, advice = (
+                    "outside the declared range",
+                    "labels are never clipped: give a wider one (--range)",
+                )
+            raise ValueError(
+                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have {what} {how}; first: frame "
+                f"{frame}, {symbol} = {value:.4g} {unit}, allowed [{labels.low[label]:g}, {labels.high[label]:g}] "
+                f"{unit}; {advice}"
+            )
+        classes = self.contact_class
+        if len(self) and not (classes.min() >= -1 and classes.max() < self.n_classes):
+            raise ValueError(
+                f"domain {self.name}: contact_class spans {classes.min()}…{classes.max()}, "
+                f"allowed 0…{self.n_classes - 1} (−1: unknown)"
+            )
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the pictures as stored."""
+        return self.reference.shape[1], self.reference.shape[0]
+
+    def image_size_px(self, size_px: int | tuple[int, int] | None) -> tuple[int, int]:
+        """Return (width, height): a number is the longer side, with the pictures' own aspect; None is as stored."""
+        if size_px is None:
+            return self.size_px
+        if not isinstance(size_px, int):
+            width, height = size_px
+            return int(width), int(height)
+        longest = max(self.size_px)
+        width, height = (max(1, round(side * size_px / longest)) for side in self.size_px)
+        return width, height
+
+    def reference_at(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
+        """Return the reference picture as `images` returns pictures."""
+        return resized(self.reference, self.image_size_px(size_px))
+
+    @property
+    def reference_id(self) -> np.ndarray:
+        """Which of `references_at` is a frame's own (n,)."""
+        return self.columns.get("reference_id", np.zeros(len(self), np.int64))
+
+    @property
+    def reference_count(self) -> int:
+        """How many reference pictures there are."""
+        return 1
+
+    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
+        """Return all reference pictures (r, h, w, 3) uint8 as `images` returns pictures; r is 1 unless frames differ.
+
+        Without `markers`, their dots are inpainted.
+        """
+        reference = self.reference if markers else without_markers(self.reference)
+        return resized(reference, self.image_size_px(size_px))[None]
+
+    def torch(
+        self,
+        size_px: int | tuple[int, int] | None = 64,
+        pairing: "Pairing" = "channels",
+        device: "Device | str" = "cpu",
+        markers: bool = True,
+    ) -> "PairedFrames":
+        """Return a `torch.utils.data.Dataset` of normalised float pictures paired with the reference.
+
+        Without `markers`, pictures and reference have their dots inpainted.
+        """
+        from gelgap.domains.frames.paired_frames import PairedFrames
+
+        return PairedFrames(
+            self.images(size_px) if markers else self.images_without_markers(size_px),
+            self.references_at(size_px, markers),
+            self.label_values,
+            self.contact_class,
+            pairing,
+            device,
+            reference_id=self.reference_id,
+        )
+
+
+class ArrayFrames(LabelledFrames):
+    """Labelled frames in memory.
+
+    Parameters
+    ----------
+    images, reference
+        (n, h, w, 3) and (h, w, 3) uint8 RGB.
+    force_n
+        (n, 3) N, or None where the labels are among the columns.
+    force_range_n, n_classes
+        As in `LabelledFrames`.
+    contact_class, point_id, **columns
+        What else is known of each frame, (n,) each: `fz_n`, `x_mm`, `clip`, `split`, ….
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        images: np.ndarray,
+        reference: np.ndarray,
+        force_n: np.ndarray | None,
+        contact_class: np.ndarray | None = None,
+        point_id: np.ndarray | None = None,
+        *,
+        force_range_n: np.ndarray = LabelledFrames.force_range_n,
+        n_classes: int = CONTACT_CLASSES,
+        **columns: np.ndarray,
+    ):
+        self.name, self.n_classes = name, n_classes
+        self.force_range_n = np.asarray(force_range_n, float)
+        self._images, self._reference = images, reference
+        columns |= {
+            label: values
+            for label, values in (("contact_class", contact_class), ("point_id", point_id))
+            if values is not None
+        }
+        if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
+            raise ValueError(
+                f"domain {name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"
+            )
+        n, shape = len(images), images.shape[1:]
+        expected = {"reference": shape, "force_n": (n, 3), "force_range_n": (3, 2)}
+        given = {"reference": reference, "force_n": force_n, "force_range_n": self.force_range_n} | columns
+        for label, values in given.items():
+            if values is not None and values.shape != (needed := expected.get(label, (n,))):
+                raise ValueError(f"domain {name}: {label} has shape {values.shape}; {n} images need {needed}")
+        if not (np.diff(self.force_range_n) > 0).all():
+            raise ValueError(f"domain {name}: force_range_n must be (3, 2) with lower < upper bounds")
+        forces = {} if force_n is None else dict(zip(FORCE_COLUMNS, force_n.T, strict=True))
+        self.columns = forces | columns
+        if not known_labels(self.columns):
+            raise ValueError(f"domain {name} has no label; known labels: {', '.join(QUANTITIES)}")
+
+    @property
+    def reference(self) -> np.ndarray:
+        return self._reference
+
+    @cached_property
+    def digest(self) -> str:
+        found = hashlib.sha256(self.name.encode())
+        for array in (self._images, self._reference, self.label_values, self.contact_class, self.point_id):
+            found.update(np.ascontiguousarray(array).data)
+        return found.hexdigest()
+
+    def picture(self, index: int) -> np.ndarray:
+        return self._images[index]
+
+    def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
+        if markers and size_px == self.size_px:
+            return self._images
+        shown = self._images if markers else map(without_markers, self._images)
+        return np.stack([resized(picture, size_px) for picture in shown])
+
+
+class DerivedFrames(LabelledFrames):
+    """Frames of another data set, `whole`: those of `indices` (n,), in this order, or all with what has changed.
+
+    Changed are the labels, or the contact classes (n,), of which there are then `n_classes`. References and declared
+    ranges are the whole's.
+    """
+
+    def __init__(
+        self,
+        whole: LabelledFrames,
+        indices: np.ndarray | None = None,
+        labels: Labels | None = None,
+        contact_class: np.ndarray | None = None,
+        n_classes: int | None = None,
+    ):
+        self.whole, self._indices = whole, indices
+        self.name, self.notes = whole.name, whole.notes
+        self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
+        self.n_classes, self.labels = n_classes or whole.n_classes, labels or whole.labels
+        self._loaded: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
+        if indices is not None:
+            self.columns = {name: values[indices] for name, values in whole.columns.items()}
+            self._change = indices.tobytes()
+            return
+        self.unconverged = whole.unconverged
+        self.columns = dict(whole.columns)
+        self._change = repr((self.labels, n_classes)).encode() + self.label_values.tobytes()
+        if contact_class is not None:
+            self.columns["contact_class"] = contact_class
+            self._change += contact_class.tobytes()
+
+    @property
+    def reference(self) -> np.ndarray:
+        return self.whole.reference
+
+    @property
+    def reference_count(self) -> int:
+        return self.whole.reference_count
+
+    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
+        return self.whole.references_at(size_px, markers)
+
+    def declared_range(self, name: str) -> Range | None:
+        return self.whole.declared_range(name)
+
+    @cached_property
+    def digest(self) -> str:
+        return sha256(self.whole.digest.encode() + self._change)
+
+    def picture(self, index: int) -> np.ndarray:
+        return self.whole.picture(index if self._indices is None else int(self._indices[index]))
+
+    def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
+        if self._indices is None:
+            return self.whole.load(size_px, markers)
+        if (size_px, markers) not in self._loaded:
+            self._loaded[size_px, markers] = self.whole.load(size_px, markers)[self._indices]
+        return self._loaded[size_px, markers]
+
+
+def with_labels(frames: LabelledFrames, labels: Labels) -> LabelledFrames:
+    """Return the same frames with these labels in these ranges; the frames themselves where nothing changes.
+
+    Raises
+    ------
+    ValueError
+        If the data set lacks a label; the message names those that it has.
+    """
+    return frames if labels == frames.labels else DerivedFrames(frames, labels=labels)
+
+
+def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
+    """Return training frames with `count` contact classes of equal size, by Fz, or by the first label without it.
+
+    They are numbered from the lowest value. Frames of equal value are of one class, so fewer classes may be filled.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two classes or more classes than frames.
+    """
+    if not 2 <= count <= len(train):
+        raise ValueError(
+            f"classes from force = {count}: must lie in [2, {len(train)}], the number of training frames"
+        )
+    names = train.labels.names
+    values = train.label_values[:, names.index("fz_n") if "fz_n" in names else 0]
+    inner = np.quantile(values, np.arange(1, count) / count)
+    classes = np.searchsorted(inner, values, side="right")
+    return DerivedFrames(train, contact_class=classes, n_classes=count)
+
+
+def join_domains(domains: Sequence[LabelledFrames]) -> LabelledFrames:
+    """Return the frames of several data sets, one after the other, as one; a single one is returned as it is.
+
+    It has the columns that all of them have, and each frame keeps its own reference. Groups of the same name in two
+    data sets are one group.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or they share no label.
+    """
+    if not domains:
+        raise ValueError("no data set was named; name one or several folders")
+    return domains[0] if len(domains) == 1 else JoinedFrames(domains)
+
+
+class JoinedFrames(LabelledFrames):
+    """The frames of several data sets in order; its name is theirs with + between them, of many the first's."""
+
+    def __init__(self, domains: Sequence[LabelledFrames]):
+        self._members = tuple(domains)
+        names = [frames.name for frames in domains]
+        # Names of folders have at most 255 letters.
+        self.name = "+".join(names if len(names) <= 3 else [names[0], f"{len(names) - 1}-more"])
+        shared = [name for name in domains[0].columns if all(name in frames.columns for frames in domains)]
+        if not known_labels(shared):
+            raise ValueError(f"data sets {', '.join(names)} share no label")
+        self.columns = {name: np.concatenate([frames.columns[name] for frames in domains]) for name in shared}
+        self.columns["reference_id"] = _counted_on(
+            [frames.reference_id for frames in domains], [frames.reference_count for frames in domains]
+        )
+        # What was left out keeps its number: a split at random counts it.
+        self.columns["frame_id"] = _counted_on(
+            [f.columns["frame_id"] if f.unconverged else np.arange(len(f)) for f in domains],
+            [len(frames) + frames.unconverged for frames in domains],
+        )
+        ranges = np.stack([np.asarray(frames.force_range_n, float) for frames in domains])
+        self.force_range_n = np.stack([ranges[..., 0].min(axis=0), ranges[..., 1].max(axis=0)], axis=1)
+        self.declares_ranges = all(frames.declares_ranges for frames in domains)
+        self.n_classes = max(frames.n_classes for frames in domains)
+        self.unconverged = sum(frames.unconverged for frames in domains)
+        self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
+
+    @property
+    def members(self) -> tuple[LabelledFrames, ...]:
+        return self._members
+
+    @property
+    def reference(self) -> np.ndarray:
+        return self._members[0].reference
+
+    @property
+    def reference_count(self) -> int:
+        return sum(frames.reference_count for frames in self._members)
+
+    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
+        size = self.image_size_px(size_px)
+        return np.concatenate([frames.references_at(size, markers) for frames in self._members])
+
+    def declared_range(self, name: str) -> Range | None:
+        return hull(frames.declared_range(name) for frames in self._members)
+
+    @cached_property
+    def digest(self) -> str:
+        found = [(frames.name, frames.digest, len(frames)) for frames in self._members]
+        return sha256(repr(found).encode())
+
+    def picture(self, index: int) -> np.ndarray:
+        ends = np.cumsum([len(frames) for frames in self._members])
+        number = int(np.searchsorted(ends, index, side="right"))
+        return self._members[number].picture(index - int(ends[number]) + len(self._members[number]))
+
+    def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
+        return np.concatenate([frames.load(size_px, markers) for frames in self._members])
+
+
+def _counted_on(numbers: Sequence[np.ndarray], counts: Sequence[int]) -> np.ndarray:
+    """Return numbers of several data sets, each from where those before it end."""
+    starts = np.cumsum([0, *counts[:-1]])
+    return np.concatenate([start + own for start, own in zip(starts, numbers, strict=True)])
+
+
+def outside(frames: LabelledFrames, labels: Labels) -> np.ndarray:
+    """Return which frames (n,) have a label outside its range."""
+    values = frames.values_of(labels.names)
+    return np.any((values < labels.low) | (values > labels.high), axis=1)
+
+
+def within_range(frames: LabelledFrames) -> LabelledFrames:
+    """Return the frames whose labels lie within their ranges."""
+    return frames.take(np.flatnonzero(~outside(frames, frames.labels)))

@@ -1,0 +1,368 @@
+"""What a run takes from its data sets: training, validation and test frames, contacts that both show, and labels.
+
+One seed gives one split, for a domain alone or for two.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gelgap.assets.names import quoted
+from gelgap.domains.domain import random_stream
+from gelgap.domains.frames.dataset import LabelledFrames, outside
+from gelgap.domains.frames.labels import (
+    QUANTITIES,
+    Labels,
+    Range,
+    check_names,
+    covering,
+    hull,
+    known_labels,
+    paper_range,
+    usual_labels,
+)
+
+WAYS = ("random", "point", "given")
+Shares = Sequence[float]
+PAPER_SHARES = (0.6, 0.2, 0.2)
+PARTS = ("train", "validation", "test")
+_TEST = PARTS.index("test")
+_POINT = ("x_mm", "y_mm")
+_POSE = (*_POINT, "depth_mm", "shear_x_mm", "shear_y_mm")
+# Commanded poses that agree to a micrometre are one: it is far below what a rig can tell.
+_RESOLUTION_MM = 1e-3
+
+
+class DomainSplit(NamedTuple):
+    """Indices of the source's and the target's frames, each sorted; in one domain the parts are disjoint."""
+
+    source_train: np.ndarray
+    source_held_out: np.ndarray
+    target_train: np.ndarray
+    target_validation: np.ndarray
+    target_test: np.ndarray
+
+
+def draw_parts(count: int, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarray:
+    """Return the part (count,) of each of `count` frames or points, an index into `PARTS`.
+
+    The order in which they are drawn depends on count and seed alone, so that other shares move only the cuts.
+    """
+    order = random_stream(seed, "", "split").permutation(count)
+    ends = np.rint(np.cumsum(shares) * count)
+    parts = np.empty(count, dtype=np.int64)
+    parts[order] = np.searchsorted(ends, np.arange(count), side="right")
+    return parts
+
+
+def draw_parts_in_strata(strata: np.ndarray, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarray:
+    """Return the part (m,) of frames or groups of which `strata` (m,) says what each belongs to.
+
+    Every stratum is shuffled and laid out evenly over [0, 1), each from another start, and the shares cut there: each
+    part has its share of every stratum, to one frame or group, and of all together.
+    """
+    random = random_stream(seed, "", "split")
+    names, members = np.unique(strata, return_inverse=True)
+    order = random.permutation(len(strata))
+    place = np.empty(len(strata))
+    for turn, stratum in enumerate(random.permutation(len(names))):
+        own = order[members[order] == stratum]
+        place[own] = (np.arange(len(own)) + (turn + 0.5) / len(names)) / len(own)
+    return np.searchsorted(np.cumsum(shares)[:-1], place, side="right")
+
+
+def split_frames(
+    frames: LabelledFrames,
+    by: str | None = None,
+    seed: int = 0,
+    shares: Shares = PAPER_SHARES,
+    stratify_by: str | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the indices of the training, validation and test frames: disjoint, complete, each sorted.
+
+    `given` takes what the data set states (column `split`), whatever seed and shares. `random` is the paper's; since
+    neighbouring poses look alike, it lets a network see near-duplicates of its test frames. `point` keeps each contact
+    point in one part; the name of a column, such as `clip` or `object`, keeps all frames of equal value in one part. By
+    default a split is given where the data set states one, and else random. With `stratify_by`, a column too, each part
+    gets its share of every value of that column.
+
+    Raises
+    ------
+    ValueError
+        If the data set lacks what is asked for, or a part with a positive share would be empty, or a group would be
+        split by the strata.
+    """
+    (parts,) = _parts([frames], by, seed, [shares], stratify_by)
+    train, validation, test = (np.flatnonzero(parts == part) for part in range(len(PARTS)))
+    return train, validation, test
+
+
+def split_domains(
+    source: LabelledFrames,
+    target: LabelledFrames,
+    by: str | None = None,
+    seed: int = 0,
+    shares: Shares = PAPER_SHARES,
+    held_out: float = 0.1,
+    stratify_by: str | None = None,
+) -> DomainSplit:
+    """Split a source into training and held-out frames, and a target into training, validation and test frames.
+
+    Each domain is divided as `split_frames` divides it. By `point` or a column, the split is shared: a group that both
+    domains have is in the same part of both, and the source's held-out groups are at least the target's test groups, so
+    that no group of a test frame was trained on. Groups that only one of the domains has are divided by themselves.
+
+    Parameters
+    ----------
+    source, target
+        The domains.
+    by, seed, shares, stratify_by
+        As for `split_frames`; the shares are the target's.
+    held_out
+        Share of the source that is held out. A source that states its split holds out its test part, or nothing if this
+        share is 0.
+
+    Raises
+    ------
+    ValueError
+        As `split_frames`.
+    """
+    if by not in (None, "random", "given"):
+        held_out = max(held_out, shares[_TEST])
+    both = [(1 - held_out, 0.0, held_out), shares]
+    of_source, of_target = _parts([source, target], by, seed, both, stratify_by)
+    is_held_out = (of_source == _TEST) & (held_out > 0)
+    return DomainSplit(
+        np.flatnonzero(~is_held_out),
+        np.flatnonzero(is_held_out),
+        *(np.flatnonzero(of_target == part) for part in range(len(PARTS))),
+    )
+
+
+def _parts(
+    domains: Sequence[LabelledFrames],
+    by: str | None,
+    seed: int,
+    shares: Sequence[Shares],
+    stratify_by: str | None,
+) -> list[np.ndarray]:
+    """Return the part (n,) of each domain's frames, with shares per domain."""
+    for own in shares:
+        if len(own) != 3 or min(own) < 0 or abs(sum(own) - 1) > 1e-9:
+            raise ValueError(f"shares = {tuple(own)}: must be three numbers in [0, 1] that add up to 1")
+    if by == "point":
+        return _parts_by_group(domains, contact_points(*domains), "contact points", seed, shares, stratify_by)
+    if by not in (None, *WAYS):
+        groups = _groups(domains, by, "split_by", f"known: {', '.join(WAYS)}, or a column")
+        return _parts_by_group(domains, groups, f"groups ({by})", seed, shares, stratify_by)
+    found = []
+    for frames, own in zip(domains, shares, strict=True):
+        if by == "given" or (by is None and "split" in frames.columns):
+            found.append(_stated_parts(frames, stratify_by))
+        elif stratify_by is None:
+            # Frames that did not converge are drawn too: a seed gives the same part whichever are left out.
+            drawn = draw_parts(len(frames) + frames.unconverged, seed, own)
+            found.append(drawn[frames.columns["frame_id"]] if frames.unconverged else drawn)
+            _check_filled(frames, found[-1], own, f"{len(frames)} frames")
+        else:
+            each = [np.arange(len(frames))]
+            found += _parts_by_group([frames], each, "frames", seed, [own], stratify_by)
+    return found
+
+
+def _parts_by_group(
+    domains: Sequence[LabelledFrames],
+    groups: Sequence[np.ndarray],
+    called: str,
+    seed: int,
+    shares: Sequence[Shares],
+    stratify_by: str | None,
+) -> list[np.ndarray]:
+    """As `_parts`, of frames with numbers of groups (n,); those that both domains have are drawn by themselves."""
+    count = int(np.concatenate(groups).max()) + 1
+    known_to = np.stack([np.isin(np.arange(count), own) for own in groups])
+    sharing = np.unique(known_to, axis=1, return_inverse=True)[1].reshape(-1)
+    strata = None if stratify_by is None else _strata_of(domains, groups, count, stratify_by)
+    found = []
+    for frames, own_groups, own_shares in zip(domains, groups, shares, strict=True):
+        parts = np.empty(count, dtype=np.int64)
+        for same in (sharing == kind for kind in np.unique(sharing)):
+            if strata is None:
+                parts[same] = draw_parts(int(same.sum()), seed, own_shares)
+            else:
+                parts[same] = draw_parts_in_strata(strata[same], seed, own_shares)
+        found.append(parts[own_groups])
+        _check_filled(frames, found[-1], own_shares, f"{len(np.unique(own_groups))} {called}")
+    return found
+
+
+def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: str) -> list[np.ndarray]:
+    """Return the number (n,) of each frame's group, from 0; equal values of a column are one group, across domains."""
+    for frames in domains:
+        if column not in frames.columns:
+            has = [name for name, values in frames.columns.items() if values.dtype.kind in "iuOU"]
+            raise ValueError(
+                f"{what} = {quoted(column)}: data set {frames.name} has no such column; {known}, such as "
+                f"{', '.join(has)}"
+            )
+    values = np.concatenate([frames.columns[column] for frames in domains])
+    numbers = np.unique(values.astype(str), return_inverse=True)[1]
+    return np.split(numbers, np.cumsum([len(frames) for frames in domains])[:-1])
+
+
+def _strata_of(
+    domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], count: int, column: str
+) -> np.ndarray:
+    """Return the stratum (count,) of each group; a ValueError if a group has frames of several."""
+    strata = _groups(domains, column, "stratify_by", "take a column")
+    pairs = np.unique(np.stack([np.concatenate(groups), np.concatenate(strata)], axis=1), axis=0)
+    if len(pairs) > len(np.unique(pairs[:, 0])):
+        twice = pairs[1:, 0][np.diff(pairs[:, 0]) == 0][0]
+        named = " and ".join(frames.name for frames in domains)
+        own = (f.columns[column][g == twice] for f, g in zip(domains, groups, strict=True))
+        values = ", ".join(sorted({str(value) for values in own for value in values}))
+        raise ValueError(
+            f"data set {named}: a group that stays whole has more than one {column} ({values}): stratify by a column "
+            "that is the same for all frames of a group, and give groups of two data sets different names"
+        )
+    found = np.empty(count, dtype=np.int64)
+    found[pairs[:, 0]] = pairs[:, 1]
+    return found
+
+
+def _stated_parts(frames: LabelledFrames, stratify_by: str | None) -> np.ndarray:
+    stated, instead = set(frames.columns.get("split", ())), "split by random, point or a column"
+    if stratify_by is not None:
+        raise ValueError(f"data set {frames.name} states its split: it cannot be stratified by {stratify_by}")
+    if not stated or not stated <= set(PARTS):
+        raise ValueError(f"data set {frames.name} gives no split into {', '.join(PARTS)}; {instead}")
+    for part in {"train", "test"} - stated:
+        raise ValueError(f"data set {frames.name} states a split without {part} frames; {instead}")
+    return np.array([PARTS.index(part) for part in frames.columns["split"]], dtype=np.int64)
+
+
+def _check_filled(frames: LabelledFrames, parts: np.ndarray, shares: Shares, drawn: str) -> None:
+    for part, (name, share) in enumerate(zip(PARTS, shares, strict=True)):
+        if share > 0 and not (parts == part).any():
+            raise ValueError(f"data set {frames.name}: {drawn} are too few for a {name} share of {share:g}")
+
+
+def contact_points(*domains: LabelledFrames) -> tuple[np.ndarray, ...]:
+    """Return the number (n,) of each frame's contact point, from 0; equal numbers are one point, across the domains.
+
+    A point is its commanded position, to 1 µm, where all domains state it, and else its `point_id`.
+
+    Raises
+    ------
+    ValueError
+        If a domain states neither.
+    """
+    if all(name in frames.columns for frames in domains for name in _POINT):
+        return _numbered([_rounded(frames, _POINT) for frames in domains])
+    for frames in domains:
+        if (frames.point_id < 0).any():
+            raise ValueError(
+                f"data set {frames.name} does not say its contact points; split by random or given"
+            )
+    return _numbered([frames.point_id[:, None] for frames in domains])
+
+
+def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of frames that show the same commanded contact in both data sets, in the first one's order.
+
+    A contact is the commanded pose: point, depth and shear, to 1 µm; where a data set does not state them, the contact
+    point's number and the contact class.
+
+    Raises
+    ------
+    ValueError
+        If a data set states neither.
+    """
+    domains = (one, other)
+    if all(name in frames.columns for frames in domains for name in _POSE):
+        first, second = _numbered([_rounded(frames, _POSE) for frames in domains])
+    elif all(frames.has_classes and (frames.point_id >= 0).all() for frames in domains):
+        labels = [np.stack([frames.point_id, frames.contact_class], axis=1) for frames in domains]
+        first, second = _numbered(labels)
+    else:
+        for frames in domains:
+            missing = [name for name in _POSE if name not in frames.columns]
+            if missing:
+                raise ValueError(
+                    f"data set {frames.name} lacks {', '.join(missing)}: its contacts cannot be paired"
+                )
+    place = np.full(np.concatenate([first, second]).max(initial=-1) + 1, -1)
+    place[second] = np.arange(len(second))
+    paired = np.flatnonzero(place[first] >= 0)
+    return paired, place[first[paired]]
+
+
+def _rounded(frames: LabelledFrames, columns: Sequence[str]) -> np.ndarray:
+    values_mm = np.stack([frames.columns[name] for name in columns], axis=1)
+    return np.rint(values_mm / _RESOLUTION_MM).astype(np.int64)
+
+
+def _numbered(keys: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Return a number for each row, from 0 in sorted order; rows that are equal, in any of the arrays, share it."""
+    numbers = np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1)
+    return tuple(np.split(numbers, np.cumsum([len(rows) for rows in keys])[:-1]))
+
+
+def labels_of_run(
+    source: LabelledFrames,
+    target: LabelledFrames,
+    names: Sequence[str] | None = None,
+    ranges: Mapping[str, Range] | None = None,
+) -> tuple[Labels, tuple[str, ...]]:
+    """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
+
+    A range is the given one, or else spans what the two data sets declare (the paper's for forces that neither
+    declares). Where the source does not declare it, it is widened to cover the source's training labels. The target's
+    labels never move it; that some lie beyond it is only said.
+
+    Parameters
+    ----------
+    source, target
+        The source's training frames, and frames of the target.
+    names
+        By default the axes of the force that both domains have, or without any all labels that both have.
+    ranges
+        Given ranges by label, in its unit.
+
+    Raises
+    ------
+    ValueError
+        If a name or range is wrong, a range is given for another label, or a domain lacks a label.
+    """
+    if names is None:
+        names = usual_labels(set(source.columns) & set(target.columns))
+        if not names:
+            has = (f"{f.name} has {', '.join(known_labels(f.columns))}" for f in (source, target))
+            raise ValueError(f"source and target share no label: {'; '.join(has)}")
+    check_names(names)
+    for frames in (source, target):
+        frames.values_of(names)
+    ranges = dict(ranges or {})
+    if stray := [name for name in ranges if name not in names]:
+        raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
+    found, notes = {}, []
+    for name in names:
+        declared = hull(frames.declared_range(name) for frames in (source, target)) or paper_range(name)
+        found[name] = ranges.get(name) or declared
+        if name not in ranges and (declared is None or not source.declares_ranges):
+            found[name] = covering(source.columns[name], declared)
+            if declared is not None and found[name] != declared:
+                (symbol, unit), (low, high) = QUANTITIES[name], found[name]
+                notes.append(
+                    f"the range of {symbol}, {declared[0]:g} to {declared[1]:g} {unit}, is widened to "
+                    f"{low:g} to {high:g} by source {source.name}"
+                )
+    labels = Labels.of(found)
+    for frames in (source, target):
+        if count := int(outside(frames, labels).sum()):
+            notes.append(
+                f"{count} of {len(frames)} frames of {frames.name} have a label beyond the range ({labels}), which no "
+                "prediction reaches: give a wider one"
+            )
+    return labels, tuple(notes)

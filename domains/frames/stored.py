@@ -1,0 +1,298 @@
+"""Data sets on disk: pictures decoded once into a memory-mapped cache, and gelgap's own format."""
+
+import hashlib
+import io
+import itertools
+import logging
+import os
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gelgap.assets.checksums import sha256
+from gelgap.assets.locks import cache_folder, key_lock
+from gelgap.assets.whole_file import warn, whole_file
+from gelgap.domains.formats.domain_folder import (
+    MISSING,
+    REFERENCE,
+    DomainFolder,
+    remembered,
+    remembered_sha256,
+)
+from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
+from gelgap.domains.formats.shards import ShardFile, damaged
+from gelgap.domains.frames.dataset import LabelledFrames
+
+if TYPE_CHECKING:
+    from gelgap.domains.recipe import DomainRecipe
+
+LOG = logging.getLogger(__name__)
+PICTURES = "images"
+_CHUNK = 256
+# Behind the array of a cache stands its SHA-256; NumPy maps the array alone.
+_MARK = b"SHA-256\0"
+
+
+class StoredFrames(LabelledFrames):
+    """A data set in a `folder`; what reads one layout says how to get a frame's encoded picture."""
+
+    folder: Path
+
+    @abstractmethod
+    def encoded_picture(self, index: int) -> bytes:
+        """Return the PNG or JPEG bytes of one frame."""
+
+    @abstractmethod
+    def place_of(self, index: int) -> str:
+        """Return the name of the file that holds one frame's picture."""
+
+    def decoded_file(self, path: Path) -> np.ndarray:
+        """Return the picture (h, w, 3) of a file of this data set, or raise ValueError with its name."""
+        try:
+            return as_colour(decode_picture(path.read_bytes()))
+        except ValueError as error:
+            raise ValueError(f"data set {self.name}: {path} is not readable: {error}") from None
+
+    def picture(self, index: int) -> np.ndarray:
+        return self._decoded(index, self.encoded_picture(index))
+
+    def _decoded(self, index: int, data: bytes) -> np.ndarray:
+        try:
+            picture = as_colour(decode_picture(data))
+        except ValueError as error:
+            raise ValueError(
+                f"data set {self.name}: the picture of frame {index} ({self.place_of(index)}) is not readable: "
+                f"{error}; `gelgap inspect {self.folder} --verify` names every such picture"
+            ) from None
+        if picture.shape != self.reference.shape:
+            raise ValueError(
+                f"data set {self.name}: the picture of frame {index} is {picture.shape[1]}×{picture.shape[0]} px "
+                f"({self.place_of(index)}), the reference {self.reference.shape[1]}×{self.reference.shape[0]} px; "
+                "all pictures must have one size"
+            )
+        return picture
+
+    def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
+        """Return all pictures (n, h, w, 3) uint8, memory-mapped from a cache on disk; changes never reach the file.
+
+        The first call for a size builds the cache, in `.cache` beside the data, or in the user's cache folder where
+        $GELGAP_CACHE names one or the data cannot be written to. Filling in markers takes some 10 ms a picture.
+        """
+        resized(self.reference, size_px)
+        path = self._cache_file(size_px, markers)
+        shape = (len(self), size_px[1], size_px[0], 3)
+        pictures = open_kept_pictures(path, shape)
+        if pictures is None:
+            with key_lock(path.parent, path.name):
+                pictures = open_kept_pictures(path, shape)
+                if pictures is None:
+                    write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
+                    pictures = open_kept_pictures(path, shape)
+        if pictures is None:
+            raise RuntimeError(
+                f"{path} is not what was written: the disk is faulty, or another program changed it"
+            )
+        return pictures
+
+    def _cache_file(self, size_px: tuple[int, int], markers: bool) -> Path:
+        kind = "images" if markers else "without-markers"
+        name = f"{kind}-{size_px[0]}x{size_px[1]}-{self.digest[:16]}.npy"
+        beside = self.folder / ".cache"
+        elsewhere = "GELGAP_CACHE" in os.environ or not os.access(self.folder, os.W_OK)
+        if (beside / name).exists() or not elsewhere:
+            return beside / name
+        return cache_folder() / PICTURES / name
+
+    def _decoded_chunks(self, size_px: tuple[int, int], markers: bool) -> Iterator[bytes]:
+        def shrunk(index: int, data: bytes) -> np.ndarray:
+            picture = self._decoded(index, data)
+            return resized(picture if markers else without_markers(picture), size_px)
+
+        doing = "decoding pictures" if markers else "hiding the markers"
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+            for start in range(0, len(self), _CHUNK):
+                LOG.info("%s of %s at %d×%d px, once: %d of %d", doing, self.name, *size_px, start, len(self))
+                # The bytes are read in order by one thread; only decoding, which releases the GIL, runs in all.
+                indices = range(start, min(start + _CHUNK, len(self)))
+                encoded = [self.encoded_picture(index) for index in indices]
+                yield np.stack(list(threads.map(shrunk, indices, encoded))).tobytes()
+
+
+def write_kept_pictures(path: Path, shape: tuple[int, ...], pieces: Iterable[bytes]) -> None:
+    """Write uint8 pictures of this shape, given piece by piece, as one npy file with its checksum behind the array."""
+    digest = hashlib.sha256()
+    # Plain writes, not a memory map: a full disk is then an error and not a crash.
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        for piece in itertools.chain([_npy_header(shape)], pieces):
+            file.write(piece)
+            digest.update(piece)
+        file.write(_MARK + digest.digest())
+
+
+def open_kept_pictures(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Return the pictures, mapped so that changes never reach the file; None if there is no such file.
+
+    A damaged file is named and not used, nor is one that an older version wrote without a checksum; the caller writes
+    it again. A process checks a file once.
+    """
+    header = _npy_header(shape)
+    try:
+        if path.stat().st_size == len(header) + np.prod(shape, dtype=np.int64):
+            return None
+        intact = _is_intact(path, header, shape)
+    except FileNotFoundError:
+        return None
+    if not intact:
+        warn(f"{path} is damaged (its checksum does not match): made again")
+        return None
+    return np.memmap(path, np.uint8, mode="c", offset=len(header), shape=shape)
+
+
+@remembered
+def _is_intact(path: Path, header: bytes, shape: tuple[int, ...]) -> bool:
+    end = -len(_MARK) - hashlib.sha256().digest_size
+    if path.stat().st_size != len(header) + np.prod(shape, dtype=np.int64) - end:
+        return False
+    content = np.memmap(path, np.uint8, mode="r")
+    stated = _MARK + hashlib.sha256(content[:end]).digest()
+    return (content[: len(header)].tobytes(), content[end:].tobytes()) == (header, stated)
+
+
+def _npy_header(shape: tuple[int, ...]) -> bytes:
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"descr": "|u1", "fortran_order": False, "shape": shape})
+    return buffer.getvalue()
+
+
+def clear_picture_cache() -> int:
+    """Delete shrunken pictures in the user's cache folder, not those beside data; return how many bytes they had."""
+    files = [path for pattern in ("*.npy", ".*") for path in (cache_folder() / PICTURES).glob(pattern)]
+    size = sum(file.stat().st_size for file in files)
+    for file in files:
+        file.unlink(missing_ok=True)
+    return size
+
+
+class GeneratedDomain(StoredFrames):
+    """A domain in gelgap's own format: a manifest, a reference picture and Parquet shards."""
+
+    def __init__(self, folder: Path | str):
+        files = DomainFolder(folder)
+        self.folder = files.path
+        self.manifest: dict[str, Any] = files.read_manifest()
+        self.name = self.manifest["domain"]
+        self.force_range_n = np.array(self.manifest["force_range_n"])
+        if not self.manifest["complete"]:
+            raise RuntimeError(
+                f"{self.folder} is not finished; run the same `gelgap generate` again to complete what is missing"
+            )
+        names = sorted(name for name in self.manifest["files"] if name != REFERENCE)
+        if not names or REFERENCE not in self.manifest["files"]:
+            raise RuntimeError(
+                f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
+            )
+        self._check_bytes(files)
+        self._shards = [ShardFile(self.folder / name) for name in names]
+        tables = [shard.labels() for shard in self._shards]
+        for shard, table in zip(self._shards, tables, strict=True):
+            if table.keys() != tables[0].keys():
+                raise damaged(shard.path, f"its columns are not those of {names[0]}")
+        joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
+        kept = np.flatnonzero(joined["converged"])
+        self.columns = {name: values[kept] for name, values in joined.items()}
+        self.unconverged = len(joined["converged"]) - len(kept)
+        if self.unconverged:
+            self.notes = (
+                f"{self.unconverged} of {len(joined['converged'])} frames did not converge: left out",
+            )
+        places = [
+            (number, row) for number, table in enumerate(tables) for row in range(len(table["converged"]))
+        ]
+        self._places = np.array(places)[kept]
+
+    def _check_bytes(self, files: DomainFolder) -> None:
+        """Compare every file with the manifest: a changed label would train a model, and no one would see it."""
+        names, entries = self.manifest["files"].keys(), self.manifest["files"].values()
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+            problems = threads.map(files.problem, names, entries, itertools.repeat(remembered_sha256))
+            for name, problem in zip(names, problems, strict=True):
+                if problem == MISSING:
+                    raise FileNotFoundError(f"{self.folder / name} is missing; generate the domain again")
+                if problem:
+                    raise damaged(self.folder / name, problem)
+
+    @property
+    def shard_paths(self) -> list[Path]:
+        """The Parquet files that the manifest names, in order."""
+        return [shard.path for shard in self._shards]
+
+    @cached_property
+    def reference(self) -> np.ndarray:
+        return self.decoded_file(self.folder / REFERENCE)
+
+    @cached_property
+    def digest(self) -> str:
+        hashes = sorted((name, entry["sha256"]) for name, entry in self.manifest["files"].items())
+        return sha256(repr(hashes).encode())
+
+    def encoded_picture(self, index: int) -> bytes:
+        picture = self._cell(index, "image")
+        if not isinstance(picture, bytes):
+            raise damaged(self.folder / self.place_of(index), f"frame {index} has no picture")
+        return picture
+
+    def place_of(self, index: int) -> str:
+        return self._shards[int(self._places[index][0])].path.name
+
+    def optional(self, column: str, index: int) -> np.ndarray:
+        """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
+
+        Raises
+        ------
+        ValueError
+            If the domain was generated without that column.
+        """
+        if column not in self.optional_columns:
+            raise ValueError(
+                f"data set {self.name} was generated without the column {column!r}; it has "
+                f"{', '.join(self.optional_columns) or 'no optional columns'}: generate it with --columns {column}"
+            )
+        cell = self._cell(index, column)
+        return decode_picture(cell) if isinstance(cell, bytes) else np.array(cell)
+
+    def height_map_mm(self, index: int) -> np.ndarray:
+        """Return the height map (h, w) in mm."""
+        scale = self.manifest["height_map"]
+        return scale["offset_mm"] + scale["step_mm"] * self.optional("height_map", index).astype(np.float64)
+
+    def contact_mask(self, index: int) -> np.ndarray:
+        """Return where the indenter touches, (h, w) bool."""
+        return self.optional("contact_mask", index) > 0
+
+    def marker_px(self, index: int) -> np.ndarray:
+        """Return where the markers are in the picture, (m, 2) pixels."""
+        return self.optional("marker_px", index)
+
+    def marker_rest_mm(self, index: int) -> np.ndarray:
+        """Return where the markers are on the undeformed membrane, (m, 2) mm."""
+        return self.optional("marker_rest_mm", index)
+
+    @cached_property
+    def recipe(self) -> "DomainRecipe":
+        """The configuration that the domain was generated from."""
+        from gelgap.domains.recipe import DomainRecipe
+
+        return DomainRecipe(**self.manifest["configuration"])
+
+    @property
+    def optional_columns(self) -> tuple[str, ...]:
+        return tuple(self.manifest["configuration"]["columns"])
+
+    def _cell(self, index: int, column: str) -> Any:
+        shard, row = (int(number) for number in self._places[index])
+        return self._shards[shard].cell(row, column)

@@ -1,0 +1,1 @@
+"""Making domains: plan the solves, run them, render the frames, write the shards."""

@@ -1,0 +1,177 @@
+"""Where the tasks of a plan run: in this process, on a local Dask cluster, or on one at an address."""
+
+import contextlib
+import os
+import time
+from collections import Counter
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from gelgap.assets.locks import defer_signals
+from gelgap.domains.generation.plan import GenerationPlan
+from gelgap.domains.generation.progress import GenerationProgress
+from gelgap.domains.generation.shard import FrameBatch, Shard, render_batch
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+SYNCHRONOUS = "synchronous"
+"""Scheduler name for running in this process: no cluster is started."""
+
+# A worker that dies takes its task with it; the task is tried this many times again before it gets the blame.
+_RETRIES_AFTER_WORKER_DEATH = 5
+CONNECTION_TIMEOUT_S = 20
+_STEPS = "gelgap-load-steps"
+_SECONDS_BETWEEN_STEPS = 0.5
+
+
+def run(
+    plan: GenerationPlan, progress: GenerationProgress, scheduler: str | None, workers: int | None
+) -> Iterator[Shard]:
+    """Run a plan and yield the shards as they come; see `dask_client` for scheduler and workers.
+
+    A RuntimeError if the cluster is lost, or workers keep dying on one task.
+    """
+    if not plan.batches:
+        return
+    if scheduler == SYNCHRONOUS:
+        yield from _run_in_process(plan, progress)
+        return
+    with dask_client(scheduler, workers) as client:
+        yield from _run_on_cluster(plan, progress, client)
+
+
+def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Iterator[Shard]:
+    """Run a plan batch by batch; a solution is dropped after the last batch that needs it."""
+    waiting = Counter(key for batch in plan.batches for key in batch.solve_keys)
+    solutions: dict[str, Any] = {}
+    for batch in plan.batches:
+        for key in batch.solve_keys:
+            if key not in solutions:
+                solutions[key] = plan.solves[key].run(lambda done, _, key=key: progress.stepped(key, done))
+                progress.solved(key)
+        yield from render_batch(batch, {key: solutions[key] for key in batch.solve_keys})
+        waiting.subtract(batch.solve_keys)
+        solutions = {key: solution for key, solution in solutions.items() if waiting[key]}
+
+
+def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: "Client") -> Iterator[Shard]:
+    """Run a plan on a Dask cluster; keys are content, so no work is done twice."""
+    from distributed import as_completed
+    from distributed.client import FutureCancelledError
+    from distributed.scheduler import KilledWorker
+
+    try:
+        client.subscribe_topic(_STEPS, lambda event: progress.stepped(event[1]["solve"], event[1]["done"]))
+        solving = {
+            key: client.submit(_solve_in_worker, problem, key=f"solve-{key}", pure=True)
+            for key, problem in plan.solves.items()
+        }
+        rendering = [
+            client.submit(
+                _render_in_worker,
+                batch,
+                {key: solving[key] for key in batch.solve_keys},
+                key=f"frames-{batch.key}",
+                pure=True,
+            )
+            for batch in plan.batches
+        ]
+        solve_names = {future.key: key for key, future in solving.items()}
+        # Only batches are results: a solution stays where it was made, until no batch needs it.
+        waiting = as_completed([*solving.values(), *rendering], loop=client.loop)
+        solving.clear()
+        rendering.clear()
+        for future in waiting:
+            if future.key in solve_names:
+                if future.status == "error":
+                    future.result()
+                progress.solved(solve_names[future.key])
+            else:
+                shards = future.result()
+                future.release()
+                yield from shards
+            del future
+    except KilledWorker as error:
+        raise RuntimeError(
+            f"workers died {_RETRIES_AFTER_WORKER_DEATH + 1} times at the task {error.task}; "
+            "they may be short of memory: give them more or start fewer"
+        ) from error
+    except (FutureCancelledError, OSError, TimeoutError) as error:
+        raise RuntimeError(
+            f"lost the Dask scheduler ({type(error).__name__}); "
+            "what is written is safe: run the same command again to finish"
+        ) from error
+
+
+def _solve_in_worker(solve: Any) -> Any:
+    """Run one solve and tell the client, now and then, how many of its load steps are done."""
+    from distributed import get_worker
+
+    worker, told_at = get_worker(), 0.0
+
+    def tell(done: int, total: int) -> None:
+        nonlocal told_at
+        now = time.monotonic()
+        if now - told_at >= _SECONDS_BETWEEN_STEPS or done == total:
+            told_at = now
+            worker.log_event(_STEPS, {"solve": solve.key, "done": done})
+
+    return solve.run(tell)
+
+
+def _render_in_worker(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
+    """Render a batch with one OpenCV thread: a worker process has one core."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    return render_batch(batch, solutions)
+
+
+@contextlib.contextmanager
+def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"]:
+    """Yield a client of the cluster at an address, or of a local one with one process per core, one thread each.
+
+    Raises
+    ------
+    RuntimeError
+        If nothing answers at the address.
+    ValueError
+        If a number of workers is given for a cluster that is already there.
+    """
+    import logging
+
+    import dask
+    from distributed import Client, LocalCluster
+
+    # Dask reports every lost connection in many lines; what matters is raised as one error.
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    if scheduler is not None:
+        if workers is not None:
+            raise ValueError(
+                f"workers = {workers}: the cluster at {scheduler} has its own; leave workers out"
+            )
+        try:
+            client = Client(scheduler, timeout=CONNECTION_TIMEOUT_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise RuntimeError(
+                f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler` "
+                "and workers with `dask worker ADDRESS --nthreads 1`"
+            ) from error
+        with client:
+            yield client
+        return
+    settings = {"distributed.scheduler.allowed-failures": _RETRIES_AFTER_WORKER_DEATH}
+    with contextlib.ExitStack() as entered:
+        entered.enter_context(dask.config.set(settings))
+        # Half a cluster cannot be closed.
+        with defer_signals():
+            cluster = LocalCluster(
+                n_workers=workers or len(os.sched_getaffinity(0)),
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+            entered.enter_context(cluster)
+            client = entered.enter_context(Client(cluster, set_as_default=False))
+        yield client

@@ -1,0 +1,312 @@
+"""Generating domains: plan, check the folders, run, write; finished work is neither repeated nor lost."""
+
+import contextlib
+import json
+import logging
+import platform
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelgap.assets.locks import sole_use
+from gelgap.assets.names import comma_list
+from gelgap.domains.domain import Domain
+from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder
+from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
+from gelgap.domains.generation.cluster import run
+from gelgap.domains.generation.plan import plan_generation, shard_bounds
+from gelgap.domains.generation.progress import GenerationProgress
+from gelgap.domains.generation.shard import Shard, reference_png
+from gelgap.domains.recipe import DomainRecipe, make_recipes
+from gelgap.sim import ContactPath, PosePath
+
+LOG = logging.getLogger(__name__)
+RUN_LOG = "run.jsonl"
+"""When, where and what; the one file that may differ between equal data sets."""
+PACKAGES = (
+    *("gelgap", "mujoco", "numpy", "scipy", "numba"),
+    *("pyrender", "colour-science", "opencv-python-headless", "pyarrow"),
+)
+"""The packages whose versions a domain's bytes may depend on."""
+
+
+@dataclass(frozen=True)
+class GenerationReport:
+    """What a generation did. Counts are frames, over all domains."""
+
+    out_dir: Path
+    domains: tuple[str, ...]
+    skipped: tuple[str, ...]
+    frames: int
+    frames_written: int
+    unconverged: int
+    unrenderable: int
+    outside_range: int
+    solves: int
+    bytes_written: int
+    wall_s: float
+
+    def __str__(self) -> str:
+        rate = self.frames_written / self.wall_s if self.wall_s else 0.0
+        told = (
+            f"{comma_list(self.domains)}: {self.frames} frames in {self.out_dir}; now written {self.frames_written} "
+            f"frames, {self.bytes_written / 1e6:.1f} MB, {self.solves} solves in {self.wall_s:.1f} s "
+            f"({rate:.1f} frames/s)"
+        )
+        if self.skipped:
+            told += f"\nalready finished: {comma_list(self.skipped)}"
+        if self.unconverged:
+            told += f"\n{self.unconverged} frames did not converge: written without a picture"
+        if self.unrenderable:
+            told += (
+                f", {self.unrenderable} of them now because they could not be rendered ({RUN_LOG} says why)"
+            )
+        if self.outside_range:
+            told += (
+                f"\n{self.outside_range} frames have a force outside the declared range; training will refuse them: "
+                "declare a wider range (force_range_n) or change the gel"
+            )
+        return told
+
+
+def generate(
+    domains: Iterable[str | Domain],
+    path: str | ContactPath | PosePath,
+    out_dir: Path | str,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    overwrite: bool = False,
+    progress: GenerationProgress | None = None,
+    **settings: Any,
+) -> GenerationReport:
+    """Generate domains by their names into one folder each under `out_dir`.
+
+    See `make_recipes` for the settings (quality, seed, …), `generate_recipes` for what is resumed, refused and raised.
+    """
+    return generate_recipes(
+        make_recipes(domains, path, **settings),
+        out_dir,
+        scheduler=scheduler,
+        workers=workers,
+        overwrite=overwrite,
+        progress=progress,
+    )
+
+
+def generate_recipes(
+    recipes: Sequence[DomainRecipe],
+    out_dir: Path | str,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    overwrite: bool = False,
+    progress: GenerationProgress | None = None,
+) -> GenerationReport:
+    """Generate domains; what an earlier, interrupted run finished is kept if its bytes are intact.
+
+    Parameters
+    ----------
+    recipes
+        The domains, each with a name of its own.
+    out_dir
+        Gets one folder per domain, and `run.jsonl` (times, machine, events).
+    scheduler
+        Address of a Dask scheduler, or `synchronous` for this process; by default a local cluster is started.
+    workers
+        Processes of the local cluster; by default one per core.
+    overwrite
+        Replace domains that hold another configuration.
+    progress
+        Told what is done; silent by default.
+
+    Raises
+    ------
+    ValueError
+        If a domain's folder holds another configuration, two recipes have one name, a contact cannot be solved, or
+        workers is below 1.
+    RuntimeError
+        If another process writes to the folder, the disk is full, or the cluster is lost; finished shards are kept.
+    """
+    start = time.monotonic()
+    out_dir, progress = Path(out_dir), progress or GenerationProgress()
+    names = tuple(recipe.name for recipe in recipes)
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers = {workers}: must be 1 or more")
+    if len(set(names)) < len(names):
+        raise ValueError(f"two domains have one name in {', '.join(names)}; give each its own")
+    LOG.info("planning %s", comma_list(names))
+    plan = plan_generation(recipes)  # refuses contacts that cannot be solved before anything is written
+    with sole_use(out_dir):
+        writers = {recipe.name: DomainWriter(recipe, out_dir / recipe.name) for recipe in recipes}
+        # Nothing is changed on disk unless all folders are free or resumable.
+        for writer in writers.values():
+            writer.check(overwrite)
+        for writer in writers.values():
+            writer.prepare(overwrite)
+        skipped = tuple(name for name in names if writers[name].complete)
+        plan = plan.without({name: writer.finished for name, writer in writers.items()})
+        solves, written, unrenderable = len(plan.solves), 0, 0
+        progress.begin(solves, plan.frames, plan.workload())
+        log = partial(_log_event, out_dir)
+        log("begin", domains=names, solves=solves, frames=plan.frames, scheduler=scheduler)
+        try:
+            LOG.info("rendering the reference pictures")
+            for writer in writers.values():
+                writer.write_reference()
+            LOG.info("starting workers")
+            local = plan.processes(workers) if scheduler is None else workers
+            for shard in run(plan, progress, scheduler, local):
+                written += writers[shard.domain].write_shard(shard)
+                progress.written(shard.frames)
+                unrenderable += len(shard.unrenderable)
+                if shard.unrenderable:
+                    log("not rendered", domain=shard.domain, frames=shard.unrenderable)
+            for writer in writers.values():
+                writer.finish()
+        except BaseException as error:
+            log("stopped", error=f"{type(error).__name__}: {error}")
+            raise
+        report = GenerationReport(
+            out_dir=out_dir,
+            domains=names,
+            skipped=skipped,
+            frames=sum(len(recipe.path.poses) for recipe in recipes),
+            frames_written=plan.frames,
+            unconverged=sum(writer.total("unconverged") for writer in writers.values()),
+            unrenderable=unrenderable,
+            outside_range=sum(writer.total("outside_range") for writer in writers.values()),
+            solves=solves,
+            bytes_written=written,
+            wall_s=time.monotonic() - start,
+        )
+        log("end", wall_s=round(report.wall_s, 3), bytes=written)
+        return report
+
+
+class DomainWriter:
+    """Writes one domain's folder, shard by shard, keeping the manifest true after each."""
+
+    def __init__(self, recipe: DomainRecipe, path: Path):
+        self.recipe = recipe
+        self.folder = DomainFolder(path)
+        self.files: dict[str, Any] = {}
+        self.complete = False
+
+    @property
+    def finished(self) -> set[str]:
+        """Names of the shards that need no work."""
+        return set(self.files) - {REFERENCE}
+
+    def check(self, overwrite: bool) -> None:
+        """Refuse a folder that holds something else, before anything is changed; else see what is intact."""
+        if overwrite or not self.folder.exists():
+            return
+        manifest = self.folder.read_manifest()
+        intact = {
+            name: entry for name, entry in manifest["files"].items() if not self.folder.problem(name, entry)
+        }
+        self.complete = manifest["complete"] and len(intact) == len(manifest["files"])
+        differences = _differences(manifest["schema_version"], SCHEMA_VERSION, "schema_version")
+        differences += _differences(manifest["configuration"], self.recipe.configuration())
+        if not self.complete:
+            differences += _differences(manifest["versions"], package_versions(), "versions")
+        if differences:
+            raise ValueError(
+                f"{self.folder.path} holds another configuration ({'; '.join(differences[:3])}"
+                f"{'; …' if len(differences) > 3 else ''}): use the same settings to resume it, --overwrite to "
+                "replace it, or another output folder"
+            )
+        self.files = intact
+
+    def prepare(self, overwrite: bool) -> None:
+        """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
+        self.folder.path.mkdir(parents=True, exist_ok=True)
+        if overwrite:
+            self.folder.clear()
+        self.folder.remove_leftovers(set(self.files))
+        if not self.complete:
+            self._write_manifest()
+
+    def write_reference(self) -> None:
+        if not self.complete and REFERENCE not in self.files:
+            self.files[REFERENCE] = self.folder.write_file(REFERENCE, reference_png(self.recipe))
+            self._write_manifest()
+
+    def write_shard(self, shard: Shard) -> int:
+        """Write one shard and enter it in the manifest; return how many bytes it has."""
+        entry = self.folder.write_file(shard.file, shard.data)
+        counts = ("frames", "unconverged", "force_min_n", "force_max_n", "outside_range")
+        self.files[shard.file] = entry | {name: getattr(shard, name) for name in counts}
+        self._write_manifest()
+        return len(shard.data)
+
+    def finish(self) -> None:
+        if not self.complete:
+            self.complete = True
+            self._write_manifest()
+
+    def total(self, count: str) -> int:
+        """Return the sum of one count over all shards."""
+        return sum(entry.get(count, 0) for entry in self.files.values())
+
+    def _write_manifest(self) -> None:
+        recipe, shards = self.recipe, self.files.values()
+        complete = self.complete and len(self.finished) == len(shard_bounds(len(recipe.path.poses)))
+        lows, highs = ([e[name] for e in shards if e.get(name)] for name in ("force_min_n", "force_max_n"))
+        manifest = {
+            "schema_version": SCHEMA_VERSION,
+            "domain": recipe.name,
+            "complete": complete,
+            "configuration": recipe.configuration(),
+            "seed": recipe.seed,
+            "frames": len(recipe.path.poses),
+            "unconverged": self.total("unconverged"),
+            "outside_range": self.total("outside_range"),
+            "force_range_n": recipe.force_range_n,
+            "force_min_n": np.min(lows, axis=0).tolist() if lows else None,
+            "force_max_n": np.max(highs, axis=0).tolist() if highs else None,
+            "height_map": {"step_mm": HEIGHT_MAP_STEP_MM, "offset_mm": HEIGHT_MAP_OFFSET_MM},
+            "versions": package_versions(),
+            "files": dict(sorted(self.files.items())),
+        }
+        self.folder.write_manifest(manifest)
+
+
+@lru_cache(maxsize=1)
+def package_versions() -> dict[str, str]:
+    """Return the versions of the packages that a domain's bytes may depend on."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _differences(there: Any, asked: Any, field: str = "") -> list[str]:
+    if isinstance(there, dict) and isinstance(asked, dict):
+        return [
+            line
+            for key in sorted(there.keys() | asked.keys())
+            for line in _differences(there.get(key), asked.get(key), f"{field}.{key}" if field else key)
+        ]
+    if there == asked:
+        return []
+    texts = [text if len(text := str(value)) < 60 else "…" for value in (there, asked)]
+    return [f"{field}: {texts[0]} there, {texts[1]} asked for"]
+
+
+def _log_event(out_dir: Path, what: str, **values: Any) -> None:
+    time_now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    line = {"time": time_now, "host": platform.node(), "event": what} | values
+    # A log that cannot be written, on a full disk, must not hide the original error.
+    with contextlib.suppress(OSError), (out_dir / RUN_LOG).open("a", encoding="utf-8") as file:
+        file.write(json.dumps(line) + "\n")

@@ -1,0 +1,177 @@
+"""What has to be done for a set of domains: distinct solves, batches of frames, each once; and what that takes."""
+
+import logging
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gelgap.assets.names import comma_list
+from gelgap.domains.generation.progress import Workload
+from gelgap.domains.generation.shard import FrameBatch, picture_cells
+from gelgap.domains.recipe import DomainRecipe
+
+if TYPE_CHECKING:
+    from gelgap.sim import MembraneState, Solve
+
+LOG = logging.getLogger(__name__)
+FRAMES_PER_SHARD = 128
+# Seconds of a core of a server of 2023: the start of a process, a load step of the paper's sphere and gel, a frame.
+_START_S = 4.0
+_STEP_S = {"draft": 0.3, "standard": 1.1, "fine": 3.0}
+_FRAME_S, _FRAME_PIXEL_S = 0.006, 1e-7
+
+
+@dataclass(frozen=True)
+class GenerationPlan:
+    """Solves by the hash of their physics, and the batches that wait for them."""
+
+    recipes: tuple[DomainRecipe, ...]
+    solves: "dict[str, Solve]" = field(repr=False)
+    batches: tuple[FrameBatch, ...] = field(repr=False)
+
+    @property
+    def frames(self) -> int:
+        """Labelled pictures that will be written."""
+        return sum(len(batch) * len(batch.recipes) for batch in self.batches)
+
+    def processes(self, wanted: int | None) -> int:
+        """Return how many local processes share the work, by default one per core; none of them without any."""
+        return min(wanted or len(os.sched_getaffinity(0)), max(len(self.solves), len(self.batches), 1))
+
+    def without(self, finished: Mapping[str, set[str]]) -> "GenerationPlan":
+        """Return what is left to do where some shards are finished, by the name of the domain."""
+        batches = []
+        for batch in self.batches:
+            recipes = tuple(own for own in batch.recipes if batch.shard not in finished.get(own.name, ()))
+            if recipes:
+                batches.append(replace(batch, recipes=recipes))
+        needed = dict.fromkeys(key for batch in batches for key in batch.solve_keys)
+        return GenerationPlan(self.recipes, {key: self.solves[key] for key in needed}, tuple(batches))
+
+    def workload(self) -> Workload:
+        """Return what is to be done: load steps of solves that the cache lacks, and frames."""
+        from gelgap.sim import has_solution
+
+        steps = {key: solve.problem.load_steps for key, solve in self.solves.items() if not has_solution(key)}
+        step_s = max((_STEP_S[recipe.quality] for recipe in self.recipes), default=0.0)
+        pixels = max((recipe.size_px[0] * recipe.size_px[1] for recipe in self.recipes), default=0)
+        return Workload(steps, step_s, _FRAME_S + _FRAME_PIXEL_S * pixels)
+
+
+def shard_bounds(frames: int) -> list[tuple[int, int]]:
+    """Return the first frame of each shard of a domain, and the one after its last."""
+    return [(start, min(start + FRAMES_PER_SHARD, frames)) for start in range(0, frames, FRAMES_PER_SHARD)]
+
+
+def plan_generation(
+    recipes: Sequence[DomainRecipe], finished: Mapping[str, set[str]] | None = None
+) -> GenerationPlan:
+    """Plan the generation of domains, leaving out shards that are `finished` (by domain name).
+
+    Work is shared by construction: solves are keyed by their physics, and domains with the same contacts, whatever
+    their light and markers, are made by the same batches.
+
+    Raises
+    ------
+    ValueError
+        If a contact cannot be solved.
+    """
+    from gelgap.sim import plan_solves
+
+    alike: dict[tuple[Any, ...], list[DomainRecipe]] = {}
+    for recipe in recipes:
+        same = (recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality)
+        alike.setdefault(same, []).append(recipe)
+    solves: dict[str, Solve] = {}
+    batches = []
+    for contacts, members in alike.items():
+        physics = plan_solves(*contacts)
+        by_key = {solve.key: solve for solve in physics.solves}
+        for number, (start, stop) in enumerate(shard_bounds(len(physics.poses))):
+            serving = {physics.solve_key(frame) for frame in range(start, stop)}
+            keys = tuple(key for key in by_key if key in serving)
+            solves |= {key: by_key[key] for key in keys}
+            own = replace(physics, poses=physics.poses[start:stop], placements=physics.placements[start:stop])
+            batches.append(FrameBatch(tuple(members), number, start, stop, own, keys))
+    plan = GenerationPlan(tuple(recipes), solves, tuple(batches))
+    return plan.without(finished) if finished else plan
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The size of a plan; `contacts` is what would be solved if nothing were shared.
+
+    `wall_s` is the time on an idle machine whose cores are like a server's of 2023.
+    """
+
+    domains: tuple[str, ...]
+    frames: int
+    shards: int
+    contacts: int
+    solves: int
+    solves_cached: int
+    wall_s: float
+    disk_bytes: float
+    workers: int
+
+    def __str__(self) -> str:
+        kilobytes = self.disk_bytes / self.frames / 1e3
+        wall = f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
+        return "\n".join(
+            [
+                f"domains  {comma_list(self.domains)}",
+                f"frames   {self.frames} in {self.shards} shards",
+                f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
+                f"time     about {wall} with {self.workers} workers",
+                f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
+            ]
+        )
+
+
+def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Estimate:
+    """Plan domains and estimate their cost; one frame is rendered for it.
+
+    Raises
+    ------
+    ValueError
+        If workers is below 1, or a contact cannot be solved.
+    """
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers = {workers}: must be 1 or more")
+    LOG.info("planning and rendering a sample frame of %s", comma_list([recipe.name for recipe in recipes]))
+    plan = plan_generation(recipes)
+    load, processes = plan.workload(), plan.processes(workers)
+    shards = sum(len(batch.recipes) for batch in plan.batches)
+    longest_s = load.step_s * max(load.load_steps.values(), default=0)
+    # One solve is not shared; frames are shared as shards.
+    solving_s = max(load.step_s * sum(load.load_steps.values()) / processes, longest_s)
+    rendering_s = load.frame_s * plan.frames / min(processes, shards or 1)
+    (sample,) = picture_cells(recipes[:1], 0, _dent())
+    frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
+    return Estimate(
+        domains=tuple(recipe.name for recipe in recipes),
+        frames=plan.frames,
+        shards=shards,
+        contacts=len(
+            {(r.elastomer, pose) for r in recipes for pose in r.solved_path().poses if pose.depth_mm > 0}
+        ),
+        solves=len(plan.solves),
+        solves_cached=len(plan.solves) - len(load.load_steps),
+        wall_s=_START_S + solving_s + rendering_s,
+        disk_bytes=frame_bytes * plan.frames,
+        workers=processes,
+    )
+
+
+def _dent() -> "MembraneState":
+    """Return a membrane that looks like a contact to the renderer; no physics."""
+    from gelgap.sim import MembraneState, grid_axes
+
+    x_mm, y_mm = grid_axes()
+    distance2 = x_mm[None, :] ** 2 + y_mm[:, None] ** 2
+    displacement = np.zeros((len(y_mm), len(x_mm), 3), np.float32)
+    displacement[..., 2] = -0.6 * np.exp(-distance2)
+    return MembraneState(x_mm, y_mm, displacement, distance2 < 0.5, np.zeros(3))
