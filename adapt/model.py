@@ -1,22 +1,25 @@
-"""A trained model: predicts forces or other labels, is saved and loaded."""
+"""A trained model: predicts forces or other labels, is saved and loaded, and takes the statistics of other pictures."""
 
-from dataclasses import dataclass, field
+import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import nn
 
-from gelgap.adapt.batches import network_inputs
-from gelgap.adapt.checkpoint import load_checkpoint
-from gelgap.adapt.network import ForceNetwork, make_network
+from gelgap.adapt.data import Draw, epoch_order, network_inputs
+from gelgap.adapt.methods.registry import find_method
+from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import FORCE_COLUMNS, ChannelStatistics, LabelledFrames, Labels
+from gelgap.domains import FORCE_COLUMNS, ChannelStatistics, LabelledFrames, Labels, PairedFrames
 
 _FORMAT = 1
 _INFERENCE_BATCH = 256
+_STATISTICS_BATCH = 64
 
 
 class AffineCorrection(NamedTuple):
@@ -58,7 +61,7 @@ class ForceModel:
 
     @property
     def device(self) -> torch.device:
-        return next(self.network.parameters()).device
+        return self.network.device
 
     @property
     def force_range_n(self) -> np.ndarray:
@@ -209,3 +212,79 @@ def _two_rows(name: str, content: list[list[float]], columns: int) -> tuple[tupl
     if values.shape != (2, columns) or not np.isfinite(values).all():
         raise ValueError(f"{name} = {content!r}")
     return tuple(tuple(row) for row in values.tolist())
+
+
+def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
+    """Start from a gelgap checkpoint, or load ImageNet weights into the backbone.
+
+    Of a checkpoint with other labels or classes the outputs for those in common are taken; the others start anew.
+    """
+    if "state" not in load_checkpoint(path):
+        load_imagenet_weights(network.backbone, path)
+        return
+    checkpoint = ForceModel.load(path)
+    state, own = checkpoint.network.state_dict(), network.state_dict()
+    if checkpoint.labels.names != labels:
+        pairs = [
+            (to, checkpoint.labels.names.index(name))
+            for to, name in enumerate(labels)
+            if name in checkpoint.labels.names
+        ]
+        for key in ("regressor.0.weight", "regressor.0.bias"):
+            known, state[key] = state[key], own[key].clone()
+            for to, at in pairs:
+                state[key][to] = known[at]
+    if checkpoint.n_classes != network.classifier.out_features:
+        state |= {key: own[key] for key in ("classifier.weight", "classifier.bias")}
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(
+            f"checkpoint {path} was trained with another network ({checkpoint.profile.backbone}, width "
+            f"{checkpoint.profile.width:g}, {checkpoint.profile.pairing}); use the same profile"
+        ) from error
+
+
+def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
+    """Return a copy of a model whose input and batch normalisations have the statistics of these frames' pictures."""
+    network = copy.deepcopy(model.network)
+    pictures = network_inputs(frames, model.profile, model.device)
+    estimate_statistics(network, pictures, model.seed)
+    return replace(model, network=network, input_statistics=pictures.statistics)
+
+
+def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
+    """Return an adapted model as it is judged on the source: under its statistics, where each domain has its own.
+
+    source_train holds the source's training frames.
+    """
+    if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
+        return with_statistics_of(model, source_train)
+    if model.profile.input_standardisation == "none":
+        return model
+    return replace(model, input_statistics=input_statistics(source_train, model.profile, model.device))
+
+
+def input_statistics(
+    frames: LabelledFrames, profile: Profile, device: torch.device
+) -> ChannelStatistics | None:
+    """Return the statistics by which the profile standardises a domain's inputs, None where it does not."""
+    if profile.input_standardisation == "none":
+        return None
+    return network_inputs(frames, profile, device).statistics
+
+
+@torch.no_grad()
+def estimate_statistics(network: nn.Module, pictures: PairedFrames, seed: int) -> None:
+    """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
+    norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+    momenta = [norm.momentum for norm in norms]
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None
+    network.train()
+    for indices in epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS):
+        network.features(pictures.inputs(indices))
+    network.eval()
+    for norm, momentum in zip(norms, momenta, strict=True):
+        norm.momentum = momentum

@@ -105,7 +105,7 @@ def rank_alarm(candidate: Candidate) -> bool:
     """Return whether the target features' effective rank is below 30 % of the source features'."""
     import torch
 
-    from gelgap.adapt.diagnosis import effective_rank
+    from gelgap.adapt.epochs import effective_rank
 
     source, target = (
         effective_rank(torch.from_numpy(x)) for x in (candidate.source_features, candidate.target_features)

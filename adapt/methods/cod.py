@@ -16,9 +16,14 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, pooled_kernel, squared_distances
 from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.methods.dan import (
+    bandwidth,
+    mmd_of_kernel,
+    multi_gaussian,
+    pooled_kernel,
+    squared_distances,
+)
 from gelgap.adapt.network import Activations
 
 _EIGENVALUE_SHIFT = 1e-4

@@ -13,9 +13,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import pooled_kernel
 from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.methods.dan import mmd_of_kernel, pooled_kernel
 from gelgap.adapt.network import Activations
 
 

@@ -17,7 +17,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings
+from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, TrainingDiverged
 
 
 def subspace_loss(
@@ -72,7 +72,7 @@ class SSA(Method):
                 optimizer.zero_grad()
                 loss = subspace_loss(network.features(batch), *subspace)
                 if not torch.isfinite(loss):
-                    raise RuntimeError("SSA: the subspace loss is not finite; lower its learning_rate")
+                    raise TrainingDiverged("SSA: the subspace loss is not finite; lower its learning_rate")
                 loss.backward()
                 optimizer.step()
         adaptation.estimate_target_statistics()

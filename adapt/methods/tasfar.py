@@ -22,7 +22,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings
+from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, TrainingDiverged
 from gelgap.adapt.network import ForceNetwork
 
 _DRAWS = 20
@@ -120,7 +120,7 @@ class TASFAR(Method):
                     labels.weight * functional.mse_loss(network(inputs), labels.force, reduction="none")
                 ).mean()
                 if not torch.isfinite(loss):
-                    raise RuntimeError("TASFAR: the loss is not finite; lower its learning_rate")
+                    raise TrainingDiverged("TASFAR: the loss is not finite; lower its learning_rate")
                 optimizer.zero_grad()
                 loss.backward()
                 optimizer.step()
@@ -145,7 +145,6 @@ class TASFAR(Method):
             sigma = calibration.intercept + calibration.slope * spread
             is_confident = (spread <= calibration.confident).float()
             found += (is_confident[..., None] * block_masses(prediction, sigma, edges)).sum(dim=0)
-        self.diagnostics["confident_frames"] = float(found.sum(dim=1).mean())
         total = found.sum(dim=1, keepdim=True)
         return torch.where(
             total > 0, found / total.clamp_min(1e-12), torch.full_like(found, 1 / found.shape[1])

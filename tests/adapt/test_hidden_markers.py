@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.adaptation import adapt
-from gelgap.adapt.batches import Draw, TrainingDomain, hidden_batches, network_inputs
-from gelgap.adapt.joint_stage import JointStage
-from gelgap.adapt.methods.registry import make_method
-from gelgap.adapt.model import ForceModel
+from gelgap.adapt.data import Draw, TrainingDomain, hidden_batches, network_inputs
+from gelgap.adapt.model import ForceModel, as_judged_on_source
 from gelgap.adapt.network import make_network
-from gelgap.adapt.normalisation import as_judged_on_source
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.run_key import stage1_profile
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.runs import stage1_profile
+from gelgap.adapt.trainer import Trainer, adapt, train_source
 from gelgap.domains import ArrayFrames
 
 DOT = (slice(14, 17), slice(18, 21))
@@ -54,20 +50,11 @@ def test_hidden_frames_lose_their_markers_in_picture_and_reference(source, profi
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_stage_2_hides_markers_in_both_domains_independently(source, target, profile, share, easy_markers):
     hiding = profile.replace(marker_hiding=share)
-    stage = JointStage(
-        title="",
-        network=make_network(hiding, source.n_classes, 0),
-        profile=hiding,
-        seed=0,
-        epochs=1,
-        learning_rate=0.01,
-        method=make_method("no-transfer", hiding, source.n_classes),
-        source=TrainingDomain.labelled(dotted(source), hiding, "cpu"),
-        target=TrainingDomain.unlabelled(dotted(target), hiding, "cpu"),
-    )
+    trainer = Trainer(make_network(hiding, source.n_classes, 0), hiding, 0, dotted(source))
+    domains = trainer.source_domain, TrainingDomain.unlabelled(dotted(target), hiding, "cpu")
     shown = []
-    for pair in (pair for epoch in range(8) for pair in stage.batches(epoch)):
-        for batch, domain in zip(pair, (stage.source, stage.target), strict=True):
+    for pair in (pair for epoch in range(8) for pair in trainer.batches(epoch, domains[1])):
+        for batch, domain in zip(pair, domains, strict=True):
             same = batch.inputs == domain.pictures.inputs(batch.rows)
             shown.append(bool(same.all()))
     of_source, of_target = np.array(shown).reshape(-1, 2).T

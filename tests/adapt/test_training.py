@@ -9,21 +9,15 @@ import pytest
 import torch
 from network_weights import weights
 
-from gelgap.adapt.adaptation import adapt
-from gelgap.adapt.batches import Draw, epoch_order, network_inputs
+from gelgap.adapt.data import Draw, epoch_order, network_inputs, split_for_training
 from gelgap.adapt.evaluation import evaluate, evaluate_constant_mean
-from gelgap.adapt.loop import FeatureCollapse
-from gelgap.adapt.machine import keep_freed_memory
-from gelgap.adapt.methods.base import Method
+from gelgap.adapt.methods.base import FeatureCollapse, Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
-from gelgap.adapt.model import ForceModel
-from gelgap.adapt.normalisation import as_judged_on_source
+from gelgap.adapt.model import ForceModel, as_judged_on_source
+from gelgap.adapt.network import keep_freed_memory
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.run_key import run_key, stage1_key, stage1_profile
-from gelgap.adapt.run_record import load_predictions, load_runs
-from gelgap.adapt.runs import adapt_frames
-from gelgap.adapt.source_training import train_source
-from gelgap.adapt.splits import split_for_training
+from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs, run_key, stage1_key, stage1_profile
+from gelgap.adapt.trainer import adapt, train_source
 from gelgap.domains import ArrayFrames, join_domains
 
 

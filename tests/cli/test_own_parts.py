@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.adapt.methods import names, registry
+from gelgap.adapt.methods import registry
 from gelgap.cli.generate import Generate
 from gelgap.cli.main import main
 from gelgap.domains import make_recipes, own_recipe
@@ -184,13 +184,13 @@ def test_an_installed_package_offers_its_methods(pictures: Path, monkeypatch: py
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text("[gelgap.methods]\nhalf = offered_methods:Half\n")
     monkeypatch.syspath_prepend(str(pictures))
-    names.installed_methods.cache_clear()
+    registry.installed_methods.cache_clear()
     try:
-        assert "half" in names.method_names()
+        assert "half" in registry.method_names()
         assert registry.find_method("half").__name__ == "Half"
         assert registry.method_code("half")
     finally:
-        names.installed_methods.cache_clear()
+        registry.installed_methods.cache_clear()
         sys.modules.pop("offered_methods", None)
 
 
