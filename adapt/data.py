@@ -5,8 +5,9 @@ sees what it would have seen.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -190,38 +191,40 @@ def normalised_labels(frames: LabelledFrames) -> np.ndarray:
     return ((frames.label_values.astype(np.float32) - low) / (high - low)).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class TrainingDomain:
-    """One domain on the device: pictures always, labels only where training may use them.
+class Batch(NamedTuple):
+    """Network inputs (B, C, h, w) of one domain, which of its frames (B,) they are, and their labels where known.
 
-    force is (n, k), labels normalised to [0, 1]; contact_class (n,); without_markers the same pictures with their dots
-    inpainted, where training shows them.
+    force is (B, k), labels normalised to [0, 1]; contact_class (B,).
     """
 
-    pictures: PairedFrames
-    force: Tensor | None = None
-    contact_class: Tensor | None = None
-    without_markers: PairedFrames | None = None
+    inputs: Tensor
+    rows: Tensor
+    force: Tensor | None
+    contact_class: Tensor | None
 
-    @classmethod
-    def labelled(cls, frames: LabelledFrames, profile: Profile, device: torch.device) -> "TrainingDomain":
-        """Return the frames with their labels."""
-        domain = cls.unlabelled(frames, profile, device)
-        force = torch.from_numpy(normalised_labels(frames)).to(device)
-        return replace(domain, force=force, contact_class=domain.pictures.contact_class)
 
-    @classmethod
-    def unlabelled(cls, frames: LabelledFrames, profile: Profile, device: torch.device) -> "TrainingDomain":
-        """Return the frames' pictures alone."""
-        pictures = network_inputs(frames, profile, device)
-        if profile.marker_hiding == 0:
-            return cls(pictures)
-        hidden = network_inputs(frames, profile, device, pictures.statistics, markers=False)
-        return cls(pictures, without_markers=hidden)
+class TrainingDomain:
+    """One domain on the device: pictures, also with their markers inpainted where training shows them so, and labels.
 
-    def inputs(self, rows: Tensor, hidden: bool) -> Tensor:
-        """Return the network's inputs (B, C, h, w) for these frames, their markers `hidden` or not."""
-        return (self.without_markers if hidden else self.pictures).inputs(rows)
+    Labels are there only if they are asked for.
+    """
+
+    def __init__(
+        self, frames: LabelledFrames, profile: Profile, device: torch.device, *, labelled: bool
+    ) -> None:
+        self.pictures = network_inputs(frames, profile, device)
+        self.without_markers: PairedFrames | None = None
+        if profile.marker_hiding:
+            statistics = self.pictures.statistics
+            self.without_markers = network_inputs(frames, profile, device, statistics, markers=False)
+        self.force = torch.from_numpy(normalised_labels(frames)).to(device) if labelled else None
+        self.contact_class = self.pictures.contact_class if labelled else None
+
+    def batch(self, indices: np.ndarray, hidden: bool) -> Batch:
+        """Return a batch of these frames (B,), their markers `hidden` or not."""
+        rows = torch.from_numpy(indices).to(self.pictures.images.device)
+        inputs = (self.without_markers if hidden else self.pictures).inputs(rows)
+        return Batch(inputs, rows, *(x if x is None else x[rows] for x in (self.force, self.contact_class)))
 
     def __len__(self) -> int:
         return len(self.pictures)

@@ -65,7 +65,6 @@ class EpochLog:
         self._steps: list[tuple[Mapping[str, Tensor], Mapping[str, float | Tensor], Tensor]] = []
         self._predictions: list[Tensor] = []
         self._labels: list[Tensor] = []
-        self._skipped_steps = 0
 
     def batch_is_made(self) -> None:
         """Note that the loop has got its next batch."""
@@ -75,17 +74,14 @@ class EpochLog:
         self,
         source: Activations,
         losses: Mapping[str, Tensor],
-        diagnostics: Mapping[str, float | Tensor],
+        diagnostics: Mapping[str, float | Tensor] | None,
         gradient_norm: Tensor,
         skipped: bool,
     ) -> None:
         """Note a step; losses, gradient and diagnostics of a skipped one are left out."""
-        if skipped:
-            self._skipped_steps += 1
-        else:
-            self._steps.append(
-                ({name: loss.detach() for name, loss in losses.items()}, diagnostics, gradient_norm)
-            )
+        if not skipped:
+            losses = {name: loss.detach() for name, loss in losses.items()}
+            self._steps.append((losses, diagnostics or {}, gradient_norm))
         self._predictions.append(source.prediction.detach().float())
         self._labels.append(source.force.detach().float())
         self._features = source.features.detach().float()
@@ -101,7 +97,7 @@ class EpochLog:
             gradient_norm=float(np.median([float(norm) for norm in norms])) if norms else math.nan,
             prediction_spread=prediction_spread(torch.cat(self._predictions), torch.cat(self._labels)),
             feature_rank=effective_rank(self._features),
-            skipped_steps=self._skipped_steps,
+            skipped_steps=len(self._predictions) - len(self._steps),
             wall_s=time.perf_counter() - self._start,
             wait_s=self._wait_s,
             diagnostics=_means(diagnostics),

@@ -32,6 +32,15 @@ class Evaluation:
     r2: tuple[float, ...]
     labels: tuple[str, ...] = FORCE_COLUMNS
 
+    def __post_init__(self) -> None:
+        if unknown := [name for name in self.labels if name not in QUANTITIES]:
+            raise ValueError(f"label {unknown[0]!r} is unknown")
+        if {len(self.mae), len(self.mae_percent), len(self.r2)} != {len(self.labels)}:
+            names = ", ".join(self.labels)
+            raise ValueError(
+                f"an evaluation has other than {len(self.labels)} numbers for the labels {names}"
+            )
+
     @property
     def unit(self) -> str | None:
         """The unit that all labels share; None where they have several."""

@@ -149,13 +149,7 @@ class Bottleneck(nn.Module):
 class ResNet(nn.Module):
     """ResNet without its classifier: maps (B, in_channels, h, w) to the pooled feature (B, out_features)."""
 
-    def __init__(
-        self,
-        block: type[BasicBlock] | type[Bottleneck],
-        depths: Sequence[int],
-        in_channels: int = 3,
-        width: float = 1.0,
-    ) -> None:
+    def __init__(self, block: type[nn.Module], depths: Sequence[int], in_channels: int, width: float) -> None:
         super().__init__()
         planes = [round(64 * 2**i * width) for i in range(4)]
         self.conv1 = nn.Conv2d(in_channels, planes[0], 7, stride=2, padding=3, bias=False)
@@ -181,13 +175,14 @@ class ResNet(nn.Module):
         return self.avgpool(x).flatten(1)
 
 
+RESNETS = {"resnet18": (BasicBlock, (2, 2, 2, 2)), "resnet50": (Bottleneck, (3, 4, 6, 3))}
+
+
 def make_resnet(name: str, in_channels: int = 3, width: float = 1.0) -> ResNet:
     """Return an untrained ResNet; `width` scales the number of channels of every layer."""
-    if name == "resnet18":
-        return ResNet(BasicBlock, (2, 2, 2, 2), in_channels, width)
-    if name == "resnet50":
-        return ResNet(Bottleneck, (3, 4, 6, 3), in_channels, width)
-    raise ValueError(f"backbone {name!r} is unknown; known backbones: resnet18, resnet50")
+    if name not in RESNETS:
+        raise ValueError(f"backbone {name!r} is unknown; known backbones: {', '.join(RESNETS)}")
+    return ResNet(*RESNETS[name], in_channels, width)
 
 
 def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,59 +41,52 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     """
     import pandas as pd
 
-    found = [(run.group, run.method, _mean_mae(run.target_test)) for run in runs]
-    errors = pd.DataFrame(found, columns=["group", "method", "error"]).groupby(
-        ["group", "method"], sort=False
-    )
-    cells = errors["error"].agg(_mean_and_spread).unstack(sort=False)
+    frame = pd.DataFrame([_name(run) | {"error": _mean_mae(run.target_test)} for run in runs])
+    errors = frame.groupby(["group", "method"], sort=False)["error"]
+    table = errors.agg(_mean_and_spread).unstack(sort=False)
     # A method that lacks a group has no mean.
-    means = errors["error"].mean().unstack(sort=False).mean(skipna=False)
-    cells.loc["mean"] = means.map("{:.3f}".format, na_action="ignore")
-    title = f"Mean error on the target's test frames{_of_labels(runs)}, {runs[0].target_test.unit or '% of the range'}"
+    means = errors.mean().unstack(sort=False).mean(skipna=False)
+    table.loc["mean"] = means.map("{:.3f}".format, na_action="ignore")
+    unit = runs[0].target_test.unit or "% of the range"
     failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
     note = f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
-    return ResultTable.of(title, cells, note)
+    return ResultTable.of(f"Mean error on the target's test frames{_of_labels(runs)}, {unit}", table, note)
 
 
 def axis_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's MAE and R² of each label on the target; the runs have the same labels."""
-    labels, unit = runs[0].labels, _unit(runs)
+    import pandas as pd
+
+    labels, unit, rows = runs[0].labels, _unit(runs), []
     known = [QUANTITIES[name] for name in labels]
-    axes = [*map(str, known), *(f"R² {what.symbol.removeprefix('F')}" for what in known)]
-    rows = []
     for run in runs:
-        error = run.target_test
-        shares = zip(error.mae, error.mae_percent, strict=True)
-        rows.append(
-            [
-                *(run.group, run.method, run.seed),
-                *(f"{mae:.3f} ({percent:.1f} %)" for mae, percent in shares),
-                *(f"{value:.2f}" for value in error.r2),
-                f"{_mean_mae(run.target_constant_mean):.3f}",
-            ]
-        )
-    what = "axis" if labels == FORCE_COLUMNS else "label"
-    columns = ["group", "method", "seed", *axes, f"constant mean, {unit}"]
-    return ResultTable(f"Error per {what} on the target", columns, rows)
+        error, row = run.target_test, _name(run)
+        for what, mae, percent in zip(known, error.mae, error.mae_percent, strict=True):
+            row[str(what)] = f"{mae:.3f} ({percent:.1f} %)"
+        for what, r2 in zip(known, error.r2, strict=True):
+            row[f"R² {what.symbol.removeprefix('F')}"] = f"{r2:.2f}"
+        rows.append(row | {f"constant mean, {unit}": f"{_mean_mae(run.target_constant_mean):.3f}"})
+    kind = "axis" if labels == FORCE_COLUMNS else "label"
+    return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows))
 
 
 def training_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's error on its source, the steps it skipped and the time it took."""
-    rows = [
-        [
-            *(run.group, run.method, run.seed, run.profile["name"]),
-            *(
-                None if error is None else f"{_mean_mae(error):.3f}"
-                for error in (run.source_held_out, run.source_constant_mean)
-            ),
-            run.skipped_steps,
-            *(f"{run.wall_s[stage]:.1f}" for stage in ("stage1", "stage2")),
-        ]
-        for run in runs
-    ]
-    source = ["profile", f"source held out, {_unit(runs)}", f"its constant mean, {_unit(runs)}"]
-    stages = ["skipped steps", "stage 1, s", "stage 2, s"]
-    return ResultTable(f"Training{_of_labels(runs)}", ["group", "method", "seed", *source, *stages], rows)
+    import pandas as pd
+
+    unit, rows = _unit(runs), []
+    for run in runs:
+        errors = [e and f"{_mean_mae(e):.3f}" for e in (run.source_held_out, run.source_constant_mean)]
+        row = _name(run) | {"profile": run.profile["name"]}
+        row |= {f"source held out, {unit}": errors[0], f"its constant mean, {unit}": errors[1]}
+        row |= {"skipped steps": run.skipped_steps}
+        row |= {f"stage {k}, s": f"{run.wall_s[f'stage{k}']:.1f}" for k in (1, 2)}
+        rows.append(row)
+    return ResultTable.of(f"Training{_of_labels(runs)}", pd.DataFrame(rows))
+
+
+def _name(run: Run) -> dict[str, Any]:
+    return {"group": run.group, "method": run.method, "seed": run.seed}
 
 
 def _mean_and_spread(errors: Sequence[float]) -> str:

@@ -10,7 +10,7 @@ import logging
 import math
 import platform
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -19,19 +19,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
 
 from gelgap.adapt.data import SplitFrames, check_classes, size_notes, split_for_training
 from gelgap.adapt.epochs import Progress, silent
 from gelgap.adapt.evaluation import Evaluation, evaluate_constant_mean, evaluate_frames
+from gelgap.adapt.methods import registry
 from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
-from gelgap.adapt.methods.registry import (
-    find_method,
-    method_code,
-    method_names,
-    method_settings,
-    use_method,
-)
 from gelgap.adapt.model import ForceModel, as_judged_on_source
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
@@ -44,14 +38,7 @@ from gelgap.assets.plain_name import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.sole_use import sole_use
 from gelgap.assets.whole_file import whole_file, write_whole
-from gelgap.domains import (
-    FORCE_COLUMNS,
-    QUANTITIES,
-    LabelledFrames,
-    label_notes,
-    open_domain,
-    open_domains,
-)
+from gelgap.domains import FORCE_COLUMNS, LabelledFrames, label_notes, open_domain, open_domains
 
 LOG = logging.getLogger(__name__)
 FEATURES_KEPT = 400
@@ -68,38 +55,36 @@ _STAGE_2_FIELDS = frozenset(
 
 
 def _read_evaluation(content: Any) -> Any:
-    """Return the evaluation of a record, whose NaN are null; that of the force's three axes has no names of labels."""
+    """Return the fields of a recorded evaluation; NaN are null, and that of the three axes of force has no labels."""
     if not isinstance(content, dict):
         return content
-    labels = tuple(content.get("labels", FORCE_COLUMNS))
-    if unknown := [name for name in labels if name not in QUANTITIES]:
-        raise ValueError(f"label {unknown[0]!r} is unknown")
-    numbers = [
-        tuple(math.nan if value is None else value for value in content[name])
-        for name in ("mae" if "labels" in content else "mae_n", "mae_percent", "r2")
-    ]
-    if {len(values) for values in numbers} != {len(labels)}:
-        raise ValueError(
-            f"an evaluation has other than {len(labels)} numbers for the labels {', '.join(labels)}"
-        )
-    return Evaluation(content["n"], *numbers, labels)
+    content = {"mae" if name == "mae_n" else name: value for name, value in content.items()}
+    for name, value in content.items():
+        if isinstance(value, list):
+            content[name] = [math.nan if item is None else item for item in value]
+    return content
 
 
 def _evaluation_content(evaluation: Evaluation) -> dict[str, Any]:
     content = asdict(evaluation)
     if evaluation.labels != FORCE_COLUMNS:
         return content
-    return {
-        "n": content["n"],
-        "mae_n": content["mae"],
-        "mae_percent": content["mae_percent"],
-        "r2": content["r2"],
-    }
+    return {"mae_n" if name == "mae" else name: content[name] for name in ("n", "mae", "mae_percent", "r2")}
+
+
+def _must(hold: Callable[[Any], bool], message: str) -> AfterValidator:
+    def check(value: Any) -> Any:
+        if not hold(value):
+            raise ValueError(message)
+        return value
+
+    return AfterValidator(check)
 
 
 RecordedEvaluation = Annotated[
     Evaluation, BeforeValidator(_read_evaluation), PlainSerializer(_evaluation_content)
 ]
+PlainName = Annotated[str, _must(is_plain_name, "must be a plain name")]
 
 
 @dataclass(frozen=True)
@@ -121,18 +106,18 @@ class Run:
     """
 
     key: str
-    source: str
-    target: str
-    method: str
+    source: PlainName
+    target: PlainName
+    method: PlainName
     seed: int
-    profile: dict[str, Any]
+    profile: Annotated[dict[str, Any], _must(lambda p: isinstance(p.get("name"), str), "must have a name")]
     n_source: int
     n_target: int
     target_test: RecordedEvaluation
     target_constant_mean: RecordedEvaluation
     source_held_out: RecordedEvaluation | None
     source_constant_mean: RecordedEvaluation | None
-    wall_s: dict[str, float]
+    wall_s: Annotated[dict[str, float], _must({"stage1", "stage2"}.issubset, "must have both stages")]
     skipped_steps: int
     history: tuple[dict[str, Any], ...]
     versions: dict[str, str]
@@ -236,8 +221,8 @@ def adapt_frames(
     for note in (*notes, *frames.notes, *of_labels):
         LOG.warning("%s", note)
     for method in methods:
-        check_classes(method, find_method(method), frames.source_train)
-        if find_method(method).uses_target_labels:
+        check_classes(method, registry.find_method(method), frames.source_train)
+        if registry.find_method(method).uses_target_labels:
             frames.target_train.check_labels()
     stage1 = Stage1(
         frames.source_train, profile, seed, weights, None if out_dir is None else Path(out_dir), progress
@@ -256,15 +241,10 @@ def adapt_frames(
         done = {}
         start = time.perf_counter()
         # Methods that need no trained network do not wait for one.
-        needing = [method for method in missing if find_method(method).needs_stage_1]
+        needing = [method for method in missing if registry.find_method(method).needs_stage_1]
         trained, stage1_s = stage1.model() if needing else (None, 0.0)
-        if missing:
-            for part in (
-                frames.source_train,
-                frames.source_held_out,
-                frames.target_train,
-                frames.target_test,
-            ):
+        for name, part in frames.parts.items():
+            if missing and name != "target_validation":
                 part.images(profile.image_size_px)
         load_s = time.perf_counter() - start - stage1_s
         for method in missing:
@@ -276,11 +256,11 @@ def adapt_frames(
 
 def _known(methods: Iterable[str], profile: Profile) -> tuple[str, ...]:
     """Return the methods' names; raise ValueError if there is none, one is unknown, or has a wrong setting."""
-    methods = tuple(use_method(method) for method in methods)
+    methods = tuple(registry.use_method(method) for method in methods)
     if not methods:
-        raise ValueError(f"no method was named; known methods: {', '.join(method_names())}")
+        raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
     for method in methods:
-        method_settings(method, profile)
+        registry.method_settings(method, profile)
     return methods
 
 
@@ -343,77 +323,60 @@ class Stage1:
 def _run(
     frames: SplitFrames,
     stage1: Stage1,
-    model: ForceModel,
+    start: ForceModel,
     method: str,
     key: str,
     folder: Path | None,
     wall_s: dict[str, float],
 ) -> Run:
-    """Adapt a stage-1 model by one method, judge the result and, if there is a folder, write it there."""
-    train, test, held_out, profile = (
-        frames.source_train,
-        frames.target_test,
-        frames.source_held_out,
-        stage1.profile,
-    )
-    resume_file = folder and folder / _RESUME
-    how = {"resume_file": resume_file, "progress": stage1.progress}
-    start, problem = time.perf_counter(), None
+    """Adapt the model by one method, judge the result and, if there is a folder, write it there."""
+    train, profile = frames.source_train, stage1.profile
+    tested = {"target": frames.target_test, "source": frames.source_held_out}
+    constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
+    how = {"resume_file": folder and folder / _RESUME, "progress": stage1.progress}
+    begun, problem, judged = time.perf_counter(), None, {}
     try:
-        adapted = adapt(model, train, frames.target_train, method, profile, stage1.seed, **how)
-        on_source = as_judged_on_source(adapted, train)
+        model = adapt(start, train, frames.target_train, method, profile, stage1.seed, **how)
+        judged = {"target": model, "source": as_judged_on_source(model, train)}
     except (FeatureCollapse, TrainingDiverged) as error:
-        adapted, on_source, problem = None, None, str(error)
-    middle = time.perf_counter()
-    constant = [evaluate_constant_mean(train, part) if len(part) else None for part in (test, held_out)]
-    errors = [constant[0], None]
-    arrays: dict[str, np.ndarray] = {}
-    if adapted is not None:
-        for k, (domain, judged, part) in enumerate(
-            (("target", adapted, test), ("source", on_source, held_out))
-        ):
-            if len(part):
-                predicted = judged.predict(part)
-                errors[k] = evaluate_frames(part, predicted)
-                arrays[f"{domain}_true_n"] = part.label_values.astype(np.float32)
-                arrays[f"{domain}_predicted_n"] = predicted.astype(np.float32)
-    history = (model if adapted is None else adapted).history
+        model, problem = start, str(error)
+    trained = time.perf_counter()
+    errors, arrays = {"target": constant["target"]}, {}
+    for name, judge in judged.items():
+        if len(tested[name]):
+            predicted = judge.predict(tested[name])
+            errors[name] = evaluate_frames(tested[name], predicted)
+            arrays[f"{name}_true_n"] = tested[name].label_values.astype(np.float32)
+            arrays[f"{name}_predicted_n"] = predicted.astype(np.float32)
     run = Run(
         key=key,
         source=train.name,
-        target=test.name,
+        target=frames.target_test.name,
         method=method,
         seed=stage1.seed,
         profile=profile.model_dump(mode="json"),
         n_source=len(train),
         n_target=len(frames.target_train),
-        target_test=errors[0],
-        target_constant_mean=constant[0],
-        source_held_out=errors[1],
-        source_constant_mean=constant[1],
-        wall_s=wall_s | {"stage2": middle - start, "evaluate": time.perf_counter() - middle},
-        skipped_steps=sum(epoch["skipped_steps"] for epoch in history),
-        history=history,
+        target_test=errors["target"],
+        target_constant_mean=constant["target"],
+        source_held_out=errors.get("source"),
+        source_constant_mean=constant.get("source"),
+        wall_s=wall_s | {"stage2": trained - begun, "evaluate": time.perf_counter() - trained},
+        skipped_steps=sum(epoch["skipped_steps"] for epoch in model.history),
+        history=model.history,
         versions=versions(),
         problem=problem,
         folder=folder,
     )
     if folder is not None:
-        if adapted is not None:
-            arrays |= _features("source", on_source, held_out if len(held_out) else train)
-            arrays |= _features("target", adapted, test)
-        _write(run, adapted, arrays)
-        resume_file.unlink(missing_ok=True)
+        for name, judge in judged.items():
+            some = tested[name] if len(tested[name]) else train
+            some = some.take(np.arange(min(len(some), FEATURES_KEPT)))
+            arrays[f"{name}_features"] = judge.features(some).astype(np.float16)
+            arrays[f"{name}_features_force_n"] = some.label_values.astype(np.float32)
+        _write(run, model, arrays)
+        (folder / _RESUME).unlink(missing_ok=True)
     return run
-
-
-def _features(domain: str, model: ForceModel, frames: LabelledFrames) -> dict[str, np.ndarray]:
-    """Return the features of the first frames, and their labels."""
-    some = frames.take(np.arange(min(len(frames), FEATURES_KEPT)))
-    return {
-        f"{domain}_features": model.features(some).astype(np.float16),
-        f"{domain}_features_force_n": some.label_values.astype(np.float32),
-    }
 
 
 def run_key(
@@ -425,7 +388,7 @@ def run_key(
     """
     parts = (frames.source_train, frames.source_held_out, frames.target_train, frames.target_test)
     own = profile.replace(settings={name: s for name, s in profile.settings.items() if name == method})
-    code = method_code(method)
+    code = registry.method_code(method)
     return _key(parts, method if code is None else f"{method} {code}", own, seed, weights)
 
 
@@ -471,14 +434,14 @@ def is_finished(folder: Path) -> bool:
     return (folder / _RECORD).is_file()
 
 
-def _write(run: Run, model: ForceModel | None, arrays: dict[str, np.ndarray]) -> None:
+def _write(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
     """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record.
 
     A run that failed has the record alone.
     """
     record = _RUN.dump_json(run, indent=1) + b"\n"
     sums = {_RECORD: hashlib.sha256(record).hexdigest()}
-    if model is not None:
+    if run.problem is None:
         with whole_file(run.folder / _PREDICTIONS) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)
         model.save(run.folder / _MODEL)
@@ -504,18 +467,10 @@ def load_run(folder: str | Path) -> Run:
     if problem := checksum_problem(path):
         raise _damaged(path, problem)
     try:
-        run = _RUN.validate_python({**read_json(path), "folder": folder})
-        for name in ("source", "target", "method"):
-            if not is_plain_name(getattr(run, name)):
-                raise ValueError(f"{name} = {getattr(run, name)!r} is no name")
-        if not isinstance(run.profile.get("name"), str) or not {"stage1", "stage2"} <= run.wall_s.keys():
-            raise ValueError("it lacks the profile's name or the times of the stages")
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return _RUN.validate_python({**read_json(path), "folder": folder})
+    except (ValueError, TypeError) as error:
         reason = one_sentence(error) if isinstance(error, ValidationError) else str(error)
-        if isinstance(error, KeyError):
-            reason = f"it lacks {error}"
         raise _damaged(path, f"is not the record of a run: {reason}") from None
-    return run
 
 
 def load_runs(folder: str | Path) -> list[Run]:

@@ -1,4 +1,4 @@
-"""Training: in stage 1 a network learns the source's forces, in stage 2 it goes on while a method adapts it to the target.
+"""Training: stage 1 learns the source's forces, stage 2 goes on while a method adapts the network to the target.
 
 Both stages are one loop, `Trainer.train`, which can be resumed after each epoch. What tells methods apart is the loss
 that they add to a step.
@@ -9,9 +9,9 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from itertools import chain, count, repeat
+from itertools import chain, count, islice, repeat, starmap
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gelgap.adapt.data import (
+    Batch,
     Draw,
     TrainingDomain,
     check_classes,
@@ -173,15 +174,6 @@ def adapt(
     return replace(adapted, history=(*model.history, *map(asdict, trainer.records)))
 
 
-class Batch(NamedTuple):
-    """Network inputs (B, C, h, w) of one domain, which of its frames (B,) they are, and their labels where known."""
-
-    inputs: Tensor
-    rows: Tensor
-    force: Tensor | None
-    contact_class: Tensor | None
-
-
 @dataclass
 class Trainer(Adaptation):
     """Trains a network in place, and is what a method works with while it adapts one.
@@ -212,15 +204,21 @@ class Trainer(Adaptation):
     records: list[EpochRecord] = field(default_factory=list)
 
     def train(self, method: Method | None = None) -> None:
-        """Train by SGD on the source's labels, which is stage 1, or also on a method's loss of both, which is stage 2."""
+        """Train by SGD: stage 1 on the source's labels, stage 2, which has a method, on its loss of both domains too."""
         network, profile, target, final_weight = self.network, self.profile, None, 0.0
         epochs, rate = profile.source_epochs, profile.source_learning_rate
         if method is not None:
             epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
             final_weight = method.settings.final_weight(profile)
-            target = self._target_in_training(method)
+            if min(len(self.source), len(self.target)) < 2:
+                raise ValueError(
+                    f"adaptation needs at least 2 frames per domain; source has {len(self.source)}, "
+                    f"target {len(self.target)}"
+                )
+            labelled = method.uses_target_labels
+            target = TrainingDomain(self.target, profile, network.device, labelled=labelled)
             method.to(network.device).begin(network)
-        steps = steps_per_epoch(len(self.source), profile.batch_size)
+        steps = steps_per_epoch(len(self.source_domain), profile.batch_size)
         optimizer = _make_optimizer(network, method, profile, rate)
         parameters = [p for module in (network, method) if module is not None for p in module.parameters()]
         state = {"network": network, "companion": method, "optimizer": optimizer}
@@ -238,7 +236,7 @@ class Trainer(Adaptation):
                 step = Step(number, weight, generator(self.seed, Draw.METHOD, number))
                 of_source, of_target = self._activations(*batches, method, step)
                 losses = {"regression": functional.mse_loss(of_source.prediction, of_source.force)}
-                loss, diagnostics = losses["regression"], {}
+                loss, transfer = losses["regression"], None
                 if method is not None:
                     loss = profile.regression_weight * loss
                     if method.uses_classifier:
@@ -248,7 +246,7 @@ class Trainer(Adaptation):
                     transfer = method.loss(of_source, of_target, step)
                     if transfer is not None:
                         loss = loss + transfer.weight * transfer.value
-                        losses["transfer"], diagnostics = transfer.value, transfer.diagnostics
+                        losses["transfer"] = transfer.value
                 loss.backward()
                 norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
                 finite = bool(torch.isfinite(norm) & torch.isfinite(loss))
@@ -258,8 +256,13 @@ class Trainer(Adaptation):
                         method.after_step(network)
                 skipped_in_a_row = 0 if finite else skipped_in_a_row + 1
                 if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
-                    raise TrainingDiverged(_divergence(self.title, losses, norm))
-                log.add(of_source, losses, diagnostics, norm, skipped=not finite)
+                    values = ", ".join(f"{name} = {float(x.detach()):.3g}" for name, x in losses.items())
+                    raise TrainingDiverged(
+                        f"{self.title}: {skipped_in_a_row} steps in a row had a loss or gradient that is not "
+                        f"finite ({values}, gradient norm {float(norm):.3g}); lower the learning rate or the "
+                        "transfer weight"
+                    )
+                log.add(of_source, losses, transfer and transfer.diagnostics, norm, skipped=not finite)
             records.append(log.record(self.title, epoch + 1))
             if method is not None:
                 _check_collapse(records)
@@ -274,17 +277,7 @@ class Trainer(Adaptation):
     @cached_property
     def source_domain(self) -> TrainingDomain:
         """The source's frames with their labels, on the device."""
-        return TrainingDomain.labelled(self.source, self.profile, self.network.device)
-
-    def _target_in_training(self, method: Method) -> TrainingDomain:
-        """Return the target's frames on the device, with labels only for a method that uses them."""
-        if min(len(self.source), len(self.target)) < 2:
-            raise ValueError(
-                f"adaptation needs at least 2 frames per domain; source has {len(self.source)}, "
-                f"target {len(self.target)}"
-            )
-        prepared = TrainingDomain.labelled if method.uses_target_labels else TrainingDomain.unlabelled
-        return prepared(self.target, self.profile, self.network.device)
+        return TrainingDomain(self.source, self.profile, self.network.device, labelled=True)
 
     def batches(self, epoch: int, target: TrainingDomain | None) -> Iterator[tuple[Batch, Batch | None]]:
         """Yield the batches of an epoch, of the source and in stage 2 of the target; an epoch always has the same.
@@ -292,30 +285,22 @@ class Trainer(Adaptation):
         An epoch is one pass over the source. The target is cycled, permutation after permutation.
         """
         if target is None:
-            yield from zip(
-                self._one_pass(self.source_domain, Draw.STAGE_1, epoch), repeat(None), strict=False
-            )
-            return
-        size = self.profile.batch_size
-        first = epoch * steps_per_epoch(len(self.source), size)
-        cycle, offset = divmod(first, steps_per_epoch(len(target), size))
-        cycled = chain.from_iterable(
-            self._one_pass(target, Draw.STAGE_2_TARGET, number, offset if number == cycle else 0)
-            for number in count(cycle)
+            order = self._order(self.source_domain, Draw.STAGE_1, epoch)
+            return zip(starmap(self.source_domain.batch, order), repeat(None), strict=False)
+        done = epoch * steps_per_epoch(len(self.source), self.profile.batch_size)
+        cycle, offset = divmod(done, steps_per_epoch(len(target), self.profile.batch_size))
+        cycles = (self._order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
+        of_target = islice(chain.from_iterable(cycles), offset, None)
+        of_source = self._order(self.source_domain, Draw.STAGE_2, epoch)
+        return zip(
+            starmap(self.source_domain.batch, of_source), starmap(target.batch, of_target), strict=False
         )
-        yield from zip(self._one_pass(self.source_domain, Draw.STAGE_2, epoch), cycled, strict=False)
 
-    def _one_pass(self, domain: TrainingDomain, draw: Draw, number: int, first: int = 0) -> Iterator[Batch]:
-        """Yield the batches of one pass over a domain, from the `first` on; a share of them is without markers."""
+    def _order(self, domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
+        """Return which frames make the batches of one pass over a domain, and which are shown without markers."""
         key = self.seed, draw, number
         order = epoch_order(len(domain), self.profile.batch_size, *key)
-        hidden = hidden_batches(len(order), self.profile.marker_hiding, *key)
-        for indices, is_hidden in zip(order[first:], hidden[first:], strict=True):
-            rows = torch.from_numpy(indices).to(self.network.device)
-            labels = (
-                None if values is None else values[rows] for values in (domain.force, domain.contact_class)
-            )
-            yield Batch(domain.inputs(rows, is_hidden), rows, *labels)
+        return zip(order, hidden_batches(len(order), self.profile.marker_hiding, *key), strict=True)
 
     def _activations(
         self, source: Batch, target: Batch | None, method: Method | None, step: Step
@@ -330,7 +315,7 @@ class Trainer(Adaptation):
         if target is not None:
             moved = self._shifted(target.inputs, self.seed, Draw.STAGE_2_TARGET, step.number)
             target = target._replace(inputs=moved)
-            shown.append(method.perturb(moved, step))
+            shown.append(method.augment(moved, step))
         with autocast(profile, network.device):
             if target is not None and profile.batch_statistics == "joint":
                 together = network.features(torch.cat(shown))
@@ -374,9 +359,9 @@ class Trainer(Adaptation):
             torch.save(content | {"records": list(map(asdict, records))}, temporary)
 
     def _resume(self, state: Mapping[str, Any]) -> list[EpochRecord]:
-        """Take the state of an interrupted training, and return the records of its epochs; without a file there are none.
+        """Take the state of an interrupted training, and return the records of its epochs.
 
-        A file that is damaged or of another training is set aside, and nothing is taken from it.
+        Nothing is taken from a file that is damaged or of another training: it is set aside.
         """
         if self.resume_file is None or not self.resume_file.is_file():
             return []
@@ -452,14 +437,6 @@ def _make_optimizer(
     for group in optimizer.param_groups:
         group["initial_lr"] = group["lr"]
     return optimizer
-
-
-def _divergence(title: str, losses: Mapping[str, Tensor], norm: Tensor) -> str:
-    values = ", ".join(f"{name} = {float(value.detach()):.3g}" for name, value in losses.items())
-    return (
-        f"{title}: {MAX_SKIPPED_IN_A_ROW} steps in a row had a loss or gradient that is not finite ({values}, "
-        f"gradient norm {float(norm):.3g}); lower the learning rate or the transfer weight"
-    )
 
 
 def _check_collapse(records: list[EpochRecord]) -> None:

@@ -1,6 +1,5 @@
 """What an adaptation method is, what it may work with, and how a training may fail."""
 
-import inspect
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -109,32 +108,18 @@ class Method(nn.Module):
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
     needs_stage_1: ClassVar[bool] = True
-    # Deprecated: `loss` is given a step, and says how its value is weighted.
+    # Deprecated, as `perturb` is: `loss` and `augment` are given a step.
     scheduled: ClassVar[bool] = True
     applies_weight: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        for name in {"scheduled", "applies_weight"} & vars(cls).keys():
+        for name in {"scheduled", "applies_weight", "perturb"} & vars(cls).keys():
             warnings.warn(
-                f"{cls.__name__}.{name} is deprecated: override loss(source, target, step), which returns a "
-                "TransferLoss with its own weight",
+                f"{cls.__name__}.{name} is deprecated: override `loss` or `augment`, which are given the step",
                 DeprecationWarning,
                 stacklevel=2,
             )
-        perturb = cls.perturb
-        if len(inspect.signature(perturb).parameters) == 2:
-            warnings.warn(
-                f"{cls.__name__}.perturb(inputs) is deprecated: perturb(inputs, step) has the step's rng",
-                DeprecationWarning,
-                stacklevel=2,
-            )
-
-            def with_step(self: "Method", inputs: Tensor, step: Step) -> Tensor:
-                self.weight, self.rng = step.weight, step.rng
-                return perturb(self, inputs)
-
-            cls.perturb = with_step
 
     def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__()
@@ -150,8 +135,12 @@ class Method(nn.Module):
     def begin(self, network: ForceNetwork) -> None:
         """Prepare for stage 2 of a network; by default nothing."""
 
-    def perturb(self, inputs: Tensor, step: Step) -> Tensor:
+    def augment(self, inputs: Tensor, step: Step) -> Tensor:
         """Return what the network is shown of the target's inputs (B, channels, h, w); by default all as it is."""
+        self._note(step)
+        return self.perturb(inputs)
+
+    def perturb(self, inputs: Tensor) -> Tensor:
         return inputs
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
@@ -160,13 +149,16 @@ class Method(nn.Module):
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
         """Return what is added to a step's loss; by default λ_t times `transfer_loss`, and nothing while λ_t is 0."""
-        weight = step.weight if self.scheduled else 1.0
-        # Deprecated: what a transfer loss read and wrote before it could be given a step.
-        self.weight, self.rng, self.diagnostics = weight, step.rng, {}
-        if weight == 0 and not self.applies_weight:
+        self._note(step)
+        if self.weight == 0 and not self.applies_weight:
             return None
         value = self.transfer_loss(source, target)
-        return TransferLoss(value, 1.0 if self.applies_weight else weight, self.diagnostics)
+        return TransferLoss(value, 1.0 if self.applies_weight else self.weight, self.diagnostics)
+
+    def _note(self, step: Step) -> None:
+        """Set what a transfer loss read and wrote before `loss` was given a step; deprecated."""
+        self.weight, self.rng = step.weight if self.scheduled else 1.0, step.rng
+        self.diagnostics: dict[str, float] = {}
 
     def after_step(self, network: ForceNetwork) -> None:
         """Follow a step of the network in training; by default nothing."""

@@ -15,20 +15,12 @@ from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
 from gelgap.adapt.network import Activations
 
 
-class _Reverse(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, features: Tensor, weight: float) -> Tensor:
-        ctx.weight = weight
-        return features.view_as(features)
-
-    @staticmethod
-    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
-        return -ctx.weight * gradient, None
-
-
 def reverse_gradient(features: Tensor, weight: float) -> Tensor:
     """Return the features unchanged; the gradient that flows back is multiplied by −weight ([1], section 4.2)."""
-    return _Reverse.apply(features, weight)
+    same = features.view_as(features)
+    if same.requires_grad:
+        same.register_hook(lambda gradient: -weight * gradient)
+    return same
 
 
 def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:

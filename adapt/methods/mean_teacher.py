@@ -32,7 +32,7 @@ class MeanTeacher(Method):
         """Let the teacher start as the network that stage 1 trained."""
         self.teacher = copy.deepcopy(network).requires_grad_(False).train()
 
-    def perturb(self, inputs: Tensor, step: Step) -> Tensor:
+    def augment(self, inputs: Tensor, step: Step) -> Tensor:
         return mix_colours(inputs, 1.0, step.rng)
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:

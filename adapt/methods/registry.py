@@ -1,7 +1,7 @@
 """The known methods: their names, without torch, and their classes and settings.
 
-A new one is a file in this folder and a line in `METHODS`. Further ones come from outside: by `register`, from the entry
-points of installed packages, or as `module:Class` or `file.py:Class`.
+A new one is a file in this folder and a line in `METHODS`. Further ones come from outside: by `register`, from the
+entry points of installed packages, or as `module:Class` or `file.py:Class`.
 """
 
 import hashlib
@@ -53,7 +53,7 @@ METHODS = {
 EXTRA: "dict[str, type[Method]]" = {}
 """Methods from outside that are loaded, by name."""
 _CODE: dict[str, str] = {}
-"""A hash of the file that defines a method from outside, by name: results of changed code are not taken for the same."""
+"""Hashes of the files of methods from outside, by name: results of changed code are not taken for the same."""
 ENTRY_POINTS = "gelgap.methods"
 """The group in which a package declares its methods: a name, and `module:Class`."""
 
@@ -145,15 +145,12 @@ def method_settings(name: str, profile: "Profile") -> "MethodSettings":
 def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3) -> "Method":
     """Return a method with the profile's settings for it."""
     kind = find_method(name)
-    arguments = method_settings(name, profile), profile.feature_dim, n_classes, n_labels
-    if len(inspect.signature(kind).parameters) == len(arguments) - 1:
-        warnings.warn(
-            f"{kind.__name__}(settings, feature_dim, n_classes) is deprecated: let it also take n_labels",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        arguments = arguments[:-1]
-    return kind(*arguments)
+    settings = method_settings(name, profile)
+    if len(inspect.signature(kind).parameters) == 3:
+        what = f"{kind.__name__}(settings, feature_dim, n_classes) is deprecated: let it take n_labels, too"
+        warnings.warn(what, DeprecationWarning, stacklevel=2)
+        return kind(settings, profile.feature_dim, n_classes)
+    return kind(settings, profile.feature_dim, n_classes, n_labels)
 
 
 def transfer_weight(name: str, profile: "Profile") -> float:
