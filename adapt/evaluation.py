@@ -147,11 +147,13 @@ class Presses:
         yielded = 0.0 if self.mount_n_per_mm is None else self.frames.force_n / self.mount_n_per_mm
         return self.command_mm - yielded
 
-    def direction(self, index: int) -> tuple[float, float]:
-        """Return the unit vector of a contact's commanded travel, rounded; (0, 0) without travel."""
-        x, y = self.command_mm[index, :2]
-        length = float(np.hypot(x, y)) or 1.0
-        return round(float(x) / length, 6) + 0.0, round(float(y) / length, 6) + 0.0
+    @property
+    def trajectories(self) -> np.ndarray:
+        """Contact point and direction (n, 3): the unit vector of the commanded travel, rounded; 0, 0 without travel."""
+        travel_mm = self.command_mm[:, :2]
+        length_mm = np.hypot(*travel_mm.T)[:, None]
+        direction = np.round(travel_mm / np.where(length_mm > 0, length_mm, 1), 6) + 0.0
+        return np.column_stack([self.frames.point_id, direction])
 
 
 def pose_oracle(source: LabelledFrames, target: LabelledFrames) -> Evaluation:
@@ -179,12 +181,13 @@ def geometry_oracle(source: Presses, target: Presses) -> Evaluation:
         If the domains share no contact.
     """
     _, in_target = _pairs(source.frames, target.frames)
-    actual_mm = target.actual_mm[in_target]
+    actual_mm, wanted = target.actual_mm[in_target], target.trajectories[in_target]
+    is_touching = target.command_mm[in_target, 2] < 0  # elsewhere the force is 0
     guess_n = np.zeros((len(in_target), 3))
-    for (point, direction), members in _by_point_and_direction(target, in_target).items():
-        at_point = np.flatnonzero(source.frames.point_id == point)
-        own = np.array([i for i in at_point if source.direction(i) == direction])
-        guess_n[members] = _force_along(source, own, direction, actual_mm[members])
+    for trajectory in np.unique(wanted[is_touching], axis=0):
+        members = is_touching & (wanted == trajectory).all(axis=1)
+        own = (source.trajectories == trajectory).all(axis=1)
+        guess_n[members] = _force_along(source, own, trajectory[1:], actual_mm[members])
     truth = target.frames.force_n[in_target]
     return evaluate_predictions(truth, guess_n, target.frames.force_range_n)
 
@@ -196,25 +199,10 @@ def _pairs(source: LabelledFrames, target: LabelledFrames) -> tuple[np.ndarray, 
     return pairs
 
 
-def _by_point_and_direction(
-    presses: Presses, indices: np.ndarray
-) -> dict[tuple[int, tuple[float, float]], list[int]]:
-    """Return the positions in `indices` of the contacts, by point and direction.
-
-    Frames without contact are left out: their force is 0.
-    """
-    found: dict[tuple[int, tuple[float, float]], list[int]] = {}
-    for position, i in enumerate(indices):
-        if presses.command_mm[i, 2] < 0:
-            key = int(presses.frames.point_id[i]), presses.direction(i)
-            found.setdefault(key, []).append(position)
-    return found
-
-
 def _force_along(
-    source: Presses, own: np.ndarray, direction: tuple[float, float], actual_mm: np.ndarray
+    source: Presses, own: np.ndarray, direction: np.ndarray, actual_mm: np.ndarray
 ) -> np.ndarray:
-    """Return the source's force (m, 3) at displacements (m, 3), from its contacts `own` in one direction.
+    """Return the source's force (m, 3) at displacements (m, 3), from its contacts `own` (n,) in one direction (2,).
 
     A thin-plate spline over depth and travel passes through all of them, and through zero where the gel is not touched.
     """

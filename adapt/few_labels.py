@@ -16,7 +16,7 @@ from torch.nn import functional
 from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
 from gelgap.adapt.epochs import Progress, silent
 from gelgap.adapt.evaluation import Evaluation, evaluate, evaluate_constant_mean
-from gelgap.adapt.methods.base import TrainingDiverged
+from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
@@ -121,11 +121,7 @@ def fine_tune(
             with autocast(model.profile, model.device):
                 features = network.features(pictures.inputs(rows))
             loss = functional.mse_loss(network.regressor(features.float()), force[rows])
-            if not torch.isfinite(loss):
-                raise TrainingDiverged("fine-tuning: the loss is not finite; lower the learning rate")
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            optimizer.step()
+            descend(optimizer, loss, "fine-tuning")
     return replace(model, network=network)
 
 

@@ -204,7 +204,7 @@ class Trainer(Adaptation):
     records: list[EpochRecord] = field(default_factory=list)
 
     def train(self, method: Method | None = None) -> None:
-        """Train by SGD: stage 1 on the source's labels, stage 2, which has a method, on its loss of both domains too."""
+        """Train by SGD: stage 1 on the source's labels; stage 2, where there is a method, on its loss of both, too."""
         network, profile, target, final_weight = self.network, self.profile, None, 0.0
         epochs, rate = profile.source_epochs, profile.source_learning_rate
         if method is not None:

@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+import torch
 from pydantic import Field
 from torch import Tensor, nn
+from torch.optim import Optimizer
 
 from gelgap.adapt.network import Activations, ForceNetwork
 from gelgap.adapt.profile import Profile
@@ -20,6 +22,21 @@ class FeatureCollapse(RuntimeError):
 
 class TrainingDiverged(RuntimeError):
     """Losses or gradients are not finite."""
+
+
+def descend(optimizer: Optimizer, loss: Tensor, what: str) -> None:
+    """Take a step of the optimiser on a loss.
+
+    Raises
+    ------
+    TrainingDiverged
+        If the loss is not finite.
+    """
+    if not torch.isfinite(loss):
+        raise TrainingDiverged(f"{what}: the loss is not finite; lower the learning rate")
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    optimizer.step()
 
 
 class MethodSettings(Settings):

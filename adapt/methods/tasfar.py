@@ -22,7 +22,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, TrainingDiverged
+from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, descend
 from gelgap.adapt.network import ForceNetwork
 
 _DRAWS = 20
@@ -119,11 +119,7 @@ class TASFAR(Method):
                 loss = (
                     labels.weight * functional.mse_loss(network(inputs), labels.force, reduction="none")
                 ).mean()
-                if not torch.isfinite(loss):
-                    raise TrainingDiverged("TASFAR: the loss is not finite; lower its learning_rate")
-                optimizer.zero_grad()
-                loss.backward()
-                optimizer.step()
+                descend(optimizer, loss, "TASFAR")
 
     def _calibrated(self, adaptation: Adaptation) -> Calibration:
         spreads, errors = [], []

@@ -39,9 +39,10 @@ def test_hidden_batches_are_a_share_and_depend_on_the_key_alone():
 
 def test_hidden_frames_lose_their_markers_in_picture_and_reference(source, profile, easy_markers):
     hiding = profile.replace(marker_hiding=0.5, pairing="channels")
-    domain = TrainingDomain.unlabelled(dotted(source), hiding, "cpu")
-    rows = torch.tensor([4, 9, 2])
-    shown, hidden = (domain.inputs(rows, is_hidden) for is_hidden in (False, True))
+    domain = TrainingDomain(dotted(source), hiding, "cpu", labelled=False)
+    rows = np.array([4, 9, 2])
+    shown, hidden = (domain.batch(rows, is_hidden).inputs for is_hidden in (False, True))
+    assert domain.batch(rows, False).force is None
     torch.testing.assert_close(shown, domain.pictures.inputs(rows))
     brightness = [inputs[(slice(None), slice(None), *DOT)].mean(dim=(2, 3)) for inputs in (shown, hidden)]
     assert (brightness[1] > brightness[0] + 0.5).all()
@@ -51,7 +52,7 @@ def test_hidden_frames_lose_their_markers_in_picture_and_reference(source, profi
 def test_stage_2_hides_markers_in_both_domains_independently(source, target, profile, share, easy_markers):
     hiding = profile.replace(marker_hiding=share)
     trainer = Trainer(make_network(hiding, source.n_classes, 0), hiding, 0, dotted(source))
-    domains = trainer.source_domain, TrainingDomain.unlabelled(dotted(target), hiding, "cpu")
+    domains = trainer.source_domain, TrainingDomain(dotted(target), hiding, "cpu", labelled=False)
     shown = []
     for pair in (pair for epoch in range(8) for pair in trainer.batches(epoch, domains[1])):
         for batch, domain in zip(pair, domains, strict=True):
