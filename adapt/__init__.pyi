@@ -20,7 +20,9 @@ from .methods.base import Adaptation as Adaptation
 from .methods.base import FeatureCollapse as FeatureCollapse
 from .methods.base import Method as Method
 from .methods.base import MethodSettings as MethodSettings
+from .methods.base import Step as Step
 from .methods.base import TrainingDiverged as TrainingDiverged
+from .methods.base import TransferLoss as TransferLoss
 from .methods.registry import find_method as find_method
 from .methods.registry import make_method as make_method
 from .methods.registry import method_names as method_names
