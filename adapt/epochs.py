@@ -75,11 +75,10 @@ class EpochLog:
         source: Activations,
         losses: Mapping[str, Tensor],
         diagnostics: Mapping[str, float | Tensor] | None,
-        gradient_norm: Tensor,
-        skipped: bool,
+        gradient_norm: Tensor | None,
     ) -> None:
-        """Note a step; losses, gradient and diagnostics of a skipped one are left out."""
-        if not skipped:
+        """Note a step; losses and diagnostics of a skipped one, which has no gradient_norm, are left out."""
+        if gradient_norm is not None:
             losses = {name: loss.detach() for name, loss in losses.items()}
             self._steps.append((losses, diagnostics or {}, gradient_norm))
         self._predictions.append(source.prediction.detach().float())

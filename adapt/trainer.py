@@ -262,7 +262,7 @@ class Trainer(Adaptation):
                         f"finite ({values}, gradient norm {float(norm):.3g}); lower the learning rate or the "
                         "transfer weight"
                     )
-                log.add(of_source, losses, transfer and transfer.diagnostics, norm, skipped=not finite)
+                log.add(of_source, losses, transfer and transfer.diagnostics, norm if finite else None)
             records.append(log.record(self.title, epoch + 1))
             if method is not None:
                 _check_collapse(records)

@@ -116,10 +116,8 @@ class TASFAR(Method):
         for epoch in range(1, self.settings.epochs + 1):
             for inputs in adaptation.target_batches(epoch):
                 labels = pseudo_labels(*_uncertain(teacher, inputs), density, edges, calibration)
-                loss = (
-                    labels.weight * functional.mse_loss(network(inputs), labels.force, reduction="none")
-                ).mean()
-                descend(optimizer, loss, "TASFAR")
+                error = functional.mse_loss(network(inputs), labels.force, reduction="none")
+                descend(optimizer, (labels.weight * error).mean(), "TASFAR")
 
     def _calibrated(self, adaptation: Adaptation) -> Calibration:
         spreads, errors = [], []
@@ -142,9 +140,8 @@ class TASFAR(Method):
             is_confident = (spread <= calibration.confident).float()
             found += (is_confident[..., None] * block_masses(prediction, sigma, edges)).sum(dim=0)
         total = found.sum(dim=1, keepdim=True)
-        return torch.where(
-            total > 0, found / total.clamp_min(1e-12), torch.full_like(found, 1 / found.shape[1])
-        )
+        even = torch.full_like(found, 1 / found.shape[1])
+        return torch.where(total > 0, found / total.clamp_min(1e-12), even)
 
 
 @torch.no_grad()
@@ -156,7 +153,5 @@ def _uncertain(network: ForceNetwork, inputs: Tensor) -> tuple[Tensor, Tensor]:
     features = network.features(inputs).float()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        draws = torch.stack(
-            [network.regressor(functional.dropout(features, _DROPOUT)) for _ in range(_DRAWS)]
-        )
-    return network.regressor(features), draws.std(dim=0)
+        draws = [network.regressor(functional.dropout(features, _DROPOUT)) for _ in range(_DRAWS)]
+    return network.regressor(features), torch.stack(draws).std(dim=0)

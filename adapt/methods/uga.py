@@ -85,9 +85,8 @@ class UGA(Method):
 
     def evidence(self, features: Tensor) -> Evidence:
         """Return the evidence for the forces of features (B, D)."""
-        nu, alpha, beta = (
-            functional.softplus(self.evidence_head(features)).unflatten(1, (-1, 3)).unbind(dim=2)
-        )
+        positive = functional.softplus(self.evidence_head(features)).unflatten(1, (-1, 3))
+        nu, alpha, beta = positive.unbind(dim=2)
         return Evidence(nu + _LEAST, alpha + 1 + _LEAST, beta + _LEAST)
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
