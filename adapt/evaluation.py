@@ -1,11 +1,21 @@
-"""Errors of predictions: MAE and R² of each label, in its unit and as a share of its range."""
+"""Errors of predictions, MAE and R² of each label, and the errors that oracles would make.
+
+Oracles know contacts that both domains share. The pose oracle predicts a target frame's force by the source's force at
+the same commanded pose: what a perfect alignment of contact classes gives. The geometry oracle predicts it by the
+source gel's force at the target's actual contact: what a network gives that sees the target's shape as the source's.
+Neither is a lower bound: shrinkage or luck can beat them.
+"""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelgap.adapt.model import ForceModel
-from gelgap.domains import FORCE_COLUMNS, QUANTITIES, LabelledFrames, with_labels
+from gelgap.domains import FORCE_COLUMNS, QUANTITIES, LabelledFrames, paired_contacts, with_labels
+
+if TYPE_CHECKING:
+    from gelgap.domains import GeneratedDomain
 
 
 @dataclass(frozen=True)
@@ -21,6 +31,15 @@ class Evaluation:
     mae_percent: tuple[float, ...]
     r2: tuple[float, ...]
     labels: tuple[str, ...] = FORCE_COLUMNS
+
+    def __post_init__(self) -> None:
+        if unknown := [name for name in self.labels if name not in QUANTITIES]:
+            raise ValueError(f"label {unknown[0]!r} is unknown")
+        if {len(self.mae), len(self.mae_percent), len(self.r2)} != {len(self.labels)}:
+            names = ", ".join(self.labels)
+            raise ValueError(
+                f"an evaluation has other than {len(self.labels)} numbers for the labels {names}"
+            )
 
     @property
     def unit(self) -> str | None:
@@ -98,3 +117,113 @@ def evaluate_constant_mean(train: LabelledFrames, frames: LabelledFrames) -> Eva
     return evaluate_frames(
         frames, np.broadcast_to(train.label_values.astype(float).mean(axis=0), values.shape)
     )
+
+
+@dataclass(frozen=True)
+class Presses:
+    """The frames of a domain with what was commanded, and how far the rig yields.
+
+    command_mm (n, 3) is the indenter's commanded displacement from touching the gel; mount_n_per_mm the stiffness of
+    the rig (None: rigid).
+    """
+
+    frames: LabelledFrames
+    command_mm: np.ndarray
+    mount_n_per_mm: float | None
+
+    @classmethod
+    def of(cls, domain: "GeneratedDomain") -> "Presses":
+        """Read a generated domain's labels."""
+        names = ("shear_x_mm", "shear_y_mm", "commanded_z_mm")
+        return cls(
+            frames=domain,
+            command_mm=np.stack([domain.columns[name] for name in names], axis=1),
+            mount_n_per_mm=domain.recipe.elastomer.mount_stiffness_n_per_mm,
+        )
+
+    @property
+    def actual_mm(self) -> np.ndarray:
+        """Where the indenter is (n, 3): the commanded displacement less what the rig yields."""
+        yielded = 0.0 if self.mount_n_per_mm is None else self.frames.force_n / self.mount_n_per_mm
+        return self.command_mm - yielded
+
+    @property
+    def trajectories(self) -> np.ndarray:
+        """Contact point and direction (n, 3): the unit vector of the commanded travel, rounded; 0, 0 without travel."""
+        travel_mm = self.command_mm[:, :2]
+        length_mm = np.hypot(*travel_mm.T)[:, None]
+        direction = np.round(travel_mm / np.where(length_mm > 0, length_mm, 1), 6) + 0.0
+        return np.column_stack([self.frames.point_id, direction])
+
+
+def pose_oracle(source: LabelledFrames, target: LabelledFrames) -> Evaluation:
+    """Return the error of the source's force at the target's commanded pose, over shared contacts.
+
+    Raises
+    ------
+    ValueError
+        If the domains share no contact.
+    """
+    in_source, in_target = _pairs(source, target)
+    return evaluate_predictions(target.force_n[in_target], source.force_n[in_source], target.force_range_n)
+
+
+def geometry_oracle(source: Presses, target: Presses) -> Evaluation:
+    """Return the error of the source gel's force at the target's actual contact, over shared contacts.
+
+    With a rigid rig the actual contact is the commanded one, and this is the pose oracle. With a compliant one the
+    indenter of a stiffer gel goes less deep; the source's force there is interpolated between its own contacts at the
+    same point and in the same direction. The source keeps its friction.
+
+    Raises
+    ------
+    ValueError
+        If the domains share no contact.
+    """
+    _, in_target = _pairs(source.frames, target.frames)
+    actual_mm, wanted = target.actual_mm[in_target], target.trajectories[in_target]
+    is_touching = target.command_mm[in_target, 2] < 0  # elsewhere the force is 0
+    guess_n = np.zeros((len(in_target), 3))
+    for trajectory in np.unique(wanted[is_touching], axis=0):
+        members = is_touching & (wanted == trajectory).all(axis=1)
+        own = (source.trajectories == trajectory).all(axis=1)
+        guess_n[members] = _force_along(source, own, trajectory[1:], actual_mm[members])
+    truth = target.frames.force_n[in_target]
+    return evaluate_predictions(truth, guess_n, target.frames.force_range_n)
+
+
+def _pairs(source: LabelledFrames, target: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
+    pairs = paired_contacts(source, target)
+    if not len(pairs[0]):
+        raise ValueError("source and target share no contact; generate paired contacts")
+    return pairs
+
+
+def _force_along(
+    source: Presses, own: np.ndarray, direction: np.ndarray, actual_mm: np.ndarray
+) -> np.ndarray:
+    """Return the source's force (m, 3) at displacements (m, 3), from its contacts `own` (n,) in one direction (2,).
+
+    A thin-plate spline over depth and travel passes through all of them, and through zero where the gel is not touched.
+    """
+    from scipy.interpolate import RBFInterpolator
+
+    def place(displacement_mm: np.ndarray) -> np.ndarray:
+        return np.stack([displacement_mm[:, 2], displacement_mm[:, :2] @ direction], axis=1)
+
+    known = np.concatenate([place(source.actual_mm[own]), np.zeros((1, 2))])
+    force_n = np.concatenate([source.frames.force_n[own], np.zeros((1, 3))])
+    if np.linalg.matrix_rank(known) < 2:
+        order = np.argsort(-known[:, 0])
+        depths_mm, sorted_n = -known[order, 0], force_n[order]
+        return np.stack([np.interp(-actual_mm[:, 2], depths_mm, axis) for axis in sorted_n.T], axis=1)
+    return RBFInterpolator(known, force_n)(place(actual_mm))
+
+
+def gap_closed(source_only_n: float, adapted_n: float, supervised_n: float) -> float:
+    """Return the share of the gap from source-only to supervised error that a method closes; not capped.
+
+    NaN where supervised training is no better than source-only.
+    """
+    gap = source_only_n - supervised_n
+    return (source_only_n - adapted_n) / gap if gap > 0 else float("nan")

@@ -1,29 +1,51 @@
-"""A few labelled frames of the target: which ones, and a model fine-tuned on them or corrected by them.
+"""Labels from elsewhere: networks pretrained on many domains, and a few labelled frames that correct or fine-tune one.
 
-Frames must come from the target's training part; its test frames stay for judging.
+Labelled frames must come from the target's training part; its test frames stay for judging.
 """
 
 import copy
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
+from torch import nn
 from torch.nn import functional
 
-from gelgap.adapt.batches import Draw, generator, network_inputs, normalised_labels
-from gelgap.adapt.loop import TrainingDiverged
-from gelgap.adapt.machine import autocast, torch_threads
-from gelgap.adapt.model import AffineCorrection, ForceModel
-from gelgap.domains import LabelledFrames
+from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
+from gelgap.adapt.epochs import Progress, silent
+from gelgap.adapt.evaluation import Evaluation, evaluate, evaluate_constant_mean
+from gelgap.adapt.methods.base import descend
+from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
+from gelgap.adapt.network import autocast, torch_threads
+from gelgap.adapt.profile import Profile
+from gelgap.adapt.runs import Stage1
+from gelgap.domains import (
+    QUANTITIES,
+    LabelledFrames,
+    Labels,
+    join_domains,
+    open_domain,
+    with_labels,
+    within_range,
+)
 
 STEPS = 100
-"""Steps of fine-tuning, whatever the number of frames."""
+"""Steps of fine-tuning to a target, whatever the number of frames."""
 LEARNING_RATE = 1e-2
 """Of all weights, with momentum 0.9; at 0.002 one label does less harm, but 20 and more leave larger errors."""
+NEW_SENSOR_STEPS = 200
+NEW_SENSOR_LEARNING_RATE = 4e-3
+"""Of a network from elsewhere, whose outputs may be far off: at 0.01 some end as a constant, on few and like frames."""
+CLIP = "clip"
+CHECKPOINT = "pretrained.pt"
 _BATCH = 32
 _MOMENTUM = 0.9
 # Of the ridge: the weakest leaves an exact relation as it is, the strongest leaves the predictions.
 _PENALTIES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
+# The last of the domains are kept for judging: one in this many.
+_HELD_OUT_OF = 10
 
 
 def draw_labelled(frames: LabelledFrames, k: int, seed: int) -> LabelledFrames:
@@ -37,11 +59,10 @@ def draw_labelled(frames: LabelledFrames, k: int, seed: int) -> LabelledFrames:
     ValueError
         If there are fewer than k frames, or k < 1.
     """
-    return frames.take(labelled_rows(frames, k, seed))
+    return frames.take(_rows_by_depth(frames, k, seed))
 
 
-def labelled_rows(frames: LabelledFrames, k: int, seed: int) -> np.ndarray:
-    """Return the indices (k,) of the frames of `draw_labelled`."""
+def _rows_by_depth(frames: LabelledFrames, k: int, seed: int) -> np.ndarray:
     n = len(frames)
     if not 1 <= k <= n:
         raise ValueError(f"k = {k} labelled frames of {frames.name}: must be 1 to {n}")
@@ -51,6 +72,16 @@ def labelled_rows(frames: LabelledFrames, k: int, seed: int) -> np.ndarray:
     if depth_mm is not None:
         order = order[np.argsort(np.nan_to_num(depth_mm[order]), kind="stable")]
     return np.array([rng.choice(part) for part in np.array_split(order, k)])
+
+
+def _rows_of_clips(frames: LabelledFrames, k: int, seed: int) -> np.ndarray:
+    if CLIP not in frames.columns:
+        raise ValueError(f"clips = {k}: {frames.name} has no column {CLIP!r}; draw single frames instead")
+    clips = frames.columns[CLIP].astype(str)
+    names = np.unique(clips)
+    if not 1 <= k <= len(names):
+        raise ValueError(f"clips = {k} of {frames.name}: must be 1 to {len(names)}")
+    return np.flatnonzero(np.isin(clips, generator(Draw.LABELLED, seed).choice(names, k, replace=False)))
 
 
 def fine_tune(
@@ -90,11 +121,7 @@ def fine_tune(
             with autocast(model.profile, model.device):
                 features = network.features(pictures.inputs(rows))
             loss = functional.mse_loss(network.regressor(features.float()), force[rows])
-            if not torch.isfinite(loss):
-                raise TrainingDiverged("fine-tuning: the loss is not finite; lower the learning rate")
-            optimizer.zero_grad(set_to_none=True)
-            loss.backward()
-            optimizer.step()
+            descend(optimizer, loss, "fine-tuning")
     return replace(model, network=network)
 
 
@@ -155,3 +182,181 @@ def _check(model: ForceModel, frames: LabelledFrames) -> None:
             "with_labels(frames, model.labels) gives the frames the model's"
         )
     frames.check_labels()
+
+
+@dataclass(frozen=True)
+class Pretraining:
+    """A pretrained network: its checkpoint, the frames that it has learnt from, and its error on unseen domains.
+
+    `left_out` frames have a force outside the declared range.
+    """
+
+    checkpoint: Path
+    frames: int
+    left_out: int
+    held_out: Evaluation
+    held_out_constant_mean: Evaluation
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.checkpoint}: trained on {self.frames} frames",
+            f"{'MAE in N':<28} {'Fx':>7} {'Fy':>7} {'Fz':>7}",
+        ]
+        for name, error in (("constant mean", self.held_out_constant_mean), ("pretrained", self.held_out)):
+            values = " ".join(f"{value:7.4f}" for value in error.mae_n)
+            lines.append(f"{name + ', unseen domains':<28} {values}")
+        if self.left_out:
+            lines.append(f"{self.left_out} frames with a force outside the declared range were left out")
+        return "\n".join(lines)
+
+
+def pretrain(
+    folders: Sequence[str | Path],
+    out_dir: str | Path,
+    profile: str | Profile = "cpu",
+    seed: int = 0,
+    *,
+    progress: Progress = silent,
+) -> Pretraining:
+    """Train stage 1 on many domains, and judge it on the last tenth of them, which it does not see.
+
+    The checkpoint `pretrained.pt` in `out_dir` is one that `adapt_folders` takes as `weights`. An interrupted training
+    is resumed from its last epoch, a finished one is not repeated.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two domains, the profile is unknown, or domains do not fit together.
+    RuntimeError
+        If another process is training it.
+    """
+    profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
+    if len(folders) < 2:
+        raise ValueError(f"{len(folders)} domains: pretraining needs 2 or more, the last to judge by")
+    domains = [open_domain(folder) for folder in folders]
+    within = [within_range(domain) for domain in domains]
+    held_out = max(1, len(domains) // _HELD_OUT_OF)
+    seen, unseen = join_domains(within[:-held_out]), join_domains(within[-held_out:])
+    model, _ = Stage1(seen, profile, seed, out=Path(out_dir), progress=progress).model()
+    checkpoint = Path(out_dir) / CHECKPOINT
+    model.save(checkpoint)
+    return Pretraining(
+        checkpoint=checkpoint,
+        frames=len(seen),
+        left_out=sum(map(len, domains)) - sum(map(len, within)),
+        held_out=evaluate(model, unseen),
+        held_out_constant_mean=evaluate_constant_mean(seen, unseen),
+    )
+
+
+@dataclass(frozen=True)
+class Finetuning:
+    """A fine-tuned model, how many frames taught it, and errors on other frames: of their mean, before, and after.
+
+    `left_out` frames have a label that the model's range does not hold.
+    """
+
+    model: ForceModel
+    frames: int
+    left_out: int
+    constant_mean: Evaluation
+    before: Evaluation
+    after: Evaluation
+
+    def __str__(self) -> str:
+        known = [QUANTITIES[name] for name in self.model.labels.names]
+        columns = " ".join(f"{f'{what.symbol}/{what.unit}':>8}" for what in known)
+        errors = {
+            f"mean of the {self.frames} labelled frames": self.constant_mean,
+            "no label": self.before,
+            "fine-tuned": self.after,
+        }
+        lines = [f"{f'MAE on {self.after.n} other frames':<34} {columns}"]
+        for name, error in errors.items():
+            lines.append(f"{name:<34} " + " ".join(f"{value:8.4f}" for value in error.mae))
+        if self.left_out:
+            lines.append(f"left out: {self.left_out} frames with a label outside {self.model.labels}")
+        return "\n".join(lines)
+
+
+def finetune(
+    checkpoint: str | Path,
+    on: str | Path,
+    test: str | Path,
+    *,
+    frames: int | None = None,
+    clips: int | None = None,
+    seed: int = 0,
+) -> Finetuning:
+    """Fine-tune a checkpoint on labelled frames of a data set, and judge it on another, or on the rest of the same.
+
+    The labels are those of the model that both data sets have, in the model's ranges. Frames beyond are left out and
+    counted, such as those of a gauge that reads a little above 0 at rest. Batch normalisations get the statistics of
+    all pictures of `on`, for which no label is needed, before and after; then all weights take 200 steps.
+
+    Parameters
+    ----------
+    checkpoint
+        A gelgap checkpoint, such as `pretrain` writes.
+    on, test
+        Folders of data sets; the same folder twice: what is not drawn is tested on.
+    frames
+        How many frames to draw, as `draw_labelled` does.
+    clips
+        Or how many clips to draw, by the column `clip`; all their frames are taken.
+    seed
+        Of the draw and of the training.
+
+    Raises
+    ------
+    ValueError
+        If not exactly one of frames and clips is given, there are fewer, the data sets lack the model's labels, or none
+        of the frames to learn or to test on lies within their ranges.
+    """
+    if (frames is None) == (clips is None):
+        raise ValueError(f"frames = {frames}, clips = {clips}: give one of the two")
+    labelled: LabelledFrames = open_domain(on)
+    others: LabelledFrames = open_domain(test)
+    drawn = (
+        _rows_of_clips(labelled, clips, seed) if frames is None else _rows_by_depth(labelled, frames, seed)
+    )
+    if Path(on).resolve() == Path(test).resolve():
+        others = others.take(np.setdiff1d(np.arange(len(others)), drawn))
+        if not len(others):
+            raise ValueError(f"{on}: all of its {len(drawn)} frames are drawn; leave some to test on")
+    before = len(drawn) + len(others)
+    model = of_common_labels(ForceModel.load(checkpoint), labelled, others)
+    few, others = (within_range(with_labels(part, model.labels)) for part in (labelled.take(drawn), others))
+    if not (len(few) and len(others)):
+        raise ValueError(
+            f"{on}, {test}: no labelled, or no other frame lies within the model's {model.labels}"
+        )
+    model = with_statistics_of(model, labelled)
+    tuned = fine_tune(model, few, steps=NEW_SENSOR_STEPS, learning_rate=NEW_SENSOR_LEARNING_RATE, seed=seed)
+    return Finetuning(
+        model=replace(tuned, target=labelled.name),
+        frames=len(few),
+        left_out=before - len(few) - len(others),
+        constant_mean=evaluate_constant_mean(few, others),
+        before=evaluate(model, others),
+        after=evaluate(tuned, others),
+    )
+
+
+def of_common_labels(model: ForceModel, *data: LabelledFrames) -> ForceModel:
+    """Return the model with those of its labels alone that all data sets have."""
+    names = model.labels.names
+    at = [k for k, name in enumerate(names) if all(name in frames.columns for frames in data)]
+    if not at:
+        raise ValueError(
+            f"the model predicts {', '.join(names)}, none of which both {data[0].name} and {data[1].name} have"
+        )
+    if len(at) == len(names):
+        return model
+    network = copy.deepcopy(model.network)
+    layer = network.regressor[0]
+    fewer = nn.Linear(layer.in_features, len(at)).to(layer.weight.device)
+    fewer.weight.data, fewer.bias.data = layer.weight.data[at].clone(), layer.bias.data[at].clone()
+    network.regressor[0], network.n_labels = fewer, len(at)
+    labels = Labels(tuple(names[k] for k in at), tuple(model.labels.ranges[k] for k in at))
+    return replace(model, network=network, labels=labels)

@@ -1,22 +1,25 @@
-"""A trained model: predicts forces or other labels, is saved and loaded."""
+"""A trained model: predicts forces or other labels, is saved and loaded, and takes the statistics of other pictures."""
 
-from dataclasses import dataclass, field
+import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import nn
 
-from gelgap.adapt.batches import network_inputs
-from gelgap.adapt.checkpoint import load_checkpoint
-from gelgap.adapt.network import ForceNetwork, make_network
+from gelgap.adapt.data import Draw, epoch_order, network_inputs
+from gelgap.adapt.methods.registry import find_method
+from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import FORCE_COLUMNS, ChannelStatistics, LabelledFrames, Labels
+from gelgap.domains import FORCE_COLUMNS, ChannelStatistics, LabelledFrames, Labels, PairedFrames
 
 _FORMAT = 1
 _INFERENCE_BATCH = 256
+_STATISTICS_BATCH = 64
 
 
 class AffineCorrection(NamedTuple):
@@ -58,7 +61,7 @@ class ForceModel:
 
     @property
     def device(self) -> torch.device:
-        return next(self.network.parameters()).device
+        return self.network.device
 
     @property
     def force_range_n(self) -> np.ndarray:
@@ -93,25 +96,24 @@ class ForceModel:
     def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
         self.network.eval()
         pictures = network_inputs(frames, self.profile, self.device, self.input_statistics)
-        features, predictions = [], []
+        features = [np.empty((0, self.profile.feature_dim), np.float32)]
+        predictions = [np.empty((0, len(self.labels)), np.float32)]
         for start in range(0, len(frames), _INFERENCE_BATCH):
             rows = np.arange(start, min(start + _INFERENCE_BATCH, len(frames)))
             batch = self.network.features(pictures.inputs(rows))
             features.append(batch.float().cpu().numpy())
             predictions.append(self.network.regressor(batch).float().cpu().numpy())
-        if not features:
-            return np.empty((0, self.profile.feature_dim), np.float32), np.empty(
-                (0, len(self.labels)), np.float32
-            )
         return np.concatenate(features), np.concatenate(predictions)
 
     def save(self, path: str | Path) -> None:
         """Write the state dictionary and the description to one file."""
+        ranges = [list(bounds) for bounds in self.labels.ranges]
+        labels = {"labels": list(self.labels.names), "label_ranges": ranges}
         content = {
             "format": _FORMAT,
             "state": self.network.state_dict(),
             "profile": self.profile.model_dump_json(),
-            **_labels_content(self.labels),
+            **({"force_range_n": ranges} if self.labels.names == FORCE_COLUMNS else labels),
             "n_classes": self.n_classes,
             "seed": self.seed,
             "source": self.source,
@@ -142,70 +144,118 @@ class ForceModel:
         if content.get("format") != _FORMAT:
             raise ValueError(f"{path} is not a gelgap checkpoint of format {_FORMAT}")
         try:
-            return cls(**_fields(content))
+            return cls._of(content)
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} is not a whole gelgap checkpoint ({reason})") from None
 
-
-def _fields(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of the model that a checkpoint's content describes, or raise what says why it does not."""
-    profile = Profile.model_validate_json(content["profile"])
-    state, n_classes = content["state"], content["n_classes"]
-    # Before a network of that size is made.
-    if tuple(state["classifier.weight"].shape) != (n_classes, profile.feature_dim):
-        raise ValueError(f"the classifier is {tuple(state['classifier.weight'].shape)}")
-    labels = _labels(content)
-    network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
-    network.load_state_dict(state)
-    return {
-        "network": network,
-        "profile": profile,
-        "labels": labels,
-        "n_classes": n_classes,
-        "seed": content["seed"],
-        "source": content["source"],
-        "target": content["target"],
-        "method": content["method"],
-        "history": tuple(content["history"]),
-        "input_statistics": _statistics(content.get("input_statistics"), profile),
-        "correction": _correction(content.get("correction"), len(labels)),
-    }
-
-
-def _labels_content(labels: Labels) -> dict[str, Any]:
-    """Return a checkpoint's entries on the labels; those of forces have no names."""
-    ranges = [list(bounds) for bounds in labels.ranges]
-    if labels.names == FORCE_COLUMNS:
-        return {"force_range_n": ranges}
-    return {"labels": list(labels.names), "label_ranges": ranges}
+    @classmethod
+    def _of(cls, content: dict[str, Any]) -> "ForceModel":
+        """Return the model that a checkpoint's content describes, or raise what says why it does not."""
+        profile = Profile.model_validate_json(content["profile"])
+        state, n_classes = content["state"], content["n_classes"]
+        # Before a network of that size is made.
+        if tuple(state["classifier.weight"].shape) != (n_classes, profile.feature_dim):
+            raise ValueError(f"the classifier is {tuple(state['classifier.weight'].shape)}")
+        names = content.get("labels", FORCE_COLUMNS)
+        ranges = content["label_ranges" if "labels" in content else "force_range_n"]
+        labels = Labels.of(dict(zip(names, ranges, strict=True)))
+        statistics = _two_rows(content, "input_statistics", profile.in_channels)
+        if statistics is not None and min(statistics[1]) <= 0:
+            raise ValueError(f"input_statistics = {statistics}")
+        correction = _two_rows(content, "correction", len(labels))
+        network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
+        network.load_state_dict(state)
+        return cls(
+            network,
+            profile,
+            labels,
+            **{name: content[name] for name in ("n_classes", "seed", "source", "target", "method")},
+            history=tuple(content["history"]),
+            input_statistics=statistics and ChannelStatistics(*statistics),
+            correction=correction and AffineCorrection(*correction),
+        )
 
 
-def _labels(content: dict[str, Any]) -> Labels:
-    names, key = FORCE_COLUMNS, "force_range_n"
-    if "labels" in content:
-        names, key = tuple(content["labels"]), "label_ranges"
-    ranges = np.array(content[key], dtype=float)
-    if ranges.shape != (len(names), 2):
-        raise ValueError(f"{key} = {content[key]!r}")
-    return Labels.of(dict(zip(names, ranges.tolist(), strict=True)))
-
-
-def _statistics(content: list[list[float]] | None, profile: Profile) -> ChannelStatistics | None:
-    if content is None:
+def _two_rows(
+    content: dict[str, Any], name: str, columns: int
+) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+    if content.get(name) is None:
         return None
-    mean, std = _two_rows("input_statistics", content, profile.in_channels)
-    if min(std) <= 0:
-        raise ValueError(f"input_statistics = {content!r}")
-    return ChannelStatistics(mean, std)
-
-
-def _correction(content: list[list[float]] | None, n_labels: int) -> AffineCorrection | None:
-    return None if content is None else AffineCorrection(*_two_rows("correction", content, n_labels))
-
-
-def _two_rows(name: str, content: list[list[float]], columns: int) -> tuple[tuple[float, ...], ...]:
-    values = np.array(content, dtype=float)
+    values = np.array(content[name], dtype=float)
     if values.shape != (2, columns) or not np.isfinite(values).all():
-        raise ValueError(f"{name} = {content!r}")
-    return tuple(tuple(row) for row in values.tolist())
+        raise ValueError(f"{name} = {content[name]!r}")
+    first, second = values.tolist()
+    return tuple(first), tuple(second)
+
+
+def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
+    """Start from a gelgap checkpoint, or load ImageNet weights into the backbone.
+
+    Of a checkpoint with other labels or classes the outputs for those in common are taken; the others start anew.
+    """
+    if "state" not in load_checkpoint(path):
+        load_imagenet_weights(network.backbone, path)
+        return
+    checkpoint = ForceModel.load(path)
+    state, own = checkpoint.network.state_dict(), network.state_dict()
+    if checkpoint.labels.names != labels:
+        common = [name for name in labels if name in checkpoint.labels.names]
+        to, at = ([names.index(name) for name in common] for names in (labels, checkpoint.labels.names))
+        for key in ("regressor.0.weight", "regressor.0.bias"):
+            known, state[key] = state[key], own[key].clone()
+            state[key][to] = known[at]
+    if checkpoint.n_classes != network.classifier.out_features:
+        state |= {key: own[key] for key in ("classifier.weight", "classifier.bias")}
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(
+            f"checkpoint {path} was trained with another network ({checkpoint.profile.backbone}, width "
+            f"{checkpoint.profile.width:g}, {checkpoint.profile.pairing}); use the same profile"
+        ) from error
+
+
+def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
+    """Return a copy of a model whose input and batch normalisations have the statistics of these frames' pictures."""
+    network = copy.deepcopy(model.network)
+    pictures = network_inputs(frames, model.profile, model.device)
+    estimate_statistics(network, pictures, model.seed)
+    return replace(model, network=network, input_statistics=pictures.statistics)
+
+
+def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
+    """Return an adapted model as it is judged on the source: under its statistics, where each domain has its own.
+
+    source_train holds the source's training frames.
+    """
+    if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
+        return with_statistics_of(model, source_train)
+    if model.profile.input_standardisation == "none":
+        return model
+    return replace(model, input_statistics=input_statistics(source_train, model.profile, model.device))
+
+
+def input_statistics(
+    frames: LabelledFrames, profile: Profile, device: torch.device
+) -> ChannelStatistics | None:
+    """Return the statistics by which the profile standardises a domain's inputs, None where it does not."""
+    if profile.input_standardisation == "none":
+        return None
+    return network_inputs(frames, profile, device).statistics
+
+
+@torch.no_grad()
+def estimate_statistics(network: nn.Module, pictures: PairedFrames, seed: int) -> None:
+    """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
+    norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+    momenta = [norm.momentum for norm in norms]
+    for norm in norms:
+        norm.reset_running_stats()
+        norm.momentum = None
+    network.train()
+    for indices in epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS):
+        network.features(pictures.inputs(indices))
+    network.eval()
+    for norm, momentum in zip(norms, momenta, strict=True):
+        norm.momentum = momentum

@@ -1,12 +1,37 @@
-"""The force network: backbone, bottleneck, regression head and contact classifier (the paper's figure 2)."""
+"""The force network (the paper's figure 2), the files its weights come from, and the machine that it runs on.
 
+Backbones are ResNets [1] with torchvision's state-dict keys, any number of input channels, any width.
+
+[1] He, Zhang, Ren, Sun, "Deep residual learning for image recognition", CVPR 2016.
+"""
+
+import contextlib
+import ctypes
+import functools
+import struct
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.resnet import make_resnet
+
+# Options of glibc's mallopt.
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
+# A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
+_MOST_GROWTH = 2
+# What Python's zipfile and zlib raise on bytes that are not theirs.
+_UNREADABLE = (
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+    *(EOFError, OSError, ValueError, NotImplementedError, RuntimeError),
+)
+_ZIP = b"PK\x03\x04"
 
 
 @dataclass(frozen=True)
@@ -43,6 +68,11 @@ class ForceNetwork(nn.Module):
         self.regressor = nn.Sequential(nn.Linear(profile.feature_dim, n_labels), nn.Sigmoid())
         self.classifier = nn.Linear(profile.feature_dim, n_classes)
 
+    @property
+    def device(self) -> torch.device:
+        """Where its weights are."""
+        return self.classifier.weight.device
+
     def features(self, pictures: Tensor) -> Tensor:
         """Return the transfer features (B, D) of network inputs (B, channels, h, w)."""
         return self.bottleneck(self.backbone(pictures))
@@ -61,3 +91,214 @@ def make_network(profile: Profile, n_classes: int, seed: int, n_labels: int = 3)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return ForceNetwork(profile, n_classes, n_labels).to(memory_format=torch.channels_last)
+
+
+def _convolution(n_in: int, n_out: int, size: int, stride: int = 1) -> nn.Conv2d:
+    return nn.Conv2d(n_in, n_out, size, stride, padding=size // 2, bias=False)
+
+
+def _shortcut(n_in: int, n_out: int, stride: int) -> nn.Sequential | None:
+    if stride == 1 and n_in == n_out:
+        return None
+    return nn.Sequential(_convolution(n_in, n_out, 1, stride), nn.BatchNorm2d(n_out))
+
+
+class BasicBlock(nn.Module):
+    """Two 3×3 convolutions and a shortcut ([1], figure 5 left)."""
+
+    expansion = 1
+
+    def __init__(self, n_in: int, planes: int, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = _convolution(n_in, planes, 3, stride)
+        self.bn1 = nn.BatchNorm2d(planes)
+        self.conv2 = _convolution(planes, planes, 3)
+        self.bn2 = nn.BatchNorm2d(planes)
+        self.relu = nn.ReLU(inplace=True)
+        self.downsample = _shortcut(n_in, planes, stride)
+
+    def forward(self, x: Tensor) -> Tensor:
+        residual = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
+        return self.relu(residual + (x if self.downsample is None else self.downsample(x)))
+
+
+class Bottleneck(nn.Module):
+    """1×1, 3×3, 1×1 convolutions and a shortcut ([1], figure 5 right), stride on the 3×3."""
+
+    expansion = 4
+
+    def __init__(self, n_in: int, planes: int, stride: int = 1) -> None:
+        super().__init__()
+        n_out = planes * self.expansion
+        self.conv1 = _convolution(n_in, planes, 1)
+        self.bn1 = nn.BatchNorm2d(planes)
+        self.conv2 = _convolution(planes, planes, 3, stride)
+        self.bn2 = nn.BatchNorm2d(planes)
+        self.conv3 = _convolution(planes, n_out, 1)
+        self.bn3 = nn.BatchNorm2d(n_out)
+        self.relu = nn.ReLU(inplace=True)
+        self.downsample = _shortcut(n_in, n_out, stride)
+
+    def forward(self, x: Tensor) -> Tensor:
+        residual = self.relu(self.bn1(self.conv1(x)))
+        residual = self.relu(self.bn2(self.conv2(residual)))
+        residual = self.bn3(self.conv3(residual))
+        return self.relu(residual + (x if self.downsample is None else self.downsample(x)))
+
+
+class ResNet(nn.Module):
+    """ResNet without its classifier: maps (B, in_channels, h, w) to the pooled feature (B, out_features)."""
+
+    def __init__(self, block: type[nn.Module], depths: Sequence[int], in_channels: int, width: float) -> None:
+        super().__init__()
+        planes = [round(64 * 2**i * width) for i in range(4)]
+        self.conv1 = nn.Conv2d(in_channels, planes[0], 7, stride=2, padding=3, bias=False)
+        self.bn1 = nn.BatchNorm2d(planes[0])
+        self.relu = nn.ReLU(inplace=True)
+        self.maxpool = nn.MaxPool2d(3, stride=2, padding=1)
+        n_in = planes[0]
+        for i, depth in enumerate(depths):
+            blocks = []
+            for j in range(depth):
+                blocks.append(block(n_in, planes[i], stride=2 if i > 0 and j == 0 else 1))
+                n_in = planes[i] * block.expansion
+            self.add_module(f"layer{i + 1}", nn.Sequential(*blocks))
+        self.avgpool = nn.AdaptiveAvgPool2d(1)
+        self.out_features = n_in
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
+        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
+        return self.avgpool(x).flatten(1)
+
+
+RESNETS = {"resnet18": (BasicBlock, (2, 2, 2, 2)), "resnet50": (Bottleneck, (3, 4, 6, 3))}
+
+
+def make_resnet(name: str, in_channels: int = 3, width: float = 1.0) -> ResNet:
+    """Return an untrained ResNet; `width` scales the number of channels of every layer."""
+    if name not in RESNETS:
+        raise ValueError(f"backbone {name!r} is unknown; known backbones: {', '.join(RESNETS)}")
+    return ResNet(*RESNETS[name], in_channels, width)
+
+
+def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
+    """Load a torchvision ResNet state dictionary from a file the user names (its `fc` layer is left out).
+
+    A first convolution with 3·k input channels takes the file's filter repeated k times and divided by k,
+    so that a picture repeated k times gives the response of the original network.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file does not fit this backbone (another depth or width).
+    """
+    path = Path(path)
+    state = {key: value for key, value in load_checkpoint(path).items() if not str(key).startswith("fc.")}
+    if not all(isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()):
+        raise ValueError(f"weights file {path} is no state dictionary: it holds more than named tensors")
+    expected = backbone.state_dict()
+    filters = state.get("conv1.weight")
+    wanted = expected["conv1.weight"].shape[1]
+    if filters is not None and filters.ndim == 4 and filters.shape[1] == 3 and wanted % 3 == 0:
+        state["conv1.weight"] = filters.repeat(1, wanted // 3, 1, 1) * (3 / wanted)
+    wrong = sorted(
+        {key for key in expected if key not in state or state[key].shape != expected[key].shape}
+        | (set(state) - set(expected))
+    )
+    if wrong:
+        raise ValueError(
+            f"weights file {path} does not fit this backbone: {len(wrong)} keys are missing, foreign or of "
+            f"another shape (first: {wrong[0]}); use the same depth and width=1"
+        )
+    backbone.load_state_dict(state)
+
+
+def load_checkpoint(path: Path) -> dict[str, Any]:
+    """Return the dictionary of a file that `torch.save` wrote, on the CPU: tensors and plain values alone.
+
+    torch itself reads a file with damaged weights without a word; the CRC-32 that the file keeps of each part is
+    compared here. Files in the format before torch 1.6 have none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not a checkpoint, or is damaged; the message names it.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"checkpoint {path} does not exist")
+    with path.open("rb") as file:
+        is_archive = file.read(len(_ZIP)) == _ZIP
+    if is_archive:
+        _check_archive(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about foreign bytes; the sentence below is enough
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # an unpickler of foreign bytes raises anything
+        reason = str(error).partition("\n")[0].partition(". ")[0]
+        raise ValueError(f"{path} is not a checkpoint of torch ({type(error).__name__}: {reason})") from None
+    if not isinstance(content, dict):
+        raise ValueError(
+            f"{path} is not a checkpoint: it holds {type(content).__name__}, expected a dictionary"
+        )
+    return content
+
+
+def _check_archive(path: Path) -> None:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            total = sum(info.file_size for info in archive.infolist())
+            fits = total <= _MOST_GROWTH * path.stat().st_size
+            damaged = archive.testzip() if fits else None
+    except _UNREADABLE as error:
+        raise ValueError(f"{path} is damaged ({error}): it is not a whole checkpoint") from None
+    if not fits:
+        raise ValueError(f"{path} is not a checkpoint: it would take {total / 2**20:.0f} MiB")
+    if damaged is not None:
+        raise ValueError(f"{path} is damaged: the CRC-32 of {damaged!r} does not match")
+
+
+def best_device() -> torch.device:
+    """Return the GPU if there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def autocast(profile: Profile, device: torch.device) -> torch.autocast:
+    """Return the context in which the backbone computes in the profile's precision."""
+    return torch.autocast(device.type, torch.bfloat16, enabled=profile.precision == "bfloat16")
+
+
+@contextlib.contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Run with `count` CPU threads, and keep freed memory from here on."""
+    keep_freed_memory()
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@functools.cache
+def keep_freed_memory() -> bool:
+    """Have glibc keep freed memory for the next step; return whether the C library supports this.
+
+    By default glibc maps and unmaps every activation above 128 kB anew, and each step zeroes all their pages again.
+    """
+    try:
+        set_option = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return False
+    # 32 MiB is the highest threshold that glibc takes; larger blocks are always mapped.
+    options = {_M_MMAP_THRESHOLD: 2**25, _M_TRIM_THRESHOLD: 2**31 - 1, _M_TOP_PAD: 2**26}
+    accepted = [set_option(option, value) for option, value in options.items()]
+    return all(accepted)

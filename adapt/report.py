@@ -1,16 +1,18 @@
-"""The report of a folder of adaptation runs: tables of their errors, scatter plots and t-SNE."""
+"""The report of a folder of adaptation runs: tables of their errors, predicted against true force, and t-SNE."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gelgap.adapt.evaluation import Evaluation
-from gelgap.adapt.figures import feature_tsne, force_scatter
-from gelgap.adapt.result_pages import NamedFigure, write_pages
-from gelgap.adapt.result_table import ResultTable
-from gelgap.adapt.run_record import Run, load_predictions, load_runs
+from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
+from gelgap.adapt.runs import Run, load_predictions, load_runs
 from gelgap.domains import FORCE_COLUMNS, QUANTITIES
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Path:
@@ -22,12 +24,14 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
         If there is no finished run.
     """
     runs = load_runs(runs_dir)
-    out = Path(runs_dir if out_dir is None else out_dir)
-    tables = []
+    tables, figures = [], []
     for labels in dict.fromkeys(run.labels for run in runs):
         own = [run for run in runs if run.labels == labels]
         tables += [error_table(own), axis_table(own), training_table(own)]
-    return write_pages(out, "report", "Adaptation runs", tables, _figures(runs))
+    for group, labels in dict.fromkeys((run.group, run.labels) for run in runs):
+        figures += _figures([run for run in runs if (run.group, run.labels) == (group, labels)])
+    out = Path(runs_dir if out_dir is None else out_dir)
+    return write_pages(out, "report", "Adaptation runs", tables, figures)
 
 
 def error_table(runs: Sequence[Run]) -> ResultTable:
@@ -35,76 +39,68 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
 
     The runs have the same labels; where these have several units, it is in % of their ranges.
     """
-    unit = runs[0].target_test.unit
-    methods = list(dict.fromkeys(run.method for run in runs))
-    groups = list(dict.fromkeys(run.group for run in runs))
-    errors: dict[tuple[str, str], list[float]] = {}
-    for run in runs:
-        error = run.target_test
-        value = error.mean_mae_percent if unit is None else error.mean_mae
-        errors.setdefault((run.group, run.method), []).append(value)
-    rows = [[group, *(_mean_and_spread(errors.get((group, m), [])) for m in methods)] for group in groups]
-    means = []
-    for method in methods:
-        found = [np.mean(errors[group, method]) for group in groups if (group, method) in errors]
-        means.append(f"{np.mean(found):.3f}" if len(found) == len(groups) else None)
-    title = f"Mean error on the target's test frames{_of_labels(runs)}, {unit or '% of the range'}"
-    return ResultTable(title, ["group", *methods], [*rows, ["mean", *means]])
+    import pandas as pd
+
+    frame = pd.DataFrame([_name(run) | {"error": _mean_mae(run.target_test)} for run in runs])
+    errors = frame.groupby(["group", "method"], sort=False)["error"]
+    table = errors.agg(_mean_and_spread).unstack(sort=False)
+    # A method that lacks a group has no mean.
+    means = errors.mean().unstack(sort=False).mean(skipna=False)
+    table.loc["mean"] = means.map("{:.3f}".format, na_action="ignore")
+    unit = runs[0].target_test.unit or "% of the range"
+    failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
+    note = f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
+    return ResultTable.of(f"Mean error on the target's test frames{_of_labels(runs)}, {unit}", table, note)
 
 
 def axis_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's MAE and R² of each label on the target; the runs have the same labels."""
-    labels, first = runs[0].labels, runs[0].target_test
-    axes = [str(QUANTITIES[name]) for name in labels]
-    axes += [f"R² {QUANTITIES[name].symbol.removeprefix('F')}" for name in labels]
-    rows = []
+    import pandas as pd
+
+    labels, unit, rows = runs[0].labels, _unit(runs), []
+    known = [QUANTITIES[name] for name in labels]
     for run in runs:
-        error = run.target_test
-        shares = zip(error.mae, error.mae_percent, strict=True)
-        rows.append(
-            [
-                *(run.group, run.method, run.seed),
-                *(f"{mae:.3f} ({percent:.1f} %)" for mae, percent in shares),
-                *(f"{value:.2f}" for value in error.r2),
-                _mean_mae(run.target_constant_mean),
-            ]
-        )
-    what = "Error per axis on the target" if labels == FORCE_COLUMNS else "Error per label on the target"
-    return ResultTable(what, ["group", "method", "seed", *axes, f"constant mean, {_unit(first)}"], rows)
+        error, row = run.target_test, _name(run)
+        for what, mae, percent in zip(known, error.mae, error.mae_percent, strict=True):
+            row[str(what)] = f"{mae:.3f} ({percent:.1f} %)"
+        for what, r2 in zip(known, error.r2, strict=True):
+            row[f"R² {what.symbol.removeprefix('F')}"] = f"{r2:.2f}"
+        rows.append(row | {f"constant mean, {unit}": f"{_mean_mae(run.target_constant_mean):.3f}"})
+    kind = "axis" if labels == FORCE_COLUMNS else "label"
+    return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows))
 
 
 def training_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's error on its source, the steps it skipped and the time it took."""
-    rows = [
-        [
-            *(run.group, run.method, run.seed, run.profile["name"]),
-            *(_mean_mae(run.source_held_out), _mean_mae(run.source_constant_mean)),
-            run.skipped_steps,
-            *(f"{run.wall_s[stage]:.1f}" for stage in ("stage1", "stage2")),
-        ]
-        for run in runs
-    ]
-    unit = _unit(runs[0].target_test)
-    source = ["profile", f"source held out, {unit}", f"its constant mean, {unit}"]
-    stages = ["skipped steps", "stage 1, s", "stage 2, s"]
-    return ResultTable(f"Training{_of_labels(runs)}", ["group", "method", "seed", *source, *stages], rows)
+    import pandas as pd
+
+    unit, rows = _unit(runs), []
+    for run in runs:
+        errors = [e and f"{_mean_mae(e):.3f}" for e in (run.source_held_out, run.source_constant_mean)]
+        row = _name(run) | {"profile": run.profile["name"]}
+        row |= {f"source held out, {unit}": errors[0], f"its constant mean, {unit}": errors[1]}
+        row |= {"skipped steps": run.skipped_steps}
+        row |= {f"stage {k}, s": f"{run.wall_s[f'stage{k}']:.1f}" for k in (1, 2)}
+        rows.append(row)
+    return ResultTable.of(f"Training{_of_labels(runs)}", pd.DataFrame(rows))
 
 
-def _mean_and_spread(errors: Sequence[float]) -> str | None:
-    if not errors:
-        return None
+def _name(run: Run) -> dict[str, Any]:
+    return {"group": run.group, "method": run.method, "seed": run.seed}
+
+
+def _mean_and_spread(errors: Sequence[float]) -> str:
     spread = f" ± {np.std(errors, ddof=1):.3f}" if len(errors) > 1 else ""
     return f"{np.mean(errors):.3f}{spread}"
 
 
-def _mean_mae(evaluation: Evaluation | None) -> str | None:
-    if evaluation is None:
-        return None
-    return f"{evaluation.mean_mae_percent if evaluation.unit is None else evaluation.mean_mae:.3f}"
+def _mean_mae(error: Evaluation) -> float:
+    """Return the mean MAE of an evaluation; where its labels have several units, % of their ranges."""
+    return error.mean_mae_percent if error.mean_mae is None else error.mean_mae
 
 
-def _unit(evaluation: Evaluation) -> str:
-    return evaluation.unit or "%"
+def _unit(runs: Sequence[Run]) -> str:
+    return runs[0].target_test.unit or "%"
 
 
 def _of_labels(runs: Sequence[Run]) -> str:
@@ -114,25 +110,79 @@ def _of_labels(runs: Sequence[Run]) -> str:
 
 
 def _figures(runs: Sequence[Run]) -> list[NamedFigure]:
-    """Return, for each group's first seed, the scatter and the t-SNE of its methods; labels by labels."""
-    figures = []
-    for group, labels in dict.fromkeys((run.group, run.labels) for run in runs):
-        of_group = [run for run in runs if (run.group, run.labels) == (group, labels)]
-        seed = min(run.seed for run in of_group)
-        arrays = {run.method: load_predictions(run) for run in of_group if run.seed == seed}
-        truth = next(iter(arrays.values()))["target_true_n"]
-        predicted = {method: a["target_predicted_n"] for method, a in arrays.items()}
-        scatter = force_scatter(truth, predicted, labels=labels)
-        plane = feature_tsne({m: (a["source_features"], a["target_features"]) for m, a in arrays.items()})
-        name, caption = group.replace(" → ", "-"), f"{group}, seed {seed}{_of_labels(of_group)}"
-        what = "force" if set(labels) <= set(FORCE_COLUMNS) else "labels"
-        name += "" if labels == FORCE_COLUMNS else f"-{'-'.join(labels)}"
-        figures += [
-            NamedFigure(
-                f"scatter-{name}",
-                f"{caption}: predicted against true {what}",
-                scatter,
-            ),
-            NamedFigure(f"tsne-{name}", f"{caption}: features of both domains", plane),
-        ]
-    return figures
+    """Return the scatter and the t-SNE of the methods of one group with one choice of labels: its first seed's."""
+    seed, labels = min(run.seed for run in runs), runs[0].labels
+    arrays = {run.method: load_predictions(run) for run in runs if run.seed == seed and run.problem is None}
+    if not arrays:
+        return []
+    truth = next(iter(arrays.values()))["target_true_n"]
+    predicted = {method: a["target_predicted_n"] for method, a in arrays.items()}
+    scatter = force_scatter(truth, predicted, labels=labels)
+    plane = feature_tsne({m: (a["source_features"], a["target_features"]) for m, a in arrays.items()})
+    name, caption = runs[0].group.replace(" → ", "-"), f"{runs[0].group}, seed {seed}{_of_labels(runs)}"
+    what = "force" if set(labels) <= set(FORCE_COLUMNS) else "labels"
+    name += "" if labels == FORCE_COLUMNS else f"-{'-'.join(labels)}"
+    return [
+        NamedFigure(f"scatter-{name}", f"{caption}: predicted against true {what}", scatter),
+        NamedFigure(f"tsne-{name}", f"{caption}: features of both domains", plane),
+    ]
+
+
+def force_scatter(
+    true_n: np.ndarray,
+    predicted_n: Mapping[str, np.ndarray],
+    path: str | Path | None = None,
+    labels: tuple[str, ...] = FORCE_COLUMNS,
+) -> "Figure":
+    """Draw predicted against true force, one row per method, one column per axis (the paper's figure 4).
+
+    true_n and every predicted_n are (n, 3) in N, or (n, k) of other labels, each in its unit.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(max(9, 3 * len(labels)), 2.8 * len(predicted_n)), layout="constrained")
+    grid = figure.subplots(len(predicted_n), len(labels), squeeze=False)
+    for row, (method, predicted) in zip(grid, predicted_n.items(), strict=True):
+        for label, (name, axes) in enumerate(zip(labels, row, strict=True)):
+            truth, guess = true_n[:, label], predicted[:, label]
+            symbol, unit = QUANTITIES[name]
+            what = f"force, {unit}" if name in FORCE_COLUMNS else f"{symbol}, {unit}"
+            limits = (min(truth.min(), guess.min()), max(truth.max(), guess.max()))
+            axes.plot(limits, limits, color="0.6", linewidth=1)
+            axes.scatter(truth, guess, s=6, alpha=0.6, linewidths=0)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.set_title(f"{method}: {symbol}, MAE {np.abs(truth - guess).mean():.3f} {unit}", fontsize=9)
+            axes.set_xlabel(f"true {what}", fontsize=8)
+            axes.set_ylabel(f"predicted {what}", fontsize=8)
+    return _saved(figure, path)
+
+
+def feature_tsne(
+    features: Mapping[str, tuple[np.ndarray, np.ndarray]], path: str | Path | None = None, seed: int = 0
+) -> "Figure":
+    """Draw source and target features in one t-SNE plane per method (the paper's figure 5).
+
+    features maps a method to source (n, D) and target (m, D) features; they need at least 3 frames together.
+    """
+    from matplotlib.figure import Figure
+    from sklearn.manifold import TSNE
+
+    figure = Figure(figsize=(3.6 * len(features), 3.6), layout="constrained")
+    for axes, (method, (source, target)) in zip(
+        figure.subplots(1, len(features), squeeze=False)[0], features.items(), strict=True
+    ):
+        together = np.concatenate([source, target]).astype(np.float32)
+        perplexity = min(30.0, (len(together) - 1) / 3)
+        plane = TSNE(perplexity=perplexity, random_state=seed, init="pca").fit_transform(together)
+        axes.scatter(*plane[: len(source)].T, s=6, label="source", linewidths=0)
+        axes.scatter(*plane[len(source) :].T, s=6, label="target", linewidths=0)
+        axes.set(title=method, xticks=[], yticks=[])
+        axes.legend(fontsize=8)
+    return _saved(figure, path)
+
+
+def _saved(figure: "Figure", path: str | Path | None) -> "Figure":
+    if path is not None:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=130)
+    return figure

@@ -1,26 +1,26 @@
-"""A table of results, shown as a text table, Markdown, LaTeX or HTML."""
+"""Tables and figures of results: as text, Markdown, LaTeX, and one self-contained HTML page."""
 
-import re
-from collections.abc import Iterator, Sequence
+import base64
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import numpy as np
 
 from gelgap.assets import html_page
+from gelgap.assets.whole_file import write_whole
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+_DPI = 80
 _LATEX = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "$": r"\$",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "λ_t": r"$\lambda_t$",
-    "_": r"\_",
-    "%": r"\%",
-    "&": r"\&",
-    "#": r"\#",
+    r"λ\_t": r"$\lambda_t$",
     "→": r"$\to$",
     "±": r"$\pm$",
     "×": r"$\times$",
@@ -32,8 +32,7 @@ _LATEX = {
     "–": "--",
     "−": "$-$",
 }
-"""LaTeX for what tables use beyond plain letters; where two keys fit, the first is taken."""
-_LATEX_KEY = re.compile("|".join(map(re.escape, _LATEX)))
+"""LaTeX for what tables use beyond the characters that pandas escapes."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +44,14 @@ class ResultTable:
     rows: Sequence[Sequence[object]]
     note: str = ""
 
+    @classmethod
+    def of(cls, title: str, frame: "DataFrame", note: str = "") -> "ResultTable":
+        """Return the table of a DataFrame; where its index has names, that comes first."""
+        if any(frame.index.names):
+            frame = frame.reset_index()
+        values = frame.astype(object).where(frame.notna(), None)
+        return cls(title, list(map(str, frame.columns)), values.to_numpy().tolist(), note)
+
     @property
     def cells(self) -> list[list[str]]:
         """The text of every cell, row by row."""
@@ -53,23 +60,21 @@ class ResultTable:
     def markdown(self) -> str:
         """Return the table in Markdown, with its title as a heading of the second level."""
         rule = ["---", *("---:" for _ in self.columns[1:])]
-        rows = [[markdown_text(cell) for cell in row] for row in (self.columns, *self.cells)]
-        table = "\n".join("| " + " | ".join(line) + " |" for line in (rows[0], rule, *rows[1:]))
+        head, *rows = [[markdown_text(cell) for cell in row] for row in (self.columns, *self.cells)]
+        table = "\n".join("| " + " | ".join(line) + " |" for line in (head, rule, *rows))
         title, note = markdown_text(self.title), markdown_text(self.note)
         return f"## {title}\n\n{table}\n" + (f"\n{note}\n" if note else "")
 
     def latex(self) -> str:
         """Return a LaTeX tabular in booktabs' style, with its title as a comment."""
-        return "\n".join([f"% {' '.join(self.title.split())}", *self._latex_lines()]) + "\n"
+        from pandas import DataFrame
 
-    def _latex_lines(self) -> Iterator[str]:
-        yield r"\begin{tabular}{l" + "r" * (len(self.columns) - 1) + "}"
-        yield r"\toprule"
-        yield _latex_row(self.columns)
-        yield r"\midrule"
-        yield from map(_latex_row, self.cells)
-        yield r"\bottomrule"
-        yield r"\end{tabular}"
+        style = DataFrame(self.cells, columns=list(self.columns)).style.hide(axis="index")
+        style = style.format(escape="latex").format_index(escape="latex", axis="columns")
+        text = style.to_latex(column_format="l" + "r" * (len(self.columns) - 1), hrules=True)
+        for symbol, latex in _LATEX.items():
+            text = text.replace(symbol, latex)
+        return f"% {' '.join(self.title.split())}\n{text}"
 
     def html(self) -> str:
         """Return an HTML heading, table and note, with every text escaped."""
@@ -114,5 +119,36 @@ def markdown_text(text: str) -> str:
     return " ".join(escaped.splitlines())
 
 
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(_LATEX_KEY.sub(lambda key: _LATEX[key[0]], cell) for cell in cells) + r" \\"
+@dataclass(frozen=True)
+class NamedFigure:
+    """A figure, the name of its file (without ending) and what it shows."""
+
+    name: str
+    caption: str
+    figure: "Figure"
+
+    @property
+    def png(self) -> bytes:
+        """The figure as a PNG file's bytes."""
+        buffer = io.BytesIO()
+        self.figure.savefig(buffer, format="png", dpi=_DPI)
+        return buffer.getvalue()
+
+
+def write_pages(
+    folder: Path, name: str, title: str, tables: Sequence[ResultTable], figures: Sequence[NamedFigure]
+) -> Path:
+    """Write `<name>.md`, `<name>.tex`, `<name>.html` and each figure as PNG; return the HTML's path."""
+    pictures = [(figure, figure.png) for figure in figures]
+    for figure, png in pictures:
+        write_whole(folder / f"{figure.name}.png", png)
+    parts = [f"# {markdown_text(title)}\n", *(table.markdown() for table in tables)]
+    for figure in figures:
+        caption = markdown_text(figure.caption)
+        parts.append(f"## {caption}\n\n![{caption}]({quote(figure.name)}.png)\n")
+    latex = [table.latex() for table in tables]
+    embedded = [(figure.caption, base64.b64encode(png).decode()) for figure, png in pictures]
+    html = html_page("results.html", title=title, tables=tables, figures=embedded)
+    for ending, text in (("md", "\n".join(parts)), ("tex", "\n".join(latex)), ("html", html)):
+        write_whole(folder / f"{name}.{ending}", text.encode())
+    return folder / f"{name}.html"

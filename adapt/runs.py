@@ -1,34 +1,139 @@
-"""Runs of several methods on two domains: one stage 1, then each method; what is finished is not repeated."""
+"""Runs of several methods on two domains: one stage 1, then each method; what is finished is not repeated.
 
+A finished run is a folder with run.json, predictions.npz and model.pt. Its name ends with the hash of all that decides
+the result.
+"""
+
+import hashlib
+import json
 import logging
+import math
+import platform
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
 
-from gelgap.adapt.adaptation import adapt
-from gelgap.adapt.checkpoint import load_checkpoint
-from gelgap.adapt.evaluation import evaluate_constant_mean, evaluate_frames
-from gelgap.adapt.methods.names import method_names
-from gelgap.adapt.methods.registry import find_method, method_settings, use_method
-from gelgap.adapt.model import ForceModel
-from gelgap.adapt.normalisation import as_judged_on_source
+from gelgap.adapt.data import SplitFrames, check_classes, size_notes, split_for_training
+from gelgap.adapt.epochs import Progress, silent
+from gelgap.adapt.evaluation import Evaluation, evaluate_constant_mean, evaluate_frames
+from gelgap.adapt.methods import registry
+from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
+from gelgap.adapt.model import ForceModel, as_judged_on_source
+from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.progress import Progress, silent
-from gelgap.adapt.run_key import run_key, stage1_key
-from gelgap.adapt.run_record import Run, is_finished, load_run, run_folder, versions, write_run
-from gelgap.adapt.source_training import train_source, untrained
-from gelgap.adapt.splits import SplitFrames, check_classes, size_notes, split_for_training
+from gelgap.adapt.trainer import adapt, train_source, untrained
+from gelgap.assets.array_file import read_arrays
+from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
 from gelgap.assets.locks import sole_use
-from gelgap.assets.whole_file import set_aside
-from gelgap.domains import LabelledFrames, label_notes, open_domain, open_domains
+from gelgap.assets.names import is_plain_name
+from gelgap.assets.settings import one_sentence
+from gelgap.assets.whole_file import set_aside, whole_file, write_whole
+from gelgap.domains import FORCE_COLUMNS, LabelledFrames, label_notes, open_domain, open_domains
 
 LOG = logging.getLogger(__name__)
 FEATURES_KEPT = 400
+_RECORD, _PREDICTIONS, _MODEL, _RESUME = "run.json", "predictions.npz", "model.pt", "resume.pt"
+_ARRAYS = ("target_true_n", "target_predicted_n", "target_features", "source_features")
+_METHODS_VERSION = 2
+"""Raised whenever the same method, profile and seed give another result than before."""
+_STAGE_2_FIELDS = frozenset(
+    name
+    for name in Profile.model_fields
+    if name.startswith(("adapt_", "transfer_", "classification_"))
+    or name in ("batch_statistics", "regression_weight", "settings")
+)
+
+
+def _read_evaluation(content: Any) -> Any:
+    """Return the fields of a recorded evaluation; NaN are null, and that of the three axes of force has no labels."""
+    if not isinstance(content, dict):
+        return content
+    content = {"mae" if name == "mae_n" else name: value for name, value in content.items()}
+    for name, value in content.items():
+        if isinstance(value, list):
+            content[name] = [math.nan if item is None else item for item in value]
+    return content
+
+
+def _evaluation_content(evaluation: Evaluation) -> dict[str, Any]:
+    content = asdict(evaluation)
+    if evaluation.labels != FORCE_COLUMNS:
+        return content
+    return {"mae_n" if name == "mae" else name: content[name] for name in ("n", "mae", "mae_percent", "r2")}
+
+
+def _must(hold: Callable[[Any], bool], message: str) -> AfterValidator:
+    def check(value: Any) -> Any:
+        if not hold(value):
+            raise ValueError(message)
+        return value
+
+    return AfterValidator(check)
+
+
+RecordedEvaluation = Annotated[
+    Evaluation, BeforeValidator(_read_evaluation), PlainSerializer(_evaluation_content)
+]
+PlainName = Annotated[str, _must(is_plain_name, "must be a plain name")]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one run was and what came out.
+
+    Attributes
+    ----------
+    target_test, target_constant_mean
+        Errors of the model, and of the source's mean force, on the target's test frames.
+    source_held_out, source_constant_mean
+        The same on the source's held-out frames, under the source's own statistics where the profile normalises each
+        domain by itself; None where it holds no frames out.
+    wall_s
+        Time by part: load, stage1 (0 if it was reused), stage2, evaluate.
+    problem
+        Why stage 2 failed: the features collapsed, or losses were not finite. Such a run has no model and counts with
+        the errors of the source's mean force.
+    """
+
+    key: str
+    source: PlainName
+    target: PlainName
+    method: PlainName
+    seed: int
+    profile: Annotated[dict[str, Any], _must(lambda p: isinstance(p.get("name"), str), "must have a name")]
+    n_source: int
+    n_target: int
+    target_test: RecordedEvaluation
+    target_constant_mean: RecordedEvaluation
+    source_held_out: RecordedEvaluation | None
+    source_constant_mean: RecordedEvaluation | None
+    wall_s: Annotated[dict[str, float], _must({"stage1", "stage2"}.issubset, "must have both stages")]
+    skipped_steps: int
+    history: tuple[dict[str, Any], ...]
+    versions: dict[str, str]
+    problem: str | None = None
+    folder: Annotated[Path | None, Field(exclude=True)] = field(default=None, compare=False)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the labels that it predicts."""
+        return self.target_test.labels
+
+    @property
+    def group(self) -> str:
+        """The adaptation group's name, such as "mb0i0 → wmb1i1"."""
+        return f"{self.source} → {self.target}"
+
+
+_RUN = TypeAdapter(Run)
 
 
 def adapt_folders(
@@ -47,6 +152,9 @@ def adapt_folders(
 ) -> list[Run]:
     """Train stage 1 on one domain, adapt to the other with each method, evaluate on the target's test frames.
 
+    A method that fails (its features collapse, its losses are not finite) gives a run with a `problem`; the others go
+    on.
+
     Parameters
     ----------
     source, target
@@ -59,7 +167,7 @@ def adapt_folders(
         A gelgap checkpoint, or a torchvision ResNet state dictionary, to start stage 1 from.
     out_dir
         Gets `stage1/` with the shared checkpoint and a folder per run; a run that is there already is not
-        repeated, a run that was interrupted goes on from its last epoch. None: nothing is written.
+        repeated, a run that was interrupted is resumed from its last epoch. None: nothing is written.
 
     Raises
     ------
@@ -105,37 +213,52 @@ def adapt_frames(
     if weights is not None:
         load_checkpoint(Path(weights))  # refused before any picture is read
     notes = size_notes(source, target, profile)
-    frames = split_for_training(
-        source,
-        target,
-        profile,
-        seed,
-        labels=labels,
-        ranges=ranges,
-        classes_from_force=classes_from_force,
-    )
-    for note in (
-        *notes,
-        *frames.notes,
-        *(f"{d.name}: {n}" for d in (source, target) for n in label_notes(d)),
-    ):
+    choice = {"labels": labels, "ranges": ranges, "classes_from_force": classes_from_force}
+    frames = split_for_training(source, target, profile, seed, **choice)
+    of_labels = (f"{domain.name}: {note}" for domain in (source, target) for note in label_notes(domain))
+    for note in (*notes, *frames.notes, *of_labels):
         LOG.warning("%s", note)
     for method in methods:
-        check_classes(method, find_method(method), frames.source_train)
-        if find_method(method).uses_target_labels:
+        check_classes(method, registry.find_method(method), frames.source_train)
+        if registry.find_method(method).uses_target_labels:
             frames.target_train.check_labels()
-    out = None if out_dir is None else Path(out_dir)
-    stage1 = Stage1(frames.source_train, profile, seed, weights, out, progress)
-    return _Experiment(frames, stage1).runs(methods)
+    stage1 = Stage1(
+        frames.source_train, profile, seed, weights, None if out_dir is None else Path(out_dir), progress
+    )
+    keys = {method: run_key(frames, method, profile, seed, weights) for method in methods}
+    stem = f"{frames.source_train.name}-{frames.target_train.name}"
+    folders = {
+        method: stage1.out and stage1.out / f"{stem}-{method}-{seed}-{key[:8]}"
+        for method, key in keys.items()
+    }
+    missing = [method for method, folder in folders.items() if folder is None or not is_finished(folder)]
+    with ExitStack() as held:
+        for method in missing:
+            if folders[method] is not None:
+                held.enter_context(sole_use(folders[method]))
+        done = {}
+        start = time.perf_counter()
+        # Methods that need no trained network do not wait for one.
+        needing = [method for method in missing if registry.find_method(method).needs_stage_1]
+        trained, stage1_s = stage1.model() if needing else (None, 0.0)
+        for name, part in frames.parts.items():
+            if missing and name != "target_validation":
+                part.images(profile.image_size_px)
+        load_s = time.perf_counter() - start - stage1_s
+        for method in missing:
+            model = trained if method in needing else stage1.untrained()
+            wall_s = {"load": load_s, "stage1": stage1_s if needing[:1] == [method] else 0.0}
+            done[method] = _run(frames, stage1, model, method, keys[method], folders[method], wall_s)
+    return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
 
 def _known(methods: Iterable[str], profile: Profile) -> tuple[str, ...]:
     """Return the methods' names; raise ValueError if there is none, one is unknown, or has a wrong setting."""
-    methods = tuple(use_method(method) for method in methods)
+    methods = tuple(registry.use_method(method) for method in methods)
     if not methods:
-        raise ValueError(f"no method was named; known methods: {', '.join(method_names())}")
+        raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
     for method in methods:
-        method_settings(method, profile)
+        registry.method_settings(method, profile)
     return methods
 
 
@@ -178,9 +301,9 @@ class Stage1:
                 set_aside(self.checkpoint, f"cannot be used ({error})")
         folder = self.checkpoint.with_suffix("")
         with sole_use(folder):
-            model, wall_s = self._train(folder / "resume.pt")
+            model, wall_s = self._train(folder / _RESUME)
             model.save(self.checkpoint)
-            (folder / "resume.pt").unlink(missing_ok=True)
+            (folder / _RESUME).unlink(missing_ok=True)
         return model, wall_s
 
     def untrained(self) -> ForceModel:
@@ -188,146 +311,228 @@ class Stage1:
         return untrained(self.source_train, self.profile, self.seed)
 
     def _train(self, resume_file: Path | None) -> tuple[ForceModel, float]:
-        self.source_train.images(self.profile.image_size_px)
+        self.source_train.images(self.profile.image_size_px)  # read before the clock starts
         start = time.perf_counter()
-        model = train_source(
-            self.source_train,
-            self.profile,
-            self.seed,
-            weights=self.weights,
-            resume_file=resume_file,
-            progress=self.progress,
-        )
+        how = {"weights": self.weights, "resume_file": resume_file, "progress": self.progress}
+        model = train_source(self.source_train, self.profile, self.seed, **how)
         return model, time.perf_counter() - start
 
 
-@dataclass(frozen=True)
-class _PlannedRun:
-    """A run of one method, and where it is kept (None: nowhere)."""
-
-    method: str
-    key: str
-    folder: Path | None
-
-    @property
-    def is_finished(self) -> bool:
-        return self.folder is not None and is_finished(self.folder)
-
-
-@dataclass(frozen=True)
-class _Experiment:
-    """Two domains, divided, and the stage 1 from which every method starts."""
-
-    frames: SplitFrames
-    stage1: Stage1
-
-    def runs(self, methods: Sequence[str]) -> list[Run]:
-        """Return the methods' runs; those that are not finished are done now."""
-        planned = {method: self._planned(method) for method in methods}
-        with ExitStack() as held:
-            for run in planned.values():
-                if run.folder is not None and not run.is_finished:
-                    held.enter_context(sole_use(run.folder))
-            missing = [run for run in planned.values() if not run.is_finished]
-            done = {run.method: run for run in self._do(missing)} if missing else {}
-        return [done[m] if m in done else load_run(planned[m].folder) for m in methods]
-
-    def _planned(self, method: str) -> _PlannedRun:
-        stage1, frames = self.stage1, self.frames
-        key = run_key(frames, method, stage1.profile, stage1.seed, stage1.weights)
-        names = frames.source_train.name, frames.target_train.name
-        folder = None if stage1.out is None else run_folder(stage1.out, *names, method, stage1.seed, key)
-        return _PlannedRun(method, key, folder)
-
-    def _do(self, planned: Sequence[_PlannedRun]) -> Iterator[Run]:
-        frames, start = self.frames, time.perf_counter()
-        # Methods that need no trained network do not wait for one.
-        needing = {run.method for run in planned if find_method(run.method).needs_stage_1}
-        trained, stage1_s = self.stage1.model() if needing else (None, 0.0)
-        plain = None if needing == {run.method for run in planned} else self.stage1.untrained()
-        for part in (frames.source_train, frames.source_held_out, frames.target_train, frames.target_test):
-            part.images(self.stage1.profile.image_size_px)
-        load_s = time.perf_counter() - start - stage1_s
-        for run in planned:
-            needs = run.method in needing
-            yield self._run(
-                run, trained if needs else plain, {"load": load_s, "stage1": stage1_s if needs else 0.0}
-            )
-            stage1_s = 0.0 if needs else stage1_s
-
-    def _run(self, planned: _PlannedRun, model: ForceModel, wall_s: dict[str, float]) -> Run:
-        """Adapt, evaluate and, if it has a folder, write one run."""
-        frames, stage1, start = self.frames, self.stage1, time.perf_counter()
-        resume_file = None if planned.folder is None else planned.folder / "resume.pt"
-        adapted = adapt(
-            model,
-            frames.source_train,
-            frames.target_train,
-            planned.method,
-            stage1.profile,
-            stage1.seed,
-            resume_file=resume_file,
-            progress=stage1.progress,
-        )
-        wall_s = wall_s | {"stage2": time.perf_counter() - start}
-        on_source = as_judged_on_source(adapted, frames.source_train)
-        run, arrays = self._evaluated(planned, adapted, on_source, wall_s)
-        if planned.folder is not None:
-            kept = frames.source_held_out if len(frames.source_held_out) else frames.source_train
-            arrays |= _features("source", on_source, kept) | _features("target", adapted, frames.target_test)
-            write_run(run, adapted, arrays)
-            resume_file.unlink(missing_ok=True)
-        return run
-
-    def _evaluated(
-        self, planned: _PlannedRun, adapted: ForceModel, on_source: ForceModel, wall_s: dict[str, float]
-    ) -> tuple[Run, dict[str, np.ndarray]]:
-        """Return the record of a run, and its predictions."""
-        frames, start = self.frames, time.perf_counter()
-        held_out, test = frames.source_held_out, frames.target_test
-        predicted = adapted.predict(test)
-        run = Run(
-            key=planned.key,
-            source=held_out.name,
-            target=test.name,
-            method=planned.method,
-            seed=adapted.seed,
-            profile=adapted.profile.model_dump(mode="json"),
-            n_source=len(frames.source_train),
-            n_target=len(frames.target_train),
-            target_test=evaluate_frames(test, predicted),
-            target_constant_mean=evaluate_constant_mean(frames.source_train, test),
-            source_held_out=None,
-            source_constant_mean=None,
-            wall_s=wall_s,
-            skipped_steps=sum(record["skipped_steps"] for record in adapted.history),
-            history=adapted.history,
-            versions=versions(),
-            folder=planned.folder,
-        )
-        arrays = _predictions("target", test, predicted)
-        if len(held_out):
-            of_source = on_source.predict(held_out)
-            arrays |= _predictions("source", held_out, of_source)
-            run = replace(
-                run,
-                source_held_out=evaluate_frames(held_out, of_source),
-                source_constant_mean=evaluate_constant_mean(frames.source_train, held_out),
-            )
-        return replace(run, wall_s=wall_s | {"evaluate": time.perf_counter() - start}), arrays
+def _run(
+    frames: SplitFrames,
+    stage1: Stage1,
+    start: ForceModel,
+    method: str,
+    key: str,
+    folder: Path | None,
+    wall_s: dict[str, float],
+) -> Run:
+    """Adapt the model by one method, judge the result and, if there is a folder, write it there."""
+    train, profile = frames.source_train, stage1.profile
+    tested = {"target": frames.target_test, "source": frames.source_held_out}
+    constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
+    how = {"resume_file": folder and folder / _RESUME, "progress": stage1.progress}
+    begun, problem, judged = time.perf_counter(), None, {}
+    try:
+        model = adapt(start, train, frames.target_train, method, profile, stage1.seed, **how)
+        judged = {"target": model, "source": as_judged_on_source(model, train)}
+    except (FeatureCollapse, TrainingDiverged) as error:
+        model, problem = start, str(error)
+    trained = time.perf_counter()
+    errors, arrays = {"target": constant["target"]}, {}
+    for name, judge in judged.items():
+        if len(tested[name]):
+            predicted = judge.predict(tested[name])
+            errors[name] = evaluate_frames(tested[name], predicted)
+            arrays[f"{name}_true_n"] = tested[name].label_values.astype(np.float32)
+            arrays[f"{name}_predicted_n"] = predicted.astype(np.float32)
+    run = Run(
+        key=key,
+        source=train.name,
+        target=frames.target_test.name,
+        method=method,
+        seed=stage1.seed,
+        profile=profile.model_dump(mode="json"),
+        n_source=len(train),
+        n_target=len(frames.target_train),
+        target_test=errors["target"],
+        target_constant_mean=constant["target"],
+        source_held_out=errors.get("source"),
+        source_constant_mean=constant.get("source"),
+        wall_s=wall_s | {"stage2": trained - begun, "evaluate": time.perf_counter() - trained},
+        skipped_steps=sum(epoch["skipped_steps"] for epoch in model.history),
+        history=model.history,
+        versions=versions(),
+        problem=problem,
+        folder=folder,
+    )
+    if folder is not None:
+        for name, judge in judged.items():
+            some = tested[name] if len(tested[name]) else train
+            some = some.take(np.arange(min(len(some), FEATURES_KEPT)))
+            arrays[f"{name}_features"] = judge.features(some).astype(np.float16)
+            arrays[f"{name}_features_force_n"] = some.label_values.astype(np.float32)
+        _write(run, model, arrays)
+        (folder / _RESUME).unlink(missing_ok=True)
+    return run
 
 
-def _predictions(domain: str, frames: LabelledFrames, predicted: np.ndarray) -> dict[str, np.ndarray]:
-    return {
-        f"{domain}_true_n": frames.label_values.astype(np.float32),
-        f"{domain}_predicted_n": predicted.astype(np.float32),
+def run_key(
+    frames: SplitFrames, method: str, profile: Profile, seed: int, weights: str | Path | None = None
+) -> str:
+    """Return the key of a run: frames, method, hyperparameters, seed and starting weights.
+
+    Settings of other methods do not change it, nor fields at their default: a profile may gain a field.
+    """
+    parts = (frames.source_train, frames.source_held_out, frames.target_train, frames.target_test)
+    own = profile.replace(settings={name: s for name, s in profile.settings.items() if name == method})
+    code = registry.method_code(method)
+    return _key(parts, method if code is None else f"{method} {code}", own, seed, weights)
+
+
+def stage1_key(
+    source_train: LabelledFrames, profile: Profile, seed: int, weights: str | Path | None = None
+) -> str:
+    """Return the key of a stage 1; runs that only differ in stage 2 share it."""
+    return _key((source_train,), "stage1", stage1_profile(profile), seed, weights)
+
+
+def stage1_profile(profile: Profile) -> Profile:
+    """Return the profile with all that stage 1 does not depend on at its default."""
+    fields = Profile.model_fields
+    return profile.replace(
+        **{name: fields[name].get_default(call_default_factory=True) for name in _STAGE_2_FIELDS}
+    )
+
+
+def _key(
+    parts: tuple[LabelledFrames, ...], method: str, profile: Profile, seed: int, weights: str | Path | None
+) -> str:
+    if weights is not None and not Path(weights).is_file():
+        raise FileNotFoundError(f"weights file {weights} does not exist")
+    content = {
+        "frames": [[frames.name, frames.digest, len(frames)] for frames in parts],
+        "method": method,
+        "methods_version": _METHODS_VERSION,
+        "profile": profile.model_dump(mode="json", exclude={"name"}, exclude_defaults=True),
+        "seed": seed,
+        "weights": None if weights is None else file_sha256(Path(weights)),
     }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def _features(domain: str, model: ForceModel, frames: LabelledFrames) -> dict[str, np.ndarray]:
-    """Return the features of the first frames, and their labels."""
-    some = frames.take(np.arange(min(len(frames), FEATURES_KEPT)))
-    return {
-        f"{domain}_features": model.features(some).astype(np.float16),
-        f"{domain}_features_force_n": some.label_values.astype(np.float32),
-    }
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    packages = {name: version(name) for name in ("gelgap", "torch", "numpy", "scikit-learn")}
+    return {"python": platform.python_version(), **packages}
+
+
+def is_finished(folder: Path) -> bool:
+    """Return whether a folder holds a finished run."""
+    return (folder / _RECORD).is_file()
+
+
+def _write(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
+    """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record.
+
+    A run that failed has the record alone.
+    """
+    record = _RUN.dump_json(run, indent=1) + b"\n"
+    sums = {_RECORD: hashlib.sha256(record).hexdigest()}
+    if run.problem is None:
+        with whole_file(run.folder / _PREDICTIONS) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        model.save(run.folder / _MODEL)
+        sums |= {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
+    write_checksums(run.folder, sums)
+    write_whole(run.folder / _RECORD, record)
+
+
+def load_run(folder: str | Path) -> Run:
+    """Read a run's folder.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no finished run in the folder.
+    RuntimeError
+        If its record is damaged.
+    """
+    folder = Path(folder)
+    if not is_finished(folder):
+        raise FileNotFoundError(f"{folder} holds no finished run ({_RECORD} is missing)")
+    path = folder / _RECORD
+    if problem := checksum_problem(path):
+        raise _damaged(path, problem)
+    try:
+        return _RUN.validate_python({**read_json(path), "folder": folder})
+    except (ValueError, TypeError) as error:
+        reason = one_sentence(error) if isinstance(error, ValidationError) else str(error)
+        raise _damaged(path, f"is not the record of a run: {reason}") from None
+
+
+def load_runs(folder: str | Path) -> list[Run]:
+    """Read all finished runs below a folder, sorted by path.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there are none.
+    """
+    found = sorted(Path(folder).rglob(_RECORD))
+    if not found:
+        raise FileNotFoundError(
+            f"{folder} holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one"
+        )
+    return [load_run(path.parent) for path in found]
+
+
+def load_predictions(run: Run) -> dict[str, np.ndarray]:
+    """Return a run's arrays.
+
+    For the target's test frames and, as `source_…`, the source's held-out frames: `target_true_n` and
+    `target_predicted_n` (n, 3) in N, and of the first 400 frames `target_features` (m, D) and
+    `target_features_force_n` (m, 3). A run with other labels has these in the same places, each in its unit.
+
+    Raises
+    ------
+    RuntimeError
+        If the file is missing or damaged, or the run failed.
+    """
+    if run.folder is None:
+        raise ValueError("this run was not written to a folder, so there are no predictions to read")
+    if run.problem is not None:
+        raise RuntimeError(f"{run.group}, {run.method} has no predictions: {run.problem}")
+    path = run.folder / _PREDICTIONS
+    if not path.is_file():
+        raise _damaged(path, "is missing")
+    if problem := checksum_problem(path):
+        raise _damaged(path, problem)
+    try:
+        arrays = read_arrays(path)
+        _check_predictions(arrays, len(run.target_test.labels))
+    except ValueError as error:
+        raise _damaged(path, f"is damaged: {error}") from None
+    return arrays
+
+
+def _check_predictions(arrays: dict[str, np.ndarray], n_labels: int) -> None:
+    """Raise ValueError if an array is missing, has another shape, or holds what is not a finite number."""
+    missing = [name for name in _ARRAYS if name not in arrays]
+    if missing:
+        raise ValueError(f"it lacks {', '.join(missing)}")
+    for name, values in arrays.items():
+        columns = values.shape[1] if name.endswith("_features") and values.ndim == 2 else n_labels
+        if values.dtype.kind != "f" or values.shape[1:] != (columns,):
+            raise ValueError(f"{name} is {values.dtype} {values.shape}, expected numbers (n, {columns})")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds values that are not finite")
+        other = name.replace("_true_n", "_predicted_n")
+        if other in arrays and len(arrays[other]) != len(values):
+            raise ValueError(f"{name} and {other} have {len(values)} and {len(arrays[other])} rows")
+
+
+def _damaged(path: Path, problem: str) -> RuntimeError:
+    return RuntimeError(
+        f"{path} {problem}; delete the folder {path.parent} and run the same `gelgap adapt` again"
+    )

@@ -9,8 +9,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
+
+from gelgap.adapt.epochs import effective_rank
+from gelgap.adapt.methods.dan import mk_mmd
+
+if TYPE_CHECKING:
+    from sklearn.pipeline import Pipeline
 
 ALARM_SPREAD = 0.3
 ALARM_RANK = 0.3
@@ -58,14 +66,8 @@ def deep_embedded_validation(candidate: Candidate) -> float:
 
 def feature_mmd(candidate: Candidate) -> float:
     """Return the MK-MMD between source and target features, with the median bandwidth."""
-    import torch
-
-    from gelgap.adapt.methods.dan import mk_mmd
-
-    pair = (
-        torch.from_numpy(x.astype(np.float64)) for x in (candidate.source_features, candidate.target_features)
-    )
-    return float(mk_mmd(*pair, robust=True))
+    features, domain = map(torch.from_numpy, _features_and_domain(candidate))
+    return float(mk_mmd(features[domain == 0], features[domain == 1], robust=True))
 
 
 def proxy_a_distance(candidate: Candidate) -> float:
@@ -103,14 +105,8 @@ def spread_alarm(candidate: Candidate) -> bool:
 
 def rank_alarm(candidate: Candidate) -> bool:
     """Return whether the target features' effective rank is below 30 % of the source features'."""
-    import torch
-
-    from gelgap.adapt.diagnosis import effective_rank
-
-    source, target = (
-        effective_rank(torch.from_numpy(x)) for x in (candidate.source_features, candidate.target_features)
-    )
-    return target < ALARM_RANK * source
+    source, target = candidate.source_features, candidate.target_features
+    return effective_rank(torch.from_numpy(target)) < ALARM_RANK * effective_rank(torch.from_numpy(source))
 
 
 SELECTORS = {
@@ -133,22 +129,8 @@ def alarm(candidate: Candidate) -> bool:
     return spread_alarm(candidate) or rank_alarm(candidate)
 
 
-def best_of(values: Sequence[float], alarms: Sequence[bool]) -> int:
-    """Return the index of the lowest score among candidates without an alarm, or among all if all have one.
-
-    Raises
-    ------
-    ValueError
-        If there are no candidates.
-    """
-    if not len(values):
-        raise ValueError("there are no candidates to select from")
-    alarmed = np.asarray(alarms, bool)
-    return int(np.argmin(np.where(alarmed & ~alarmed.all(), np.inf, np.asarray(values, float))))
-
-
 def select(candidates: Sequence[Candidate], selector: str) -> int:
-    """Return the index of the candidate that a selector chooses.
+    """Return the index of the candidate of lowest score, among those without an alarm unless all have one.
 
     Raises
     ------
@@ -157,8 +139,11 @@ def select(candidates: Sequence[Candidate], selector: str) -> int:
     """
     if selector not in SELECTORS:
         raise ValueError(f"selector {selector!r} is unknown; known selectors: {', '.join(SELECTORS)}")
-    values = [SELECTORS[selector](candidate) for candidate in candidates]
-    return best_of(values, [alarm(candidate) for candidate in candidates])
+    if not candidates:
+        raise ValueError("there are no candidates to select from")
+    values = np.array([SELECTORS[selector](candidate) for candidate in candidates])
+    alarmed = np.array([alarm(candidate) for candidate in candidates])
+    return int(np.argmin(np.where(alarmed & ~alarmed.all(), np.inf, values)))
 
 
 def _relative_error(prediction_n: np.ndarray, force_n: np.ndarray) -> np.ndarray:
@@ -167,12 +152,11 @@ def _relative_error(prediction_n: np.ndarray, force_n: np.ndarray) -> np.ndarray
 
 
 def _features_and_domain(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
-    features = np.concatenate([candidate.source_features, candidate.target_features]).astype(np.float64)
-    domain = np.repeat([0, 1], [len(candidate.source_features), len(candidate.target_features)])
-    return features, domain
+    parts = candidate.source_features, candidate.target_features
+    return np.concatenate(parts).astype(np.float64), np.repeat([0, 1], [len(part) for part in parts])
 
 
-def _classifier(class_weight: str | None = None):
+def _classifier(class_weight: str | None = None) -> "Pipeline":
     from sklearn.linear_model import LogisticRegression
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
@@ -183,8 +167,6 @@ def _classifier(class_weight: str | None = None):
 def _density_ratio(candidate: Candidate) -> np.ndarray:
     """Return p_target/p_source at the source features, from a probabilistic domain classifier."""
     features, domain = _features_and_domain(candidate)
-    probability = (
-        _classifier().fit(features, domain).predict_proba(candidate.source_features.astype(np.float64))
-    )
-    size = len(candidate.source_features) / len(candidate.target_features)
-    return size * probability[:, 1] / np.maximum(probability[:, 0], 1e-6)
+    n, m = len(candidate.source_features), len(candidate.target_features)
+    probability = _classifier().fit(features, domain).predict_proba(features[:n])
+    return n / m * probability[:, 1] / np.maximum(probability[:, 0], 1e-6)

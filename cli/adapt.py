@@ -96,13 +96,17 @@ class Adapt:
                 progress=progress,
             )
         print(_table(runs))
+        if failed := [run.method for run in runs if run.problem]:
+            raise RuntimeError(f"{len(failed)} of {len(runs)} methods failed: {', '.join(failed)}")
 
 
 def _table(runs: "Sequence[Run]") -> str:
-    """Return the error of each run beside that of the constant mean, and what went wrong."""
+    """Return the error of each run that did not fail beside that of the constant mean, and what went wrong."""
     lines = [f"{runs[0].group}, target test frames", _header(runs[0].target_test)]
     constant = ("constant mean", runs[0].target_constant_mean)
-    methods = [(run.method, run.target_test) for run in runs if run.method != CONSTANT_MEAN]
+    methods = [
+        (run.method, run.target_test) for run in runs if run.method != CONSTANT_MEAN and not run.problem
+    ]
     for name, error in [constant, *methods]:
         mean = () if error.mean_mae is None else (error.mean_mae,)
         errors = " ".join(f"{value:7.4f}" for value in (*error.mae, *mean))

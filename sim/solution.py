@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.whole_file import DAMAGED_SUFFIX, set_aside
 from gelgap.assets.locks import cache_folder
-from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
+from gelgap.assets.whole_file import DAMAGED_SUFFIX, TEMPORARY_SUFFIX, set_aside, write_whole
 from gelgap.sim.problem import ContactProblem
 
 _SUFFIX = ".solution"

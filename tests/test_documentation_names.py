@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from documented import FENCE, ROOT, page_text
 
-from gelgap.adapt.methods.names import ENTRY_POINTS
+from gelgap.adapt.methods.registry import ENTRY_POINTS
 from gelgap.cli.main import COMMANDS, main
 
 PAGES = (

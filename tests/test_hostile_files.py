@@ -14,7 +14,7 @@ import torch
 from hostile_bytes import npz, npz_of_bait, pickled, png_that_claims, torch_bait
 
 from gelgap.adapt import ForceModel, load_predictions, load_run
-from gelgap.adapt.resnet import load_imagenet_weights
+from gelgap.adapt.network import load_imagenet_weights
 from gelgap.assets.checksums import with_checksum
 from gelgap.benchmarks.adaptation.results import ORACLES, GroupOracles
 from gelgap.benchmarks.common.records import read_results

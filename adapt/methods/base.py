@@ -1,15 +1,42 @@
-"""What an adaptation method is, and what it may work with."""
+"""What an adaptation method is, what it may work with, and how a training may fail."""
 
-from collections.abc import Iterator
-from typing import ClassVar, Protocol
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
+import torch
 from pydantic import Field
 from torch import Tensor, nn
+from torch.optim import Optimizer
 
 from gelgap.adapt.network import Activations, ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.assets.settings import Settings
+
+
+class FeatureCollapse(RuntimeError):
+    """The features no longer tell one force from another: the network predicts a constant."""
+
+
+class TrainingDiverged(RuntimeError):
+    """Losses or gradients are not finite."""
+
+
+def descend(optimizer: Optimizer, loss: Tensor, what: str) -> None:
+    """Take a step of the optimiser on a loss.
+
+    Raises
+    ------
+    TrainingDiverged
+        If the loss is not finite.
+    """
+    if not torch.isfinite(loss):
+        raise TrainingDiverged(f"{what}: the loss is not finite; lower the learning rate")
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    optimizer.step()
 
 
 class MethodSettings(Settings):
@@ -24,13 +51,37 @@ class MethodSettings(Settings):
         return profile.transfer_weight if self.transfer_weight is None else self.transfer_weight
 
 
+@dataclass(frozen=True)
+class Step:
+    """A step of stage 2: its number, counted over all epochs, its λ_t, and its own random numbers.
+
+    The same step of a run always has the same random numbers.
+    """
+
+    number: int
+    weight: float
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class TransferLoss:
+    """What a method adds to a step's loss: weight × value.
+
+    The value is recorded as `transfer`, and so is each of the diagnostics by its name, as means over an epoch.
+    """
+
+    value: Tensor
+    weight: float
+    diagnostics: Mapping[str, float | Tensor] = field(default_factory=dict)
+
+
 class Adaptation(Protocol):
     """What a method may work with while it adapts `network` in place."""
 
     network: ForceNetwork
 
     def train(self, method: "Method") -> None:
-        """Run stage 2 with the method's transfer loss."""
+        """Run stage 2 with the method's loss."""
 
     def estimate_target_statistics(self) -> None:
         """Replace the batch normalisations' statistics by those of the target's pictures."""
@@ -51,8 +102,9 @@ class Adaptation(Protocol):
 class Method(nn.Module):
     """A way to adapt a source-trained network to unlabelled target pictures.
 
-    Most methods only give `transfer_loss`; what they own as parameters (a discriminator) is trained along. A method
-    without a loss (normalisation statistics, test-time adaptation) overrides `adapt`.
+    Most methods only give `transfer_loss`; what they own as parameters (a discriminator) is trained along. One that
+    applies λ_t in its own way, draws random numbers or records diagnostics gives `loss` instead. One without a loss
+    (normalisation statistics, test-time adaptation) overrides `adapt`.
 
     Attributes
     ----------
@@ -64,55 +116,69 @@ class Method(nn.Module):
         Whether it needs class logits, and so a source with contact classes.
     uses_target_labels
         Whether target labels reach its loss; then it is no method for domain adaptation.
-    scheduled
-        Whether λ_t and its ramp apply; otherwise λ_t = 1 throughout.
-    applies_weight
-        Whether `transfer_loss` itself applies λ_t, to a part of the loss or to the gradient that reaches the features;
-        it then counts fully, also while λ_t is 0, so that a discriminator learns at the heads' rate.
-    weight
-        λ_t of the current step.
-    rng
-        Random numbers of the current step; the same step of a run always has the same.
     needs_stage_1
         Whether it starts from the network that stage 1 trained, or from any.
-    diagnostics
-        Numbers of the current step that it wants recorded, as means over each epoch.
     """
 
     Settings: ClassVar[type[MethodSettings]] = MethodSettings
     uses_target: ClassVar[bool] = True
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
+    needs_stage_1: ClassVar[bool] = True
+    # Deprecated, as `perturb` is: `loss` and `augment` are given a step.
     scheduled: ClassVar[bool] = True
     applies_weight: ClassVar[bool] = False
-    needs_stage_1: ClassVar[bool] = True
 
-    def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int) -> None:
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name in {"scheduled", "applies_weight", "perturb"} & vars(cls).keys():
+            warnings.warn(
+                f"{cls.__name__}.{name} is deprecated: override `loss` or `augment`, which are given the step",
+                DeprecationWarning,
+                stacklevel=2,
+            )
+
+    def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__()
         self.settings = settings
         self.feature_dim = feature_dim
         self.n_classes = n_classes
-        self.weight = 1.0
-        self.rng = np.random.default_rng(0)
-        self.diagnostics: dict[str, float] = {}
+        self.n_labels = n_labels
 
     def adapt(self, adaptation: Adaptation) -> None:
-        """Adapt the network; by default stage 2 with this method's transfer loss."""
+        """Adapt the network; by default stage 2 with this method's loss."""
         adaptation.train(self)
 
     def begin(self, network: ForceNetwork) -> None:
         """Prepare for stage 2 of a network; by default nothing."""
 
-    def perturb(self, inputs: Tensor) -> Tensor:
+    def augment(self, inputs: Tensor, step: Step) -> Tensor:
         """Return what the network is shown of the target's inputs (B, channels, h, w); by default all as it is."""
+        self._note(step)
+        return self.perturb(inputs)
+
+    def perturb(self, inputs: Tensor) -> Tensor:
         return inputs
+
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
+        """Return the scalar loss, in float32, that stage 2 weighs with λ_t."""
+        raise NotImplementedError
+
+    def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
+        """Return what is added to a step's loss; by default λ_t times `transfer_loss`, and nothing while λ_t is 0."""
+        self._note(step)
+        if self.weight == 0 and not self.applies_weight:
+            return None
+        value = self.transfer_loss(source, target)
+        return TransferLoss(value, 1.0 if self.applies_weight else self.weight, self.diagnostics)
+
+    def _note(self, step: Step) -> None:
+        """Set what a transfer loss read and wrote before `loss` was given a step; deprecated."""
+        self.weight, self.rng = step.weight if self.scheduled else 1.0, step.rng
+        self.diagnostics: dict[str, float] = {}
 
     def after_step(self, network: ForceNetwork) -> None:
         """Follow a step of the network in training; by default nothing."""
 
     def finish(self, network: ForceNetwork) -> None:
         """Turn the network as trained into the result; by default it is the result."""
-
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        """Return the scalar loss, in float32, that stage 2 weighs with λ_t (see `applies_weight`)."""
-        raise NotImplementedError

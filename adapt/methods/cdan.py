@@ -11,8 +11,8 @@ out.
 import torch
 from torch import Tensor
 
-from gelgap.adapt.methods.dann import DANN, make_discriminator
-from gelgap.adapt.network import Activations, ForceNetwork
+from gelgap.adapt.methods.dann import DANN
+from gelgap.adapt.network import Activations
 
 
 def multilinear_map(features: Tensor, condition: Tensor) -> Tensor:
@@ -23,16 +23,9 @@ def multilinear_map(features: Tensor, condition: Tensor) -> Tensor:
 class CDAN(DANN):
     """Regression with a domain-adversarial loss on the feature, given the predicted force."""
 
-    @classmethod
-    def discriminator_inputs(cls, feature_dim: int, n_labels: int = 3) -> int:
-        return (1 + n_labels) * feature_dim
-
-    def begin(self, network: ForceNetwork) -> None:
-        """Take a discriminator for the network's labels, where these are not the force's three axes."""
-        if network.n_labels != 3:
-            inputs = self.discriminator_inputs(self.feature_dim, network.n_labels)
-            discriminator = make_discriminator(inputs, self.settings.hidden)
-            self.discriminator = discriminator.to(network.classifier.weight.device)
+    @property
+    def discriminator_inputs(self) -> int:
+        return (1 + self.n_labels) * self.feature_dim
 
     def conditioned(self, features: Tensor, activations: Activations) -> Tensor:
         prediction = activations.prediction.detach()

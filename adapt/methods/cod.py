@@ -16,9 +16,14 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, pooled_kernel, squared_distances
 from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.methods.dan import (
+    bandwidth,
+    mmd_of_kernel,
+    multi_gaussian,
+    pooled_kernel,
+    squared_distances,
+)
 from gelgap.adapt.network import Activations
 
 _EIGENVALUE_SHIFT = 1e-4
@@ -48,7 +53,9 @@ def conditional_operator_discrepancy(
 
 def mean_part(kernel: Tensor, force_kernel: Tensor, n: int, ridge: float) -> Tensor:
     """Return −‖U_s + U_t‖ of pooled kernels (n + m, n + m) of features and forces."""
-    weights = torch.block_diag(*(_mean_weights(g, ridge) for g in _own(force_kernel, n)))
+    own = force_kernel[:n, :n], force_kernel[n:, n:]
+    # (G² + εI)⁻¹ G of either domain.
+    weights = torch.block_diag(*(torch.linalg.solve(g @ g + ridge * _eye_like(g), g) for g in own))
     return -(kernel * (weights @ force_kernel @ weights)).sum().sqrt()
 
 
@@ -57,13 +64,12 @@ def covariance_part(kernel: Tensor, force_kernel: Tensor, n: int, ridge: float) 
 
     The centred cross kernel always has a singular value 0; it is left out, since its gradient is arbitrary.
     """
-    own = 0
-    roots = []
-    for k, g in zip(_own(kernel, n), _own(force_kernel, n), strict=True):
+    own, roots = 0, []
+    for part in (slice(n), slice(n, None)):
+        k, g = kernel[part, part], force_kernel[part, part]
         size = len(g)
-        centre = torch.eye(size, dtype=g.dtype, device=g.device) - 1 / size
-        regularised = centre @ g @ centre + ridge * size * torch.eye(size, dtype=g.dtype, device=g.device)
-        b = ridge * size * torch.linalg.inv(regularised)
+        centre = _eye_like(g) - 1 / size
+        b = ridge * size * torch.linalg.inv(centre @ g @ centre + ridge * size * _eye_like(g))
         own = own + (k * (centre @ b @ centre)).sum() / size
         values, vectors = torch.linalg.eigh((b + b.T) / 2)
         roots.append(centre @ vectors * (values.clamp_min(0) + _EIGENVALUE_SHIFT).sqrt())
@@ -71,14 +77,8 @@ def covariance_part(kernel: Tensor, force_kernel: Tensor, n: int, ridge: float) 
     return own - 2 * cross / (n * (len(kernel) - n)) ** 0.5
 
 
-def _own(kernel: Tensor, n: int) -> tuple[Tensor, Tensor]:
-    return kernel[:n, :n], kernel[n:, n:]
-
-
-def _mean_weights(force_kernel: Tensor, ridge: float) -> Tensor:
-    """Return (G² + εI)⁻¹ G."""
-    eye = torch.eye(len(force_kernel), dtype=force_kernel.dtype, device=force_kernel.device)
-    return torch.linalg.solve(force_kernel @ force_kernel + ridge * eye, force_kernel)
+def _eye_like(matrix: Tensor) -> Tensor:
+    return torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
 
 
 class COD(Method):

@@ -13,9 +13,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import pooled_kernel
 from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.methods.dan import mmd_of_kernel, pooled_kernel
 from gelgap.adapt.network import Activations
 
 
@@ -39,9 +38,8 @@ def conditional_mmd(
     where = torch.cat([force_s, force_t])
 
     def weights(force: Tensor) -> Tensor:
-        gram = _gaussian(force, force, width)
-        eye = torch.eye(len(force), dtype=gram.dtype, device=gram.device)
-        return torch.linalg.solve(gram + ridge * len(force) * eye, _gaussian(force, where, width))
+        shift = ridge * len(force) * torch.eye(len(force), dtype=force.dtype, device=force.device)
+        return torch.linalg.solve(_gaussian(force, force, width) + shift, _gaussian(force, where, width))
 
     difference = torch.cat([weights(force_s), -weights(force_t)])
     kernel = feature_kernel.double()

@@ -11,9 +11,49 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.network import Activations
+
+KERNEL_COUNT = 5
+KERNEL_RATIO = 2.0
+
+
+def pooled_kernel(source: Tensor, target: Tensor, robust: bool = False) -> Tensor:
+    """Return the multi-Gaussian kernel (n + m, n + m) of two pooled samples (n, d) and (m, d), source first.
+
+    Its bandwidth is that of their distances; see `bandwidth` for robust.
+    """
+    distances = squared_distances(torch.cat([source, target]))
+    return multi_gaussian(distances, bandwidth(distances, robust))
+
+
+def squared_distances(x: Tensor) -> Tensor:
+    """Return ‖x_i − x_j‖² (n, n) of rows x (n, d); centred first, so that a common offset costs no digits."""
+    x = x - x.mean(dim=0, keepdim=True)
+    squares = (x * x).sum(dim=1)
+    distances = (squares[:, None] + squares[None, :] - 2 * x @ x.T).clamp_min(0)
+    return distances * (1 - torch.eye(len(x), dtype=x.dtype, device=x.device))
+
+
+def bandwidth(distances: Tensor, robust: bool) -> Tensor:
+    """Return the kernel bandwidth of a pooled sample: the mean squared distance of distinct rows, as published.
+
+    robust takes the median instead, which one outlier does not move. No gradient flows through the bandwidth.
+    """
+    n = len(distances)
+    pairs = distances.detach()[~torch.eye(n, dtype=torch.bool, device=distances.device)]
+    return pairs.median() if robust else pairs.mean()
+
+
+def multi_gaussian(
+    distances: Tensor, base: Tensor, count: int = KERNEL_COUNT, ratio: float = KERNEL_RATIO
+) -> Tensor:
+    """Return Σ_u exp(−d²/(b·ratio^(u−⌊count/2⌋))), u = 0…count−1 ([1], section 3.2).
+
+    A bandwidth of 0 means equal rows: the distances are all zero and so is the exponent, with zero gradient.
+    """
+    base = torch.where(base > 0, base, torch.ones_like(base))
+    return sum(torch.exp(-distances / (base * ratio ** (u - count // 2))) for u in range(count))
 
 
 def mmd_of_kernel(kernel: Tensor, n: int, unbiased: bool = False) -> Tensor:
@@ -41,13 +81,18 @@ def mk_mmd(source: Tensor, target: Tensor, robust: bool = False, unbiased: bool 
     return mmd_of_kernel(kernel, len(source), unbiased)
 
 
+class RobustSettings(MethodSettings):
+    """Settings of a method whose kernel's bandwidth may follow the median."""
+
+    robust: bool = Field(
+        default=False, description="median instead of mean squared distance as kernel bandwidth"
+    )
+
+
 class DAN(Method):
     """Regression with MK-MMD on the transfer feature."""
 
-    class Settings(MethodSettings):
-        robust: bool = Field(
-            default=False, description="median instead of mean squared distance as kernel bandwidth"
-        )
+    class Settings(RobustSettings):
         unbiased: bool = Field(
             default=False, description="U-statistic (may be negative) instead of V-statistic"
         )

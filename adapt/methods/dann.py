@@ -11,24 +11,16 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
 from gelgap.adapt.network import Activations
-
-
-class _Reverse(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, features: Tensor, weight: float) -> Tensor:
-        ctx.weight = weight
-        return features.view_as(features)
-
-    @staticmethod
-    def backward(ctx, gradient: Tensor) -> tuple[Tensor, None]:
-        return -ctx.weight * gradient, None
 
 
 def reverse_gradient(features: Tensor, weight: float) -> Tensor:
     """Return the features unchanged; the gradient that flows back is multiplied by −weight ([1], section 4.2)."""
-    return _Reverse.apply(features, weight)
+    same = features.view_as(features)
+    if same.requires_grad:
+        same.register_hook(lambda gradient: -weight * gradient)
+    return same
 
 
 def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
@@ -65,28 +57,25 @@ class DANN(Method):
     λ_t scales the reversed gradient alone: the discriminator learns at the heads' rate, from the first step on.
     """
 
-    applies_weight = True
-
     class Settings(MethodSettings):
         hidden: int = Field(default=128, ge=1, description="width of the discriminator's two hidden layers")
 
-    def __init__(self, settings: Settings, feature_dim: int, n_classes: int) -> None:
-        super().__init__(settings, feature_dim, n_classes)
-        self.discriminator = make_discriminator(self.discriminator_inputs(feature_dim), settings.hidden)
+    def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
+        super().__init__(settings, feature_dim, n_classes, n_labels)
+        self.discriminator = make_discriminator(self.discriminator_inputs, settings.hidden)
 
-    @classmethod
-    def discriminator_inputs(cls, feature_dim: int) -> int:
-        """Return how many numbers per frame the discriminator sees."""
-        return feature_dim
+    @property
+    def discriminator_inputs(self) -> int:
+        """How many numbers per frame the discriminator sees."""
+        return self.feature_dim
 
     def conditioned(self, features: Tensor, activations: Activations) -> Tensor:
         """Return what the discriminator sees of frames: here their features (B, D) themselves."""
         return features
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        shown = [self.conditioned(reverse_gradient(a.features, self.weight), a) for a in (source, target)]
+    def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
+        shown = [self.conditioned(reverse_gradient(a.features, step.weight), a) for a in (source, target)]
         logits = self.discriminator(torch.cat(shown))[:, 0]
         n = len(source.features)
         right = torch.cat([logits[:n] > 0, logits[n:] <= 0]).float().mean()
-        self.diagnostics["discriminator_accuracy"] = float(right)
-        return domain_loss(logits[:n], logits[n:])
+        return TransferLoss(domain_loss(logits[:n], logits[n:]), 1.0, {"discriminator_accuracy": right})

@@ -190,28 +190,24 @@ class DAREGRAM(Method):
     """Regression with DARE-GRAM in its stable form."""
 
     Settings = _CutSettings
+    form = staticmethod(daregram)
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        s = self.settings
-        return daregram(source.features, target.features, s.angle, s.scale, s.threshold)
+        return self.form(
+            source.features, target.features, **self.settings.model_dump(exclude={"transfer_weight"})
+        )
 
 
-class PublishedDAREGRAM(Method):
+class PublishedDAREGRAM(DAREGRAM):
     """Regression with DARE-GRAM as published."""
 
-    Settings = _CutSettings
-
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        s = self.settings
-        return daregram_published(source.features, target.features, s.angle, s.scale, s.threshold)
+    form = staticmethod(daregram_published)
 
 
-class TikhonovDAREGRAM(Method):
+class TikhonovDAREGRAM(DAREGRAM):
     """Regression with DARE-GRAM on Tikhonov-regularised inverses."""
 
     class Settings(_Settings):
         ridge: float = Field(default=0.01, gt=0, description="regularisation over the mean eigenvalue")
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        s = self.settings
-        return daregram_tikhonov(source.features, target.features, s.angle, s.scale, s.ridge)
+    form = staticmethod(daregram_tikhonov)

@@ -15,8 +15,8 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.kernels import pooled_kernel
-from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.methods.base import Method, Step, TransferLoss
+from gelgap.adapt.methods.dan import RobustSettings, pooled_kernel
 from gelgap.adapt.network import Activations
 
 _RADII = 6
@@ -51,7 +51,7 @@ def lmmd(
     weights_s, weights_t = weights_s / weights_s.sum(dim=0), weights_t / weights_t.sum(dim=0)
     signed = torch.cat([weights_s, -weights_t])
     kernel = pooled_kernel(source, target, robust)
-    return ((signed @ signed.T) * kernel).sum() / max(int(common.sum()), 1)
+    return ((signed @ signed.T) * kernel).sum() / max(signed.shape[1], 1)
 
 
 def weighted_classes(source_weights: Tensor, target_weights: Tensor) -> Tensor:
@@ -83,16 +83,13 @@ def coarse_classes(n_classes: int, radius_groups: int, angle_groups: int) -> np.
     return np.concatenate([[0], 1 + group])
 
 
-class DSANSettings(MethodSettings):
+class DSANSettings(RobustSettings):
     """Settings of all three forms."""
 
     radius_groups: int = Field(default=1, ge=1, le=6, description="ranges of travel of a coarse class")
     angle_groups: int = Field(default=4, ge=1, le=12, description="directions of travel of a coarse class")
     force_width: float = Field(
         default=0.1, gt=0, le=1, description="Gaussian width of a soft subdomain, in the normalised force"
-    )
-    robust: bool = Field(
-        default=False, description="median instead of mean squared distance as kernel bandwidth"
     )
 
 
@@ -106,8 +103,8 @@ class DSAN(Method):
     Settings = DSANSettings
     uses_classifier = True
 
-    def __init__(self, settings: DSANSettings, feature_dim: int, n_classes: int) -> None:
-        super().__init__(settings, feature_dim, n_classes)
+    def __init__(self, settings: DSANSettings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
+        super().__init__(settings, feature_dim, n_classes, n_labels)
         membership = functional.one_hot(torch.from_numpy(self.groups())).float()
         self.register_buffer("membership", membership, persistent=False)
 
@@ -119,15 +116,16 @@ class DSAN(Method):
         """Return which subdomains (C,) the loss aligns, of memberships (n, C)."""
         return common_classes(source_weights, target_weights)
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        source_weights = self.membership[source.contact_class]
-        target_weights = target.logits.detach().float().softmax(dim=1) @ self.membership
-        classes = self.aligned(source_weights, target_weights)
-        count = int(classes.sum())
-        self.diagnostics["common_classes"] = float(count)
-        self.diagnostics["no_common_class"] = float(count == 0)
+    def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
+        if step.weight == 0:
+            return None
+        weights_s = self.membership[source.contact_class]
+        weights_t = target.logits.detach().float().softmax(dim=1) @ self.membership
+        classes = self.aligned(weights_s, weights_t)
         robust = self.settings.robust
-        return lmmd(source.features, target.features, source_weights, target_weights, classes, robust)
+        value = lmmd(source.features, target.features, weights_s, weights_t, classes, robust)
+        count = classes.sum()
+        return TransferLoss(value, step.weight, {"common_classes": count, "no_common_class": count == 0})
 
 
 class UnmaskedDSAN(DSAN):

@@ -13,7 +13,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
 from gelgap.adapt.methods.dann import domain_loss, make_discriminator
 from gelgap.adapt.network import Activations
 
@@ -34,16 +34,14 @@ class ImportanceWeighting(Method):
         hidden: int = Field(default=128, ge=1, description="width of the discriminator's two hidden layers")
         largest_ratio: float = Field(default=10.0, gt=1, description="density ratios are cut here")
 
-    applies_weight = True
-
-    def __init__(self, settings: Settings, feature_dim: int, n_classes: int) -> None:
-        super().__init__(settings, feature_dim, n_classes)
+    def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
+        super().__init__(settings, feature_dim, n_classes, n_labels)
         self.discriminator = make_discriminator(feature_dim, settings.hidden)
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
+    def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
         n = len(source.features)
         logits = self.discriminator(torch.cat([source.features, target.features]).detach())[:, 0]
         ratio = density_ratio(logits[:n], self.settings.largest_ratio)
-        self.diagnostics["effective_share"] = float(1 / ratio.square().mean())
         error = (source.prediction - source.force).square().mean(dim=1)
-        return domain_loss(logits[:n], logits[n:]) + self.weight * ((ratio - 1) * error).mean()
+        value = domain_loss(logits[:n], logits[n:]) + step.weight * ((ratio - 1) * error).mean()
+        return TransferLoss(value, 1.0, {"effective_share": 1 / ratio.square().mean()})

@@ -8,12 +8,10 @@ distances, where tllib has one of σ = 0.92, chosen for class probabilities.
 
 from collections.abc import Sequence
 
-from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.kernels import pooled_kernel
-from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.methods.base import Method
+from gelgap.adapt.methods.dan import RobustSettings, mmd_of_kernel, pooled_kernel
 from gelgap.adapt.network import Activations
 
 
@@ -33,12 +31,8 @@ def joint_mmd(source: Sequence[Tensor], target: Sequence[Tensor], robust: bool =
 class JAN(Method):
     """Regression with joint MMD over the transfer feature and the predicted force."""
 
-    class Settings(MethodSettings):
-        robust: bool = Field(
-            default=False, description="median instead of mean squared distance as kernel bandwidth"
-        )
+    Settings = RobustSettings
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        return joint_mmd(
-            (source.features, source.prediction), (target.features, target.prediction), self.settings.robust
-        )
+        layers_s, layers_t = ((a.features, a.prediction) for a in (source, target))
+        return joint_mmd(layers_s, layers_t, self.settings.robust)

@@ -15,8 +15,8 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.colour_mixing import mix_colours
-from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.data import mix_colours
+from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
 from gelgap.adapt.network import Activations, ForceNetwork
 
 
@@ -32,14 +32,16 @@ class MeanTeacher(Method):
         """Let the teacher start as the network that stage 1 trained."""
         self.teacher = copy.deepcopy(network).requires_grad_(False).train()
 
-    def perturb(self, inputs: Tensor) -> Tensor:
-        return mix_colours(inputs, 1.0, self.rng)
+    def augment(self, inputs: Tensor, step: Step) -> Tensor:
+        return mix_colours(inputs, 1.0, step.rng)
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
+    def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
+        if step.weight == 0:
+            return None
         with torch.no_grad():
             pseudo_label = self.teacher(target.inputs).float()
-        self.diagnostics["teacher_spread"] = float(pseudo_label.std(dim=0).mean())
-        return functional.mse_loss(target.prediction, pseudo_label)
+        error = functional.mse_loss(target.prediction, pseudo_label)
+        return TransferLoss(error, step.weight, {"teacher_spread": pseudo_label.std(dim=0).mean()})
 
     @torch.no_grad()
     def after_step(self, network: ForceNetwork) -> None:

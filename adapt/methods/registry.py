@@ -1,18 +1,75 @@
-"""The known methods: their classes and settings by name."""
+"""The known methods: their names, without torch, and their classes and settings.
 
+A new one is a file in this folder and a line in `METHODS`. Further ones come from outside: by `register`, from the
+entry points of installed packages, or as `module:Class` or `file.py:Class`.
+"""
+
+import hashlib
+import inspect
+import sys
+import warnings
+from functools import cache
 from importlib import import_module
+from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
 
-from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.names import EXTRA, METHODS, installed_methods, method_names
-from gelgap.adapt.methods.outside import code_digest, load_method
-from gelgap.adapt.profile import Profile
 from gelgap.assets.names import unknown_name
 
+if TYPE_CHECKING:
+    from gelgap.adapt.methods.base import Method, MethodSettings
+    from gelgap.adapt.profile import Profile
+
+METHODS = {
+    "constant-mean": "controls.ConstantMean",
+    "source-only": "controls.SourceOnly",
+    "adabn": "controls.AdaBN",
+    "no-transfer": "controls.NoTransfer",
+    "classifier-only": "controls.ClassifierOnly",
+    "coral": "coral.DeepCORAL",
+    "dan": "dan.DAN",
+    "jan": "jan.JAN",
+    "dann": "dann.DANN",
+    "cdan": "cdan.CDAN",
+    "rsd": "rsd.RSD",
+    "daregram": "daregram.DAREGRAM",
+    "daregram-published": "daregram.PublishedDAREGRAM",
+    "daregram-tikhonov": "daregram.TikhonovDAREGRAM",
+    "dsan": "dsan.DSAN",
+    "dsan-unmasked": "dsan.UnmaskedDSAN",
+    "dsan-coarse": "dsan.CoarseDSAN",
+    "dsan-soft": "dsan.SoftDSAN",
+    "cod": "cod.COD",
+    "conditional-mmd": "conditional_mmd.ConditionalMMD",
+    "ssa": "ssa.SSA",
+    "tasfar": "tasfar.TASFAR",
+    "mean-teacher": "mean_teacher.MeanTeacher",
+    "uga": "uga.UGA",
+    "importance-weighting": "importance_weighting.ImportanceWeighting",
+    "supervised": "controls.Supervised",
+}
+EXTRA: "dict[str, type[Method]]" = {}
+"""Methods from outside that are loaded, by name."""
 _CODE: dict[str, str] = {}
-"""A hash of the code of methods from outside, by name."""
+"""Hashes of the files of methods from outside, by name: results of changed code are not taken for the same."""
+ENTRY_POINTS = "gelgap.methods"
+"""The group in which a package declares its methods: a name, and `module:Class`."""
 
 
-def register(name: str, method: type[Method]) -> None:
+@cache
+def installed_methods() -> dict[str, str]:
+    """Return the methods that installed packages declare, `module:Class` by name."""
+    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)}
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the names of all methods."""
+    return tuple(dict.fromkeys((*METHODS, *EXTRA, *installed_methods())))
+
+
+def register(name: str, method: "type[Method]") -> None:
     """Make a method of another package known under a name.
 
     Raises
@@ -28,6 +85,8 @@ def register(name: str, method: type[Method]) -> None:
 def use_method(name: str) -> str:
     """Return the name of a method that may also stand as `module:Class` or `file.py:Class`; such a class is registered.
 
+    Its name for results is `module.Class`. This runs the code of that module.
+
     Raises
     ------
     ValueError
@@ -36,10 +95,12 @@ def use_method(name: str) -> str:
     if ":" not in name:
         find_method(name)
         return name
-    own, method = load_method(name)
+    method = _load(name)
+    module_name, _, class_name = name.rpartition(":")
+    own = f"{Path(module_name).stem if module_name.endswith('.py') else module_name}.{class_name}"
     if own in METHODS or EXTRA.get(own, method) is not method:
         raise ValueError(f"method {name!r}: the name {own} is taken by another method")
-    EXTRA[own], _CODE[own] = method, code_digest(method)
+    _keep(own, method)
     return own
 
 
@@ -48,7 +109,7 @@ def method_code(name: str) -> str | None:
     return _CODE.get(name)
 
 
-def find_method(name: str) -> type[Method]:
+def find_method(name: str) -> "type[Method]":
     """Return a method's class.
 
     Raises
@@ -56,19 +117,17 @@ def find_method(name: str) -> type[Method]:
     ValueError
         If there is no such method; the message lists the known ones.
     """
-    if name in EXTRA:
-        return EXTRA[name]
-    if name not in METHODS and (place := installed_methods().get(name)):
-        _, method = load_method(place)
-        EXTRA[name], _CODE[name] = method, code_digest(method)
-        return method
-    if name not in METHODS:
+    if name in METHODS:
+        module, _, attribute = METHODS[name].rpartition(".")
+        return getattr(import_module(f"gelgap.adapt.methods.{module}"), attribute)
+    if name not in EXTRA and name in installed_methods():
+        _keep(name, _load(installed_methods()[name]))
+    if name not in EXTRA:
         raise ValueError(unknown_name("method", name, method_names(), "known methods"))
-    module, _, attribute = METHODS[name].rpartition(".")
-    return getattr(import_module(f"gelgap.adapt.methods.{module}"), attribute)
+    return EXTRA[name]
 
 
-def method_settings(name: str, profile: Profile) -> MethodSettings:
+def method_settings(name: str, profile: "Profile") -> "MethodSettings":
     """Return a method's settings, with what the profile changes of them.
 
     Raises
@@ -83,11 +142,65 @@ def method_settings(name: str, profile: Profile) -> MethodSettings:
         raise ValueError(f"settings of method {name}: {error}") from error
 
 
-def make_method(name: str, profile: Profile, n_classes: int) -> Method:
+def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3) -> "Method":
     """Return a method with the profile's settings for it."""
-    return find_method(name)(method_settings(name, profile), profile.feature_dim, n_classes)
+    kind = find_method(name)
+    settings = method_settings(name, profile)
+    if len(inspect.signature(kind).parameters) == 3:
+        what = f"{kind.__name__}(settings, feature_dim, n_classes) is deprecated: let it take n_labels, too"
+        warnings.warn(what, DeprecationWarning, stacklevel=2)
+        return kind(settings, profile.feature_dim, n_classes)
+    return kind(settings, profile.feature_dim, n_classes, n_labels)
 
 
-def transfer_weight(name: str, profile: Profile) -> float:
+def transfer_weight(name: str, profile: "Profile") -> float:
     """Return λ_t of a method: the profile's, unless its settings for the method say otherwise."""
     return method_settings(name, profile).final_weight(profile)
+
+
+def _keep(name: str, method: "type[Method]") -> None:
+    file = inspect.getsourcefile(method)
+    EXTRA[name] = method
+    _CODE[name] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+
+
+def _load(place: str) -> "type[Method]":
+    """Return the class at `module:Class` or `file.py:Class`."""
+    from gelgap.adapt.methods.base import Method
+
+    module_name, _, class_name = place.rpartition(":")
+    try:
+        module = _from_file(module_name) if module_name.endswith(".py") else import_module(module_name)
+    except Exception as error:
+        raise ValueError(
+            f"method {place!r}: {module_name} could not be imported ({type(error).__name__}: {error}); "
+            "name a module or a .py file, and a class in it"
+        ) from error
+    found = getattr(module, class_name, None)
+    if not (isinstance(found, type) and issubclass(found, Method)):
+        own = [
+            thing for thing in vars(module).values() if getattr(thing, "__module__", "") == module.__name__
+        ]
+        names = [thing.__name__ for thing in own if isinstance(thing, type) and issubclass(thing, Method)]
+        raise ValueError(
+            f"method {place!r}: {class_name or 'nothing'} is not a class of {module_name} that extends "
+            f"gelgap.adapt.Method; it has {', '.join(names) or 'none'}"
+        )
+    return found
+
+
+def _from_file(name: str) -> ModuleType:
+    path = Path(name).resolve()
+    if not path.is_file():
+        raise FileNotFoundError(f"{name} does not exist")
+    # The class is found by its module's name when its source is asked for.
+    known_as = f"gelgap_own_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+    if known_as not in sys.modules:
+        spec = spec_from_file_location(known_as, path)
+        module = sys.modules[known_as] = module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[known_as]
+            raise
+    return sys.modules[known_as]

@@ -17,7 +17,7 @@ import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings
+from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, descend
 
 
 def subspace_loss(
@@ -69,12 +69,7 @@ class SSA(Method):
         network.train()
         for epoch in range(self.settings.epochs):
             for batch in adaptation.target_batches(epoch):
-                optimizer.zero_grad()
-                loss = subspace_loss(network.features(batch), *subspace)
-                if not torch.isfinite(loss):
-                    raise RuntimeError("SSA: the subspace loss is not finite; lower its learning_rate")
-                loss.backward()
-                optimizer.step()
+                descend(optimizer, subspace_loss(network.features(batch), *subspace), "SSA")
         adaptation.estimate_target_statistics()
 
     @torch.no_grad()

@@ -22,7 +22,7 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings
+from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, descend
 from gelgap.adapt.network import ForceNetwork
 
 _DRAWS = 20
@@ -116,14 +116,8 @@ class TASFAR(Method):
         for epoch in range(1, self.settings.epochs + 1):
             for inputs in adaptation.target_batches(epoch):
                 labels = pseudo_labels(*_uncertain(teacher, inputs), density, edges, calibration)
-                loss = (
-                    labels.weight * functional.mse_loss(network(inputs), labels.force, reduction="none")
-                ).mean()
-                if not torch.isfinite(loss):
-                    raise RuntimeError("TASFAR: the loss is not finite; lower its learning_rate")
-                optimizer.zero_grad()
-                loss.backward()
-                optimizer.step()
+                error = functional.mse_loss(network(inputs), labels.force, reduction="none")
+                descend(optimizer, (labels.weight * error).mean(), "TASFAR")
 
     def _calibrated(self, adaptation: Adaptation) -> Calibration:
         spreads, errors = [], []
@@ -145,11 +139,9 @@ class TASFAR(Method):
             sigma = calibration.intercept + calibration.slope * spread
             is_confident = (spread <= calibration.confident).float()
             found += (is_confident[..., None] * block_masses(prediction, sigma, edges)).sum(dim=0)
-        self.diagnostics["confident_frames"] = float(found.sum(dim=1).mean())
         total = found.sum(dim=1, keepdim=True)
-        return torch.where(
-            total > 0, found / total.clamp_min(1e-12), torch.full_like(found, 1 / found.shape[1])
-        )
+        even = torch.full_like(found, 1 / found.shape[1])
+        return torch.where(total > 0, found / total.clamp_min(1e-12), even)
 
 
 @torch.no_grad()
@@ -161,7 +153,5 @@ def _uncertain(network: ForceNetwork, inputs: Tensor) -> tuple[Tensor, Tensor]:
     features = network.features(inputs).float()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        draws = torch.stack(
-            [network.regressor(functional.dropout(features, _DROPOUT)) for _ in range(_DRAWS)]
-        )
-    return network.regressor(features), draws.std(dim=0)
+        draws = [network.regressor(functional.dropout(features, _DROPOUT)) for _ in range(_DRAWS)]
+    return network.regressor(features), torch.stack(draws).std(dim=0)

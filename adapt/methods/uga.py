@@ -17,14 +17,15 @@ learn, and there is no dropout, as in every other method here.
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Method, MethodSettings
+from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
 from gelgap.adapt.methods.dan import mk_mmd
-from gelgap.adapt.network import Activations, ForceNetwork
+from gelgap.adapt.network import Activations
 
 _LEAST = 1e-5
 
@@ -64,15 +65,6 @@ def similar(queries: Tensor, pool: Tensor, width: float, uniform: Tensor) -> Ten
     return torch.searchsorted(weights.cumsum(dim=1), uniform[:, None]).clamp(max=len(pool) - 1)[:, 0]
 
 
-def make_evidence_head(feature_dim: int, n_labels: int) -> nn.Linear:
-    """Return a head that gives the three parameters of each label; it begins the same in every run."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        head = nn.Linear(feature_dim, 3 * n_labels)
-    nn.init.zeros_(head.bias)
-    return head
-
-
 class UGA(Method):
     """Evidential regression with MK-MMD on features and on features mixed across domains."""
 
@@ -84,41 +76,33 @@ class UGA(Method):
             default=0.2, gt=0, description="width of C-Mixup's Gaussian on normalised forces"
         )
 
-    applies_weight = True
-
-    def __init__(self, settings: Settings, feature_dim: int, n_classes: int) -> None:
-        super().__init__(settings, feature_dim, n_classes)
-        self.evidence_head = make_evidence_head(feature_dim, 3)
-
-    def begin(self, network: ForceNetwork) -> None:
-        """Take an evidence head for the network's labels, where these are not the force's three axes."""
-        if network.n_labels != 3:
-            head = make_evidence_head(self.feature_dim, network.n_labels)
-            self.evidence_head = head.to(network.classifier.weight.device)
+    def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
+        super().__init__(settings, feature_dim, n_classes, n_labels)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            self.evidence_head = nn.Linear(feature_dim, 3 * n_labels)
+        nn.init.zeros_(self.evidence_head.bias)
 
     def evidence(self, features: Tensor) -> Evidence:
         """Return the evidence for the forces of features (B, D)."""
-        nu, alpha, beta = (
-            functional.softplus(self.evidence_head(features)).unflatten(1, (-1, 3)).unbind(dim=2)
-        )
+        positive = functional.softplus(self.evidence_head(features)).unflatten(1, (-1, 3))
+        nu, alpha, beta = positive.unbind(dim=2)
         return Evidence(nu + _LEAST, alpha + 1 + _LEAST, beta + _LEAST)
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
+    def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
         evidence = self.evidence(source.features)
-        loss = self.settings.evidential_weight * evidential_loss(source.force, source.prediction, evidence)
-        self.diagnostics["epistemic_variance"] = float(
-            (evidence.beta / (evidence.nu * (evidence.alpha - 1))).detach().median()
-        )
-        if self.weight == 0:
-            return loss
-        mixed = self._mixed(source, target)
-        alignment = mk_mmd(source.features, target.features) + mk_mmd(source.features, mixed)
-        return loss + self.weight * alignment
+        value = self.settings.evidential_weight * evidential_loss(source.force, source.prediction, evidence)
+        if step.weight > 0:
+            mixed = self._mixed(source, target, step.rng)
+            alignment = mk_mmd(source.features, target.features) + mk_mmd(source.features, mixed)
+            value = value + step.weight * alignment
+        variance = (evidence.beta / (evidence.nu * (evidence.alpha - 1))).detach()
+        return TransferLoss(value, 1.0, {"epistemic_variance": variance.median()})
 
-    def _mixed(self, source: Activations, target: Activations) -> Tensor:
+    def _mixed(self, source: Activations, target: Activations, rng: np.random.Generator) -> Tensor:
         """Return target features, each mixed with one of either domain whose (predicted) force is similar."""
         forces = torch.cat([target.prediction.detach(), source.force])
-        uniform = torch.from_numpy(self.rng.random(len(target.features))).to(forces)
+        uniform = torch.from_numpy(rng.random(len(target.features))).to(forces)
         partner = similar(target.prediction.detach(), forces, self.settings.mixing_width, uniform)
-        share = float(self.rng.beta(2, 2))
+        share = float(rng.beta(2, 2))
         return share * target.features + (1 - share) * torch.cat([target.features, source.features])[partner]

@@ -10,11 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.methods.cod import conditional_operator_discrepancy
 from gelgap.adapt.methods.conditional_mmd import conditional_mmd
 from gelgap.adapt.methods.coral import coral
-from gelgap.adapt.methods.dan import mk_mmd
+from gelgap.adapt.methods.dan import bandwidth, mk_mmd, multi_gaussian, squared_distances
 from gelgap.adapt.methods.dann import DANN, domain_loss
 from gelgap.adapt.methods.daregram import daregram, daregram_published, daregram_tikhonov
 from gelgap.adapt.methods.dsan import lmmd

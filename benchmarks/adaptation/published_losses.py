@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from gelgap.adapt import ResultTable
-from gelgap.adapt.kernels import multi_gaussian, squared_distances
+from gelgap.adapt.methods.base import Step
 from gelgap.adapt.methods.cdan import multilinear_map
-from gelgap.adapt.methods.dan import mmd_of_kernel
+from gelgap.adapt.methods.dan import mmd_of_kernel, multi_gaussian, squared_distances
 from gelgap.adapt.methods.dann import DANN, domain_loss, reverse_gradient
 from gelgap.adapt.methods.daregram import daregram_cut_at, gram_spectra, published_rank
 from gelgap.adapt.methods.registry import find_method
@@ -69,9 +69,13 @@ def method_loss(name: str, **settings: float) -> Callable[[Inputs], Tensor]:
     def loss(x: Inputs) -> Tensor:
         kind = find_method(name)
         method = kind(kind.Settings(**settings), x["source"].shape[1], x["target_logits"].shape[1])
-        return method.transfer_loss(*_activations(x))
+        return method.loss(*_activations(x), _step(1.0)).value
 
     return loss
+
+
+def _step(weight: float) -> Step:
+    return Step(number=0, weight=weight, rng=np.random.default_rng(0))
 
 
 def _activations(x: Inputs) -> tuple[Activations, Activations]:
@@ -109,8 +113,7 @@ def _coral_as_tllib(x: Inputs) -> Tensor:
 def _adversarial(x: Inputs) -> Tensor:
     dann = DANN(DANN.Settings(), x["source"].shape[1], 1)
     dann.discriminator = _Discriminator(x["hidden"], x["output"])
-    dann.weight = REVERSAL
-    return dann.transfer_loss(*_activations(x))
+    return dann.loss(*_activations(x), _step(REVERSAL)).value
 
 
 class _Discriminator(torch.nn.Module):

@@ -87,7 +87,7 @@ def _on_workers(bench: Bench, jobs: Sequence[TrainingJob], work: Work) -> Iterat
         return
     from dask.distributed import as_completed
 
-    from gelgap.adapt.run_key import stage1_profile
+    from gelgap.adapt.runs import stage1_profile
     from gelgap.domains import dask_client
 
     with dask_client(None, bench.workers) as client:

@@ -97,8 +97,8 @@ def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> flo
     from torch.nn import functional
 
     from gelgap.adapt import make_network
-    from gelgap.adapt.batches import network_inputs, normalised_labels
-    from gelgap.adapt.machine import torch_threads
+    from gelgap.adapt.data import network_inputs, normalised_labels
+    from gelgap.adapt.network import torch_threads
 
     network = make_network(profile, 361, 0)
     pictures = network_inputs(frames, profile, "cpu")

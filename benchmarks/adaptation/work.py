@@ -108,7 +108,7 @@ def control_of(method: str) -> str | None:
 
 def versions_line() -> str:
     """Return the versions that a record names."""
-    from gelgap.adapt.run_record import versions
+    from gelgap.adapt.runs import versions
 
     used = versions()
     return f"gelgap {used['gelgap']}, torch {used['torch']}"

@@ -118,7 +118,7 @@ def _resumed(part: Path) -> Any:
 
 def _weights(part: Path) -> Any:
     from gelgap.adapt import make_network
-    from gelgap.adapt.resnet import load_imagenet_weights
+    from gelgap.adapt.network import load_imagenet_weights
 
     network = make_network(small_profile(), 2, seed=1)
     load_imagenet_weights(network.backbone, part / "weights.pt")

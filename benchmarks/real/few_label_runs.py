@@ -97,8 +97,8 @@ def from_checkpoint(
 ) -> "ForceModel":
     """Fine-tune a network as `gelgap finetune` does: normalised by the unlabelled pictures, before and after."""
     from gelgap.adapt import ForceModel, fine_tune, with_statistics_of
-    from gelgap.adapt.batches import steps_per_epoch
-    from gelgap.adapt.finetuning import of_common_labels
+    from gelgap.adapt.data import steps_per_epoch
+    from gelgap.adapt.few_labels import of_common_labels
     from gelgap.domains import with_labels
 
     model = with_statistics_of(of_common_labels(ForceModel.load(checkpoint), known), known)
@@ -109,7 +109,7 @@ def from_checkpoint(
 
 def profile_of(bench: Bench, job: TrainingJob, labelled: int) -> "Profile":
     """Return a job's profile with as many epochs as make the steps of every training."""
-    from gelgap.adapt.batches import steps_per_epoch
+    from gelgap.adapt.data import steps_per_epoch
 
     profile = job.profile(bench.profile)
     steps = QUICK_STEPS if bench.is_quick else STEPS

@@ -14,12 +14,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets.whole_file import DAMAGED_SUFFIX, set_aside
 from gelgap.assets.checksums import read_json, with_checksum, without_checksum
-from gelgap.assets.locks import key_lock
+from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.settings import Settings
-from gelgap.assets.locks import cache_folder
-from gelgap.assets.whole_file import write_whole
+from gelgap.assets.whole_file import DAMAGED_SUFFIX, set_aside, write_whole
 
 FIRST_NM, LAST_NM = 380, 780
 VISIBLE_NM = (400.0, 700.0)

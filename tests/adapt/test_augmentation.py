@@ -5,9 +5,8 @@ import pytest
 import torch
 from network_weights import weights
 
-from gelgap.adapt.colour_mixing import mix_colours
-from gelgap.adapt.shifting import shift_pictures
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.data import mix_colours, shift_pictures
+from gelgap.adapt.trainer import train_source
 
 
 def test_mixed_colours_are_turned_not_stretched():

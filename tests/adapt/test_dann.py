@@ -1,13 +1,13 @@
 """DANN: the discriminator learns at the heads' rate; λ scales the reversed gradient alone."""
 
+import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.adaptation import adapt
+from gelgap.adapt.methods.base import Step, TransferLoss
 from gelgap.adapt.methods.dann import DANN, domain_loss
-from gelgap.adapt.methods.registry import make_method
 from gelgap.adapt.network import Activations
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.trainer import adapt, train_source
 
 
 def activations(features: torch.Tensor) -> Activations:
@@ -23,10 +23,12 @@ def test_the_features_gradient_is_minus_lambda_times_the_discriminators():
     domain_loss(logits[:12], logits[12:]).backward()
     of_discriminator = [p.grad.clone() for p in dann.discriminator.parameters()]
     for weight in (1.0, 0.003, 0.0):
-        dann.weight = weight
+        step = Step(number=0, weight=weight, rng=np.random.default_rng(0))
         dann.zero_grad()
         features = s.clone().requires_grad_(True)
-        dann.transfer_loss(activations(features), activations(t)).backward()
+        found = dann.loss(activations(features), activations(t), step)
+        assert found.weight == 1
+        found.value.backward()
         torch.testing.assert_close(features.grad, -weight * plain.grad, rtol=1e-12, atol=0)
         for ours, full in zip(dann.discriminator.parameters(), of_discriminator, strict=True):
             torch.testing.assert_close(ours.grad, full, rtol=1e-12, atol=0)
@@ -53,12 +55,12 @@ def test_the_discriminator_tells_separable_domains_apart_whatever_lambda(source,
 def test_a_records_diagnostics_are_means_over_the_epochs_steps(source, target, profile, monkeypatch):
     seen = []
 
-    def transfer_loss(self, source, target):
+    def loss(self, source, target, step):
         seen.append(float(len(seen)))
-        self.diagnostics["calls"] = seen[-1]
-        return (source.features.mean(dim=0) - target.features.mean(dim=0)).square().sum()
+        value = (source.features.mean(dim=0) - target.features.mean(dim=0)).square().sum()
+        return TransferLoss(value, step.weight, {"calls": seen[-1]})
 
-    monkeypatch.setattr(DANN, "transfer_loss", transfer_loss)
+    monkeypatch.setattr(DANN, "loss", loss)
     short = profile.replace(source_epochs=1, adapt_epochs=1)
     record = adapt(train_source(source, short, seed=0), source, target, "dann").history[-1]
     assert record["diagnostics"]["calls"] == pytest.approx(sum(seen) / len(seen))
@@ -68,15 +70,14 @@ def test_a_records_diagnostics_are_means_over_the_epochs_steps(source, target, p
 def test_lambda_reaches_the_method_before_its_loss(source, target, profile, monkeypatch):
     seen = []
 
-    def transfer_loss(self, source, target):
-        seen.append(self.weight)
-        return source.features.sum() * 0
+    def loss(self, source, target, step):
+        seen.append(step.weight)
+        return TransferLoss(source.features.sum() * 0, 1.0)
 
-    monkeypatch.setattr(DANN, "transfer_loss", transfer_loss)
+    monkeypatch.setattr(DANN, "loss", loss)
     short = profile.replace(source_epochs=1, adapt_epochs=2, transfer_warmup=0.5)
     adapt(train_source(source, short, seed=0), source, target, "dann")
     half = len(seen) // 2
     assert seen[:half] == half * [0.0]
     assert seen[half:] == sorted(seen[half:])
     assert seen[-1] == pytest.approx(short.transfer_weight, rel=1e-3)
-    assert make_method("dann", short, 1).weight == 1.0

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.adaptation import adapt
-from gelgap.adapt.kernels import bandwidth, multi_gaussian, squared_distances
+from gelgap.adapt.methods.base import Step
+from gelgap.adapt.methods.dan import bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.network import Activations
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.trainer import adapt, train_source
+
+STEP = Step(number=0, weight=0.5, rng=np.random.default_rng(0))
 
 
 def brute_force_lmmd(s, t, source_group, target_probability):
@@ -47,10 +49,12 @@ def test_dsan_aligns_the_classes_of_the_source_that_are_argmax_in_the_target(see
     )
     present = len(set(source.contact_class.tolist()))
     assert 0 < len(common) < present
-    assert float(dsan.transfer_loss(source, target)) == pytest.approx(expected, rel=1e-4)
-    assert dsan.diagnostics == {"common_classes": len(common), "no_common_class": 0}
-    unmasked = make_dsan("dsan-unmasked", 12)
-    assert float(unmasked.transfer_loss(source, target)) != pytest.approx(expected, rel=1e-2)
+    found = dsan.loss(source, target, STEP)
+    assert found.weight == STEP.weight
+    assert float(found.value) == pytest.approx(expected, rel=1e-4)
+    assert found.diagnostics == {"common_classes": len(common), "no_common_class": 0}
+    unmasked = make_dsan("dsan-unmasked", 12).loss(source, target, STEP)
+    assert float(unmasked.value) != pytest.approx(expected, rel=1e-2)
     assert unmasked.diagnostics["common_classes"] == present
 
 
@@ -68,8 +72,9 @@ def test_coarse_groups_are_masked_as_groups():
         source.features, target.features, group[source.contact_class], probability
     )
     assert 0 < len(common) < len(set(group[source.contact_class].tolist()))
-    assert float(coarse.transfer_loss(source, target)) == pytest.approx(expected, rel=1e-4)
-    assert coarse.diagnostics["common_classes"] == len(common)
+    found = coarse.loss(source, target, STEP)
+    assert float(found.value) == pytest.approx(expected, rel=1e-4)
+    assert found.diagnostics["common_classes"] == len(common)
 
 
 def test_dsan_without_a_common_class_has_no_loss_and_says_so():
@@ -77,11 +82,11 @@ def test_dsan_without_a_common_class_has_no_loss_and_says_so():
     target.logits[:, 5] = -9.0
     source.features.requires_grad_(True)
     dsan = make_dsan("dsan", 6)
-    loss = dsan.transfer_loss(source, target)
-    loss.backward()
-    assert loss.item() == 0
+    found = dsan.loss(source, target, STEP)
+    found.value.backward()
+    assert found.value.item() == 0
     assert not source.features.grad.any()
-    assert dsan.diagnostics == {"common_classes": 0, "no_common_class": 1}
+    assert found.diagnostics == {"common_classes": 0, "no_common_class": 1}
 
 
 def test_source_frames_of_one_class_are_too_few(source, target, profile):

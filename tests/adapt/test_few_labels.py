@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.evaluation import evaluate
 from gelgap.adapt.few_labels import affine_correction, draw_labelled, fine_tune
 from gelgap.adapt.model import AffineCorrection, ForceModel
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.trainer import adapt, train_source
 from gelgap.domains import ArrayFrames
 
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.adaptation import adapt
 from gelgap.adapt.evaluation import evaluate
 from gelgap.adapt.methods.cdan import multilinear_map
 from gelgap.adapt.methods.importance_weighting import density_ratio
 from gelgap.adapt.methods.tasfar import Calibration, block_masses, calibrate, pseudo_labels
 from gelgap.adapt.methods.uga import Evidence, evidential_loss, similar
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.trainer import adapt, train_source
 
 METHODS = ("mean-teacher", "cdan", "uga", "importance-weighting", "tasfar")
 

@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.adaptation import adapt
-from gelgap.adapt.batches import Draw, TrainingDomain, hidden_batches, network_inputs
-from gelgap.adapt.joint_stage import JointStage
-from gelgap.adapt.methods.registry import make_method
-from gelgap.adapt.model import ForceModel
+from gelgap.adapt.data import Draw, TrainingDomain, hidden_batches, network_inputs
+from gelgap.adapt.model import ForceModel, as_judged_on_source
 from gelgap.adapt.network import make_network
-from gelgap.adapt.normalisation import as_judged_on_source
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.run_key import stage1_profile
-from gelgap.adapt.source_training import train_source
+from gelgap.adapt.runs import stage1_profile
+from gelgap.adapt.trainer import Trainer, adapt, train_source
 from gelgap.domains import ArrayFrames
 
 DOT = (slice(14, 17), slice(18, 21))
@@ -45,9 +41,10 @@ def test_hidden_batches_are_a_share_and_depend_on_the_key_alone():
 
 def test_hidden_frames_lose_their_markers_in_picture_and_reference(source, profile, easy_markers):
     hiding = profile.replace(marker_hiding=0.5, pairing="channels")
-    domain = TrainingDomain.unlabelled(dotted(source), hiding, "cpu")
-    rows = torch.tensor([4, 9, 2])
-    shown, hidden = (domain.inputs(rows, is_hidden) for is_hidden in (False, True))
+    domain = TrainingDomain(dotted(source), hiding, "cpu", labelled=False)
+    rows = np.array([4, 9, 2])
+    shown, hidden = (domain.batch(rows, is_hidden).inputs for is_hidden in (False, True))
+    assert domain.batch(rows, False).force is None
     torch.testing.assert_close(shown, domain.pictures.inputs(rows))
     brightness = [inputs[(slice(None), slice(None), *DOT)].mean(dim=(2, 3)) for inputs in (shown, hidden)]
     assert (brightness[1] > brightness[0] + 0.5).all()
@@ -56,20 +53,11 @@ def test_hidden_frames_lose_their_markers_in_picture_and_reference(source, profi
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_stage_2_hides_markers_in_both_domains_independently(source, target, profile, share, easy_markers):
     hiding = profile.replace(marker_hiding=share)
-    stage = JointStage(
-        title="",
-        network=make_network(hiding, source.n_classes, 0),
-        profile=hiding,
-        seed=0,
-        epochs=1,
-        learning_rate=0.01,
-        method=make_method("no-transfer", hiding, source.n_classes),
-        source=TrainingDomain.labelled(dotted(source), hiding, "cpu"),
-        target=TrainingDomain.unlabelled(dotted(target), hiding, "cpu"),
-    )
+    trainer = Trainer(make_network(hiding, source.n_classes, 0), hiding, 0, dotted(source))
+    domains = trainer.source_domain, TrainingDomain(dotted(target), hiding, "cpu", labelled=False)
     shown = []
-    for pair in (pair for epoch in range(8) for pair in stage.batches(epoch)):
-        for batch, domain in zip(pair, (stage.source, stage.target), strict=True):
+    for pair in (pair for epoch in range(8) for pair in trainer.batches(epoch, domains[1])):
+        for batch, domain in zip(pair, domains, strict=True):
             same = batch.inputs == domain.pictures.inputs(batch.rows)
             shown.append(bool(same.all()))
     of_source, of_target = np.array(shown).reshape(-1, 2).T

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelgap.adapt.oracles import Presses, gap_closed, geometry_oracle, pose_oracle
+from gelgap.adapt.evaluation import Presses, gap_closed, geometry_oracle, pose_oracle
 from gelgap.domains import ArrayFrames
 
 

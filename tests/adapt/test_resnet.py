@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from gelgap.adapt.data import split_for_training
+from gelgap.adapt.network import load_imagenet_weights, make_resnet
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.resnet import load_imagenet_weights, make_resnet
-from gelgap.adapt.run_key import run_key
-from gelgap.adapt.runs import adapt_frames
-from gelgap.adapt.splits import split_for_training
+from gelgap.adapt.runs import adapt_frames, run_key
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])

@@ -7,8 +7,7 @@ import pytest
 from sklearn.metrics import mean_absolute_error, r2_score
 
 from gelgap.adapt.evaluation import evaluate_predictions
-from gelgap.adapt.figures import feature_tsne, force_scatter
-from gelgap.adapt.report import error_table, write_report
+from gelgap.adapt.report import error_table, feature_tsne, force_scatter, write_report
 from gelgap.adapt.result_table import ResultTable
 from gelgap.adapt.runs import adapt_frames
 from gelgap.adapt.selection import (

@@ -9,21 +9,16 @@ import pytest
 import torch
 from network_weights import weights
 
-from gelgap.adapt.adaptation import adapt
-from gelgap.adapt.batches import Draw, epoch_order, network_inputs
+from gelgap.adapt.data import Draw, epoch_order, network_inputs, split_for_training
 from gelgap.adapt.evaluation import evaluate, evaluate_constant_mean
-from gelgap.adapt.loop import FeatureCollapse
-from gelgap.adapt.machine import keep_freed_memory
-from gelgap.adapt.methods.base import Method
+from gelgap.adapt.methods.base import FeatureCollapse, Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
-from gelgap.adapt.model import ForceModel
-from gelgap.adapt.normalisation import as_judged_on_source
+from gelgap.adapt.model import ForceModel, as_judged_on_source
+from gelgap.adapt.network import keep_freed_memory
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.run_key import run_key, stage1_key, stage1_profile
-from gelgap.adapt.run_record import load_predictions, load_runs
-from gelgap.adapt.runs import adapt_frames
-from gelgap.adapt.source_training import train_source
-from gelgap.adapt.splits import split_for_training
+from gelgap.adapt.report import write_report
+from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs, run_key, stage1_key, stage1_profile
+from gelgap.adapt.trainer import adapt, train_source
 from gelgap.domains import ArrayFrames, join_domains
 
 
@@ -243,6 +238,40 @@ def test_own_method(stage1, source, target):
         register("dsan", MeanMatching)
 
 
+def test_a_method_of_an_older_gelgap_goes_on_working(stage1, source, target):
+    """What could only be read from the method itself before `loss` and `augment` were given the step."""
+    seen = []
+    with pytest.warns(DeprecationWarning, match=r"Older\.(scheduled|applies_weight|perturb) is deprecated"):
+
+        class Older(Method):
+            applies_weight = True
+            scheduled = False
+
+            def __init__(self, settings, feature_dim, n_classes):
+                super().__init__(settings, feature_dim, n_classes)
+                self.scale = torch.nn.Parameter(torch.ones(()))
+
+            def perturb(self, inputs):
+                return inputs * float(self.rng.uniform(0.9, 1.1))
+
+            def transfer_loss(self, source, target):
+                seen.append((self.weight, float(self.rng.random())))
+                self.diagnostics["calls"] = float(len(seen))
+                return self.weight * self.scale * (source.features - target.features).mean().square()
+
+    register("older", Older)
+    with pytest.warns(DeprecationWarning, match="let it take n_labels, too"):
+        first = adapt(stage1, source, target, "older")
+    steps = len(seen)
+    assert {weight for weight, _ in seen} == {1.0}
+    assert len({random for _, random in seen}) == steps
+    assert first.history[-1]["diagnostics"]["calls"] > first.history[-2]["diagnostics"]["calls"] > 1
+    with pytest.warns(DeprecationWarning, match="n_labels"):
+        second = adapt(stage1, source, target, "older")
+    assert seen[:steps] == seen[steps:]
+    np.testing.assert_array_equal(weights(first), weights(second))
+
+
 def test_a_loss_that_is_not_finite_is_counted_and_then_an_error(stage1, source, target):
     class Broken(Method):
         calls = 0
@@ -269,6 +298,27 @@ def test_collapse_stops_with_a_diagnosis(stage1, source, target):
     register("collapse", Collapse)
     with pytest.raises(FeatureCollapse, match=r"features collapsed.*lower transfer_weight"):
         adapt(stage1, source, target, "collapse", stage1.profile.replace(adapt_epochs=10))
+
+
+def test_a_method_that_collapses_is_recorded_and_the_others_go_on(source, target, profile, tmp_path):
+    class Collapsing(Method):
+        def transfer_loss(self, source, target):
+            return 1e3 * source.features.var(dim=0).sum()
+
+    register("collapsing", Collapsing)
+    long = profile.replace(adapt_epochs=10)
+    methods = ["adabn", "collapsing", "source-only"]
+    runs = adapt_frames(source, target, methods, long, out_dir=tmp_path)
+    assert [run.method for run in runs] == methods
+    assert [run.problem is None for run in runs] == [True, False, True]
+    assert "features collapsed" in runs[1].problem
+    assert runs[1].target_test == runs[1].target_constant_mean
+    assert runs[1].source_held_out is None
+    assert adapt_frames(source, target, methods, long, out_dir=tmp_path, progress=pytest.fail) == runs
+    with pytest.raises(RuntimeError, match=r"collapsing has no predictions: .*features collapsed"):
+        load_predictions(runs[1])
+    report = write_report(tmp_path).with_suffix(".md").read_text()
+    assert "Failed, and counted with the source's mean force: collapsing on mb0i0 → wmb1i1, seed 0" in report
 
 
 def test_runs_are_folders_and_nothing_is_computed_twice(source, target, profile, tmp_path):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from gelgap.adapt import Profile
-from gelgap.adapt.source_training import untrained
+from gelgap.adapt.trainer import untrained
 from gelgap.cli.main import COMMANDS, main
 from gelgap.cli.options import Option, options_of
 from gelgap.cli.rules import OutputFile, OutputFolder, Rule
@@ -128,9 +128,9 @@ WORK = {
     "domains.formats.convert": "_write_clip",
     "domains.generation.plan": "_frame_costs",
     "adapt.runs": "Stage1.model",
-    "adapt.source_training": "train",
+    "adapt.trainer": "Trainer.train",
     "adapt.report": "load_runs",
-    "adapt.finetuning": "with_statistics_of",
+    "adapt.few_labels": "with_statistics_of",
     "render.renderer": "MembraneRenderer.linear",
     "render.calibration.fit": "LightFit.run",
     "benchmarks.registry": "Benchmark.run",

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.adapt.methods import names, registry
+from gelgap.adapt.methods import registry
 from gelgap.cli.generate import Generate
 from gelgap.cli.main import main
 from gelgap.domains import make_recipes, own_recipe
@@ -142,6 +142,27 @@ def test_an_own_profile_and_method_run(pictures: Path, capsys: pytest.CaptureFix
     assert (run["profile"]["source_epochs"], run["profile"]["width"]) == (1, 0.25)
 
 
+def test_a_method_that_fails_does_not_stop_the_others_and_the_command_fails_at_the_end(
+    pictures: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (pictures / "fails.py").write_text(
+        "from gelgap.adapt import FeatureCollapse, Method\n\nclass Fails(Method):\n    def adapt(self, adaptation):\n"
+        '        raise FeatureCollapse("a constant predictor")\n'
+    )
+    for _ in range(2):
+        with pytest.raises(SystemExit) as stop:
+            main([*ADAPT, "source-only", "fails.py:Fails", "own.py:Half"])
+        assert stop.value.code == 1
+        out, err = capsys.readouterr()
+        assert [line.split()[0] for line in out.splitlines()[2:]] == [
+            *("constant", "source-only", "own.Half"),
+            "fails.Fails:",
+        ]
+        assert "fails.Fails: a constant predictor" in out
+        assert err.splitlines()[-1] == "gelgap: 1 of 3 methods failed: fails.Fails"
+    assert len(list((pictures / "runs").glob("real-real-*/run.json"))) == 3
+
+
 def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     registry.use_method("own.py:Half")
     before = registry.method_code("own.Half")
@@ -184,13 +205,13 @@ def test_an_installed_package_offers_its_methods(pictures: Path, monkeypatch: py
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text("[gelgap.methods]\nhalf = offered_methods:Half\n")
     monkeypatch.syspath_prepend(str(pictures))
-    names.installed_methods.cache_clear()
+    registry.installed_methods.cache_clear()
     try:
-        assert "half" in names.method_names()
+        assert "half" in registry.method_names()
         assert registry.find_method("half").__name__ == "Half"
         assert registry.method_code("half")
     finally:
-        names.installed_methods.cache_clear()
+        registry.installed_methods.cache_clear()
         sys.modules.pop("offered_methods", None)
 
 

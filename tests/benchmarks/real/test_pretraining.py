@@ -9,7 +9,7 @@ import pytest
 from real_clones import write_wedge_clone
 
 from gelgap.adapt import Profile
-from gelgap.adapt.batches import steps_per_epoch
+from gelgap.adapt.data import steps_per_epoch
 from gelgap.benchmarks.adaptation.jobs import Bench
 from gelgap.benchmarks.common.records import read_records
 from gelgap.benchmarks.real import few_label_runs, pretraining

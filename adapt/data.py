@@ -1,0 +1,258 @@
+"""The frames that training sees: split, on the device, in which order, and changed at random.
+
+Every random draw depends on a key alone (the seed, what it is for, and the epoch or step), so that a resumed training
+sees what it would have seen.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from gelgap.adapt.methods.base import Method
+from gelgap.adapt.profile import Profile
+from gelgap.domains import (
+    ChannelStatistics,
+    LabelledFrames,
+    PairedFrames,
+    force_classes,
+    labels_of_run,
+    split_domains,
+    with_labels,
+)
+
+_SAME_ASPECT = 0.02
+"""Aspects that differ by no more than this share are taken for the same."""
+
+
+@dataclass(frozen=True)
+class SplitFrames:
+    """Two domains, divided: the network learns from the training frames and is judged on the others."""
+
+    source_train: LabelledFrames
+    source_held_out: LabelledFrames
+    target_train: LabelledFrames
+    target_validation: LabelledFrames
+    target_test: LabelledFrames
+    notes: tuple[str, ...] = ()
+
+    @property
+    def parts(self) -> dict[str, LabelledFrames]:
+        """All five by name."""
+        return {name: frames for name, frames in vars(self).items() if name != "notes"}
+
+
+def split_for_training(
+    source: LabelledFrames,
+    target: LabelledFrames,
+    profile: Profile,
+    seed: int,
+    *,
+    labels: Sequence[str] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    classes_from_force: int | None = None,
+) -> SplitFrames:
+    """Divide two domains as the profile says; no source frame is held out where it holds none out.
+
+    Parameters
+    ----------
+    labels
+        What is predicted; by default the axes of the force that both domains have.
+    ranges
+        Ranges of labels, by which both domains are normalised; by default `labels_of_run` finds them.
+    classes_from_force
+        Number of contact classes of equal size to give the source's training frames, by Fz or the first label.
+
+    Raises
+    ------
+    ValueError
+        If a part would be empty, a data set lacks what the profile splits by or a label, or a range is wrong.
+    """
+    shares = profile.target_split, profile.source_holdout
+    split = split_domains(source, target, profile.split_by, seed, *shares, profile.stratify_by)
+    parts = {
+        part: (source if part.startswith("source") else target).take(rows)
+        for part, rows in split._asdict().items()
+    }
+    common, notes = labels_of_run(parts["source_train"], target, labels, ranges)
+    parts = {name: with_labels(part, common) for name, part in parts.items()}
+    if classes_from_force is not None:
+        parts["source_train"] = force_classes(parts["source_train"], classes_from_force)
+    return SplitFrames(**parts, notes=notes)
+
+
+def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:
+    """Return a sentence for each source whose pictures have another aspect, so that training squeezes one.
+
+    Raises
+    ------
+    ValueError
+        If the pictures of one have fewer pixels than training shows.
+    """
+    for frames in (source, target):
+        frames.references_at(profile.image_size_px)
+    (width, height), (w1, h1) = profile.image_size_px, target.size_px
+    found = []
+    for frames in source.members:
+        w0, h0 = frames.size_px
+        if abs(w0 * h1 / (h0 * w1) - 1) > _SAME_ASPECT:
+            found.append(
+                f"pictures of {frames.name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at "
+                f"{width}×{height} px one is squeezed more than the other; crop them to one aspect"
+            )
+    return tuple(found)
+
+
+def check_classes(name: str, method: Method | type[Method], source: LabelledFrames) -> None:
+    """Raise a ValueError if a method needs contact classes, and frames of the source have none, or all the same."""
+    if method.uses_classifier and not source.has_classes:
+        raise ValueError(
+            f"method {name} needs contact classes, and source {source.name} has frames without one: choose "
+            "another method, classes from force (--classes from-force 12), or a source whose frames all have a class, "
+            "as `gelgap generate` writes them on the paper's path"
+        )
+    if method.uses_classifier and len(np.unique(source.contact_class)) < 2:
+        raise ValueError(
+            f"method {name} needs source frames of at least 2 contact classes, and the {len(source)} of "
+            f"{source.name} are of one: take more frames, or choose another method"
+        )
+
+
+class Draw(IntEnum):
+    """What random numbers are drawn for: part of every draw's key, so that no draw depends on another."""
+
+    STAGE_1 = 1
+    STAGE_2 = 2
+    STAGE_2_TARGET = 3
+    STATISTICS = 4
+    SOURCE_PASS = 5
+    TARGET_PASS = 6
+    COLOURS = 7
+    MARKERS = 8
+    LABELLED = 9
+    FINE_TUNING = 10
+    METHOD = 11
+    SHIFTS = 12
+
+
+def generator(*key: int) -> np.random.Generator:
+    """Return a random generator that depends on the key alone."""
+    return np.random.default_rng(np.random.SeedSequence(key))
+
+
+def steps_per_epoch(n: int, batch_size: int) -> int:
+    """Return the number of full batches in n frames; fewer frames than a batch make one."""
+    return n // min(batch_size, n)
+
+
+def epoch_order(n: int, batch_size: int, *key: int) -> np.ndarray:
+    """Return a permutation of n frames, drawn by the key, as full batches (batches, batch_size).
+
+    The incomplete last batch is left out: its batch statistics would be noisier than the others'.
+    """
+    size, steps = min(batch_size, n), steps_per_epoch(n, batch_size)
+    return generator(*key).permutation(n)[: steps * size].reshape(steps, size)
+
+
+def hidden_batches(n: int, share: float, *key: int) -> np.ndarray:
+    """Return which of n batches are shown without markers, (n,) bool, drawn by the key.
+
+    Whole batches, so that frames without markers are normalised by their like, as a target without markers will be.
+    """
+    return generator(Draw.MARKERS, *key).random(n) < share
+
+
+def network_inputs(
+    frames: LabelledFrames,
+    profile: Profile,
+    device: torch.device,
+    statistics: ChannelStatistics | None = None,
+    markers: bool = True,
+) -> PairedFrames:
+    """Return the frames' pictures on the device, in the size and pairing of the profile.
+
+    Where the profile standardises inputs, it is by the given statistics, or else by those of these frames. Without
+    `markers` the dots are inpainted.
+    """
+    pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
+    if profile.input_standardisation == "none":
+        return pictures
+    return pictures.standardised(statistics or pictures.channel_statistics())
+
+
+def normalised_labels(frames: LabelledFrames) -> np.ndarray:
+    """Return the labels (n, k) float32, min-max normalised with their ranges to [0, 1]."""
+    low, high = frames.labels.low, frames.labels.high
+    return ((frames.label_values.astype(np.float32) - low) / (high - low)).astype(np.float32)
+
+
+class Batch(NamedTuple):
+    """Network inputs (B, C, h, w) of one domain, which of its frames (B,) they are, and their labels where known.
+
+    force is (B, k), labels normalised to [0, 1]; contact_class (B,).
+    """
+
+    inputs: Tensor
+    rows: Tensor
+    force: Tensor | None
+    contact_class: Tensor | None
+
+
+class TrainingDomain:
+    """One domain on the device: pictures, also with their markers inpainted where training shows them so, and labels.
+
+    Labels are there only if they are asked for.
+    """
+
+    def __init__(
+        self, frames: LabelledFrames, profile: Profile, device: torch.device, *, labelled: bool
+    ) -> None:
+        self.pictures = network_inputs(frames, profile, device)
+        self.without_markers: PairedFrames | None = None
+        if profile.marker_hiding:
+            statistics = self.pictures.statistics
+            self.without_markers = network_inputs(frames, profile, device, statistics, markers=False)
+        self.force = torch.from_numpy(normalised_labels(frames)).to(device) if labelled else None
+        self.contact_class = self.pictures.contact_class if labelled else None
+
+    def batch(self, indices: np.ndarray, hidden: bool) -> Batch:
+        """Return a batch of these frames (B,), their markers `hidden` or not."""
+        rows = torch.from_numpy(indices).to(self.pictures.images.device)
+        inputs = (self.without_markers if hidden else self.pictures).inputs(rows)
+        return Batch(inputs, rows, *(x if x is None else x[rows] for x in (self.force, self.contact_class)))
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+
+def mix_colours(pictures: Tensor, share: float, rng: np.random.Generator) -> Tensor:
+    """Turn the colours of a share of network inputs (B, channels, h, w), each by its own rotation or reflection.
+
+    Under lamps of other colours in other places each channel sees the membrane's slopes along other directions; mixed
+    channels show a network many such lights, so that it must read forces from what they share.
+    """
+    chosen = torch.from_numpy(rng.random(len(pictures)) < share).to(pictures.device)
+    turns, _ = np.linalg.qr(rng.standard_normal((len(pictures), 3, 3)))
+    turns = torch.from_numpy(turns.astype(np.float32)).to(pictures.device)
+    matrices = torch.where(chosen[:, None, None], turns, torch.eye(3, device=pictures.device))
+    colours = pictures.unflatten(1, (-1, 3))
+    mixed = torch.einsum("nij,ngjhw->ngihw", matrices, colours).flatten(1, 2)
+    return mixed.contiguous(memory_format=torch.channels_last)
+
+
+def shift_pictures(pictures: Tensor, most_px: int, rng: np.random.Generator) -> Tensor:
+    """Shift network inputs (B, channels, h, w), each along x and y by its own whole number of pixels up to `most_px`.
+
+    Contact and reference are shifted together, and their edges are continued. A network that has seen few contact
+    points takes the light at each of them for the force; the same contact elsewhere shows it what the force does.
+    """
+    height, width = pictures.shape[2:]
+    padded = functional.pad(pictures, (most_px,) * 4, mode="replicate")
+    offsets = rng.integers(0, 2 * most_px + 1, (len(pictures), 2)).tolist()
+    shifted = [padded[k, :, y : y + height, x : x + width] for k, (x, y) in enumerate(offsets)]
+    return torch.stack(shifted).contiguous(memory_format=torch.channels_last)

@@ -1,0 +1,449 @@
+"""Training: stage 1 learns the source's forces, stage 2 goes on while a method adapts the network to the target.
+
+Both stages are one loop, `Trainer.train`, which can be resumed after each epoch. What tells methods apart is the loss
+that they add to a step.
+"""
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from itertools import chain, count, islice, repeat, starmap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from gelgap.adapt.data import (
+    Batch,
+    Draw,
+    TrainingDomain,
+    check_classes,
+    epoch_order,
+    generator,
+    hidden_batches,
+    mix_colours,
+    network_inputs,
+    normalised_labels,
+    shift_pictures,
+    steps_per_epoch,
+)
+from gelgap.adapt.epochs import EpochLog, EpochRecord, Progress, silent
+from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged
+from gelgap.adapt.methods.registry import make_method
+from gelgap.adapt.model import ForceModel, estimate_statistics, input_statistics, load_start
+from gelgap.adapt.network import (
+    Activations,
+    ForceNetwork,
+    autocast,
+    best_device,
+    load_checkpoint,
+    make_network,
+    torch_threads,
+)
+from gelgap.adapt.profile import Profile
+from gelgap.assets.whole_file import set_aside, whole_file
+from gelgap.domains import LabelledFrames, with_labels
+
+MAX_SKIPPED_IN_A_ROW = 20
+COLLAPSED_SPREAD = 0.05
+HEALTHY_SPREAD = 0.3
+
+
+def train_source(
+    source: LabelledFrames,
+    profile: Profile,
+    seed: int = 0,
+    *,
+    weights: str | Path | None = None,
+    resume_file: Path | None = None,
+    progress: Progress = silent,
+) -> ForceModel:
+    """Train a network on the source's labels alone: its forces, or which `with_labels` gave it.
+
+    Parameters
+    ----------
+    source
+        Its training frames.
+    weights
+        A gelgap checkpoint to start from, or a torchvision ResNet state dictionary for the backbone.
+    resume_file
+        State after each epoch; a training that finds it is resumed.
+
+    Raises
+    ------
+    ValueError
+        If a label lies outside its range or there are fewer than two frames.
+    """
+    source.check_labels()
+    if len(source) < 2:
+        raise ValueError(f"source {source.name} has {len(source)} frames; training needs at least 2")
+    model = untrained(source, profile, seed)
+    if weights is not None:
+        load_start(model.network, Path(weights), source.labels.names)
+    trainer = Trainer(
+        model.network,
+        profile,
+        seed,
+        source,
+        title=f"source {source.name}",
+        resume_file=resume_file,
+        progress=progress,
+    )
+    with torch_threads(profile.threads):
+        trainer.train()
+        pictures = trainer.source_domain.pictures
+        if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
+            estimate_statistics(model.network, pictures, seed)
+    model.network.eval()
+    return replace(model, history=tuple(map(asdict, trainer.records)), input_statistics=pictures.statistics)
+
+
+def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
+    """Return the model with which stage 1 begins, for methods that do not need its training."""
+    network = make_network(profile, source.n_classes, seed, len(source.labels)).to(best_device())
+    return ForceModel(network.eval(), profile, source.labels, source.n_classes, seed, source.name)
+
+
+def adapt(
+    model: ForceModel,
+    source: LabelledFrames,
+    target: LabelledFrames,
+    method: str,
+    profile: Profile | None = None,
+    seed: int | None = None,
+    *,
+    resume_file: Path | None = None,
+    progress: Progress = silent,
+    watch: Callable[[int, ForceModel], None] | None = None,
+) -> ForceModel:
+    """Return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
+
+    Parameters
+    ----------
+    source, target
+        Training frames of both domains. Only a method that declares `uses_target_labels` reads target labels. Which
+        labels, and in which ranges, is the model's.
+    profile, seed
+        Those of the stage-1 model unless given; the network's part of the profile must be the same.
+    resume_file
+        State after each epoch of stage 2; a training that finds it is resumed.
+    watch
+        Called after each epoch with its number and the model that stopping there would give.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown, a used label is absent or outside the model's range, or a class-aware method is asked
+        for on data without contact classes.
+    FeatureCollapse
+        If the network becomes a constant predictor.
+    TrainingDiverged
+        If 20 steps in a row had a loss or gradient that was not finite.
+    """
+    profile = model.profile if profile is None else profile
+    seed = model.seed if seed is None else seed
+    chosen = make_method(method, profile, model.n_classes, len(model.labels))
+    source = with_labels(source, model.labels)
+    source.check_labels()
+    if chosen.uses_target_labels:
+        target = with_labels(target, model.labels)
+        target.check_labels()
+    check_classes(method, chosen, source)
+    adapted = replace(
+        model,
+        network=copy.deepcopy(model.network),
+        profile=profile,
+        seed=seed,
+        target=target.name,
+        method=method,
+        input_statistics=input_statistics(target, profile, model.device),
+    )
+    title = f"{method} {source.name} → {target.name}"
+    trainer = Trainer(adapted.network, profile, seed, source, target, title, resume_file, progress)
+    if watch is not None:
+        trainer.watch = lambda epoch, network: watch(epoch, replace(adapted, network=network.eval()))
+    with torch_threads(profile.threads):
+        chosen.adapt(trainer)  # most methods call `trainer.train`
+    adapted.network.eval()
+    return replace(adapted, history=(*model.history, *map(asdict, trainer.records)))
+
+
+@dataclass
+class Trainer(Adaptation):
+    """Trains a network in place, and is what a method works with while it adapts one.
+
+    Attributes
+    ----------
+    source, target
+        Training frames; stage 1 needs no target.
+    title
+        What progress and errors call the stage.
+    resume_file
+        Written after every epoch, read at the start if it exists.
+    watch
+        Called after each epoch of stage 2 with its number and a copy of the network as stopping there would leave it.
+    records
+        What the epochs did.
+    """
+
+    network: ForceNetwork
+    profile: Profile
+    seed: int
+    source: LabelledFrames
+    target: LabelledFrames | None = None
+    title: str = ""
+    resume_file: Path | None = None
+    progress: Progress = silent
+    watch: Callable[[int, ForceNetwork], None] | None = None
+    records: list[EpochRecord] = field(default_factory=list)
+
+    def train(self, method: Method | None = None) -> None:
+        """Train by SGD: stage 1 on the source's labels; stage 2, where there is a method, on its loss of both, too."""
+        network, profile, target, final_weight = self.network, self.profile, None, 0.0
+        epochs, rate = profile.source_epochs, profile.source_learning_rate
+        if method is not None:
+            epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
+            final_weight = method.settings.final_weight(profile)
+            if min(len(self.source), len(self.target)) < 2:
+                raise ValueError(
+                    f"adaptation needs at least 2 frames per domain; source has {len(self.source)}, "
+                    f"target {len(self.target)}"
+                )
+            labelled = method.uses_target_labels
+            target = TrainingDomain(self.target, profile, network.device, labelled=labelled)
+            method.to(network.device).begin(network)
+        steps = steps_per_epoch(len(self.source_domain), profile.batch_size)
+        optimizer = _make_optimizer(network, method, profile, rate)
+        parameters = [p for module in (network, method) if module is not None for p in module.parameters()]
+        state = {"network": network, "companion": method, "optimizer": optimizer}
+        records = self._resume(state)
+        skipped_in_a_row = 0
+        for epoch in range(len(records), epochs):
+            log = EpochLog()
+            network.train()
+            for number, batches in enumerate(self.batches(epoch, target), start=epoch * steps):
+                log.batch_is_made()
+                for group in optimizer.param_groups:
+                    group["lr"] = group["initial_lr"] * learning_rate_factor(number, profile)
+                optimizer.zero_grad(set_to_none=True)
+                weight = final_weight * transfer_factor(number, steps * epochs, profile)
+                step = Step(number, weight, generator(self.seed, Draw.METHOD, number))
+                of_source, of_target = self._activations(*batches, method, step)
+                losses = {"regression": functional.mse_loss(of_source.prediction, of_source.force)}
+                loss, transfer = losses["regression"], None
+                if method is not None:
+                    loss = profile.regression_weight * loss
+                    if method.uses_classifier:
+                        classes = functional.cross_entropy(of_source.logits, of_source.contact_class)
+                        loss = loss + profile.classification_weight * classes
+                        losses["classification"] = classes
+                    transfer = method.loss(of_source, of_target, step)
+                    if transfer is not None:
+                        loss = loss + transfer.weight * transfer.value
+                        losses["transfer"] = transfer.value
+                loss.backward()
+                norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+                finite = bool(torch.isfinite(norm) & torch.isfinite(loss))
+                if finite:
+                    optimizer.step()
+                    if method is not None:
+                        method.after_step(network)
+                skipped_in_a_row = 0 if finite else skipped_in_a_row + 1
+                if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
+                    values = ", ".join(f"{name} = {float(x.detach()):.3g}" for name, x in losses.items())
+                    raise TrainingDiverged(
+                        f"{self.title}: {skipped_in_a_row} steps in a row had a loss or gradient that is not "
+                        f"finite ({values}, gradient norm {float(norm):.3g}); lower the learning rate or the "
+                        "transfer weight"
+                    )
+                log.add(of_source, losses, transfer and transfer.diagnostics, norm if finite else None)
+            records.append(log.record(self.title, epoch + 1))
+            if method is not None:
+                _check_collapse(records)
+            self._store(state, records)
+            if self.watch is not None:
+                self.watch(epoch + 1, self._finished(copy.deepcopy(network), method))
+            self.progress(self.title, epoch + 1, epochs, str(records[-1]))
+        self.records += records
+        if method is not None:
+            self._finished(network, method)
+
+    @cached_property
+    def source_domain(self) -> TrainingDomain:
+        """The source's frames with their labels, on the device."""
+        return TrainingDomain(self.source, self.profile, self.network.device, labelled=True)
+
+    def batches(self, epoch: int, target: TrainingDomain | None) -> Iterator[tuple[Batch, Batch | None]]:
+        """Yield the batches of an epoch, of the source and in stage 2 of the target; an epoch always has the same.
+
+        An epoch is one pass over the source. The target is cycled, permutation after permutation.
+        """
+        if target is None:
+            order = self._order(self.source_domain, Draw.STAGE_1, epoch)
+            return zip(starmap(self.source_domain.batch, order), repeat(None), strict=False)
+        done = epoch * steps_per_epoch(len(self.source), self.profile.batch_size)
+        cycle, offset = divmod(done, steps_per_epoch(len(target), self.profile.batch_size))
+        cycles = (self._order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
+        of_target = islice(chain.from_iterable(cycles), offset, None)
+        of_source = self._order(self.source_domain, Draw.STAGE_2, epoch)
+        return zip(
+            starmap(self.source_domain.batch, of_source), starmap(target.batch, of_target), strict=False
+        )
+
+    def _order(self, domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
+        """Return which frames make the batches of one pass over a domain, and which are shown without markers."""
+        key = self.seed, draw, number
+        order = epoch_order(len(domain), self.profile.batch_size, *key)
+        return zip(order, hidden_batches(len(order), self.profile.marker_hiding, *key), strict=True)
+
+    def _activations(
+        self, source: Batch, target: Batch | None, method: Method | None, step: Step
+    ) -> tuple[Activations, Activations | None]:
+        """Return the network's output for the batches of a step, changed at random as the profile and method say."""
+        network, profile = self.network, self.profile
+        key = self.seed, Draw.STAGE_1 if target is None else Draw.STAGE_2, step.number
+        inputs = source.inputs
+        if profile.colour_mixing:
+            inputs = mix_colours(inputs, profile.colour_mixing, generator(Draw.COLOURS, *key))
+        shown = [self._shifted(inputs, *key)]
+        if target is not None:
+            moved = self._shifted(target.inputs, self.seed, Draw.STAGE_2_TARGET, step.number)
+            target = target._replace(inputs=moved)
+            shown.append(method.augment(moved, step))
+        with autocast(profile, network.device):
+            if target is not None and profile.batch_statistics == "joint":
+                together = network.features(torch.cat(shown))
+                features = [together[: len(inputs)], together[len(inputs) :]]
+            else:
+                features = [network.features(pictures) for pictures in shown]
+        of_source = self._heads(features[0].float(), source, method)
+        return of_source, None if target is None else self._heads(features[1].float(), target, method)
+
+    def _shifted(self, inputs: Tensor, *key: int) -> Tensor:
+        if self.profile.shift_px == 0:
+            return inputs
+        return shift_pictures(inputs, self.profile.shift_px, generator(Draw.SHIFTS, *key))
+
+    def _heads(self, features: Tensor, batch: Batch, method: Method | None) -> Activations:
+        share, logits = self.profile.classification_feedback, None
+        if method is not None and method.uses_classifier:
+            logits = self.network.classifier(share * features + (1 - share) * features.detach())
+        return Activations(
+            features=features,
+            prediction=self.network.regressor(features),
+            logits=logits,
+            force=batch.force,
+            contact_class=batch.contact_class,
+            inputs=batch.inputs,
+        )
+
+    def _finished(self, network: ForceNetwork, method: Method) -> ForceNetwork:
+        """Turn a network in training into the result, under the target's statistics where domains have their own."""
+        method.finish(network)
+        if self.profile.judges_by_own_statistics:
+            estimate_statistics(network, network_inputs(self.target, self.profile, network.device), self.seed)
+        return network
+
+    def _store(self, state: Mapping[str, Any], records: list[EpochRecord]) -> None:
+        """Write what resuming needs."""
+        if self.resume_file is None:
+            return
+        content = {name: part.state_dict() for name, part in state.items() if part is not None}
+        with whole_file(self.resume_file) as temporary:
+            torch.save(content | {"records": list(map(asdict, records))}, temporary)
+
+    def _resume(self, state: Mapping[str, Any]) -> list[EpochRecord]:
+        """Take the state of an interrupted training, and return the records of its epochs.
+
+        Nothing is taken from a file that is damaged or of another training: it is set aside.
+        """
+        if self.resume_file is None or not self.resume_file.is_file():
+            return []
+        parts = {name: part for name, part in state.items() if part is not None}
+        before = {name: copy.deepcopy(part.state_dict()) for name, part in parts.items()}
+        try:
+            content = load_checkpoint(self.resume_file)
+            for name, part in parts.items():
+                part.load_state_dict(content[name])
+            return [EpochRecord(**record) for record in content["records"]]
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            for name, part in parts.items():
+                part.load_state_dict(before[name])
+            set_aside(self.resume_file, f"cannot be resumed from ({' '.join(str(error).split())[:200]})")
+            return []
+
+    def estimate_target_statistics(self) -> None:
+        pictures = network_inputs(self.target, self.profile, self.network.device)
+        estimate_statistics(self.network, pictures, self.seed)
+
+    def source_mean(self) -> np.ndarray:
+        return normalised_labels(self.source).mean(axis=0)
+
+    def source_batches(self, epoch: int) -> Iterator[Tensor]:
+        return (inputs for _, inputs in self._shuffled(self.source, Draw.SOURCE_PASS, epoch))
+
+    def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
+        force = torch.from_numpy(normalised_labels(self.source)).to(self.network.device)
+        for rows, inputs in self._shuffled(self.source, Draw.SOURCE_PASS, epoch):
+            yield inputs, force[torch.from_numpy(rows)]
+
+    def target_batches(self, epoch: int) -> Iterator[Tensor]:
+        return (inputs for _, inputs in self._shuffled(self.target, Draw.TARGET_PASS, epoch))
+
+    def _shuffled(
+        self, frames: LabelledFrames, draw: Draw, epoch: int
+    ) -> Iterator[tuple[np.ndarray, Tensor]]:
+        """Yield one pass over the frames: which (B,) they are, and the network's inputs."""
+        pictures = network_inputs(frames, self.profile, self.network.device)
+        for rows in epoch_order(len(frames), self.profile.batch_size, self.seed, draw, epoch):
+            yield rows, pictures.inputs(rows)
+
+
+def learning_rate_factor(step: int, profile: Profile) -> float:
+    """Return (1 + a·step)^−b, the paper's schedule (section IV-B)."""
+    return (1 + profile.rate_decay * step) ** -profile.rate_power
+
+
+def transfer_factor(step: int, steps: int, profile: Profile) -> float:
+    """Return the factor in [0, 1] on λ_t: 0 in the warm-up, then 2/(1+e^(−γp))−1 with p from 0 to 1 [1].
+
+    [1] Ganin, Lempitsky, "Unsupervised domain adaptation by backpropagation", ICML 2015, section 4.
+    """
+    progress = step / max(steps - 1, 1)
+    if progress < profile.transfer_warmup:
+        return 0.0
+    if profile.transfer_ramp == 0:
+        return 1.0
+    p = (progress - profile.transfer_warmup) / (1 - profile.transfer_warmup)
+    return 2 / (1 + math.exp(-profile.transfer_ramp * p)) - 1
+
+
+def _make_optimizer(
+    network: ForceNetwork, method: Method | None, profile: Profile, rate: float
+) -> torch.optim.SGD:
+    """Return SGD with the backbone's learning rate scaled down; what a method owns learns like the heads."""
+    own = [] if method is None else list(method.parameters())
+    groups = [
+        {"params": list(network.backbone.parameters()), "lr": rate * profile.backbone_rate_factor},
+        {"params": network.head_parameters() + own, "lr": rate},
+    ]
+    optimizer = torch.optim.SGD(groups, lr=rate, momentum=profile.momentum, weight_decay=profile.weight_decay)
+    for group in optimizer.param_groups:
+        group["initial_lr"] = group["lr"]
+    return optimizer
+
+
+def _check_collapse(records: list[EpochRecord]) -> None:
+    best, last = max(record.prediction_spread for record in records), records[-1]
+    if best >= HEALTHY_SPREAD and last.prediction_spread < COLLAPSED_SPREAD:
+        raise FeatureCollapse(
+            f"{last.stage}, epoch {last.epoch}: the features collapsed: predictions spread over "
+            f"{last.prediction_spread:.1%} of the labels' spread (it was {best:.0%}), effective feature rank "
+            f"{last.feature_rank:.1f}; lower transfer_weight (from scratch 0.003 to 0.1, the least for DSAN) or the "
+            f"learning rate"
+        )
