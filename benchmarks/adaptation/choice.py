@@ -179,97 +179,77 @@ def augmentation_toml(runs: pd.DataFrame) -> str:
     return "\n".join(["# python -m gelgap.benchmarks.adaptation augmentations", *fields])
 
 
+def choice_frame(found: dict[str, Candidates], chosen: dict[str, float]) -> pd.DataFrame:
+    """Return what is known of each method's candidates and of the chosen one, whose regret is over the cases."""
+    rows = {}
+    for method, value in chosen.items():
+        own = found[method]
+        regret_n, means_n = own.regret_n[value], own.errors_n.mean()
+        rows[method] = {
+            "setting": GRIDS[method][0],
+            "candidates": ", ".join(f"{candidate:g}" for candidate in means_n.index),
+            "mean ranks": ", ".join(f"{rank:.1f}" for rank in own.ranks().mean()),
+            "mean MAE, N": ", ".join(f"{error_n:.3f}" for error_n in means_n),
+            "chosen": f"{value:g}",
+            "best one for all groups": f"{means_n.idxmin():g}",
+            "regret, N": regret_n.mean(),
+            "worst, N": regret_n.max(),
+            "cases": len(regret_n),
+        }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
+
+
 def tuning_tables(folder: Path) -> list[ResultTable]:
     """Return each method's mean rank by candidate, what was chosen, and the regret on the tuning groups."""
-    rows = []
-    for method, own in of_grid(load_runs(folder / TUNED)).items():
-        chosen = own.choice()
-        regret = own.regret_n[chosen]
-        ranks = [f"{rank:.1f}" for rank in own.ranks().mean()]
-        texts = (method, GRIDS[method][0], _listed(own.errors_n.columns), ", ".join(ranks), f"{chosen:g}")
-        rows.append((*texts, regret.mean(), regret.max(), len(regret)))
-    columns = ["method", "setting", "candidates", "mean ranks", "chosen", "regret, N", "worst, N", "cases"]
+    found = of_grid(load_runs(folder / TUNED))
+    if not found:
+        return []
+    frame = choice_frame(found, {method: own.choice() for method, own in found.items()})
     table = result_table(
         "What was chosen for each method, on the tuning groups",
-        pd.DataFrame(rows, columns=columns),
+        frame.drop(columns=["mean MAE, N", "best one for all groups"]),
         "Mean ranks are over groups and designs by reverse validation, which sees no target label. Regret: test error "
         "of the chosen candidate less that of the best in each group.",
         {"": "{:.3f}", "cases": "{:d}"},
     )
-    return [table] if rows else []
+    return [table]
 
 
 def transfer_tables(folder: Path) -> list[ResultTable]:
     """Return the regret of the frozen choice on the nine groups, and that of every selector."""
     tuned, nine = (of_grid(load_runs(folder / name)) for name in (TUNED, NINE_GROUPS))
-    shown = [method for method in tuned if method in nine]
-    return [
-        *([frozen_table(tuned, nine, shown)] if shown else []),
-        *([selector_table(tuned, nine)] if tuned else []),
-    ]
-
-
-def frozen_table(
-    tuned: dict[str, Candidates], nine: dict[str, Candidates], shown: Sequence[str]
-) -> ResultTable:
-    """Error on the nine groups by candidate, and the regret of the frozen one."""
-    rows = []
-    for method in shown:
-        errors_n, frozen = nine[method].errors_n.mean(), tuned[method].choice()
-        regret = nine[method].regret_n[frozen]
-        means = ", ".join(f"{error:.3f}" for error in errors_n)
-        rows.append(
-            (
-                method,
-                _listed(errors_n.index),
-                means,
-                f"{frozen:g}",
-                f"{errors_n.idxmin():g}",
-                regret.mean(),
-                regret.max(),
-            )
+    tables, frozen = [], {method: own.choice() for method, own in tuned.items() if method in nine}
+    if frozen:
+        frame = choice_frame(nine, frozen).drop(columns=["setting", "mean ranks", "cases"])
+        note = (
+            "Paired contacts, split by contact point. Regret: test error of the frozen candidate less that of the best "
+            "in each group, which only the target's labels tell."
         )
-    columns = [
-        "method",
-        "candidates",
-        "mean MAE, N",
-        "frozen",
-        "best one for all groups",
-        "regret, N",
-        "worst, N",
-    ]
-    return result_table(
-        "Does the choice transfer? The frozen settings on the nine groups",
-        pd.DataFrame(rows, columns=columns),
-        "Paired contacts, split by contact point. Regret: test error of the frozen candidate less that of the best in "
-        "each group, which only the target's labels tell.",
-        {"": "{:.3f}"},
-    )
+        title = "Does the choice transfer? The frozen settings on the nine groups"
+        tables.append(result_table(title, frame.rename(columns={"chosen": "frozen"}), note, {"": "{:.3f}"}))
+    return [*tables, selector_table(tuned, nine)] if tuned else []
 
 
 def selector_table(tuned: dict[str, Candidates], nine: dict[str, Candidates]) -> ResultTable:
     """The regret of each selector, frozen on the tuning groups or choosing in each group anew."""
-    columns = {
-        "tuning groups, one choice for all": lambda s: [
-            own.regret_n[own.choice(s)] for own in tuned.values()
-        ],
-        "tuning groups, each anew": lambda s: [own.own_regret_n(s) for own in tuned.values()],
-        "nine groups, chosen on tuning groups": lambda s: [
-            own.regret_n[tuned[method].choice(s)] for method, own in nine.items() if method in tuned
-        ],
-        "nine groups, each anew": lambda s: [own.own_regret_n(s) for own in nine.values()],
-    }
-    names = [f"{name} (used)" if name == SELECTOR else name for name in SELECTORS]
-    means = {
-        column: [
-            float(np.concatenate(found).mean()) if (found := regrets(name)) else math.nan
-            for name in SELECTORS
-        ]
-        for column, regrets in columns.items()
-    }
+    rows = {}
+    for name in SELECTORS:
+        frozen = {method: own.choice(name) for method, own in tuned.items()}
+        regrets_n = {
+            "tuning groups, one choice for all": [own.regret_n[frozen[m]] for m, own in tuned.items()],
+            "tuning groups, each anew": [own.own_regret_n(name) for own in tuned.values()],
+            "nine groups, chosen on tuning groups": [
+                own.regret_n[frozen[m]] for m, own in nine.items() if m in frozen
+            ],
+            "nine groups, each anew": [own.own_regret_n(name) for own in nine.values()],
+        }
+        means = {
+            column: np.concatenate(found).mean() if found else math.nan for column, found in regrets_n.items()
+        }
+        rows[f"{name} (used)" if name == SELECTOR else name] = means
     return result_table(
         "Regret of selectors without target labels, N",
-        pd.DataFrame(means, index=pd.Index(names, name="selector")),
+        pd.DataFrame.from_dict(rows, orient="index").rename_axis("selector"),
         f"Mean over methods and cases; on the nine groups of {', '.join(nine) or 'no method'}.",
         {"": "{:.3f}"},
     )
@@ -279,39 +259,30 @@ def augmentation_tables(folder: Path) -> list[ResultTable]:
     """Return what was chosen on the tuning groups by the selector, and what each variant changes on the nine groups."""
     runs, tables = load_runs(folder / AUGMENTATIONS), []
     found, on_tuning = augmented(runs), runs["data"].isin(board.TUNING_SETS)
+    formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
     if len(found.errors_n):
         frame = axis_frame(runs[on_tuning])
-        frame.insert(0, "mean rank", found.ranks().mean().map("{:.2f}".format))
+        frame.insert(0, "mean rank", found.ranks().mean())
         frame.insert(1, "chosen", ["yes" if name == found.choice() else "" for name in frame.index])
         note = (
             f"Mean over {len(found.errors_n)} cases of group and design. Ranks by reverse validation, which sees no "
             "target label; the errors were not used. The last row is a control, not a candidate."
         )
-        tables.append(
-            result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, AXIS_FORMATS)
-        )
+        tables.append(result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, formats))
     for method in SHOWN_METHODS:
-        own = runs[(runs["data"] == "paired") & (runs["method"] == method)]
-        note = f"Mean over {own['group'].nunique()} groups and {own['seed'].nunique()} seed(s); split by contact point."
+        own = runs[~on_tuning & (runs["method"] == method)]
+        groups, seeds = own["group"].nunique(), own["seed"].nunique()
+        note = f"Mean over {groups} groups and {seeds} seed(s); split by contact point."
         title = f"What augmentations change, {method}, paired contacts"
-        tables += [result_table(title, axis_frame(own), note, AXIS_FORMATS)] if len(own) else []
+        tables += [result_table(title, axis_frame(own), note, formats)] if len(own) else []
     return tables
-
-
-AXIS_FORMATS = {"": "{:.3f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
 
 
 def axis_frame(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the mean MAE and R² per axis over each variant's runs."""
-    columns = {"mean MAE, N": runs["error_n"]}
-    columns |= {f"MAE {axis}, N": runs[f"MAE {axis}"] for axis in board.AXES}
-    columns |= {f"R² {axis}": runs[f"R² {axis}"] for axis in board.AXES}
-    means = pd.DataFrame(columns).groupby(_named(runs)["candidate"]).mean()
-    return means.reindex(list(VARIANTS)).rename_axis("augmentation")
-
-
-def _listed(values: Iterable[float]) -> str:
-    return ", ".join(f"{value:g}" for value in values)
+    columns = [form.format(axis) for form in ("MAE {}, N", "R² {}") for axis in board.AXES]
+    means = _named(runs).groupby("candidate")[["error_n", *columns]].mean().reindex(list(VARIANTS))
+    return means.rename(columns={"error_n": "mean MAE, N"}).rename_axis("augmentation")
 
 
 AUGMENT = Part(augment, augmentation_tables)

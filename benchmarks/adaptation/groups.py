@@ -34,7 +34,8 @@ QUICK_METHODS = (PLAIN, "adabn", "classifier-only", "dsan", CEILING)
 LEAST_R2 = (0.8, 0.8, 0.9)
 """What supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
 R2 = [f"R² {axis}" for axis in AXES]
-POSE, GEOMETRY = ([f"{kind} F{axis}" for axis in AXES] for kind in ("pose", "geometry"))
+NAMES = [" → ".join(group) for group in GROUPS]
+FORMATS = {"": "{:.3f}", "rank": "{:.1f}", **dict.fromkeys(R2, "{:.2f}")}
 CAVEAT = (
     "A description, not a test: the nine groups are made of four domains, groups of one source share its first stage, "
     "and mb0i0 and wmb0i0 show the same contacts, so they are not nine independent cases."
@@ -88,14 +89,12 @@ def keep_oracles(study: Study, groups: Iterable[board.Group]) -> None:
 def load_oracles(folder: Path) -> pd.DataFrame:
     """Return the oracles' MAE by group, N; `comparable`: an alignment of poses could reach the paper's DSAN figure."""
     kind = dict[str, dict[Literal["pose_n", "geometry_n"], tuple[float, float, float]]]
-    rows = {
-        group: (*own["pose_n"], *own["geometry_n"])
-        for group, own in read_results(folder / ORACLES, kind).items()
-    }
-    found = pd.DataFrame.from_dict(rows, orient="index", columns=[*POSE, *GEOMETRY]).rename_axis("group")
-    papers = dict(zip(map(" → ".join, GROUPS), PAPER_MAE_N["dsan"], strict=True))
-    means = {"pose oracle": found[POSE].mean(axis=1), "geometry oracle": found[GEOMETRY].mean(axis=1)}
-    return found.assign(**means, comparable=means["pose oracle"] <= [papers.get(g, math.inf) for g in rows])
+    found = pd.DataFrame(read_results(folder / ORACLES, kind)).T.rename_axis("group")
+    papers = pd.Series(PAPER_MAE_N["dsan"], NAMES)
+    for name in ("pose", "geometry"):
+        found[[f"{name} F{axis}" for axis in AXES]] = found[f"{name}_n"].tolist()
+        found[f"{name} oracle"] = found[f"{name}_n"].map(np.mean)
+    return found.assign(comparable=found["pose oracle"] <= papers.reindex(found.index, fill_value=math.inf))
 
 
 def load_headline(
@@ -109,9 +108,7 @@ def load_headline(
         If the runs of a group are not all of one configuration.
     """
     runs = load_runs(folder / RUNS)
-    runs = runs[
-        (runs["data"] == data) & runs["changes"].isin([changes]) & runs["group"].isin(map(" → ".join, GROUPS))
-    ]
+    runs = runs[(runs["data"] == data) & runs["changes"].isin([changes]) & runs["group"].isin(NAMES)]
     for group, own in runs.groupby("group"):
         if len(own[["profile", "configuration"]].drop_duplicates()) > 1:
             raise ValueError(
@@ -135,17 +132,15 @@ def counted(runs: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
     the error of the constant mean that it became.
     """
     table = runs.pivot(index=["group", "seed"], columns="method", values=values)
-    groups = [group for group in map(" → ".join, GROUPS) if group in table.index.levels[0]]
-    table = table.reindex(
-        pd.MultiIndex.from_product([groups, table.index.levels[1]], names=["group", "seed"])
-    )
+    groups, seeds = table.index.levels
+    table = table.reindex(pd.MultiIndex.from_product([[name for name in NAMES if name in groups], seeds]))
     whole = table[methods_of(runs, CEILING)].notna().all(axis=1)
     return table[methods_of(runs)].where(whole, axis=0)
 
 
 def by_group(values: pd.DataFrame) -> pd.DataFrame:
     """Return the means over seeds by group and method."""
-    return values.groupby("group", sort=False).mean()
+    return values.groupby(level=0, sort=False).mean()
 
 
 def over_groups(values: pd.DataFrame) -> pd.Series:
@@ -177,16 +172,20 @@ def tables(folder: Path) -> list[ResultTable]:
     return [*found, oracle_table(oracles), *(time_table(runs, design) for design, runs in designs.items())]
 
 
-def method_table(runs: pd.DataFrame, design: str) -> ResultTable:
-    """Each method's error, R² per axis and rank."""
-    errors, plain_rank = counted(runs), f"without {PLAIN}"
-    means = by_group(errors)
-    frame = over_groups(errors).to_frame("mean MAE, N")
+def summary(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return each method's error with its interval, R² per axis, and mean rank over the groups, the ceiling apart."""
+    errors = counted(runs)
+    frame = over_groups(errors).rename_axis("method").to_frame("mean MAE, N")
     frame["95 % interval"] = [bootstrap(errors[method].unstack(sort=False).to_numpy()) for method in errors]
     for column in R2:
         frame[column] = over_groups(counted(runs, column))
-    for column, left_out in (("rank", (CEILING,)), (plain_rank, (CEILING, PLAIN))):
-        frame[column] = ranks(means[methods_of(runs, *left_out)]).mean()
+    return frame.assign(rank=ranks(by_group(errors)[methods_of(runs, CEILING)]).mean())
+
+
+def method_table(runs: pd.DataFrame, design: str) -> ResultTable:
+    """Each method's error, R² per axis and rank."""
+    frame, means = summary(runs), by_group(counted(runs))
+    frame[f"without {PLAIN}"] = ranks(means[methods_of(runs, CEILING, PLAIN)]).mean()
     frame["collapsed"] = runs.groupby("method")["problem"].count()
     frame["paper, N"] = pd.DataFrame(PAPER_MAE_N).mean()
     return result_table(
@@ -194,24 +193,14 @@ def method_table(runs: pd.DataFrame, design: str) -> ResultTable:
         frame,
         f"Split by contact point; {_seeds(runs)}. Intervals: bootstrap over groups and seeds. Ranks: means over the "
         f"groups. A run that collapsed counts with the constant mean's error. {_friedman(runs)}",
-        {
-            "": "{:.3f}",
-            **dict.fromkeys(R2, "{:.2f}"),
-            "rank": "{:.1f}",
-            plain_rank: "{:.1f}",
-            "collapsed": "{:d}",
-        },
+        {**FORMATS, f"without {PLAIN}": "{:.1f}", "collapsed": "{:d}"},
     )
 
 
 def _seeds(runs: pd.DataFrame) -> str:
-    whole = counted(runs).notna().any(axis=1)
-    missing = (
-        ""
-        if whole.all()
-        else f" ({whole.sum()} of {len(whole)} pairs of group and seed are finished by all methods)"
-    )
-    return f"{runs['seed'].nunique()} seed(s){missing}"
+    whole, seeds = counted(runs).notna().any(axis=1), f"{runs['seed'].nunique()} seed(s)"
+    finished = f"({whole.sum()} of {len(whole)} pairs of group and seed are finished by all methods)"
+    return seeds if whole.all() else f"{seeds} {finished}"
 
 
 def _friedman(runs: pd.DataFrame) -> str:
@@ -223,10 +212,11 @@ def _friedman(runs: pd.DataFrame) -> str:
         errors = by_group(counted(runs))[methods_of(runs, *left_out)]
         cases, methods = errors.shape
         if methods > 2 and cases > 1:
-            p = friedmanchisquare(*ranks(errors).to_numpy().T).pvalue
-            texts.append(
-                f"{name}: Friedman's p = {p:.2g}, Nemenyi's difference {critical_difference(methods, cases):.1f}"
+            p, nemenyi = (
+                friedmanchisquare(*ranks(errors).to_numpy().T).pvalue,
+                critical_difference(methods, cases),
             )
+            texts.append(f"{name}: Friedman's p = {p:.2g}, Nemenyi's difference {nemenyi:.1f}")
     return f"Ranks over group means, {'; '.join(texts)}. {CAVEAT}" if texts else ""
 
 
@@ -245,16 +235,13 @@ def control_table(runs: pd.DataFrame, design: str) -> ResultTable:
         control = runs.loc[runs["method"] == method, "control"].iloc[0]
         if control in errors:
             difference = errors[method] - errors[control]
-            means = difference.groupby("group", sort=False).mean()
+            means = by_group(difference)
             pairs = [group.split(" → ") for group in means.index]
             kept = [[domain not in pair for pair in pairs] for domain in {d for pair in pairs for d in pair}]
             without = [means[rows].mean(skipna=False) for rows in kept if any(rows)] or [math.nan]
-            interval, better = (
-                bootstrap(difference.unstack(sort=False).to_numpy()),
-                f"{(means < 0).sum()} of {len(means)}",
-            )
-            mean = means.mean(skipna=False)
-            rows.append((method, control, mean, interval, better, (min(without), max(without))))
+            interval = bootstrap(difference.unstack(sort=False).to_numpy())
+            better, leaving_out = f"{(means < 0).sum()} of {len(means)}", (min(without), max(without))
+            rows.append((method, control, means.mean(skipna=False), interval, better, leaving_out))
     columns = ["method", "control", "difference, N", "95 % interval", "better in", "leaving out a domain"]
     return result_table(
         f"Methods against their own controls, {design} contacts",
@@ -268,34 +255,32 @@ def control_table(runs: pd.DataFrame, design: str) -> ResultTable:
 
 def group_table(runs: pd.DataFrame, design: str, oracles: pd.DataFrame) -> ResultTable:
     """The main methods group by group, beside baselines without learning."""
-    errors = counted(runs)
+    errors, constant = counted(runs), constant_mean(runs)
     means = by_group(errors)
-    constant = constant_mean(runs)[means.index]
-    groups, shown = means.index, means.columns[means.columns.isin(board.MAIN_METHODS)]
-    worse = (means[PLAIN] > constant) if PLAIN in means else pd.Series(False, groups)
-    unfair = ~oracles["comparable"].reindex(groups, fill_value=True).astype(bool)
-    numbers = means[shown].join(
-        oracles.loc[groups if len(oracles) else [], ["pose oracle", "geometry oracle"]]
-    )
+    shown = [method for method in means if method in board.MAIN_METHODS]
+    worse = means[PLAIN] > constant if PLAIN in means else constant.isna()
+    unfair = ~oracles["comparable"].reindex(means.index, fill_value=True).astype(bool)
+    numbers = means[shown].join(oracles[["pose oracle", "geometry oracle"]]).dropna(axis=1, how="all")
     numbers.insert(0, "constant mean", constant)
-    frame = numbers.dropna(axis=1, how="all").astype(object)
+    frame = numbers.astype(object)
     for method in shown:
-        frame[method] = errors[method].groupby("group", sort=False).apply(spread).astype(object)
+        frame[method] = errors[method].groupby(level=0, sort=False).apply(spread).astype(object)
     frame.loc["mean"] = numbers.mean(skipna=False)
-    names = [group + " †" * int(worse[group]) + " *" * int(unfair[group]) for group in groups]
+    marked = {group: group + " †" * int(worse[group]) + " *" * int(unfair[group]) for group in means.index}
     return result_table(
         f"Group by group, {design} contacts: mean MAE on the target's test frames, N",
-        frame.set_axis(pd.Index([*names, "mean"], name="group")),
+        frame.rename(marked).rename_axis("group"),
         f"± standard deviation over {_seeds(runs)}. † {PLAIN} is worse than the source's mean force always: "
-        f"{worse.sum()} of {len(groups)} groups. * The pose oracle is worse than the paper's DSAN figure, so that "
-        f"the group is not comparable: {unfair.sum()} of {len(groups)}.",
+        f"{worse.sum()} of {len(means)} groups. * The pose oracle is worse than the paper's DSAN figure, so that "
+        f"the group is not comparable: {unfair.sum()} of {len(means)}.",
         {"": "{:.3f}"},
     )
 
 
 def constant_mean(runs: pd.DataFrame) -> pd.Series:
     """Return the error of predicting the source's mean force by group, N, mean over methods and seeds."""
-    return runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
+    found = runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
+    return found[[name for name in NAMES if name in found]]
 
 
 def spread(values: pd.Series) -> str | None:
@@ -356,9 +341,9 @@ def kendall_tau(errors: Sequence[float]) -> float:
 def shear_table(runs: pd.DataFrame, design: str) -> ResultTable:
     """Whether shear is read at all: R² of Fx and Fy by group."""
     shear = runs.assign(shear=runs[R2[:2]].mean(axis=1))
-    frame = shear.pivot_table(index="group", columns="method", values="shear").loc[
-        by_group(counted(runs)).index
-    ]
+    frame = (
+        shear.pivot_table(index="group", columns="method", values="shear").reindex(NAMES).dropna(how="all")
+    )
     return result_table(
         f"Shear, {design} contacts: R² on the target, mean of Fx and Fy",
         frame[[method for method in methods_of(runs) if method in board.MAIN_METHODS]],
@@ -385,17 +370,12 @@ def split_table(at_random: pd.DataFrame, by_point: pd.DataFrame) -> ResultTable:
 
 def check_table(runs: pd.DataFrame, design: str) -> ResultTable:
     """Whether the profile counts: R² of supervised-on-target and of source-only on its source."""
-    conditions: dict[tuple[str, str], list] = {}
-    for run in runs[runs["problem"].isna()].itertuples():
-        if run.method == CEILING:
-            conditions.setdefault(("supervised on target", run.target), []).append(run.r2)
-        elif run.method == PLAIN and run.source_held_out_r2:
-            conditions.setdefault((f"{PLAIN} on held-out source", run.source), []).append(
-                run.source_held_out_r2
-            )
-    rows = []
-    for condition, r2 in conditions.items():
-        mean, worst = np.mean(r2, axis=0), np.min(r2, axis=0)
+    good, rows = runs[runs["problem"].isna() & runs["method"].isin([PLAIN, CEILING])], []
+    names = {PLAIN: f"{PLAIN} on held-out source", CEILING: "supervised on target"}
+    domain = good["source"].where(good["method"] == PLAIN, good["target"])
+    r2 = good["source_held_out_r2"].where(good["method"] == PLAIN, good["r2"]).dropna()
+    for condition, own in r2.groupby([good["method"].map(names), domain], sort=False):
+        mean, worst = np.mean(own.tolist(), axis=0), np.min(own.tolist(), axis=0)
         cells = [f"{m:.2f} (≥ {w:.2f})" for m, w in zip(mean, worst, strict=True)]
         rows.append([*condition, *cells, "yes" if (mean >= LEAST_R2).all() else "NO"])
     return ResultTable(
@@ -410,7 +390,7 @@ def oracle_table(oracles: pd.DataFrame) -> ResultTable:
     """Both oracles per group and axis."""
     return result_table(
         "Oracles per axis, MAE in N",
-        oracles[[*POSE, *GEOMETRY, "comparable"]],
+        oracles[[f"{name} F{axis}" for name in ("pose", "geometry") for axis in AXES] + ["comparable"]],
         "From paired contacts. Pose: the source's force at the same command. Geometry: the source gel's force at the "
         "target's contact.",
         {"": "{:.4f}"},
@@ -454,15 +434,14 @@ def plot_groups(runs: pd.DataFrame, oracles: pd.DataFrame) -> "Figure":
 
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes, errors = figure.subplots(), counted(runs)
-    means, deviations = by_group(errors), errors.groupby("group", sort=False).std().fillna(0.0)
-    shown = [method for method in means if method in board.MAIN_METHODS]
-    place, width = np.arange(len(means)), 0.8 / max(len(shown), 1)
-    for i, method in enumerate(shown):
-        axes.bar(place - 0.4 + (i + 0.5) * width, means[method], width, yerr=deviations[method], label=method)
-    levels = {"constant mean": constant_mean(runs), "pose oracle": oracles["pose oracle"]}
+    shown = [method for method in errors if method in board.MAIN_METHODS]
+    means, deviations = by_group(errors)[shown], errors[shown].groupby(level=0, sort=False).std().fillna(0.0)
+    means.plot.bar(ax=axes, yerr=deviations, width=0.8, rot=0, legend=False, fontsize=8, xlabel="")
+    levels = {"constant mean": constant_mean(runs), "pose oracle": oracles.loc[means.index, "pose oracle"]}
+    place = np.arange(len(means))
     for (name, level), style in zip(levels.items(), ("dotted", "solid"), strict=True):
-        axes.hlines(level[means.index], place - 0.4, place + 0.4, "k", style, label=name)
-    axes.set_xticks(place, [group.replace(" → ", "\n→ ") for group in means.index], fontsize=8)
+        axes.hlines(level, place - 0.4, place + 0.4, "k", style, label=name)
+    axes.set_xticklabels([group.replace(" → ", "\n→ ") for group in means.index])
     axes.set_ylabel("target MAE, N")
     figure.legend(loc="outside upper center", fontsize=8, ncols=(len(shown) + 3) // 2)
     return figure

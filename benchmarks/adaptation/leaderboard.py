@@ -19,9 +19,10 @@ from gelgap.assets.json_file import read_json
 from gelgap.assets.plain_name import is_plain_name
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
-from gelgap.benchmarks.adaptation.board import AXES, CEILING, DESIGNS, GROUPS, METHODS, PLAIN
-from gelgap.benchmarks.adaptation.groups import SEEDS, load_headline, methods_of, ranks
-from gelgap.benchmarks.common import bootstrap, result_table
+from gelgap.benchmarks.adaptation.board import DESIGNS, GROUPS, METHODS, PLAIN
+from gelgap.benchmarks.adaptation.groups import FORMATS, SEEDS, load_headline, methods_of, summary
+from gelgap.benchmarks.adaptation.study import with_errors
+from gelgap.benchmarks.common import result_table
 
 _BAD_INPUT = 2
 _PLACES = [(*group, seed) for group in GROUPS for seed in SEEDS]
@@ -130,24 +131,23 @@ def _problem(entry: Entry, plain: Entry) -> str | None:
 
 def leaderboard_table(entries: Sequence[Entry], design: str) -> ResultTable:
     """All methods of a design by their mean error, with interval, rank, who and when."""
-    own = sorted((e for e in entries if e.design == design), key=lambda entry: entry.errors_n.mean())
-    learned = {entry.method: entry.errors_n.mean(axis=1) for entry in own if entry.method != CEILING}
-    rank = ranks(pd.DataFrame(learned)).mean()
-    rows = []
-    for entry in own:
-        name = entry.method if entry.method in METHODS else f"**{entry.method}**"
-        r2 = np.mean([run.r2 for run in entry.runs], axis=0)
-        settings = ", ".join(f"{k} = {v}" for k, v in entry.settings.items()) or None
-        measured = (entry.errors_n.mean(), bootstrap(entry.errors_n), *r2, rank.get(entry.method))
-        rows.append((name, *measured, settings, entry.who, entry.when.isoformat()))
-    r2_columns = [f"R² {axis}" for axis in AXES]
-    columns = ["method", "mean MAE, N", "95 % interval", *r2_columns, "mean rank", "settings", "who", "when"]
+    own = {entry.method: entry for entry in entries if entry.design == design}
+    runs = [{**run.model_dump(), "method": entry.method} for entry in own.values() for run in entry.runs]
+    frame = summary(with_errors(pd.DataFrame(runs))).sort_values("mean MAE, N", kind="stable")
+    shown = [own[method] for method in frame.index]
+    frame["settings"] = [
+        ", ".join(f"{k} = {v}" for k, v in entry.settings.items()) or None for entry in shown
+    ]
+    frame["who"] = [entry.who for entry in shown]
+    frame["when"] = [entry.when.isoformat() for entry in shown]
     return result_table(
         f"{design.capitalize()} contacts",
-        pd.DataFrame(rows, columns=columns),
-        f"Nine groups, seeds {SEEDS[0]} to {SEEDS[-1]}, profile {own[0].profile}, split by contact point. Interval: "
+        frame.rename(lambda name: name if name in METHODS else f"**{name}**").rename(
+            columns={"rank": "mean rank"}
+        ),
+        f"Nine groups, seeds {SEEDS[0]} to {SEEDS[-1]}, profile {shown[0].profile}, split by contact point. Interval: "
         "bootstrap over groups and seeds. Rank: mean over the groups, the ceiling apart.",
-        {"": "{:.3f}", "mean rank": "{:.1f}", **dict.fromkeys(r2_columns, "{:.2f}")},
+        FORMATS | {"mean rank": "{:.1f}"},
     )
 
 

@@ -35,15 +35,24 @@ def measure(study: Study) -> None:
     changes = {"source_epochs": EPOCHS, "adapt_epochs": EPOCHS, "transfer_warmup": 0.0, "transfer_ramp": 0.0}
     short = profile.replace(**changes)
     plain = short.replace(colour_mixing=0.0)
-    rows = [{"name": "plain PyTorch, source regression", "step_ms": plain_loop_ms(frames, profile, EPOCHS)}]
+    rows, ratios = [], []
+    plain_loop_ms(frames, profile, 1)  # warm up
+    for _ in range(repeats):
+        start = time.process_time()
+        step_ms = plain_loop_ms(frames, profile, EPOCHS)
+        between = time.process_time()
+        history = train_source(frames, plain).history
+        ratios.append((time.process_time() - between) / (between - start) - 1)
 
     def add(name: str, history: Sequence[dict], **more: float) -> None:
-        steps = count // profile.batch_size
-        step_ms = 1e3 * float(np.median([epoch["wall_s"] / steps for epoch in history]))
+        step_s = [epoch["wall_s"] / (count // profile.batch_size) for epoch in history]
         wait_share = float(np.median([epoch["wait_s"] / epoch["wall_s"] for epoch in history]))
-        rows.append({"name": name, "step_ms": step_ms, "wait_share": wait_share, **more})
+        rows.append(
+            {"name": name, "step_ms": 1e3 * float(np.median(step_s)), "wait_share": wait_share, **more}
+        )
 
-    add("stage 1", train_source(frames, plain).history, overhead=overhead(frames, plain, repeats))
+    rows.append({"name": "plain PyTorch, source regression", "step_ms": step_ms})
+    add("stage 1", history, overhead=float(np.median(ratios)))
     model = train_source(frames, short)
     if profile.colour_mixing:
         add("stage 1, mixed colours", model.history)
@@ -53,7 +62,7 @@ def measure(study: Study) -> None:
     write_results(study.out / RESULTS, rows)
 
 
-def random_frames(profile: "Profile", count: int = FRAMES) -> "ArrayFrames":
+def random_frames(profile: "Profile", count: int) -> "ArrayFrames":
     """Return frames of noise at the profile's size: speed does not depend on what they show."""
     from gelgap.domains import ArrayFrames
 
@@ -83,33 +92,19 @@ def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> flo
     force = torch.from_numpy(normalised_labels(frames))
     optimizer = torch.optim.SGD(network.parameters(), lr=0.01, momentum=0.9, weight_decay=5e-4)
     network.train()
-    times, steps = [], len(frames) // profile.batch_size
+    times = []
     with torch_threads(profile.threads):
         for _ in range(epochs):
-            order, start = torch.randperm(len(frames)), time.perf_counter()
-            for i in range(steps):
-                rows = order[i * profile.batch_size : (i + 1) * profile.batch_size]
+            batches = torch.randperm(len(frames)).split(profile.batch_size)[
+                : len(frames) // profile.batch_size
+            ]
+            start = time.perf_counter()
+            for rows in batches:
                 optimizer.zero_grad(set_to_none=True)
                 functional.mse_loss(network(pictures.inputs(rows)), force[rows]).backward()
                 optimizer.step()
-            times.append((time.perf_counter() - start) / steps)
+            times.append((time.perf_counter() - start) / len(batches))
     return 1e3 * float(np.median(times))
-
-
-def overhead(frames: "ArrayFrames", profile: "Profile", repeats: int = REPEATS) -> float:
-    """Return the median of stage 1's processor time over the plain loop's, minus 1; taken in turns after a warm-up."""
-    from gelgap.adapt import train_source
-
-    short = profile.replace(source_epochs=2)
-    plain_loop_ms(frames, profile, 1)
-    ratios = []
-    for _ in range(repeats):
-        start = time.process_time()
-        plain_loop_ms(frames, profile, 2)
-        between = time.process_time()
-        train_source(frames, short)
-        ratios.append((time.process_time() - between) / (between - start) - 1)
-    return float(np.median(ratios))
 
 
 def tables(folder: Path) -> list[ResultTable]:

@@ -312,8 +312,8 @@ def with_errors(records: pd.DataFrame) -> pd.DataFrame:
     if records.empty:
         records = pd.DataFrame(columns=[*records, *_COLUMNS])
     by_axis = {
-        f"{name} {axis}": records[column].map(lambda values, i=i: values[i])
-        for name, column in (("MAE", "mae_n"), ("R²", "r2"))
+        name.format(axis): records[column].map(lambda values, i=i: values[i])
+        for name, column in (("MAE {}, N", "mae_n"), ("R² {}", "r2"))
         for i, axis in enumerate(board.AXES)
     }
     group = records["source"] + " → " + records["target"]
