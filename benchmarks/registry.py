@@ -57,8 +57,6 @@ _MEASURED = {
     "stability": [
         ("physics", "solves at the corners of what is allowed", "physics.stability", ANEW),
         ("render", "memory and time over many frames", "render.stability", EXTRA, ANEW),
-        ("losses", "adaptation losses in every known trap", "adaptation.losses", EXTRA, ANEW),
-        ("published", "adaptation losses beside public code", "adaptation.published_losses", EXTRA, ANEW),
     ],
     "view": [(None, "from a knob of gelgap view to the picture", "view.latency", ANEW)],
     "throughput": [
