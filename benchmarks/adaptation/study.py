@@ -5,6 +5,7 @@ record. A study is a grid of settings, a file of records, and tables that are qu
 """
 
 import hashlib
+import json
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -182,13 +183,22 @@ class Study:
 
     def stage1_of(self, run: Setting) -> str | None:
         """Return the checkpoint of the first stage that a run has yet to train, and shares; None if there is none."""
-        from gelgap.adapt import Stage1, find_method
+        from gelgap.adapt import find_method
 
         if not find_method(run["method"]).needs_stage_1:
             return None
-        frames = self.frames_of(run).source_train
-        checkpoint = Stage1(frames, self.profile_of(run), run["seed"], out=self.out).checkpoint
+        checkpoint = _checkpoint(self, json.dumps(run | {"method": board.PLAIN, "settings": []}))
         return None if checkpoint.is_file() else str(checkpoint)
+
+
+@cache
+def _checkpoint(study: Study, run_json: str) -> Path:
+    """Return where the first stage of a run is kept; all methods of a group, split and seed share it."""
+    from gelgap.adapt import Stage1
+
+    run = json.loads(run_json)
+    frames = study.frames_of(run).source_train
+    return Stage1(frames, study.profile_of(run), run["seed"], out=study.out).checkpoint
 
 
 @cache
