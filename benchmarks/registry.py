@@ -1,39 +1,38 @@
 """The benchmarks: name, what each measures, and where. Adding one is a file and a line here.
 
-Every module has `run(quick: bool, out_dir: Path) -> None`, which measures, prints tables and writes what it found below
-`out_dir`; one that `needs_data` also takes `data`, the folder of the user's clones. The modules of the adaptation
-benchmark also have a `PART`, which its report is made of.
+A place is a module, or `module:NAME` of a thing in it, with `run(quick: bool, out_dir: Path) -> None`, which measures,
+prints tables and writes what it found below `out_dir`; one that `needs_data` also takes `data`, the folder of the
+user's clones. The parts of the adaptation benchmark are each a `Part`, which its report is made of.
 """
 
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 
 @dataclass(frozen=True)
 class Benchmark:
     """One benchmark: a subject, or one part of a subject that has several.
 
-    Without a choice of parts, those `by_default` are measured; `--quick` leaves out parts without a quick form.
+    Without a choice of parts, those `by_default` are measured; `--quick` leaves out parts without a quick form. One
+    that `resumes` goes on where it was stopped, when it is run again.
     """
 
     subject: str
     part: str | None
     description: str
-    module: str
+    place: str
     by_default: bool = True
     has_quick_form: bool = True
+    resumes: bool = True
     needs_data: bool = False
 
-    @property
-    def resumes(self) -> bool:
-        """Whether it goes on where it was stopped, when it is run again."""
-        return self.module not in _BEGINS_ANEW
-
-    def load(self) -> ModuleType:
-        """Import the benchmark's module."""
-        return import_module(f"gelgap.benchmarks.{self.module}")
+    def load(self) -> Any:
+        """Import the benchmark's module, or the thing in it."""
+        module, _, name = self.place.partition(":")
+        found = import_module(f"gelgap.benchmarks.{module}")
+        return getattr(found, name) if name else found
 
     def run(self, quick: bool, out_dir: Path, data: Path | None = None) -> None:
         """Measure."""
@@ -41,144 +40,83 @@ class Benchmark:
         self.load().run(quick=quick, out_dir=out_dir, **given)
 
 
-_BEGINS_ANEW = (
-    "data.estimates",
-    "data.stages",
-    "render.accuracy",
-    "physics.stability",
-    "render.stability",
-    "view.latency",
-    "adaptation.losses",
-    "adaptation.published_losses",
-    "adaptation.speed",
-    "real.session_transfer",
-)
-BENCHMARKS = (
-    Benchmark("physics", None, "error of forces and displacements against run time", "physics.accuracy"),
-    Benchmark("render", None, "error of pictures against run time, beside a path tracer", "render.accuracy"),
+EXTRA, LONG, ANEW = "not by default", "no quick form", "does not resume"
+_MEASURED = {
+    "physics": [(None, "error of forces and displacements against run time", "physics.accuracy")],
+    "render": [(None, "error of pictures against run time, beside a path tracer", "render.accuracy", ANEW)],
+    "sensors": [
+        ("prediction", "how well a real sensor's pictures are predicted from others of it", "render.sensors"),
+        (
+            "unknown-ball",
+            "the same where ball, scale and marks are hardly known",
+            "render.unknown_ball",
+            EXTRA,
+        ),
+        ("robustness", "what a fit to disturbed pictures still predicts", "render.sensor_robustness", EXTRA),
+    ],
+    "stability": [
+        ("physics", "solves at the corners of what is allowed", "physics.stability", ANEW),
+        ("render", "memory and time over many frames", "render.stability", EXTRA, ANEW),
+    ],
+    "view": [(None, "from a knob of gelgap view to the picture", "view.latency", ANEW)],
+    "throughput": [
+        ("generation", "time to generate and to read domains", "data.throughput"),
+        ("stages", "where the time of a data set goes, and how it scales", "data.stages", EXTRA, ANEW),
+        ("estimates", "estimated beside taken time", "data.estimates", EXTRA, ANEW),
+    ],
+    "faults": [
+        ("generation", "what a fault during generation costs", "data.faults"),
+        ("files", "what damage to each kind of file does", "data.file_faults", EXTRA),
+        ("interruptions", "commands stopped at random", "data.interruptions", EXTRA),
+    ],
+    "adaptation": [
+        ("augmentations", "augmentations, chosen on the tuning groups", "adaptation.choice:AUGMENT", LONG),
+        ("tuning", "each method's setting, chosen on the tuning groups", "adaptation.choice:TUNE", LONG),
+        ("groups", "all methods on the paper's nine groups", "adaptation.groups:PART"),
+        ("transfer", "whether what was chosen holds on the nine groups", "adaptation.choice:TRANSFER", LONG),
+        ("gaps", "error against the size of a gap", "adaptation.gaps:PART", LONG),
+        ("labels", "how many target labels close a gap", "adaptation.labels:PART", LONG),
+        ("speed", "training steps beside a plain loop", "adaptation.speed:PART", ANEW),
+    ],
+    "real": [
+        (
+            "sessions",
+            "force from one session's light to another's, on real grasps",
+            "real.session_transfer",
+            ANEW,
+        ),
+        ("networks", "the same with all methods of adaptation", "real.networks", EXTRA),
+        (
+            "contact-point",
+            "where a ball touches, from synthetic presses to real ones",
+            "real.contact_point",
+            EXTRA,
+        ),
+        (
+            "pretraining",
+            "few labels, from scratch and pretrained on drawn domains",
+            "real.pretraining",
+            EXTRA,
+        ),
+        (
+            "randomisation",
+            "what matters in the synthetic data, one factor of randomisation at a time",
+            "real.randomisation",
+            EXTRA,
+        ),
+    ],
+}
+BENCHMARKS = tuple(
     Benchmark(
-        "sensors",
-        "prediction",
-        "how well a real sensor's pictures are predicted from others of it",
-        "render.sensors",
-    ),
-    Benchmark(
-        "sensors",
-        "unknown-ball",
-        "the same where ball, scale and marks are hardly known",
-        "render.unknown_ball",
-        by_default=False,
-    ),
-    Benchmark(
-        "sensors",
-        "robustness",
-        "what a fit to disturbed pictures still predicts",
-        "render.sensor_robustness",
-        by_default=False,
-    ),
-    Benchmark("stability", "physics", "solves at the corners of what is allowed", "physics.stability"),
-    Benchmark(
-        "stability", "render", "memory and time over many frames", "render.stability", by_default=False
-    ),
-    Benchmark(
-        "stability", "losses", "adaptation losses in every known trap", "adaptation.losses", by_default=False
-    ),
-    Benchmark(
-        "stability",
-        "published",
-        "adaptation losses beside public code",
-        "adaptation.published_losses",
-        by_default=False,
-    ),
-    Benchmark("view", None, "from a knob of gelgap view to the picture", "view.latency"),
-    Benchmark("throughput", "generation", "time to generate and to read domains", "data.throughput"),
-    Benchmark(
-        "throughput",
-        "stages",
-        "where the time of a data set goes, and how it scales",
-        "data.stages",
-        by_default=False,
-    ),
-    Benchmark("throughput", "estimates", "estimated beside taken time", "data.estimates", by_default=False),
-    Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),
-    Benchmark(
-        "faults", "files", "what damage to each kind of file does", "data.file_faults", by_default=False
-    ),
-    Benchmark(
-        "faults", "interruptions", "commands stopped at random", "data.interruptions", by_default=False
-    ),
-    Benchmark(
-        "adaptation",
-        "augmentations",
-        "augmentations, chosen on the tuning groups",
-        "adaptation.augmentations",
-        has_quick_form=False,
-    ),
-    Benchmark(
-        "adaptation",
-        "tuning",
-        "each method's setting, chosen on the tuning groups",
-        "adaptation.tuning",
-        has_quick_form=False,
-    ),
-    Benchmark("adaptation", "groups", "all methods on the paper's nine groups", "adaptation.groups"),
-    Benchmark(
-        "adaptation",
-        "transfer",
-        "whether what was chosen holds on the nine groups",
-        "adaptation.transfer",
-        has_quick_form=False,
-    ),
-    Benchmark(
-        "adaptation", "gaps", "error against the size of a gap", "adaptation.gaps", has_quick_form=False
-    ),
-    Benchmark(
-        "adaptation",
-        "labels",
-        "how many target labels close a gap",
-        "adaptation.labels",
-        has_quick_form=False,
-    ),
-    Benchmark("adaptation", "speed", "training steps beside a plain loop", "adaptation.speed"),
-    Benchmark(
-        "real",
-        "sessions",
-        "force from one session's light to another's, on real grasps",
-        "real.session_transfer",
-        needs_data=True,
-    ),
-    Benchmark(
-        "real",
-        "networks",
-        "the same with all methods of adaptation",
-        "real.networks",
-        by_default=False,
-        needs_data=True,
-    ),
-    Benchmark(
-        "real",
-        "contact-point",
-        "where a ball touches, from synthetic presses to real ones",
-        "real.contact_point",
-        by_default=False,
-        needs_data=True,
-    ),
-    Benchmark(
-        "real",
-        "pretraining",
-        "few labels, from scratch and pretrained on drawn domains",
-        "real.pretraining",
-        by_default=False,
-        needs_data=True,
-    ),
-    Benchmark(
-        "real",
-        "randomisation",
-        "what matters in the synthetic data, one factor of randomisation at a time",
-        "real.randomisation",
-        by_default=False,
-        needs_data=True,
-    ),
+        subject,
+        *what,
+        EXTRA not in flags,
+        LONG not in flags,
+        resumes=ANEW not in flags,
+        needs_data=subject == "real",
+    )
+    for subject, rows in _MEASURED.items()
+    for *what, flags in ((*row[:3], row[3:]) for row in rows)
 )
 
 

@@ -37,8 +37,7 @@ class Report:
         """Write the report and say where it is."""
         from gelgap.adapt import write_report
         from gelgap.assets.locks import sole_use
-        from gelgap.benchmarks.adaptation.parts import write_benchmark_report
-        from gelgap.benchmarks.adaptation.results import is_benchmark
+        from gelgap.benchmarks.adaptation.study import is_benchmark, write_benchmark_report
 
         if not self.runs.is_dir():
             raise FileNotFoundError(

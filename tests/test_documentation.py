@@ -158,11 +158,8 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "render.stability.QUICK_FRAMES": lambda real: 20,
         "render.stability.QUICK_PRESSES": lambda real: 1,
     },
-    "gelgap benchmark stability --what losses --quick": {
-        "adaptation.losses.traps": lambda real: lambda: real()[:2]
-    },
     "gelgap benchmark adaptation --quick": {
-        "adaptation.jobs.Bench.generate": data_of_the_readme,
+        "adaptation.study.Study.generate": data_of_the_readme,
         "adaptation.groups.QUICK_METHODS": lambda real: ("source-only", "dsan"),
         "adaptation.speed.QUICK": lambda real: (real[0][:1], *real[1:]),
     },

@@ -16,8 +16,7 @@ from hostile_bytes import npz, npz_of_bait, pickled, png_that_claims, torch_bait
 from gelgap.adapt import ForceModel, load_predictions, load_run
 from gelgap.adapt.network import load_imagenet_weights
 from gelgap.assets.checksums import with_checksum
-from gelgap.benchmarks.adaptation.results import ORACLES, GroupOracles
-from gelgap.benchmarks.common.records import read_results
+from gelgap.benchmarks.adaptation.groups import ORACLES, load_oracles
 from gelgap.benchmarks.data import file_kinds
 from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.cli.calibrate import read_presses
@@ -279,7 +278,7 @@ READERS: dict[str, tuple[str, Callable[[Path], Any], dict[str, bytes | Callable[
     ),
     "oracles": (
         f"records/{ORACLES}",
-        lambda files: read_results(files / "records" / ORACLES, dict[str, GroupOracles]),
+        lambda files: load_oracles(files / "records"),
         {"deep": DEEP.encode(), "texts": b'{"a": "b"}'},
     ),
 }

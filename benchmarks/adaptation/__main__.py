@@ -2,13 +2,14 @@
 
 import argparse
 import math
+import signal
 import time
 from pathlib import Path
 
-from gelgap.benchmarks.adaptation.jobs import Bench
+from gelgap.benchmarks.adaptation.study import Study
 from gelgap.benchmarks.registry import parts_of
 
-_BAD_INPUT = 2
+_BAD_INPUT, _INTERRUPTED = 2, 130
 
 
 def main() -> None:
@@ -26,16 +27,28 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after this time")
     parser.add_argument("--out", type=Path, default=Path("benchmark-results/adaptation/cpu"))
     chosen = parser.parse_args()
-    bench = Bench.at(
+    study = Study.at(
         chosen.out,
         seeds=tuple(chosen.seeds) if chosen.seeds else None,
         methods=tuple(chosen.methods) if chosen.methods else None,
         workers=chosen.workers,
         stop=time.time() + 60 * chosen.minutes,
     )
+    stops: list[int] = []
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(
+            signal.SIGINT,
+            lambda number, frame: stops.append(number) or signal.default_int_handler(number, frame),
+        )
     try:
-        parts[chosen.part].load().PART.carry_out(bench)
-    except ValueError as error:
+        parts[chosen.part].load().carry_out(study)
+    except (KeyboardInterrupt, Exception) as error:
+        if stops:  # some libraries turn Ctrl-C into an error of their own
+            parser.exit(
+                _INTERRUPTED, "interrupted; finished runs are kept, run the same command again to go on\n"
+            )
+        if not isinstance(error, ValueError):
+            raise
         parser.exit(_BAD_INPUT, f"{' '.join(str(error).split())}\n")
 
 

@@ -1,91 +1,290 @@
-"""Choosing one of several candidates for all groups by a selector without target labels, and what the choice costs.
+"""What is chosen without target labels, on groups that are not compared: augmentations, and a setting of each method.
 
-Every group ranks its candidates by the selector's score, those that collapsed or look like constant predictors last;
-the candidate with the least mean rank is chosen. Regret is the error of a choice less that of the best candidate.
+One rule for all: every case (data set, group, seed) ranks the candidates by the selector's score, those that collapsed
+or look like constant predictors last, and the candidate of least mean rank is chosen, of equals the first. Regret is
+the error of a choice less that of the best candidate. `transfer` asks whether the choice holds on the nine groups.
 """
 
 import math
-from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from gelgap.benchmarks.adaptation.jobs import RunRecord
+from gelgap.adapt import SELECTORS, ResultTable
+from gelgap.assets.names import unknown_name
+from gelgap.benchmarks.adaptation import board
+from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, scored_run, with_errors
+from gelgap.benchmarks.common import Setting, result_table
 
 SELECTOR = "reverse validation"
 """Fixed before anything was tuned, for its regret in an earlier study; the others are shown beside it, not used."""
+AUGMENTATIONS, TUNED, NINE_GROUPS = "augmentations.jsonl", "tuning.jsonl", "transfer.jsonl"
+SEEDS = (0,)
+NINE = [("paired", group) for group in board.GROUPS]
+_WEIGHTED = ("coral", "dan", "jan", "dann", "cdan", "rsd", "daregram", "cod", "dsan", "dsan-soft")
+GRIDS: dict[str, tuple[str, tuple[float, ...]]] = {
+    **dict.fromkeys(
+        (*_WEIGHTED, "mean-teacher", "uga"), ("transfer_weight", (0.0003, 0.003, 0.03, 0.3, 3.0))
+    ),
+    "importance-weighting": ("transfer_weight", (0.01, 0.03, 0.1, 0.3, 1.0)),  # 1 is the whole weight
+    "tasfar": ("learning_rate", (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)),
+    "ssa": ("learning_rate", (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)),
+}
+"""The setting by which each method's strength is tuned, and its candidates: as many for one as for another, rising."""
+METHOD = "no-transfer"
+"""The method by which augmentations are chosen: no loss of a method has a say."""
+SHOWN_METHODS = (board.PLAIN, METHOD)
+FIELDS = ("shift_px", "colour_mixing", "marker_hiding")
+SHIFT_PX = 3
+"""About half the spacing of the contact points in the network's picture."""
+AUGMENTED = {
+    "none": (0, 0.0, 0.0),
+    "shifts": (SHIFT_PX, 0.0, 0.0),
+    "shifts, mixed colours": (SHIFT_PX, 0.5, 0.0),
+    "shifts, hidden markers": (SHIFT_PX, 0.0, 0.5),
+    "all three": (SHIFT_PX, 0.5, 0.5),
+}
+VARIANTS = {name: (*board.BY_POINT, *zip(FIELDS, own, strict=True)) for name, own in AUGMENTED.items()}
+VARIANTS["shifts, inputs standardised by domain"] = (*VARIANTS["shifts"], ("input_standardisation", "domain"))
+"""The candidates, and last a control that is none."""
 
-Case = tuple[str, tuple[str, str], int]
-"""Data set, group and seed."""
 
-
-@dataclass(frozen=True)
 class Candidates:
-    """Runs of the same candidates on several cases; only cases in which every candidate was run count.
+    """Runs of the same candidates on several cases; only cases in which every candidate was run count."""
 
-    `names` are the candidates in the order in which the first of equals is preferred, and `records` hold them by case
-    and name.
-    """
+    def __init__(self, runs: pd.DataFrame, names: Iterable):
+        self._names = list(names)
+        self._runs = runs[runs["candidate"].isin(self._names)]
+        self.errors_n = self._by_case(self._runs["error_n"]).dropna()
+        """Test errors on the target, which no selector sees: a row for each case, a column for each candidate, N."""
+        self.regret_n = self.errors_n.sub(self.errors_n.min(axis=1), axis=0)
 
-    names: Sequence[Hashable]
-    records: dict[tuple[Case, Hashable], RunRecord]
+    def _by_case(self, values: pd.Series) -> pd.DataFrame:
+        index = [self._runs[name] for name in ("data", "group", "seed", "candidate")]
+        return values.set_axis(pd.MultiIndex.from_arrays(index)).unstack().reindex(columns=self._names)
 
-    @cached_property
-    def cases(self) -> list[Case]:
-        """The cases in which every candidate was run."""
-        found = dict.fromkeys(case for case, _ in self.records)
-        return [case for case in found if all((case, name) in self.records for name in self.names)]
+    def ranks(self, selector: str = SELECTOR) -> pd.DataFrame:
+        """Return each candidate's rank in each case, 1 the best, ties shared."""
+        runs = self._runs
+        failed = runs["problem"].notna() | runs["alarm"].astype(bool)
+        scores = runs[f"scores.{selector}"].mask(failed).fillna(math.inf)
+        return self._by_case(scores).loc[self.errors_n.index].rank(axis=1)
 
-    def grid(self, case: Case) -> list[RunRecord]:
-        """Return the candidates' records of a case."""
-        return [self.records[case, name] for name in self.names]
-
-    def ranks(self, selector: str = SELECTOR) -> np.ndarray:
-        """Return each candidate's rank (cases, candidates), 1 the best, ties shared."""
-        from scipy.stats import rankdata
-
-        scores = [[_score(record, selector) for record in self.grid(case)] for case in self.cases]
-        return rankdata(np.array(scores).reshape(len(self.cases), len(self.names)), axis=1)
-
-    def choice(self, selector: str = SELECTOR) -> int:
-        """Return the index of the candidate with the least mean rank; the first of equals.
+    def choice(self, selector: str = SELECTOR) -> object:
+        """Return the candidate of least mean rank; the first of equals.
 
         Raises
         ------
         ValueError
             If the selector is unknown, or no case is complete.
         """
-        from gelgap.adapt import SELECTORS
-        from gelgap.assets.names import unknown_name
-
         if selector not in SELECTORS:
             raise ValueError(unknown_name("selector", selector, SELECTORS, "known selectors"))
-        if not self.cases:
+        if self.errors_n.empty:
             raise ValueError("no group has all candidates yet; run the rest of the grid first")
-        return int(self.ranks(selector).mean(axis=0).argmin())
+        return self.ranks(selector).mean().idxmin()
 
-    @cached_property
-    def errors_n(self) -> np.ndarray:
-        """The test error on the target (cases, candidates), N, which no selector sees."""
-        return np.array([[record.mean_mae_n for record in self.grid(case)] for case in self.cases])
-
-    def regret_n(self, index: int) -> np.ndarray:
-        """Return the regret (cases,) of one candidate for all cases, N."""
-        return self.errors_n[:, index] - self.errors_n.min(axis=1)
-
-    def own_regret_n(self, selector: str = SELECTOR) -> np.ndarray:
-        """Return the regret (cases,) of a selector that chooses in every case anew, N."""
-        chosen = self.ranks(selector).argmin(axis=1)
-        return self.errors_n[np.arange(len(chosen)), chosen] - self.errors_n.min(axis=1)
+    def own_regret_n(self, selector: str = SELECTOR) -> list[float]:
+        """Return the regret of a selector that chooses in every case anew, N."""
+        return [
+            self.regret_n.loc[case, chosen] for case, chosen in self.ranks(selector).idxmin(axis=1).items()
+        ]
 
 
-def case_of(record: RunRecord) -> Case:
-    """Return the case to which a record belongs."""
-    return record.job.data, record.job.group, record.job.seed
+def of_grid(runs: pd.DataFrame) -> dict[str, Candidates]:
+    """Return the candidates of each method that has a complete case among the runs of a grid."""
+    runs = runs.assign(candidate=[settings[0][1] for settings in runs["settings"]])
+    found = {
+        method: Candidates(runs[runs["method"] == method], values) for method, (_, values) in GRIDS.items()
+    }
+    return {method: own for method, own in found.items() if len(own.errors_n)}
 
 
-def _score(record: RunRecord, selector: str) -> float:
-    if not record.is_sound or record.scores is None or math.isnan(record.scores[selector]):
-        return math.inf
-    return record.scores[selector]
+def augmented(runs: pd.DataFrame) -> Candidates:
+    """Return the augmentations among the runs on the tuning groups."""
+    return Candidates(_named(runs)[runs["data"].isin(board.TUNING_SETS)], AUGMENTED)
+
+
+def _named(runs: pd.DataFrame) -> pd.DataFrame:
+    return runs.assign(candidate=runs["changes"].map({changes: name for name, changes in VARIANTS.items()}))
+
+
+def tuned_methods(chosen: Sequence[str] | None = None) -> list[str]:
+    """Return the methods that have a grid, or those chosen.
+
+    Raises
+    ------
+    ValueError
+        If a chosen method has no grid.
+    """
+    for method in chosen or ():
+        if method not in GRIDS:
+            raise ValueError(unknown_name("method", method, GRIDS, "methods with a grid"))
+    return list(chosen or GRIDS)
+
+
+def grid_runs(
+    cases: Iterable[tuple[str, board.Group]], methods: Iterable[str], seeds: Iterable[int]
+) -> list[Setting]:
+    """Return the runs of every candidate of some methods."""
+    settings = {method: [((name, value),) for value in values] for method, (name, values) in GRIDS.items()}
+    return grid(cases, methods, seeds, settings=settings.get)
+
+
+def variant_runs(
+    cases: Sequence[tuple[str, board.Group]], methods: Sequence[str], seeds: Iterable[int]
+) -> list[Setting]:
+    """Return the runs of every variant of the augmentations."""
+    return [run for seed in seeds for own in VARIANTS.values() for run in grid(cases, methods, [seed], own)]
+
+
+def tune(study: Study) -> None:
+    """Do the grid's missing runs on the tuning groups, and print what the profile's file needs."""
+    runs = grid_runs(board.TUNING_CASES, tuned_methods(study.methods), study.seeds or SEEDS)
+    study.generate_sets(*board.TUNING_SETS)
+    print(settings_toml(with_errors(study.run(scored_run, runs, TUNED))))
+
+
+def transfer(study: Study) -> None:
+    """Do the grid's missing runs on the nine groups, by default of the paper's methods and one seed."""
+    runs = grid_runs(NINE, tuned_methods(study.methods or board.PAPER_METHODS), study.seeds or SEEDS)
+    study.generate_sets("paired")
+    study.run(scored_run, runs, NINE_GROUPS)
+
+
+def augment(study: Study) -> None:
+    """Do the missing runs on the tuning groups, print what the profile's file needs, then those on the nine groups."""
+    seeds = study.seeds or SEEDS
+    study.generate_sets(*board.TUNING_SETS)
+    found = study.run(scored_run, variant_runs(board.TUNING_CASES, [METHOD], seeds), AUGMENTATIONS)
+    print(augmentation_toml(with_errors(found)))
+    study.generate_sets("paired")
+    study.run(scored_run, variant_runs(NINE, SHOWN_METHODS, seeds), AUGMENTATIONS)
+
+
+def settings_toml(runs: pd.DataFrame) -> str:
+    """Return the tables of the profile's file that freeze the choice."""
+    found = [f"[settings.{m}]\n{GRIDS[m][0]} = {own.choice():g}" for m, own in of_grid(runs).items()]
+    return "\n".join(["# python -m gelgap.benchmarks.adaptation tuning", *found])
+
+
+def augmentation_toml(runs: pd.DataFrame) -> str:
+    """Return the lines of the profile's file that freeze the choice; nothing if no group is complete."""
+    found = augmented(runs)
+    if found.errors_n.empty:
+        return ""
+    fields = [f"{name} = {value:g}" for name, value in zip(FIELDS, AUGMENTED[found.choice()], strict=True)]
+    return "\n".join(["# python -m gelgap.benchmarks.adaptation augmentations", *fields])
+
+
+def choice_frame(found: dict[str, Candidates], chosen: dict[str, float]) -> pd.DataFrame:
+    """Return what is known of each method's candidates and of the chosen one, whose regret is over the cases."""
+    rows = {}
+    for method, value in chosen.items():
+        own = found[method]
+        regret_n, means_n = own.regret_n[value], own.errors_n.mean()
+        rows[method] = {
+            "setting": GRIDS[method][0],
+            "candidates": ", ".join(f"{candidate:g}" for candidate in means_n.index),
+            "mean ranks": ", ".join(f"{rank:.1f}" for rank in own.ranks().mean()),
+            "mean MAE, N": ", ".join(f"{error_n:.3f}" for error_n in means_n),
+            "chosen": f"{value:g}",
+            "best one for all groups": f"{means_n.idxmin():g}",
+            "regret, N": regret_n.mean(),
+            "worst, N": regret_n.max(),
+            "cases": len(regret_n),
+        }
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
+
+
+def tuning_tables(folder: Path) -> list[ResultTable]:
+    """Return each method's mean rank by candidate, what was chosen, and the regret on the tuning groups."""
+    found = of_grid(load_runs(folder / TUNED))
+    if not found:
+        return []
+    frame = choice_frame(found, {method: own.choice() for method, own in found.items()})
+    table = result_table(
+        "What was chosen for each method, on the tuning groups",
+        frame.drop(columns=["mean MAE, N", "best one for all groups"]),
+        "Mean ranks are over groups and designs by reverse validation, which sees no target label. Regret: test error "
+        "of the chosen candidate less that of the best in each group.",
+        {"": "{:.3f}", "cases": "{:d}"},
+    )
+    return [table]
+
+
+def transfer_tables(folder: Path) -> list[ResultTable]:
+    """Return the regret of the frozen choice on the nine groups, and that of every selector."""
+    tuned, nine = (of_grid(load_runs(folder / name)) for name in (TUNED, NINE_GROUPS))
+    tables, frozen = [], {method: own.choice() for method, own in tuned.items() if method in nine}
+    if frozen:
+        frame = choice_frame(nine, frozen).drop(columns=["setting", "mean ranks", "cases"])
+        note = (
+            "Paired contacts, split by contact point. Regret: test error of the frozen candidate less that of the best "
+            "in each group, which only the target's labels tell."
+        )
+        title = "Does the choice transfer? The frozen settings on the nine groups"
+        tables.append(result_table(title, frame.rename(columns={"chosen": "frozen"}), note, {"": "{:.3f}"}))
+    return [*tables, selector_table(tuned, nine)] if tuned else []
+
+
+def selector_table(tuned: dict[str, Candidates], nine: dict[str, Candidates]) -> ResultTable:
+    """The regret of each selector, frozen on the tuning groups or choosing in each group anew."""
+    rows = {}
+    for name in SELECTORS:
+        frozen = {method: own.choice(name) for method, own in tuned.items()}
+        regrets_n = {
+            "tuning groups, one choice for all": [own.regret_n[frozen[m]] for m, own in tuned.items()],
+            "tuning groups, each anew": [own.own_regret_n(name) for own in tuned.values()],
+            "nine groups, chosen on tuning groups": [
+                own.regret_n[frozen[m]] for m, own in nine.items() if m in frozen
+            ],
+            "nine groups, each anew": [own.own_regret_n(name) for own in nine.values()],
+        }
+        means = {
+            column: np.concatenate(found).mean() if found else math.nan for column, found in regrets_n.items()
+        }
+        rows[f"{name} (used)" if name == SELECTOR else name] = means
+    return result_table(
+        "Regret of selectors without target labels, N",
+        pd.DataFrame.from_dict(rows, orient="index").rename_axis("selector"),
+        f"Mean over methods and cases; on the nine groups of {', '.join(nine) or 'no method'}.",
+        {"": "{:.3f}"},
+    )
+
+
+def augmentation_tables(folder: Path) -> list[ResultTable]:
+    """Return what was chosen on the tuning groups by the selector, and what each variant changes on the nine groups."""
+    runs, tables = load_runs(folder / AUGMENTATIONS), []
+    found, on_tuning = augmented(runs), runs["data"].isin(board.TUNING_SETS)
+    formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
+    if len(found.errors_n):
+        frame = axis_frame(runs[on_tuning])
+        frame.insert(0, "mean rank", found.ranks().mean())
+        frame.insert(1, "chosen", ["yes" if name == found.choice() else "" for name in frame.index])
+        note = (
+            f"Mean over {len(found.errors_n)} cases of group and design. Ranks by reverse validation, which sees no "
+            "target label; the errors were not used. The last row is a control, not a candidate."
+        )
+        tables.append(result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, formats))
+    for method in SHOWN_METHODS:
+        own = runs[~on_tuning & (runs["method"] == method)]
+        groups, seeds = own["group"].nunique(), own["seed"].nunique()
+        note = f"Mean over {groups} groups and {seeds} seed(s); split by contact point."
+        title = f"What augmentations change, {method}, paired contacts"
+        tables += [result_table(title, axis_frame(own), note, formats)] if len(own) else []
+    return tables
+
+
+def axis_frame(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the mean MAE and R² per axis over each variant's runs."""
+    columns = [form.format(axis) for form in ("MAE {}, N", "R² {}") for axis in board.AXES]
+    means = _named(runs).groupby("candidate")[["error_n", *columns]].mean().reindex(list(VARIANTS))
+    return means.rename(columns={"error_n": "mean MAE, N"}).rename_axis("augmentation")
+
+
+AUGMENT = Part(augment, augmentation_tables)
+TUNE = Part(tune, tuning_tables)
+TRANSFER = Part(transfer, transfer_tables)

@@ -1,22 +1,26 @@
 """Gap curves: each method's error against the size of one known gap at a time, and three gaps crossed."""
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable
-from gelgap.benchmarks.adaptation.jobs import RUNS, Bench, RunRecord, TrainingJob
-from gelgap.benchmarks.adaptation.parts import Part
-from gelgap.benchmarks.adaptation.running import run_missing
-from gelgap.benchmarks.adaptation.tables import by_column, numbers
-from gelgap.benchmarks.adaptation.work import adapt_job
-from gelgap.benchmarks.common.records import read_results, write_results
+from gelgap.benchmarks.adaptation.study import (
+    RUNS,
+    Part,
+    Study,
+    adapt_run,
+    grid,
+    read_results,
+    with_errors,
+    write_results,
+)
+from gelgap.benchmarks.common import result_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,124 +32,88 @@ PATH = PROFILE = "smoke"
 METHODS = ("source-only", "adabn", "no-transfer", "dsan", "daregram")
 SEEDS = (0, 1, 2)
 RESULTS = "gaps/gaps.json"
-CROSSED_MODULUS, CROSSED_LIGHT = 0.7, "mb0i1"
 CROSSED = ("modulus", "light", "markers")
+CROSSED_MODULUS, CROSSED_LIGHT = 0.7, "mb0i1"
+CONSTANT, POSE = "constant mean", "pose oracle"
 
 
-MODULUS, FRICTION = "elastomer.young_modulus_mpa", "elastomer.friction"
-NOISE = "sensor.camera.read_noise_electrons"
-SWEEPS = {
-    "modulus": (MODULUS, "scale", (0.5, 0.7, 1.4)),
-    "light": ("illumination.leds.*.drive", "scale", (0.5,)),
-    "one-lamp": ("illumination.leds.0.drive", "scale", (0.4,)),
-    "markers": ("sensor.markers.albedo.*", "set", (0.2, 0.35)),
-    "no-markers": ("markers", "set", (False,)),
-    "friction": (FRICTION, "set", (0.12, 0.5)),
-    "noise": (NOISE, "scale", (10.0, 30.0)),
+PANELS = {
+    "modulus": "target's modulus over source's",
+    "light": "colour difference of the references, CIEDE2000",
+    "markers": "contrast that the markers have lost, %",
+    "friction": "target's friction over source's",
+    "noise": "target's read noise over source's",
 }
-"""By name: the field of the one factor, its change and its values, as in a sweep file."""
+"""The curves, by the one thing that differs from the base, and how large its gap is."""
+RATIOS = {
+    "modulus": "elastomer.young_modulus_mpa",
+    "friction": "elastomer.friction",
+    "noise": "sensor.camera.read_noise_electrons",
+}
+"""Fields whose ratio is the size of the gap, drawn on a logarithmic scale."""
+SWEEPS = (
+    ("modulus", "modulus", RATIOS["modulus"], "scale", (0.5, 0.7, 1.4)),
+    ("light", "light", "illumination.leds.*.drive", "scale", (0.5,)),
+    ("light", "one-lamp", "illumination.leds.0.drive", "scale", (0.4,)),
+    ("markers", "markers", "sensor.markers.albedo.*", "set", (0.2, 0.35)),
+    ("markers", "no-markers", "markers", "set", (False,)),
+    ("friction", "friction", RATIOS["friction"], "set", (0.12, 0.5)),
+    ("noise", "noise", RATIOS["noise"], "scale", (10.0, 30.0)),
+)
+"""The curve, and as in a sweep file: name, field of the one factor, its change and values."""
+DOMAINS = (("light", "mb0i2"), ("light", CROSSED_LIGHT))
+"""Domains that lie on a curve, too."""
 
 
-@dataclass(frozen=True)
-class Panel:
-    """One curve: how the size of its gap is measured on base and target, and the sweeps and domains that lie on it."""
-
-    name: str
-    label: str
-    size: "Callable[[DomainRecipe, DomainRecipe], float]"
-    sweeps: tuple[str, ...]
-    domains: tuple[str, ...] = ()
-    logarithmic: bool = False
-
-    def recipes(self, quality: str) -> "list[DomainRecipe]":
-        """Return the curve's domains, without the base."""
-        from gelgap.domains import Factor, Sweep, make_recipes, sweep_variants
-
-        found = list(make_recipes(self.domains, PATH, quality=quality)) if self.domains else []
-        for name in self.sweeps:
-            field, change, values = SWEEPS[name]
-            factor = Factor(field=field, change=change, values=values)
-            sweep = Sweep(name=name, base=BASE, path=PATH, method="one-at-a-time", factors=(factor,))
-            found += [variant.recipe for variant in sweep_variants(sweep, quality=quality)[1:]]
-        return found
-
-
-def _ratio(name: str) -> "Callable[[DomainRecipe, DomainRecipe], float]":
-    value = attrgetter(name)
-    return lambda base, target: round(value(target) / value(base), 6)
-
-
-def _colour_difference(base: "DomainRecipe", target: "DomainRecipe") -> float:
+def gap_size(panel: str, base: "DomainRecipe", target: "DomainRecipe") -> float:
+    """Return how much a target differs from the base in the one thing of a curve."""
     from gelgap.domains import domain_gap
 
-    return domain_gap(base, target).colour_difference
+    if panel == "light":
+        return domain_gap(base, target).colour_difference
+    if panel == "markers":
+        coat = np.mean(base.sensor.coating.albedo)
+        own, left = (float(coat - np.mean(recipe.sensor.markers.albedo)) for recipe in (base, target))
+        return round(100 * (1 - (left if target.markers else 0.0) / own), 3)
+    value = attrgetter(RATIOS[panel])
+    return round(value(target) / value(base), 6)
 
 
-def _lost_contrast(base: "DomainRecipe", target: "DomainRecipe") -> float:
-    coat = float(np.mean(base.sensor.coating.albedo))
-    own, left = (coat - float(np.mean(recipe.sensor.markers.albedo)) for recipe in (base, target))
-    return round(100 * (1 - (left if target.markers else 0.0) / own), 3)
+def members(quality: str) -> "list[tuple[str, DomainRecipe]]":
+    """Return the domains of each curve, the base among them."""
+    from gelgap.domains import Factor, Sweep, make_recipes, sweep_variants
 
-
-PANELS = (
-    Panel("modulus", "target's modulus over source's", _ratio(MODULUS), ("modulus",), logarithmic=True),
-    Panel(
-        "light",
-        "colour difference of the references, CIEDE2000",
-        _colour_difference,
-        ("light", "one-lamp"),
-        ("mb0i2", CROSSED_LIGHT),
-    ),
-    Panel("markers", "contrast that the markers have lost, %", _lost_contrast, ("markers", "no-markers")),
-    Panel("friction", "target's friction over source's", _ratio(FRICTION), ("friction",), logarithmic=True),
-    Panel("noise", "target's read noise over source's", _ratio(NOISE), ("noise",), logarithmic=True),
-)
-
-
-@dataclass(frozen=True)
-class Gap:
-    """One target domain: which panel it belongs to, and the size of its gap there."""
-
-    panel: str
-    domain: str
-    size: float
-
-
-@dataclass(frozen=True)
-class CrossedCell:
-    """One cell of the crossed design: which of modulus, light and markers differ from the base."""
-
-    domain: str
-    modulus: bool
-    light: bool
-    markers: bool
-
-    @property
-    def levels(self) -> tuple[bool, bool, bool]:
-        """Which gaps are there, in the order of `CROSSED`."""
-        return self.modulus, self.light, self.markers
+    names = [BASE, *(name for _, name in DOMAINS)]
+    base, *others = make_recipes(names, PATH, quality=quality)
+    found = [(panel, base) for panel in PANELS]
+    found += [(panel, recipe) for (panel, _), recipe in zip(DOMAINS, others, strict=True)]
+    for panel, name, field, change, values in SWEEPS:
+        factors = (Factor(field=field, change=change, values=values),)
+        sweep = Sweep(name=name, base=BASE, path=PATH, method="one-at-a-time", factors=factors)
+        found += [(panel, variant.recipe) for variant in sweep_variants(sweep, quality=quality)[1:]]
+    return found
 
 
 @dataclass(frozen=True)
 class Design:
-    """The targets of the curves, the cells of the crossed design, and the domains to make."""
+    """The domains to make, by name; the targets of the curves (panel, domain, size); the cells of the crossed design.
 
-    gaps: tuple[Gap, ...]
-    cells: tuple[CrossedCell, ...]
-    recipes: "tuple[DomainRecipe, ...]" = ()
+    A cell is a domain, and which of modulus, light and markers differ from the base.
+    """
+
+    recipes: "dict[str, DomainRecipe]"
+    gaps: pd.DataFrame
+    cells: pd.DataFrame
 
 
 def design(quality: str = "draft") -> Design:
     """Return all domains; a cell that a curve has already is not made twice."""
-    from gelgap.domains import make_recipes
-
-    base, other_light = make_recipes([BASE, CROSSED_LIGHT], PATH, quality=quality)
-    members = [(panel, recipe) for panel in PANELS for recipe in (base, *panel.recipes(quality))]
-    gaps = [Gap(panel.name, recipe.name, panel.size(base, recipe)) for panel, recipe in members]
-    recipes = {recipe.name: recipe for _, recipe in members}
-    cells = []
+    curves = members(quality)
+    recipes = {recipe.name: recipe for _, recipe in curves}
+    base, cells = recipes[BASE], []
+    gaps = [(panel, recipe.name, gap_size(panel, base, recipe)) for panel, recipe in curves]
     for modulus, light, markers in product((False, True), repeat=3):
-        start = other_light if light else base
+        start = recipes[CROSSED_LIGHT if light else BASE]
         young = start.elastomer.young_modulus_mpa * (CROSSED_MODULUS if modulus else 1.0)
         changes = {
             "name": f"crossed-{modulus:d}{light:d}{markers:d}",
@@ -155,72 +123,57 @@ def design(quality: str = "draft") -> Design:
         cell = start.model_copy(update=changes)
         same = [r for r in recipes.values() if r == cell.model_copy(update={"name": r.name})]
         domain = same[0] if same else recipes.setdefault(cell.name, cell)
-        cells.append(CrossedCell(domain.name, modulus, light, markers))
-    in_order = sorted(gaps, key=attrgetter("panel", "size"))
-    return Design(tuple(in_order), tuple(cells), tuple(recipes.values()))
+        cells.append((domain.name, modulus, light, markers))
+    sizes = pd.DataFrame(gaps, columns=["panel", "domain", "size"]).sort_values(
+        ["panel", "size"], kind="stable"
+    )
+    return Design(recipes, sizes, pd.DataFrame(cells, columns=["domain", *CROSSED]))
+
+
+def measure(study: Study) -> None:
+    """Generate the domains gel by gel, do the missing runs and write `gaps.json`."""
+    found, own = design(), study.within("gaps", PROFILE)
+    targets: list[str] = []
+    for gel in dict.fromkeys(recipe.elastomer for recipe in found.recipes.values()):
+        if not own.is_over:
+            members = [recipe for recipe in found.recipes.values() if recipe.elastomer == gel]
+            own.generate(members)
+            targets += [recipe.name for recipe in members]
+    cases = [("paired", (BASE, target)) for target in targets]
+    runs = own.run(adapt_run, grid(cases, METHODS, study.seeds or SEEDS, ()), RUNS)
+    if len(runs):
+        write_results(study.out / RESULTS, collect(found, with_errors(runs), own.data / "paired"))
 
 
 @dataclass(frozen=True)
 class GapResults:
-    """Errors (N) by target and method, with each target's constant mean and pose oracle."""
+    """Errors (N) by target and method, means over the seeds, with each target's constant mean and pose oracle."""
 
-    methods: tuple[str, ...]
+    methods: list[str]
     seeds: int
-    gaps: tuple[Gap, ...]
-    cells: tuple[CrossedCell, ...]
+    gaps: list[dict[str, str | float]]
+    cells: list[dict[str, str | bool]]
     errors_n: dict[str, dict[str, float]]
     pose_n: dict[str, float]
 
-    def curve(self, panel: str) -> list[Gap]:
-        """Return the measured targets of one panel."""
-        return [gap for gap in self.gaps if gap.panel == panel and gap.domain in self.errors_n]
 
-    def of(self, method: str, domains: Sequence[str]) -> list[float]:
-        """Return a method's errors on some domains, NaN where it was not run."""
-        if method == "pose oracle":
-            return [self.pose_n[domain] for domain in domains]
-        return [self.errors_n.get(domain, {}).get(method, math.nan) for domain in domains]
-
-    def columns(self, domains: Sequence[str]) -> dict[str, list[str]]:
-        """Return the columns of a table of some domains."""
-        names = ("constant mean", *self.methods, "pose oracle")
-        return {name: numbers(self.of(name, domains)) for name in names}
-
-
-def measure(bench: Bench) -> None:
-    """Generate the domains gel by gel, do the missing runs and write `gaps.json`."""
-    found, own = design(), bench.within("gaps", PROFILE)
-    targets: list[str] = []
-    for gel in dict.fromkeys(recipe.elastomer for recipe in found.recipes):
-        if not own.is_over():
-            members = [recipe for recipe in found.recipes if recipe.elastomer == gel]
-            own.generate(members)
-            targets += [recipe.name for recipe in members]
-    seeds = bench.seeds or SEEDS
-    jobs = [TrainingJob(BASE, t, method, seed) for seed in seeds for method in METHODS for t in targets]
-    records = run_missing(own, jobs, RUNS, adapt_job)
-    if records:
-        write_results(bench.out / RESULTS, collect(found, records, own.data / "paired"))
-
-
-def collect(found: Design, records: Sequence[RunRecord], data: Path) -> GapResults:
-    """Return the errors of the finished runs (mean over seeds) beside errors that need no learning."""
+def collect(found: Design, runs: pd.DataFrame, data: Path) -> GapResults:
+    """Return the errors of the finished runs beside errors that need no learning."""
     from gelgap.adapt import pose_oracle
     from gelgap.domains import open_domain
 
+    errors_n = runs.pivot_table(index="target", columns="method", values="error_n")
+    errors_n[CONSTANT] = runs["constant_mean_n"].map(np.mean).groupby(runs["target"]).mean()
     base = open_domain(data / BASE)
-    by_target: dict[str, dict[str, list[float]]] = {}
-    for record in records:
-        target = by_target.setdefault(record.job.target, {"constant mean": []})
-        target["constant mean"].append(float(np.mean(record.constant_mean_n)))
-        target.setdefault(record.job.method, []).append(record.mean_mae_n)
     return GapResults(
-        methods=tuple(m for m in METHODS if any(m in errors for errors in by_target.values())),
-        seeds=len({record.job.seed for record in records}),
-        gaps=found.gaps,
-        cells=found.cells,
-        errors_n={t: {m: float(np.mean(n)) for m, n in errors.items()} for t, errors in by_target.items()},
-        pose_n={t: pose_oracle(base, open_domain(data / t)).mean_mae_n for t in by_target},
+        methods=[method for method in METHODS if method in errors_n],
+        seeds=runs["seed"].nunique(),
+        gaps=found.gaps.to_dict("records"),
+        cells=found.cells.to_dict("records"),
+        errors_n={target: row.dropna().to_dict() for target, row in errors_n.iterrows()},
+        pose_n={
+            target: pose_oracle(base, open_domain(data / target)).mean_mae_n for target in errors_n.index
+        },
     )
 
 
@@ -240,61 +193,60 @@ def _load(folder: Path) -> list[GapResults]:
     return [read_results(path, GapResults)] if path.is_file() else []
 
 
+def errors_of(results: GapResults, places: list[dict]) -> pd.DataFrame:
+    """Return the errors at measured gaps or cells, beside what these are; NaN for what was not run."""
+    errors = pd.DataFrame(results.errors_n).T.reindex(columns=[CONSTANT, *results.methods])
+    errors[POSE] = pd.Series(results.pose_n)
+    return pd.DataFrame(places).join(errors, on="domain")
+
+
 def gap_table(results: GapResults) -> ResultTable:
     """Error of each method against the size of each gap."""
-    gaps = [gap for gap in results.gaps if gap.domain in results.errors_n]
-    sizes = {"size": [f"{gap.size:g}" for gap in gaps]}
-    return by_column(
+    frame = errors_of(results, [gap for gap in results.gaps if gap["domain"] in results.errors_n])
+    sizes = "; ".join(f"{name}: {label}" for name, label in PANELS.items())
+    return result_table(
         f"Gap curves from {BASE}, profile {PROFILE}: target MAE, N",
-        "gap",
-        [gap.panel for gap in gaps],
-        sizes | results.columns([gap.domain for gap in gaps]),
-        f"Mean over {results.seeds} seed(s). Size: "
-        + "; ".join(f"{panel.name}: {panel.label}" for panel in PANELS)
-        + ". Contacts are paired, frames split at random; without a gap the target is the source itself.",
+        frame.drop(columns="domain").rename(columns={"panel": "gap"}),
+        f"Mean over {results.seeds} seed(s). Size: {sizes}. Contacts are paired, frames split at random; without a gap "
+        "the target is the source itself.",
+        {"": "{:.3f}", "size": "{:g}"},
     )
 
 
-def effects(results: GapResults, method: str) -> dict[str, float]:
-    """Return the 2³ design's effects on one method's error, N: half-differences doubled, as in a factorial design.
+def effects(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return the 2³ design's effects (rows) on errors, N: half-differences doubled, as in a factorial design.
 
     A main effect is the mean error with the factor less that without; an interaction is half the change of one
     factor's effect by the other.
     """
-    errors = np.array(results.of(method, [cell.domain for cell in results.cells]))
-    signs = np.array([[1 if there else -1 for there in cell.levels] for cell in results.cells])
-    found = {}
+    errors, found = cells.drop(columns=["domain", *CROSSED]), {}
     for chosen in sorted(product((False, True), repeat=3), key=sum):
-        name = " × ".join(factor for factor, own in zip(CROSSED, chosen, strict=True) if own)
-        contrast = float((signs[:, list(chosen)].prod(axis=1) * errors).sum())
-        found[name or "mean"] = contrast / (4 if name else 8)
-    return found
+        factors = [factor for factor, own in zip(CROSSED, chosen, strict=True) if own]
+        signs = cells[factors].map(lambda there: 1 if there else -1).prod(axis=1)
+        found[" × ".join(factors) or "mean"] = errors.mul(signs, axis=0).sum() / (4 if factors else 8)
+    return pd.DataFrame(found).T.rename_axis("effect")
 
 
 def crossed_tables(results: GapResults) -> list[ResultTable]:
     """The crossed design's cells and effects, of the methods that have all cells; none if no method has."""
-    domains = [cell.domain for cell in results.cells]
-    methods = tuple(m for m in results.methods if not np.isnan(results.of(m, domains)).any())
+    cells = errors_of(results, results.cells)
+    methods = [method for method in results.methods if cells[method].notna().all()]
     if not methods:
         return []
-    levels = [["differs" if there else "equal" for there in cell.levels] for cell in results.cells]
-    modulus, light, markers = zip(*levels, strict=True)
-    by_method = {method: effects(results, method) for method in methods}
+    shown = cells.replace({factor: {True: "differs", False: "equal"} for factor in CROSSED})
     return [
-        by_column(
+        result_table(
             "Crossed gaps: target MAE, N",
-            "modulus",
-            modulus,
-            {"light": light, "markers": markers} | replace(results, methods=methods).columns(domains),
+            shown[[*CROSSED, CONSTANT, *methods, POSE]],
             f"Modulus × {CROSSED_MODULUS:g}; light of {CROSSED_LIGHT}; markers not there.",
+            {"": "{:.3f}"},
         ),
-        by_column(
+        result_table(
             "Effects and interactions of the crossed gaps on the target MAE, N",
-            "effect",
-            by_method[methods[0]],
-            {method: numbers(found.values(), "+.3f") for method, found in by_method.items()},
+            effects(cells)[methods],
             "Main effect: mean error with the gap less that without. Interaction: half the change of one gap's effect "
             "by the other; negative where two gaps together cost less than their sum.",
+            {"": "{:+.3f}"},
         ),
     ]
 
@@ -304,17 +256,17 @@ def plot_gaps(results: GapResults) -> "Figure":
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15, 3.6), layout="constrained")
-    styles = dict.fromkeys(results.methods, "o-") | {"constant mean": "k:", "pose oracle": "k--"}
-    for axes, panel in zip(figure.subplots(1, len(PANELS), sharey=True), PANELS, strict=True):
-        curve = results.curve(panel.name)
-        sizes, domains = [gap.size for gap in curve], [gap.domain for gap in curve]
-        for name, style in styles.items():
-            axes.plot(sizes, results.of(name, domains), style, label=name)
-        if panel.logarithmic:
+    curves = errors_of(results, [gap for gap in results.gaps if gap["domain"] in results.errors_n])
+    styles = dict.fromkeys(results.methods, "o-") | {CONSTANT: "k:", POSE: "k--"}
+    for axes, (name, label) in zip(figure.subplots(1, len(PANELS), sharey=True), PANELS.items(), strict=True):
+        curve = curves[curves["panel"] == name]
+        for method, style in styles.items():
+            axes.plot(curve["size"], curve[method], style, label=method)
+        if name in RATIOS:
             axes.set_xscale("log")
-            axes.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
+            axes.set_xticks(curve["size"], [f"{size:.2g}" for size in curve["size"]])
             axes.minorticks_off()
-        axes.set_xlabel(panel.label, fontsize=8)
+        axes.set_xlabel(label, fontsize=8)
         axes.set_ylim(bottom=0)
     figure.axes[0].set_ylabel("target MAE, N")
     handles, labels = figure.axes[0].get_legend_handles_labels()
@@ -323,4 +275,3 @@ def plot_gaps(results: GapResults) -> "Figure":
 
 
 PART = Part(measure, tables, figures)
-run = PART.run

@@ -1,128 +1,487 @@
 """The headline: all methods on the nine groups, paired and independent contacts, several seeds, split by point."""
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable
-from gelgap.benchmarks.adaptation.compared import MAIN_METHODS, METHODS
-from gelgap.benchmarks.adaptation.data_sets import DESIGNS, quick_recipes
-from gelgap.benchmarks.adaptation.figures import (
-    SHOWN_GROUPS,
-    SHOWN_METHODS,
-    group_figures,
-    prediction_figures,
-)
-from gelgap.benchmarks.adaptation.headline_tables import group_tables
-from gelgap.benchmarks.adaptation.jobs import AT_RANDOM, BY_POINT, RUNS, Bench, Changes, TrainingJob
-from gelgap.benchmarks.adaptation.paper import GROUPS
-from gelgap.benchmarks.adaptation.parts import Part
-from gelgap.benchmarks.adaptation.results import (
-    GroupOracles,
+from gelgap.benchmarks.adaptation import board
+from gelgap.benchmarks.adaptation.board import AXES, CEILING, DESIGNS, GROUPS, PAPER_MAE_N, PLAIN
+from gelgap.benchmarks.adaptation.study import (
+    ORACLES,
+    RUNS,
+    Part,
+    Study,
+    adapt_run,
+    grid,
     is_benchmark,
-    load_results,
-    read_oracles,
-    write_oracles,
+    load_runs,
+    read_results,
+    write_results,
 )
-from gelgap.benchmarks.adaptation.running import run_missing
-from gelgap.benchmarks.adaptation.work import adapt_job
+from gelgap.benchmarks.common import Setting, bootstrap, result_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SEEDS = (0, 1, 2, 3, 4)
 QUICK_GROUP = ("mb0i0", "wmb1i1")
-QUICK_METHODS = ("source-only", "adabn", "classifier-only", "dsan", "supervised")
+QUICK_METHODS = (PLAIN, "adabn", "classifier-only", "dsan", CEILING)
+LEAST_R2 = (0.8, 0.8, 0.9)
+"""What supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
+R2 = [f"R² {axis}" for axis in AXES]
+NAMES = [" → ".join(group) for group in GROUPS]
+FORMATS = {"": "{:.3f}", "rank": "{:.1f}", **dict.fromkeys(R2, "{:.2f}")}
+CAVEAT = (
+    "A description, not a test: the nine groups are made of four domains, groups of one source share its first stage, "
+    "and mb0i0 and wmb0i0 show the same contacts, so they are not nine independent cases."
+)
 
 
-def measure(bench: Bench) -> None:
+def measure(study: Study) -> None:
     """Do the missing runs; then those of the paper's split, which come last."""
-    from gelgap.adapt.methods.registry import use_method
-
-    chosen = None if bench.methods is None else tuple(map(use_method, bench.methods))
-    if bench.is_quick:
-        measure_quickly(bench, chosen or QUICK_METHODS)
-        return
-    for data in DESIGNS:
-        bench.generate_set(data)
-    seeds = bench.seeds or SEEDS
-    write_oracles(bench.out, group_oracles(bench.data / "paired", GROUPS))
-    jobs = headline_jobs(GROUPS, chosen or METHODS, seeds)
-    jobs += jobs_of("paired", GROUPS, chosen or MAIN_METHODS, seeds, AT_RANDOM)
-    run_missing(bench, jobs, RUNS, adapt_job)
-    if not bench.is_over():
-        keep_examples(bench)
+    chosen = study.known_methods()
+    if study.is_quick:
+        generate_quickly(study)
+        keep_oracles(study, [QUICK_GROUP])
+        runs = grid([("paired", QUICK_GROUP)], chosen or QUICK_METHODS, study.seeds or SEEDS[:1])
+    else:
+        study.generate_sets(*DESIGNS)
+        keep_oracles(study, GROUPS)
+        runs = headline_grid(chosen, study.seeds or SEEDS)
+    study.run(adapt_run, runs, RUNS)
 
 
-def measure_quickly(bench: Bench, methods: Sequence[str]) -> None:
-    """Run some methods on one small group, one design and one seed."""
-    bench.generate(quick_recipes(QUICK_GROUP))
-    write_oracles(bench.out, group_oracles(bench.data / "paired", (QUICK_GROUP,)))
-    jobs = jobs_of("paired", (QUICK_GROUP,), methods, bench.seeds or SEEDS[:1], BY_POINT)
-    run_missing(bench, jobs, RUNS, adapt_job)
+def headline_grid(methods: Sequence[str] = (), seeds: Iterable[int] = SEEDS) -> list[Setting]:
+    """Return all runs: a seed is complete, in both designs, before the next one begins; the paper's split is last."""
+    cases = [(design, group) for design in DESIGNS for group in GROUPS]
+    by_point = grid(cases, methods or board.METHODS, seeds)
+    return by_point + grid(cases[: len(GROUPS)], methods or board.MAIN_METHODS, seeds, board.AT_RANDOM)
 
 
-def headline_jobs(
-    groups: Sequence[tuple[str, str]],
-    methods: Sequence[str],
-    seeds: Iterable[int],
-    designs: Sequence[str] = DESIGNS,
-) -> list[TrainingJob]:
-    """Return the headline's runs, one seed after the other, so that those that are done are complete."""
-    return [
-        job
-        for seed in seeds
-        for design in designs
-        for job in jobs_of(design, groups, methods, (seed,), BY_POINT)
-    ]
+def generate_quickly(study: Study) -> None:
+    """Generate a group's domains at their least: nine points of four poses at draft quality."""
+    from gelgap.domains import make_recipes
+    from gelgap.sim import ContactPath
+
+    path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))
+    options = {"quality": "draft", "render_quality": "draft", "size_px": (160, 120), "seed": 0}
+    study.generate(make_recipes(QUICK_GROUP, path, **options))
 
 
-def jobs_of(
-    data: str,
-    groups: Sequence[tuple[str, str]],
-    methods: Sequence[str],
-    seeds: Iterable[int],
-    changes: Changes,
-) -> list[TrainingJob]:
-    """Return the runs of some methods on a data set, one seed after the other."""
-    return [
-        TrainingJob(source, target, method, seed, data, changes)
-        for seed in seeds
-        for source, target in groups
-        for method in methods
-    ]
-
-
-def keep_examples(bench: Bench) -> None:
-    """Keep whole runs, predictions and features included, of the groups that are drawn."""
-    from gelgap.adapt import adapt_folders
-
-    for source, target in SHOWN_GROUPS:
-        for method in SHOWN_METHODS:
-            profile = TrainingJob(source, target, method, 0, changes=BY_POINT).profile(bench.profile)
-            folders = (bench.data / "paired" / name for name in (source, target))
-            adapt_folders(*folders, [method], profile, 0, out_dir=bench.out)
-
-
-def group_oracles(data: Path, groups: Iterable[tuple[str, str]]) -> dict[tuple[str, str], GroupOracles]:
-    """Return both oracles of every group."""
+def keep_oracles(study: Study, groups: Iterable[board.Group]) -> None:
+    """Keep both oracles of every group beside the runs, so that a report needs no data."""
     from gelgap.adapt import Presses, geometry_oracle, pose_oracle
     from gelgap.domains import open_domain
 
-    domains = {name: open_domain(data / name) for name in {n for group in groups for n in group}}
     found = {}
     for group in groups:
-        pair = [domains[name] for name in group]
-        presses = map(Presses.of, pair)
-        found[group] = GroupOracles(pose_oracle(*pair).mae_n, geometry_oracle(*presses).mae_n)
-    return found
+        pair = [open_domain(study.data / "paired" / name) for name in group]
+        pose, geometry = pose_oracle(*pair), geometry_oracle(*map(Presses.of, pair))
+        found[" → ".join(group)] = {"pose_n": pose.mae_n, "geometry_n": geometry.mae_n}
+    write_results(study.out / ORACLES, found)
+
+
+def load_oracles(folder: Path) -> pd.DataFrame:
+    """Return the oracles' MAE by group, N; `comparable`: an alignment of poses could reach the paper's DSAN figure."""
+    kind = dict[str, dict[Literal["pose_n", "geometry_n"], tuple[float, float, float]]]
+    found = pd.DataFrame(read_results(folder / ORACLES, kind)).T.rename_axis("group")
+    papers = pd.Series(PAPER_MAE_N["dsan"], NAMES)
+    for name in ("pose", "geometry"):
+        found[[f"{name} F{axis}" for axis in AXES]] = found[f"{name}_n"].tolist()
+        found[f"{name} oracle"] = found[f"{name}_n"].map(np.mean)
+    return found.assign(comparable=found["pose oracle"] <= papers.reindex(found.index, fill_value=math.inf))
+
+
+def load_headline(
+    folder: Path, data: str = "paired", changes: board.Changes = board.BY_POINT
+) -> pd.DataFrame:
+    """Return the runs of a data set and split.
+
+    Raises
+    ------
+    ValueError
+        If the runs of a group are not all of one configuration.
+    """
+    runs = load_runs(folder / RUNS)
+    runs = runs[(runs["data"] == data) & runs["changes"].isin([changes]) & runs["group"].isin(NAMES)]
+    for group, own in runs.groupby("group"):
+        if len(own[["profile", "configuration"]].drop_duplicates()) > 1:
+            raise ValueError(
+                f"{folder / RUNS}: the runs of {group}, {data} contacts, are of more than one configuration; only runs "
+                "of one profile and of the same data can be compared"
+            )
+    return runs
+
+
+def methods_of(runs: pd.DataFrame, *left_out: str) -> list[str]:
+    """Return the methods that were run, in the board's order, others last."""
+    there = list(runs["method"].unique())
+    order = [method for method in board.METHODS if method in there]
+    return [method for method in dict.fromkeys([*order, *there]) if method not in left_out]
+
+
+def counted(runs: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
+    """Return values by group and seed (rows) and method, NaN but for the pairs that all have finished.
+
+    The ceiling apart: methods are compared on what every one of them has finished. A run that collapsed counts with
+    the error of the constant mean that it became.
+    """
+    table = runs.pivot(index=["group", "seed"], columns="method", values=values)
+    groups, seeds = table.index.levels
+    table = table.reindex(pd.MultiIndex.from_product([[name for name in NAMES if name in groups], seeds]))
+    whole = table[methods_of(runs, CEILING)].notna().all(axis=1)
+    return table[methods_of(runs)].where(whole, axis=0)
+
+
+def by_group(values: pd.DataFrame) -> pd.DataFrame:
+    """Return the means over seeds by group and method."""
+    return values.groupby(level=0, sort=False).mean()
+
+
+def over_groups(values: pd.DataFrame) -> pd.Series:
+    """Return the means over groups of the means over seeds by method; NaN where a group has no run."""
+    return by_group(values).mean(skipna=False)
+
+
+def ranks(errors: pd.DataFrame) -> pd.DataFrame:
+    """Return the rank of each method (columns) in each case, 1 the best, ties shared; NaN is worst."""
+    return errors.fillna(math.inf).rank(axis=1)
 
 
 def tables(folder: Path) -> list[ResultTable]:
-    """Return the tables of both designs."""
-    return group_tables(folder) if is_benchmark(folder) else []
+    """Return all tables about the groups that the finished runs allow."""
+    if not is_benchmark(folder):
+        return []
+    designs = {design: runs for design in DESIGNS if len(runs := load_headline(folder, design))}
+    oracles, at_random = load_oracles(folder), load_headline(folder, "paired", board.AT_RANDOM)
+    found = [table(runs, d) for table in (method_table, control_table) for d, runs in designs.items()]
+    found += [group_table(runs, d, oracles if d == "paired" else oracles[:0]) for d, runs in designs.items()]
+    compared = {design: runs for design, runs in designs.items() if PLAIN in methods_of(runs)}
+    for table, needed in ((adabn_table, {"adabn"}), (order_table, set(PAPER_MAE_N))):
+        if compared and all(needed <= set(methods_of(runs)) for runs in compared.values()):
+            found.append(table(compared))
+    found += [shear_table(runs, design) for design, runs in designs.items()]
+    if len(at_random) and "paired" in designs:
+        found.append(split_table(at_random, designs["paired"]))
+    found += [check_table(runs, design) for design, runs in designs.items()]
+    return [*found, oracle_table(oracles), *(time_table(runs, design) for design, runs in designs.items())]
+
+
+def summary(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return each method's error with its interval, R² per axis, and mean rank over the groups, the ceiling apart."""
+    errors = counted(runs)
+    frame = over_groups(errors).rename_axis("method").to_frame("mean MAE, N")
+    frame["95 % interval"] = [bootstrap(errors[method].unstack(sort=False).to_numpy()) for method in errors]
+    for column in R2:
+        frame[column] = over_groups(counted(runs, column))
+    return frame.assign(rank=ranks(by_group(errors)[methods_of(runs, CEILING)]).mean())
+
+
+def method_table(runs: pd.DataFrame, design: str) -> ResultTable:
+    """Each method's error, R² per axis and rank."""
+    frame, means = summary(runs), by_group(counted(runs))
+    frame[f"without {PLAIN}"] = ranks(means[methods_of(runs, CEILING, PLAIN)]).mean()
+    frame["collapsed"] = runs.groupby("method")["problem"].count()
+    frame["paper, N"] = pd.DataFrame(PAPER_MAE_N).mean()
+    return result_table(
+        f"All methods, {design} contacts: mean over {len(means)} groups",
+        frame,
+        f"Split by contact point; {_seeds(runs)}. Intervals: bootstrap over groups and seeds. Ranks: means over the "
+        f"groups. A run that collapsed counts with the constant mean's error. {_friedman(runs)}",
+        {**FORMATS, f"without {PLAIN}": "{:.1f}", "collapsed": "{:d}"},
+    )
+
+
+def _seeds(runs: pd.DataFrame) -> str:
+    whole, seeds = counted(runs).notna().any(axis=1), f"{runs['seed'].nunique()} seed(s)"
+    finished = f"({whole.sum()} of {len(whole)} pairs of group and seed are finished by all methods)"
+    return seeds if whole.all() else f"{seeds} {finished}"
+
+
+def _friedman(runs: pd.DataFrame) -> str:
+    """Return Friedman's test and the critical difference over the groups' means, with and without source-only."""
+    from scipy.stats import friedmanchisquare
+
+    texts = []
+    for name, left_out in (("all", (CEILING,)), (f"without {PLAIN}", (CEILING, PLAIN))):
+        errors = by_group(counted(runs))[methods_of(runs, *left_out)]
+        cases, methods = errors.shape
+        if methods > 2 and cases > 1:
+            p, nemenyi = (
+                friedmanchisquare(*ranks(errors).to_numpy().T).pvalue,
+                critical_difference(methods, cases),
+            )
+            texts.append(f"{name}: Friedman's p = {p:.2g}, Nemenyi's difference {nemenyi:.1f}")
+    return f"Ranks over group means, {'; '.join(texts)}. {CAVEAT}" if texts else ""
+
+
+def critical_difference(methods: int, cases: int, level: float = 0.05) -> float:
+    """Return Nemenyi's critical difference of mean ranks (Demšar, JMLR 7, 2006)."""
+    from scipy.stats import studentized_range
+
+    q = studentized_range.ppf(1 - level, methods, np.inf) / np.sqrt(2)
+    return float(q * np.sqrt(methods * (methods + 1) / (6 * cases)))
+
+
+def control_table(runs: pd.DataFrame, design: str) -> ResultTable:
+    """What each method's loss brings: its error less that of its own control over the same groups and seeds."""
+    errors, rows = counted(runs), []
+    for method in errors:
+        control = runs.loc[runs["method"] == method, "control"].iloc[0]
+        if control in errors:
+            difference = errors[method] - errors[control]
+            means = by_group(difference)
+            pairs = [group.split(" → ") for group in means.index]
+            kept = [[domain not in pair for pair in pairs] for domain in {d for pair in pairs for d in pair}]
+            without = [means[rows].mean(skipna=False) for rows in kept if any(rows)] or [math.nan]
+            interval = bootstrap(difference.unstack(sort=False).to_numpy())
+            better, leaving_out = f"{(means < 0).sum()} of {len(means)}", (min(without), max(without))
+            rows.append((method, control, means.mean(skipna=False), interval, better, leaving_out))
+    columns = ["method", "control", "difference, N", "95 % interval", "better in", "leaving out a domain"]
+    return result_table(
+        f"Methods against their own controls, {design} contacts",
+        pd.DataFrame(rows, columns=columns),
+        f"Error less that of the control over the same groups and seeds, negative where the method is better; "
+        f"{_seeds(runs)}. Interval: bootstrap over groups and seeds. Last column: range of the mean when the groups "
+        "of one domain are left out.",
+        {"": "{:+.4f}"},
+    )
+
+
+def group_table(runs: pd.DataFrame, design: str, oracles: pd.DataFrame) -> ResultTable:
+    """The main methods group by group, beside baselines without learning."""
+    errors, constant = counted(runs), constant_mean(runs)
+    means = by_group(errors)
+    shown = [method for method in means if method in board.MAIN_METHODS]
+    worse = means[PLAIN] > constant if PLAIN in means else constant.isna()
+    unfair = ~oracles["comparable"].reindex(means.index, fill_value=True).astype(bool)
+    numbers = means[shown].join(oracles[["pose oracle", "geometry oracle"]]).dropna(axis=1, how="all")
+    numbers.insert(0, "constant mean", constant)
+    frame = numbers.astype(object)
+    for method in shown:
+        frame[method] = errors[method].groupby(level=0, sort=False).apply(spread).astype(object)
+    frame.loc["mean"] = numbers.mean(skipna=False)
+    marked = {group: group + " †" * int(worse[group]) + " *" * int(unfair[group]) for group in means.index}
+    return result_table(
+        f"Group by group, {design} contacts: mean MAE on the target's test frames, N",
+        frame.rename(marked).rename_axis("group"),
+        f"± standard deviation over {_seeds(runs)}. † {PLAIN} is worse than the source's mean force always: "
+        f"{worse.sum()} of {len(means)} groups. * The pose oracle is worse than the paper's DSAN figure, so that "
+        f"the group is not comparable: {unfair.sum()} of {len(means)}.",
+        {"": "{:.3f}"},
+    )
+
+
+def constant_mean(runs: pd.DataFrame) -> pd.Series:
+    """Return the error of predicting the source's mean force by group, N, mean over methods and seeds."""
+    found = runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
+    return found[[name for name in NAMES if name in found]]
+
+
+def spread(values: pd.Series) -> str | None:
+    """Return mean ± standard deviation over seeds; how many are NaN (not run), if any are."""
+    there = values.dropna()
+    missing = f" ({len(values) - len(there)} missing)" if len(there) < len(values) else ""
+    deviation = f" ± {there.std():.3f}" if len(there) > 1 else ""
+    return f"{there.mean():.3f}{deviation}{missing}" if len(there) else None
+
+
+def adabn_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
+    """The share of the way from source-only to each method that AdaBN alone goes."""
+    columns = {}
+    for design, runs in designs.items():
+        means = over_groups(counted(runs))
+        columns[f"{design}: change from {PLAIN}"] = 100 * (means / means[PLAIN] - 1)
+        share = (means[PLAIN] - means["adabn"]) / (means[PLAIN] - means)
+        columns[f"{design}: AdaBN's share"] = 100 * share.where(means < means[PLAIN])
+    shown = dict.fromkeys(method for runs in designs.values() for method in methods_of(runs, PLAIN, "adabn"))
+    return result_table(
+        "How much of each method's gain is batch normalisation",
+        pd.DataFrame(columns).reindex(list(shown)).rename_axis("method"),
+        f"Share: what AdaBN takes off {PLAIN}'s mean error over what the method takes off. Above 100 %, AdaBN alone is "
+        "better.",
+        {name: "{:.0f} %" if "share" in name else "{:+.0f} %" for name in columns},
+    )
+
+
+def order_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
+    """Whether the paper's order of its four methods is found, group by group."""
+    order, columns = list(PAPER_MAE_N), {}
+    for design, runs in designs.items():
+        errors = by_group(counted(runs))[order]
+        errors.loc["of the means"] = errors.mean(skipna=False)
+        whole = errors.notna().all(axis=1)
+        found = errors.apply(lambda row: " > ".join(row.sort_values(ascending=False).index), axis=1)
+        columns[f"{design}: order"] = found.where(whole)
+        columns[f"{design}: τ"] = errors.apply(kendall_tau, axis=1)
+        columns[f"{design}: the paper's"] = (errors.diff(axis=1).iloc[:, 1:] < 0).all(axis=1).astype(object)
+    groups = dict.fromkeys(group for column in columns.values() for group in column.index[:-1])
+    tau = np.mean([kendall_tau(column) for column in np.transpose(list(PAPER_MAE_N.values()))])
+    return result_table(
+        "Is the paper's order of methods found?",
+        pd.DataFrame(columns, index=pd.Index([*groups, "of the means"], name="group")),
+        f"The paper's order of means, the worst first: {' > '.join(order)}. τ: Kendall's with it (1: the same order); "
+        f"its own groups have {tau:.2f} in the mean.",
+        {"": "{:+.2f}"},
+    )
+
+
+def kendall_tau(errors: Sequence[float]) -> float:
+    """Return Kendall's τ between the order of some errors and their falling order; 1: each is below the one before."""
+    from scipy.stats import kendalltau
+
+    return float(kendalltau(np.arange(len(errors)), -np.asarray(errors)).statistic)
+
+
+def shear_table(runs: pd.DataFrame, design: str) -> ResultTable:
+    """Whether shear is read at all: R² of Fx and Fy by group."""
+    shear = runs.assign(shear=runs[R2[:2]].mean(axis=1))
+    frame = (
+        shear.pivot_table(index="group", columns="method", values="shear").reindex(NAMES).dropna(how="all")
+    )
+    return result_table(
+        f"Shear, {design} contacts: R² on the target, mean of Fx and Fy",
+        frame[[method for method in methods_of(runs) if method in board.MAIN_METHODS]],
+        "Mean over seeds. At 0 or below a method is no better than the target's mean force.",
+        {"": "{:.2f}"},
+    )
+
+
+def split_table(at_random: pd.DataFrame, by_point: pd.DataFrame) -> ResultTable:
+    """The same methods with frames split at random and by contact point."""
+    splits = {"at random": over_groups(counted(at_random)), "by point": over_groups(counted(by_point))}
+    frame = pd.DataFrame(splits, index=[m for m in methods_of(at_random) if m in methods_of(by_point)])
+    frame["by point over at random"] = frame["by point"] / frame["at random"]
+    for name in splits:
+        frame[f"rank {name}"] = ranks(frame[[name]].T).T
+    return result_table(
+        "Split at random or by contact point, paired contacts: mean MAE, N",
+        frame.rename_axis("method"),
+        f"At random: {_seeds(at_random)}; by point: {_seeds(by_point)}. At random, neighbours of every test frame were "
+        "trained on.",
+        {"": "{:.0f}", "at random": "{:.3f}", "by point": "{:.3f}", "by point over at random": "{:.2f}"},
+    )
+
+
+def check_table(runs: pd.DataFrame, design: str) -> ResultTable:
+    """Whether the profile counts: R² of supervised-on-target and of source-only on its source."""
+    good, rows = runs[runs["problem"].isna() & runs["method"].isin([PLAIN, CEILING])], []
+    names = {PLAIN: f"{PLAIN} on held-out source", CEILING: "supervised on target"}
+    domain = good["source"].where(good["method"] == PLAIN, good["target"])
+    r2 = good["source_held_out_r2"].where(good["method"] == PLAIN, good["r2"]).dropna()
+    for condition, own in r2.groupby([good["method"].map(names), domain], sort=False):
+        mean, worst = np.mean(own.tolist(), axis=0), np.min(own.tolist(), axis=0)
+        cells = [f"{m:.2f} (≥ {w:.2f})" for m, w in zip(mean, worst, strict=True)]
+        rows.append([*condition, *cells, "yes" if (mean >= LEAST_R2).all() else "NO"])
+    return ResultTable(
+        f"Does the profile count? {design.capitalize()} contacts",
+        ["condition", "domain", *R2, "met"],
+        rows,
+        "Needed in the mean over runs: R² of at least 0.8 in Fx and Fy and 0.9 in Fz (the worst run is in brackets).",
+    )
+
+
+def oracle_table(oracles: pd.DataFrame) -> ResultTable:
+    """Both oracles per group and axis."""
+    return result_table(
+        "Oracles per axis, MAE in N",
+        oracles[[f"{name} F{axis}" for name in ("pose", "geometry") for axis in AXES] + ["comparable"]],
+        "From paired contacts. Pose: the source's force at the same command. Geometry: the source gel's force at the "
+        "target's contact.",
+        {"": "{:.4f}"},
+    )
+
+
+def time_table(runs: pd.DataFrame, design: str) -> ResultTable:
+    """Error against training time."""
+    frame = over_groups(counted(runs)).to_frame("mean MAE, N")
+    frame["stage 1, s"] = stage1_s(runs)
+    frame["stage 2, s"] = runs.groupby("method")["stage2_s"].median()
+    return result_table(
+        f"Target MAE against training time, {design} contacts",
+        frame,
+        "Medians of one core's wall time on a shared machine; stage 1 is shared by all methods of a source and seed.",
+        {"mean MAE, N": "{:.3f}", "": "{:.1f}"},
+    )
+
+
+def stage1_s(runs: pd.DataFrame) -> float:
+    """Return the median time of the first stage, which all methods of a source and seed share; NaN if none has one."""
+    return float(runs.loc[runs["stage1_s"] > 0, "stage1_s"].median())
 
 
 def figures(folder: Path) -> list[NamedFigure]:
-    """Return the figures of the groups."""
-    return [*group_figures(load_results(folder), read_oracles(folder)), *prediction_figures(folder)]
+    """Return errors by group, mean ranks (of two methods or more) and errors against time."""
+    if not is_benchmark(folder):
+        return []
+    runs = load_headline(folder)
+    found = [NamedFigure("groups", "Target MAE by group and method", plot_groups(runs, load_oracles(folder)))]
+    errors = by_group(counted(runs))[methods_of(runs, CEILING)]
+    if errors.shape[1] > 1:
+        diagram = plot_critical_difference(errors, "Mean ranks over the groups")
+        found.append(NamedFigure("critical-difference", "Mean ranks and critical difference", diagram))
+    return [*found, NamedFigure("time", "Target MAE against training time", plot_time(runs))]
+
+
+def plot_groups(runs: pd.DataFrame, oracles: pd.DataFrame) -> "Figure":
+    """Draw the main methods' errors in each group as bars beside the constant mean and the pose oracle."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    axes, errors = figure.subplots(), counted(runs)
+    shown = [method for method in errors if method in board.MAIN_METHODS]
+    means, deviations = by_group(errors)[shown], errors[shown].groupby(level=0, sort=False).std().fillna(0.0)
+    means.plot.bar(ax=axes, yerr=deviations, width=0.8, rot=0, legend=False, fontsize=8, xlabel="")
+    levels = {"constant mean": constant_mean(runs), "pose oracle": oracles.loc[means.index, "pose oracle"]}
+    place = np.arange(len(means))
+    for (name, level), style in zip(levels.items(), ("dotted", "solid"), strict=True):
+        axes.hlines(level, place - 0.4, place + 0.4, "k", style, label=name)
+    axes.set_xticklabels([group.replace(" → ", "\n→ ") for group in means.index])
+    axes.set_ylabel("target MAE, N")
+    figure.legend(loc="outside upper center", fontsize=8, ncols=(len(shown) + 3) // 2)
+    return figure
+
+
+def plot_critical_difference(errors: pd.DataFrame, title: str) -> "Figure":
+    """Draw the mean ranks of methods (columns) over cases; bars join those that Nemenyi's test does not tell apart."""
+    from matplotlib.figure import Figure
+    from scikit_posthocs import critical_difference_diagram, posthoc_nemenyi_friedman
+
+    found = ranks(errors).reset_index(drop=True)
+    cases, methods = found.shape
+    figure = Figure(figsize=(8, 1.4 + 0.4 * methods), layout="constrained")
+    axes = figure.subplots()
+    critical_difference_diagram(
+        found.mean().to_dict(),
+        posthoc_nemenyi_friedman(found),
+        cd=critical_difference(methods, cases),
+        ax=axes,
+        label_fmt_left="{label}  {rank:.2f}",
+        label_fmt_right="{rank:.2f}  {label}",
+        text_h_margin=0.1,
+    )
+    axes.set_title(f"{title} (1: least error)", pad=20)
+    return figure
+
+
+def plot_time(runs: pd.DataFrame) -> "Figure":
+    """Draw each method's error against the training time of both stages."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.5, 3.5), layout="constrained")
+    axes = figure.subplots()
+    seconds = np.nan_to_num(stage1_s(runs)) + runs.groupby("method")["stage2_s"].mean()
+    for method, error in over_groups(counted(runs)).items():
+        axes.plot(seconds[method], error, "o", alpha=0.7, label=method)
+    axes.set(xlabel="both stages, s of one core", ylabel="target MAE, N")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize=8)
+    return figure
 
 
 PART = Part(measure, tables, figures)
-run = PART.run

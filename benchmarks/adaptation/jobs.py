@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation.data_sets import design_of, recipes_of
+from gelgap.benchmarks.adaptation.board import recipes_of
 
 if TYPE_CHECKING:
     from gelgap.adapt import Profile
@@ -47,7 +47,7 @@ class TrainingJob:
     @property
     def design(self) -> str:
         """Whether contacts are paired or independent."""
-        return design_of(self.data)
+        return self.data.removeprefix("tune-")
 
     def profile(self, preset: str) -> "Profile":
         """Return the preset with this job's changes; of the methods' settings its own alone."""

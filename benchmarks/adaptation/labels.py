@@ -1,41 +1,29 @@
 """How many labelled target frames close a gap: fine-tuning, an affine correction and both, without and after DSAN."""
 
-import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable
+from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.gaps import BASE, PROFILE, design
-from gelgap.benchmarks.adaptation.jobs import (
-    AT_RANDOM,
-    BY_POINT,
-    Axes,
-    Bench,
-    Changes,
-    TrainingJob,
-    configuration_of,
-)
-from gelgap.benchmarks.adaptation.paper import GROUPS
-from gelgap.benchmarks.adaptation.parts import Part
-from gelgap.benchmarks.adaptation.running import run_missing
-from gelgap.benchmarks.adaptation.tables import by_column, number, numbers
-from gelgap.benchmarks.adaptation.work import train_job
-from gelgap.benchmarks.common.records import read_records
+from gelgap.benchmarks.adaptation.study import Part, Study, grid, trained
+from gelgap.benchmarks.common import Results, Setting, read_records, result_table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes as PlotAxes
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
     from gelgap.adapt import ForceModel, SplitFrames
 
 RECORD = "labels.jsonl"
 METHODS = ("source-only", "dsan")
 LABELS = (1, 5, 20, 100)
+COUNTS = (0, *LABELS)
 WAYS = ("affine", "fine-tuning", "both")
+HEADS = ["gap", "adapted by", "with the labels"]
 DRAWS = 3
 """How often labelled frames are drawn; errors are means."""
 PANELS = ("modulus", "friction")
@@ -44,214 +32,149 @@ CLOSED = 1.1
 """A gap counts as closed at this multiple of the error without a gap."""
 
 
-@dataclass(frozen=True)
-class LabelPoint:
-    """Error (N) and R² per axis with some labelled frames used in one way, means over the draws."""
-
-    way: str
-    labels: int
-    mae_n: Axes
-    r2: Axes
-
-    @property
-    def mean_mae_n(self) -> float:
-        """Mean over the axes, N."""
-        return float(np.mean(self.mae_n))
-
-
-@dataclass(frozen=True)
-class LabelRecord:
-    """A method's run on a group, and what labelled target frames make of it; see `RunRecord`."""
-
-    job: TrainingJob
-    profile: str
-    configuration: str
-    settings: dict[str, Any]
-    problem: str | None = None
-    points: tuple[LabelPoint, ...] = ()
-
-    @property
-    def mean_mae_n(self) -> float:
-        """Error without labels, N; NaN if training stopped."""
-        return self.points[0].mean_mae_n if self.points else math.nan
-
-
-def measure(bench: Bench) -> None:
+def measure(study: Study) -> None:
     """Do the missing runs on the nine groups, then those on the gap curves, by default of one seed."""
-    bench.generate_set("paired")
-    run_missing(bench, label_jobs(GROUPS, bench.seeds or (0,), BY_POINT), RECORD, label_job, LabelRecord)
-    own, found = bench.within("gaps", PROFILE), design()
-    targets = list(dict.fromkeys(gap.domain for gap in found.gaps if gap.panel in PANELS))
-    if not own.is_over():
-        own.generate([recipe for recipe in found.recipes if recipe.name in targets])
-        jobs = label_jobs([(BASE, target) for target in targets], bench.seeds or (0,), AT_RANDOM)
-        run_missing(own, jobs, RECORD, label_job, LabelRecord)
+    study.generate_sets("paired")
+    seeds, nine = study.seeds or (0,), [("paired", group) for group in board.GROUPS]
+    study.run(label_run, grid(nine, METHODS, seeds), RECORD)
+    own, found = study.within("gaps", PROFILE), design()
+    targets = found.gaps.loc[found.gaps["panel"].isin(PANELS), "domain"].unique()
+    if not own.is_over:
+        own.generate([recipe for name, recipe in found.recipes.items() if name in targets])
+        cases = [("paired", (BASE, target)) for target in targets]
+        own.run(label_run, grid(cases, METHODS, seeds, board.AT_RANDOM), RECORD)
 
 
-def label_jobs(
-    groups: Iterable[tuple[str, str]], seeds: Iterable[int], changes: Changes
-) -> list[TrainingJob]:
-    """Return the runs that labels are added to."""
-    return [
-        TrainingJob(source, target, method, seed, changes=changes)
-        for seed in seeds
-        for source, target in groups
-        for method in METHODS
-    ]
-
-
-def label_job(bench: Bench, job: TrainingJob) -> LabelRecord:
+def label_run(study: Study, run: Setting) -> Results:
     """Adapt once, then use labelled frames of the target's training part in every way."""
-    trained = train_job(bench, job)
-    points = () if trained.model is None else tuple(label_points(trained.model, trained.frames, job.seed))
-    settings = job.method_settings(bench.profile)
-    return LabelRecord(job, bench.profile, configuration_of(bench, job), settings, trained.problem, points)
+    frames, model, results = trained(study, run)
+    points = [] if model is None else list(label_points(model, frames, run["seed"]))
+    return {"problem": results["problem"], "mae_n": results["mae_n"], "points": points}
 
 
-def label_points(model: "ForceModel", frames: "SplitFrames", seed: int) -> Iterable[LabelPoint]:
+def label_points(model: "ForceModel", frames: "SplitFrames", seed: int) -> Iterator[Results]:
     """Yield the errors on the target's test frames without labels, and with as many as its training part has.
 
-    Frames beyond the declared range, which nothing is trained on, are not among those drawn.
+    They are means over the draws. Frames beyond the declared range, which nothing is trained on, are not drawn.
     """
-    from gelgap.adapt import affine_correction, draw_labelled, fine_tune
+    from gelgap.adapt import affine_correction, draw_labelled, evaluate, fine_tune
     from gelgap.domains import within_range
 
-    yield _point("none", 0, [model], frames)
+    def point(way: str, labels: int, models: "Iterable[ForceModel]") -> Results:
+        found = [evaluate(one, frames.target_test) for one in models]
+        means = {name: np.mean([getattr(one, name) for one in found], axis=0) for name in ("mae_n", "r2")}
+        return {"way": way, "labels": labels, **{name: mean.tolist() for name, mean in means.items()}}
+
+    yield point("none", 0, [model])
     candidates = within_range(frames.target_train)
     for labels in LABELS:
-        if labels > len(candidates):
-            continue
-        drawn = [draw_labelled(candidates, labels, DRAWS * seed + draw) for draw in range(DRAWS)]
-        tuned = [fine_tune(model, own) for own in drawn]
-        yield _point("affine", labels, [affine_correction(model, own) for own in drawn], frames)
-        yield _point("fine-tuning", labels, tuned, frames)
-        both = [affine_correction(one, own) for one, own in zip(tuned, drawn, strict=True)]
-        yield _point("both", labels, both, frames)
+        if labels <= len(candidates):
+            drawn = [draw_labelled(candidates, labels, DRAWS * seed + draw) for draw in range(DRAWS)]
+            tuned = [fine_tune(model, own) for own in drawn]
+            yield point("affine", labels, [affine_correction(model, own) for own in drawn])
+            yield point("fine-tuning", labels, tuned)
+            yield point("both", labels, map(affine_correction, tuned, drawn))
 
 
-def _point(way: str, labels: int, models: "Sequence[ForceModel]", frames: "SplitFrames") -> LabelPoint:
-    from gelgap.adapt import evaluate
+def load_points(file: Path) -> pd.DataFrame:
+    """Return every point of a file's records, with its mean error over the axes; that without labels in every way."""
+    rows = []
+    for _, record in read_records(file).iterrows():
+        for point in record["points"]:
+            row = {
+                **record[["source", "target", "method", "seed"]],
+                **point,
+                "error_n": np.mean(point["mae_n"]),
+            }
+            rows += [{**row, "way": way} for way in (WAYS if point["way"] == "none" else [point["way"]])]
+    return pd.DataFrame(rows)
 
-    found = [evaluate(model, frames.target_test) for model in models]
-    mae_n, r2 = (np.mean([getattr(one, name) for one in found], axis=0) for name in ("mae_n", "r2"))
-    x, y, z = mae_n.tolist()
-    return LabelPoint(way, labels, (x, y, z), tuple(r2.tolist()))
+
+def curves(points: pd.DataFrame, targets: Sequence[str] | None = None) -> pd.DataFrame:
+    """Return the mean error with each number of labels (columns) by method and way, and by target if some are given."""
+    names = (
+        {"target": targets, "method": METHODS, "way": WAYS} if targets else {"method": METHODS, "way": WAYS}
+    )
+    table = points.pivot_table(index=list(names), columns="labels", values="error_n")
+    return table.reindex(pd.MultiIndex.from_product(names.values(), names=names), columns=COUNTS)
 
 
 def tables(folder: Path) -> list[ResultTable]:
     """Return the tables of the nine groups and of the gap curves, as far as they were run."""
-    nine, gaps = _load(folder)
-    found = [nine_table(nine)] if nine else []
-    return [*found, gap_table(gaps)] if gaps else found
+    shown = zip((nine_table, gap_table), _load(folder), strict=True)
+    return [table(points) for table, points in shown if len(points)]
+
+
+def _load(folder: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    return load_points(folder / RECORD), load_points(folder / "gaps" / "runs" / RECORD)
+
+
+def nine_table(points: pd.DataFrame) -> ResultTable:
+    """Error by number of labels, mean over the groups."""
+    groups, seeds = len(points[["source", "target"]].drop_duplicates()), points["seed"].nunique()
+    return result_table(
+        "A few labelled target frames, nine groups: mean MAE, N",
+        curves(points).rename_axis(HEADS[1:]).rename(columns="{} labels".format),
+        f"Mean over {groups} groups, {seeds} seed(s) and {DRAWS} draws of the frames; paired contacts, split "
+        "by contact point. Both: fine-tuned, then corrected.",
+        {"": "{:.3f}"},
+    )
+
+
+def gap_names() -> dict[str, str]:
+    """Return the name of each gap of modulus or friction by its domain."""
+    gaps = design().gaps
+    own = gaps[gaps["panel"].isin(PANELS)].set_index("domain")
+    return {**(own["panel"] + own["size"].map(" × {:g}".format)), BASE: "none"}
+
+
+def gap_table(points: pd.DataFrame) -> ResultTable:
+    """How many labels close a gap of modulus or friction."""
+    names = gap_names()
+    frame = curves(points, [target for target in names if target in set(points["target"])])
+    least = curves(points[points["target"] == BASE])[0].reindex(frame.index.droplevel("target"))
+    closed = frame.le(CLOSED * least.to_numpy(), axis=0)
+    frame["closed with"] = closed.idxmax(axis=1).where(closed.any(axis=1))
+    return result_table(
+        f"Labels that close a gap which pictures do not show, from {BASE}, profile {PROFILE}: mean MAE, N",
+        frame.rename(index=names, columns={n: f"{n} labels" for n in COUNTS}).rename_axis(HEADS),
+        f"Closed: at most {CLOSED:g} of the same method's error without labels and without a gap. A dash: not with as "
+        f"many labels as the target has to train on. Split at random; mean over {DRAWS} draws of the frames.",
+        {"": "{:.3f}", "closed with": "{:.0f}"},
+    )
 
 
 def figures(folder: Path) -> list[NamedFigure]:
-    """Return the curves of error against labels."""
-    nine, gaps = _load(folder)
-    caption = "Target MAE against the number of labelled target frames"
-    return [NamedFigure("few-labels", caption, plot_labels(nine, gaps))] if nine or gaps else []
-
-
-def _load(folder: Path) -> tuple[list[LabelRecord], list[LabelRecord]]:
-    own, gaps = folder / RECORD, folder / "gaps" / "runs" / RECORD
-    nine, of_gaps = (read_records(path, LabelRecord) for path in (own, gaps))
-    return [r for r in nine if r.points], [r for r in of_gaps if r.points]
-
-
-def curve(records: Sequence[LabelRecord], method: str, way: str) -> list[float]:
-    """Return the mean error without labels and with each of `LABELS`, N; NaN where no record has that many labels."""
-    own = [record for record in records if record.job.method == method]
-    wanted = [("none", 0), *((way, labels) for labels in LABELS)]
-    errors = [
-        [point.mean_mae_n for record in own for point in record.points if (point.way, point.labels) == place]
-        for place in wanted
-    ]
-    return [float(np.mean(values)) if values else math.nan for values in errors]
-
-
-def nine_table(records: Sequence[LabelRecord]) -> ResultTable:
-    """Error by number of labels, mean over the groups."""
-    rows = [(method, way) for method in METHODS for way in WAYS]
-    curves = np.array([curve(records, *row) for row in rows])
-    columns = {"with the labels": [way for _, way in rows]}
-    columns |= {f"{n} labels": numbers(curves[:, i]) for i, n in enumerate((0, *LABELS))}
-    groups, seeds = {r.job.group for r in records}, {r.job.seed for r in records}
-    return by_column(
-        "A few labelled target frames, nine groups: mean MAE, N",
-        "adapted by",
-        [method for method, _ in rows],
-        columns,
-        f"Mean over {len(groups)} groups, {len(seeds)} seed(s) and {DRAWS} draws of the frames; paired contacts, split "
-        "by contact point. Both: fine-tuned, then corrected.",
-    )
-
-
-def gap_table(records: Sequence[LabelRecord]) -> ResultTable:
-    """How many labels close a gap of modulus or friction."""
-    sizes = {gap.domain: f"{gap.panel} × {gap.size:g}" for gap in design().gaps if gap.panel in PANELS} | {
-        BASE: "none"
-    }
-    rows = [
-        (target, method, way)
-        for target in dict.fromkeys(sorted((r.job.target for r in records), key=list(sizes).index))
-        for method in METHODS
-        for way in WAYS
-    ]
-    of_target = {target: [r for r in records if r.job.target == target] for target, _, _ in rows}
-    curves = [curve(of_target[target], method, way) for target, method, way in rows]
-    base = [curve(of_target.get(BASE, []), method, way)[0] for _, method, way in rows]
-    columns = {
-        "adapted by": [method for _, method, _ in rows],
-        "with the labels": [way for _, _, way in rows],
-        **{f"{n} labels": numbers([own[i] for own in curves]) for i, n in enumerate((0, *LABELS))},
-        "closed with": [_closed_with(own, least) for own, least in zip(curves, base, strict=True)],
-    }
-    return by_column(
-        f"Labels that close a gap which pictures do not show, from {BASE}, profile {PROFILE}: mean MAE, N",
-        "gap",
-        [sizes[target] for target, _, _ in rows],
-        columns,
-        f"Closed: at most {CLOSED:g} of the same method's error without labels and without a gap. A dash: not with as "
-        f"many labels as the target has to train on. Split at random; mean over {DRAWS} draws of the frames.",
-    )
-
-
-def _closed_with(errors_n: Sequence[float], least_n: float) -> str:
-    enough = [n for n, error in zip((0, *LABELS), errors_n, strict=True) if error <= CLOSED * least_n]
-    return number(enough[0], ".0f") if enough else "–"
-
-
-def plot_labels(nine: Sequence[LabelRecord], gaps: Sequence[LabelRecord]) -> "Figure":
-    """Draw error against labels: the nine groups' mean by method and way, and single gaps by one way, as far as run."""
+    """Return the curves of error against labels: the nine groups' mean, and single gaps, as far as they were run."""
     from matplotlib.figure import Figure
 
-    drawn = [(draw, records) for draw, records in ((_draw_nine, nine), (_draw_gaps, gaps)) if records]
+    shown = zip((_draw_nine, _draw_gaps), _load(folder), strict=True)
+    drawn = [(draw, points) for draw, points in shown if len(points)]
+    if not drawn:
+        return []
     figure = Figure(figsize=(5.5 * len(drawn), 3.8), layout="constrained")
     panels = figure.subplots(1, len(drawn), sharey=True, squeeze=False)[0]
-    for axes, (draw, records) in zip(panels, drawn, strict=True):
-        draw(axes, records)
-        axes.set_xticks(range(len(LABELS) + 1), [str(n) for n in (0, *LABELS)])
+    for axes, (draw, points) in zip(panels, drawn, strict=True):
+        draw(axes, points)
+        axes.set_xticks(range(len(COUNTS)), map(str, COUNTS))
         axes.set_xlabel("labelled target frames")
         axes.legend(fontsize=7)
     panels[0].set(ylabel="target MAE, N", ylim=(0, None))
-    return figure
+    return [NamedFigure("few-labels", "Target MAE against the number of labelled target frames", figure)]
 
 
-def _draw_nine(axes: "PlotAxes", records: Sequence[LabelRecord]) -> None:
-    for method, style in zip(METHODS, ("o--", "o-"), strict=True):
-        for colour, way in enumerate(WAYS):
-            axes.plot(curve(records, method, way), style, color=f"C{colour}", label=f"{method}, {way}")
+def _draw_nine(axes: "Axes", points: pd.DataFrame) -> None:
+    for number, ((method, way), curve) in enumerate(curves(points).iterrows()):
+        style, colour = "o--" if method == METHODS[0] else "o-", f"C{number % len(WAYS)}"
+        axes.plot(curve.to_numpy(), style, color=colour, label=f"{method}, {way}")
     axes.set_title("nine groups, cpu profile")
 
 
-def _draw_gaps(axes: "PlotAxes", records: Sequence[LabelRecord]) -> None:
-    sizes = {gap.domain: f"{gap.panel} × {gap.size:g}" for gap in design().gaps if gap.panel in PANELS}
-    for target in dict.fromkeys(record.job.target for record in records):
-        own = [record for record in records if record.job.target == target]
-        name = "no gap" if target == BASE else sizes[target]
-        axes.plot(curve(own, "source-only", "both"), "o-", label=name)
+def _draw_gaps(axes: "Axes", points: pd.DataFrame) -> None:
+    names, targets = gap_names() | {BASE: "no gap"}, list(points["target"].unique())
+    for target, curve in curves(points, targets).xs((METHODS[0], "both"), level=("method", "way")).iterrows():
+        axes.plot(curve.to_numpy(), "o-", label=names[target])
     axes.set_title("one gap, source-only, fine-tuned and corrected")
 
 
 PART = Part(measure, tables, figures)
-run = PART.run

@@ -2,17 +2,15 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.jobs import Bench
-from gelgap.benchmarks.adaptation.parts import Part
-from gelgap.benchmarks.adaptation.tables import by_column
-from gelgap.benchmarks.common.records import read_results, write_results
+from gelgap.benchmarks.adaptation.study import Part, Study, read_results, write_results
+from gelgap.benchmarks.common import result_table
 
 if TYPE_CHECKING:
     from gelgap.adapt import Profile
@@ -27,55 +25,44 @@ QUICK = METHODS[:3], 64, 1
 """Frames of noise, epochs whose median is taken, turns of the comparison with the plain loop; the quick form."""
 
 
-@dataclass(frozen=True)
-class Speed:
-    """Median time of a step, the share of it spent on making batches, and the processor time over a plain loop's."""
+def measure(study: Study) -> None:
+    """Measure a plain loop, stage 1 (compared in turns, repeated) and stage 2 with each method; write `speed.json`."""
+    from gelgap.adapt import Profile, adapt, train_source
 
-    name: str
-    step_ms: float
-    wait_share: float | None = None
-    overhead: float | None = None
+    methods, count, repeats = QUICK if study.is_quick else (METHODS, FRAMES, REPEATS)
+    profile = Profile.preset(study.profile)
+    frames = random_frames(profile, count)
+    changes = {"source_epochs": EPOCHS, "adapt_epochs": EPOCHS, "transfer_warmup": 0.0, "transfer_ramp": 0.0}
+    short = profile.replace(**changes)
+    plain = short.replace(colour_mixing=0.0)
+    rows, ratios = [], []
+    plain_loop_ms(frames, profile, 1)  # warm up
+    for _ in range(repeats):
+        start = time.process_time()
+        step_ms = plain_loop_ms(frames, profile, EPOCHS)
+        between = time.process_time()
+        history = train_source(frames, plain).history
+        ratios.append((time.process_time() - between) / (between - start) - 1)
 
+    def add(name: str, history: Sequence[dict], **more: float) -> None:
+        step_s = [epoch["wall_s"] / (count // profile.batch_size) for epoch in history]
+        wait_share = float(np.median([epoch["wait_s"] / epoch["wall_s"] for epoch in history]))
+        rows.append(
+            {"name": name, "step_ms": 1e3 * float(np.median(step_s)), "wait_share": wait_share, **more}
+        )
 
-def measure(bench: Bench) -> None:
-    """Measure the bench's profile and write `speed.json`."""
-    from gelgap.adapt import Profile
-
-    methods, frames, repeats = QUICK if bench.is_quick else (METHODS, FRAMES, REPEATS)
-    profile = Profile.preset(bench.profile)
-    write_results(
-        bench.out / RESULTS, measure_profile(profile, random_frames(profile, frames), methods, repeats)
-    )
-
-
-def measure_profile(
-    profile: "Profile", frames: "ArrayFrames", methods: Sequence[str], repeats: int
-) -> list[Speed]:
-    """Return the speeds of a plain loop, of stage 1 (compared in turns, repeated) and of stage 2 with each method."""
-    from gelgap.adapt import adapt, train_source
-
-    short = profile.replace(source_epochs=EPOCHS, adapt_epochs=EPOCHS, transfer_warmup=0.0, transfer_ramp=0.0)
-    plain, steps = short.replace(colour_mixing=0.0), len(frames) // profile.batch_size
-    speeds = [Speed("plain PyTorch, source regression", plain_loop_ms(frames, profile, EPOCHS))]
-    speeds.append(
-        _speed("stage 1", steps, train_source(frames, plain).history, overhead(frames, plain, repeats))
-    )
+    rows.append({"name": "plain PyTorch, source regression", "step_ms": step_ms})
+    add("stage 1", history, overhead=float(np.median(ratios)))
     model = train_source(frames, short)
     if profile.colour_mixing:
-        speeds.append(_speed("stage 1, mixed colours", steps, model.history))
+        add("stage 1, mixed colours", model.history)
     for method in methods:
         adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
-        speeds.append(_speed(f"stage 2, {method}", steps, adapted.history[EPOCHS:]))
-    return speeds
+        add(f"stage 2, {method}", adapted.history[EPOCHS:])
+    write_results(study.out / RESULTS, rows)
 
 
-def _speed(name: str, steps: int, history: Sequence[dict], over: float | None = None) -> Speed:
-    step_s = [epoch["wall_s"] / steps for epoch in history]
-    waits = [epoch["wait_s"] / epoch["wall_s"] for epoch in history]
-    return Speed(name, 1e3 * float(np.median(step_s)), float(np.median(waits)), over)
-
-
-def random_frames(profile: "Profile", count: int = FRAMES) -> "ArrayFrames":
+def random_frames(profile: "Profile", count: int) -> "ArrayFrames":
     """Return frames of noise at the profile's size: speed does not depend on what they show."""
     from gelgap.domains import ArrayFrames
 
@@ -108,62 +95,43 @@ def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> flo
     times = []
     with torch_threads(profile.threads):
         for _ in range(epochs):
-            order = torch.randperm(len(frames))
-            start, steps = time.perf_counter(), len(frames) // profile.batch_size
-            for i in range(steps):
-                rows = order[i * profile.batch_size : (i + 1) * profile.batch_size]
+            batches = torch.randperm(len(frames)).split(profile.batch_size)[
+                : len(frames) // profile.batch_size
+            ]
+            start = time.perf_counter()
+            for rows in batches:
                 optimizer.zero_grad(set_to_none=True)
                 functional.mse_loss(network(pictures.inputs(rows)), force[rows]).backward()
                 optimizer.step()
-            times.append((time.perf_counter() - start) / steps)
+            times.append((time.perf_counter() - start) / len(batches))
     return 1e3 * float(np.median(times))
 
 
-def overhead(frames: "ArrayFrames", profile: "Profile", repeats: int = REPEATS) -> float:
-    """Return the median of stage 1's processor time over the plain loop's, minus 1; taken in turns after a warm-up."""
-    from gelgap.adapt import train_source
-
-    short = profile.replace(source_epochs=2)
-    plain_loop_ms(frames, profile, 1)
-    ratios = []
-    for _ in range(repeats):
-        start = time.process_time()
-        plain_loop_ms(frames, profile, 2)
-        between = time.process_time()
-        train_source(frames, short)
-        ratios.append((time.process_time() - between) / (between - start) - 1)
-    return float(np.median(ratios))
-
-
 def tables(folder: Path) -> list[ResultTable]:
-    """Return the table of speeds, if they were measured."""
+    """Return the table of speeds, stage 2 beside a regression on both domains, if they were measured."""
     path = folder / RESULTS
-    return [speed_table(read_results(path, list[Speed]))] if path.is_file() else []
-
-
-def speed_table(speeds: Sequence[Speed]) -> ResultTable:
-    """Steps per second of every loop; stage 2 beside a regression on both domains."""
-    base = next(speed.step_ms for speed in speeds if speed.name == f"stage 2, {BASE}")
-
-    def percent(share: float | None, form: str) -> str:
-        return "–" if share is None else f"{100 * share:{form}} %"
-
-    over_base = [s.step_ms / base - 1 if s.name.startswith("stage 2") else None for s in speeds]
-    return by_column(
-        "Training speed, one thread",
-        "loop",
-        [s.name for s in speeds],
+    if not path.is_file():
+        return []
+    found = pd.DataFrame(read_results(path, list[dict[str, str | float | None]])).set_index("name")
+    found = found.reindex(columns=["step_ms", "overhead", "wait_share"])
+    over = found["step_ms"] / found.loc[f"stage 2, {BASE}", "step_ms"] - 1
+    frame = pd.DataFrame(
         {
-            "ms a step": [f"{s.step_ms:.1f}" for s in speeds],
-            "steps/s": [f"{1e3 / s.step_ms:.1f}" for s in speeds],
-            "over the plain loop": [percent(s.overhead, "+.1f") for s in speeds],
-            f"over {BASE}": [percent(over, "+.1f") for over in over_base],
-            "waiting for data": [percent(s.wait_share, ".1f") for s in speeds],
-        },
+            "ms a step": found["step_ms"],
+            "steps/s": 1e3 / found["step_ms"],
+            "over the plain loop": 100 * found["overhead"],
+            f"over {BASE}": 100 * over.where(over.index.str.startswith("stage 2")),
+            "waiting for data": 100 * found["wait_share"],
+        }
+    )
+    table = result_table(
+        "Training speed, one thread",
+        frame.rename_axis("loop"),
         "Medians over epochs of frames of noise; stage 1 over the plain loop in processor time. "
         "No-transfer takes no gradient through the target's pictures.",
+        {"": "{:+.1f} %", "ms a step": "{:.1f}", "steps/s": "{:.1f}", "waiting for data": "{:.1f} %"},
     )
+    return [table]
 
 
 PART = Part(measure, tables)
-run = PART.run

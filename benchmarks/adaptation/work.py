@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from gelgap.benchmarks.adaptation.compared import SOURCE_FREE
+from gelgap.benchmarks.adaptation.board import SOURCE_FREE
 from gelgap.benchmarks.adaptation.jobs import Axes, Bench, RunRecord, TrainingJob, configuration_of, open_pair
 
 if TYPE_CHECKING:

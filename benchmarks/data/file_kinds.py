@@ -151,18 +151,16 @@ def _sweep(part: Path) -> Any:
 
 def _records(part: Path) -> Any:
     """Return whether all records are ones that were written; those that are left out are measured again."""
-    from gelgap.benchmarks.adaptation.jobs import RunRecord
-    from gelgap.benchmarks.common.records import read_records
+    from gelgap.benchmarks.common import read_records
 
-    written = {repr(record) for record in read_records(part / "copy" / "runs.jsonl", RunRecord)}
-    return {repr(record) for record in read_records(part / "runs.jsonl", RunRecord)} <= written
+    written, found = (read_records(folder / "runs.jsonl") for folder in (part / "copy", part))
+    return found.equals(written.loc[found.index])
 
 
 def _oracles(part: Path) -> Any:
-    from gelgap.benchmarks.adaptation.results import ORACLES, GroupOracles
-    from gelgap.benchmarks.common.records import read_results
+    from gelgap.benchmarks.adaptation.groups import load_oracles
 
-    return repr(read_results(part / ORACLES, dict[str, GroupOracles]))
+    return repr(load_oracles(part).to_dict())
 
 
 def _kept_result(part: Path) -> Any:

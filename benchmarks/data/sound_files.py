@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets import asset_path
-from gelgap.benchmarks.adaptation.jobs import RunRecord, TrainingJob
-from gelgap.benchmarks.adaptation.results import GroupOracles, write_oracles
+from gelgap.benchmarks.adaptation.study import ORACLES, grid, write_results
+from gelgap.benchmarks.common import run_missing
 from gelgap.benchmarks.common.kept_results import kept_result
-from gelgap.benchmarks.common.records import append_record
 
 DOMAIN = "mb0i0"
 RUN_EPOCHS = 1
@@ -160,11 +159,10 @@ def _settings(folder: Path) -> None:
 
 def _records(folder: Path) -> None:
     folder.mkdir(parents=True)
-    for seed in range(8):
-        job = TrainingJob("mb0i0", "wmb1i1", "dsan", seed)
-        append_record(folder / "runs.jsonl", RunRecord(job, "smoke", mae_n=(0.1, 0.2, 0.3)))
-    oracles = GroupOracles((0.1, 0.1, 0.2), (0.2, 0.2, 0.3))
-    write_oracles(folder, {("mb0i0", "wmb1i1"): oracles})
+    runs = grid([("paired", ("mb0i0", "wmb1i1"))], ["dsan"], range(8))
+    run_missing(lambda run: {"mae_n": (0.1, 0.2, 0.3)}, runs, folder / "runs.jsonl", workers=1)
+    oracles = {"pose_n": (0.1, 0.1, 0.2), "geometry_n": (0.2, 0.2, 0.3)}
+    write_results(folder / ORACLES, {"mb0i0 → wmb1i1": oracles})
     kept_result(folder / "solved.result", kept_array)
 
 

@@ -12,15 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.compared import METHODS
-from gelgap.benchmarks.adaptation.data_sets import DESIGNS
+from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS
 from gelgap.benchmarks.adaptation.jobs import Bench
 from gelgap.benchmarks.adaptation.leaderboard import Entry, read_entries
-from gelgap.benchmarks.adaptation.paper import GROUPS
-from gelgap.benchmarks.adaptation.results import CEILING, mean_of
 from gelgap.benchmarks.adaptation.running import run_missing
-from gelgap.benchmarks.adaptation.statistics import bootstrap_interval
 from gelgap.benchmarks.adaptation.tables import interval, number
+from gelgap.benchmarks.common import bootstrap as bootstrap_interval
+from gelgap.benchmarks.common import mean_of
 from gelgap.benchmarks.common.tables import write_json
 from gelgap.benchmarks.real.clip_folds import FOLDS, SEEDS
 from gelgap.benchmarks.real.network_runs import (

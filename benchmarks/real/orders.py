@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation.results import mean_of
+from gelgap.benchmarks.common import mean_of
 
 RESAMPLES = 1000
 

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation.statistics import bootstrap_interval
+from gelgap.benchmarks.common import bootstrap as bootstrap_interval
 from gelgap.benchmarks.real.plain_points import center_of_change_px, level_point_px
 from gelgap.benchmarks.real.press_windows import Windows, windows_of
 from gelgap.benchmarks.real.published_sets import MM_PER_PX

@@ -11,9 +11,9 @@ import numpy as np
 
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.jobs import Bench, TrainingJob
-from gelgap.benchmarks.adaptation.results import mean_of
 from gelgap.benchmarks.adaptation.running import run_missing
 from gelgap.benchmarks.adaptation.tables import interval, number
+from gelgap.benchmarks.common import mean_of
 from gelgap.benchmarks.common.tables import write_json
 from gelgap.benchmarks.real.clip_folds import FOLDS, ClipFold
 from gelgap.benchmarks.real.few_label_draws import BUDGETS, Budget, few_labels

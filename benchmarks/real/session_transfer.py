@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.adaptation.statistics import bootstrap_interval
+from gelgap.benchmarks.common import bootstrap as bootstrap_interval
 from gelgap.benchmarks.common.tables import print_table, write_json
 from gelgap.benchmarks.real.clip_folds import FOLDS, SEEDS, clip_folds
 from gelgap.benchmarks.real.plain_methods import PLAIN_METHODS, ForceMethod

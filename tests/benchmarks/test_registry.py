@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, subjects
+from gelgap.benchmarks.registry import BENCHMARKS, Benchmark, find_benchmarks, parts_of, subjects
 from gelgap.cli.main import main
 
 
-@pytest.mark.parametrize("benchmark", BENCHMARKS, ids=lambda benchmark: benchmark.module)
+@pytest.mark.parametrize("benchmark", BENCHMARKS, ids=lambda benchmark: benchmark.place)
 def test_every_benchmark_has_the_protocol(benchmark):
     data = {"data": Path("clones")} if benchmark.needs_data else {}
     assert inspect.signature(benchmark.load().run).bind(quick=True, out_dir=Path("out"), **data)
@@ -24,22 +24,18 @@ def test_every_subject_has_something_to_measure_in_both_forms():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "modules"),
+    ("arguments", "places"),
     [
         (["physics"], ["physics.accuracy"]),
         (["stability"], ["physics.stability"]),
-        (["stability", "--what", "losses"], ["adaptation.losses"]),
-        (["stability", "--what", "published"], ["adaptation.published_losses"]),
-        (["adaptation", "--what", "gaps"], ["adaptation.gaps"]),
-        (["adaptation", "--quick"], ["adaptation.groups", "adaptation.speed"]),
-        (["adaptation"], [f"adaptation.{part.part}" for part in parts_of("adaptation")]),
+        (["stability", "--what", "render"], ["render.stability"]),
+        (["adaptation", "--what", "gaps"], ["adaptation.gaps:PART"]),
+        (["adaptation", "--quick"], ["adaptation.groups:PART", "adaptation.speed:PART"]),
+        (["adaptation"], [part.place for part in parts_of("adaptation")]),
     ],
 )
-def test_the_command_measures_what_was_asked_for(arguments, modules, monkeypatch, tmp_path):
+def test_the_command_measures_what_was_asked_for(arguments, places, monkeypatch, tmp_path):
     reached = []
-    for benchmark in BENCHMARKS:
-        monkeypatch.setattr(
-            benchmark.load(), "run", lambda quick, out_dir, module=benchmark.module: reached.append(module)
-        )
+    monkeypatch.setattr(Benchmark, "run", lambda benchmark, *given: reached.append(benchmark.place))
     main(["benchmark", *arguments, "--out", str(tmp_path)])
-    assert reached == modules
+    assert reached == places

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from real_clones import write_wedge_clone
 
+from gelgap.benchmarks.adaptation.board import GROUPS
 from gelgap.benchmarks.adaptation.groups import SEEDS
 from gelgap.benchmarks.adaptation.jobs import Bench
 from gelgap.benchmarks.adaptation.leaderboard import Entry, EntryRun
-from gelgap.benchmarks.adaptation.paper import GROUPS
 from gelgap.benchmarks.common.records import read_records
 from gelgap.benchmarks.real import network_runs, networks
 from gelgap.benchmarks.real.clip_folds import FOLDS

@@ -1,0 +1,79 @@
+"""The board: which groups, methods and data sets are compared, and what the paper reports of them."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gelgap.domains import DomainRecipe
+
+Group = tuple[str, str]
+"""Source and target."""
+Changes = tuple[tuple[str, Any], ...]
+"""Fields of a profile, or settings of a method, that differ from the preset, with their values."""
+BY_POINT: Changes = (("split_by", "point"),)
+AT_RANDOM: Changes = (("split_by", "random"),)
+AXES = ("x", "y", "z")
+
+GROUPS: tuple[Group, ...] = (
+    *(("mb0i0", "wmb0i0"), ("wmb0i0", "mb0i0"), ("wmb0i0", "wmb1i1")),
+    *(("wmb0i0", "wmb2i2"), ("wmb1i1", "wmb0i0"), ("wmb1i1", "wmb2i2")),
+    *(("mb0i0", "wmb1i1"), ("mb0i0", "wmb2i2"), ("wmb1i1", "mb0i0")),
+)
+"""The paper's adaptation groups (its table I)."""
+PAPER_MAE_N = {
+    "source-only": (0.276, 0.196, 0.300, 0.384, 0.226, 0.230, 0.323, 0.304, 0.368),
+    "dann": (0.098, 0.118, 0.132, 0.162, 0.120, 0.180, 0.143, 0.238, 0.185),
+    "daregram": (0.082, 0.091, 0.143, 0.186, 0.102, 0.242, 0.159, 0.198, 0.129),
+    "dsan": (0.086, 0.086, 0.138, 0.180, 0.095, 0.167, 0.160, 0.195, 0.105),
+}
+"""The paper's mean MAE in N, in the order of `GROUPS`; the methods in the paper's order, the worst first."""
+PAPER_METHODS = ("dann", "daregram", "dsan")
+"""The paper's methods of adaptation."""
+
+PLAIN, CEILING = "source-only", "supervised"
+SOURCE_FREE = ("ssa", "tasfar")
+"""Methods that adapt without source frames: AdaBN is what they must beat."""
+METHODS = (
+    *(PLAIN, "adabn", "no-transfer", "classifier-only"),
+    *("coral", "dan", "jan", "dann", "cdan", "rsd", "daregram", "cod", "dsan", "dsan-soft"),
+    *("mean-teacher", "uga", "importance-weighting", "tasfar", "ssa", CEILING),
+)
+"""All methods: controls, alignment of distributions, other ways to adapt, source-free ones, and the ceiling."""
+MAIN_METHODS = (PLAIN, "adabn", "no-transfer", "classifier-only", *PAPER_METHODS, CEILING)
+"""The paper's methods, their controls and the ceiling."""
+
+DESIGNS = ("paired", "independent")
+"""Whether both domains of a group have the same contacts, or each its own; also the data sets of the groups."""
+TUNING_DOMAINS = ("mb3i3", "wmb3i3", "wmb4i4")
+"""Gels and lights by which hyperparameters are chosen: no group that is compared has one of them."""
+TUNING_SETS = ("tune-paired", "tune-independent")
+TUNING_CASES = (
+    ("tune-paired", ("mb3i3", "wmb3i3")),
+    ("tune-paired", ("wmb3i3", "wmb4i4")),
+    ("tune-independent", ("wmb4i4", "mb3i3")),
+    ("tune-independent", ("mb3i3", "wmb4i4")),
+)
+"""Data set and group of each case of a choice: markers, gel and light, all three; half of them with paired contacts."""
+
+
+def recipes_of(data: str) -> "tuple[DomainRecipe, ...]":
+    """Return the domains of a data set: of a design, or of the tuning groups in a design."""
+    from gelgap.domains import make_recipes, preset_recipes
+
+    options = {"contacts": data.removeprefix("tune-"), "quality": "standard", "seed": 0}
+    if options["contacts"] == "independent":
+        options["inpainted"] = ()  # inpainting a domain's pictures would keep its contacts
+    if data in DESIGNS:
+        recipes = preset_recipes("cpu", **options)
+    else:
+        recipes = make_recipes(TUNING_DOMAINS, "cpu", **{"inpainted": ("wmb3i3",), **options})
+    return tuple(map(_away_from_edges, recipes)) if options["contacts"] == "independent" else recipes
+
+
+def _away_from_edges(recipe: "DomainRecipe") -> "DomainRecipe":
+    """Return a recipe whose points lie nearer together along y.
+
+    Points that are moved, each in its cell, would else come so near to the pad's edge that each needs its own solve.
+    """
+    path = replace(recipe.path, points_y_mm=tuple(0.8 * y for y in recipe.path.points_y_mm))
+    return recipe.model_copy(update={"path": path})

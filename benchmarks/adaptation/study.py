@@ -1,0 +1,419 @@
+"""One run of the board, its record, and the report of all studies.
+
+A run is a setting: a method on a group of a data set with a seed. `adapt_run` trains it and returns the results for its
+record. A study is a grid of settings, a file of records, and tables that are queries on them: a `Part`.
+"""
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from gelgap.adapt import NamedFigure, ResultTable, write_pages
+from gelgap.assets.checksums import canonical_json, checksum_problem, file_sha256, read_json, write_checksums
+from gelgap.benchmarks.adaptation import board
+from gelgap.benchmarks.common import Results, Setting, read_records, run_missing, write_json
+from gelgap.benchmarks.registry import parts_of
+
+if TYPE_CHECKING:
+    from gelgap.adapt import ForceModel, Profile, SplitFrames
+    from gelgap.domains import DomainRecipe, GeneratedDomain, LabelledFrames
+
+RUNS, ORACLES = "runs.jsonl", "oracles.json"
+_CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
+_CONTROLS |= dict.fromkeys(board.SOURCE_FREE, "adabn")
+_COLUMNS = (
+    "source",
+    "target",
+    "method",
+    "seed",
+    "data",
+    "changes",
+    "settings",
+    "problem",
+    "alarm",
+    "mae_n",
+    "r2",
+)
+
+
+def grid(
+    cases: Iterable[tuple[str, board.Group]],
+    methods: Iterable[str],
+    seeds: Iterable[int],
+    changes: board.Changes = board.BY_POINT,
+    settings: Callable[[str], Iterable[board.Changes]] = lambda method: [()],
+) -> list[Setting]:
+    """Return the runs of methods on data sets and groups, one seed after the other, so that finished seeds are whole.
+
+    `changes` are fields of the profile that differ from the preset, `settings` the candidates of a method's own.
+    """
+    cases, methods = list(cases), list(methods)
+    return [
+        {
+            **{"source": source, "target": target, "method": method, "seed": seed},
+            **{"data": data, "changes": changes, "settings": own},
+        }
+        for seed in seeds
+        for data, (source, target) in cases
+        for method in methods
+        for own in settings(method)
+    ]
+
+
+@dataclass(frozen=True)
+class Study:
+    """Where runs find their data and leave their records, with which profile, and how much time they may take now.
+
+    Without `seeds` or `methods` a part takes its own; methods may be places of one's own, `module:Class` or
+    `file.py:Class`. `workers` are processes, by default one per core; one means this process. No run is begun after
+    `stop`, a time of `time.time`.
+    """
+
+    data: Path
+    out: Path
+    profile: str
+    seeds: tuple[int, ...] | None = None
+    workers: int | None = None
+    stop: float = math.inf
+    methods: tuple[str, ...] | None = None
+
+    @classmethod
+    def at(cls, folder: Path, **limits: Any) -> "Study":
+        """Return the study of a folder that is named after the profile, its data beside it."""
+        return cls(folder.parent / f"data-{folder.name}", folder, folder.name, **limits)
+
+    def within(self, name: str, profile: str) -> "Study":
+        """Return a study with another profile and data of its own, below this one's records."""
+        folder = self.out / name
+        return replace(self, data=folder / "data", out=folder / "runs", profile=profile)
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether one small group is enough, to see everything run."""
+        return self.profile == "smoke"
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no further run is to be begun."""
+        return time.time() >= self.stop
+
+    def known_methods(self) -> tuple[str, ...]:
+        """Return the names of the chosen methods, if any; classes of one's own are known by theirs from now on."""
+        from gelgap.adapt.methods.registry import use_method
+
+        return tuple(map(use_method, self.methods or ()))
+
+    def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
+        """Generate what is missing of some domains of a data set."""
+        from gelgap.domains import generate_recipes
+
+        scheduler = "synchronous" if self.workers == 1 else None
+        print(
+            generate_recipes(recipes, self.data / data, scheduler=scheduler, workers=self.workers), flush=True
+        )
+
+    def generate_sets(self, *data: str) -> None:
+        """Generate what is missing of some of the board's data sets."""
+        for name in data:
+            self.generate(board.recipes_of(name), name)
+
+    def run(
+        self, function: "Callable[[Study, Setting], Results]", runs: Iterable[Setting], file: str
+    ) -> pd.DataFrame:
+        """Do the runs that have no record in a file of the study; return the records of all that are finished.
+
+        Raises
+        ------
+        ValueError
+            If a record is of another profile, configuration or settings than the same run has now.
+        """
+        return run_missing(
+            partial(_run, function, self),
+            runs,
+            self.out / file,
+            workers=self.workers,
+            fixed=self.stated_of,
+            shared=self.stage1_of,
+            describe=lambda record: record["problem"] or f"{np.mean(record['mae_n']):.3f} N",
+            stop=self.stop,
+        )
+
+    def profile_of(self, run: Setting) -> "Profile":
+        """Return the preset with the changes of a run; of the methods' settings its own alone."""
+        from gelgap.adapt import Profile
+
+        profile, method = Profile.preset(self.profile), run["method"]
+        own = {**profile.settings.get(method, {}), **dict(run["settings"])}
+        return profile.replace(**dict(run["changes"]), settings={method: own} if own else {})
+
+    def domains_of(self, run: Setting) -> "list[GeneratedDomain]":
+        """Return the source and the target of a run."""
+        folder = (self.data / run["data"]).resolve()
+        return [_domain(folder / run[name]) for name in ("source", "target")]
+
+    def frames_of(self, run: Setting) -> "SplitFrames":
+        """Return the frames of a run, divided for training and judging."""
+        from gelgap.adapt import split_for_training
+
+        return split_for_training(*self.domains_of(run), self.profile_of(run), run["seed"])
+
+    def stated_of(self, run: Setting) -> Results:
+        """Return what the record of a run states of its profile and data."""
+        return self.stated(self.profile_of(run), run["method"], *(d.recipe.key for d in self.domains_of(run)))
+
+    def stated(self, profile: "Profile", method: str, *data: Any) -> Results:
+        """Return what a record states of a profile, of a method's settings, and of what says which data are used.
+
+        `configuration` is a hash of all that the methods of a group have in common.
+        """
+        common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
+        configuration = hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]
+        settings = profile.settings.get(method, {})
+        return {"profile": self.profile, "configuration": configuration, "settings": settings}
+
+    def stage1_of(self, run: Setting) -> str | None:
+        """Return the checkpoint of the first stage that a run has yet to train, and shares; None if there is none."""
+        from gelgap.adapt import find_method
+
+        if not find_method(run["method"]).needs_stage_1:
+            return None
+        checkpoint = _checkpoint(self, json.dumps(run | {"method": board.PLAIN, "settings": []}))
+        return None if checkpoint.is_file() else str(checkpoint)
+
+
+@cache
+def _checkpoint(study: Study, run_json: str) -> Path:
+    """Return where the first stage of a run is kept; all methods of a group, split and seed share it."""
+    from gelgap.adapt import Stage1
+
+    run = json.loads(run_json)
+    frames = study.frames_of(run).source_train
+    return Stage1(frames, study.profile_of(run), run["seed"], out=study.out).checkpoint
+
+
+@cache
+def _domain(folder: Path) -> "GeneratedDomain":
+    from gelgap.domains import open_domain
+
+    return open_domain(folder)
+
+
+def _run(function: Callable[[Study, Setting], Results], study: Study, run: Setting) -> Results:
+    study.known_methods()  # a worker process does not know them yet
+    return function(study, run)
+
+
+def adapt_run(study: Study, run: Setting) -> Results:
+    """Do one run and return what its record needs."""
+    return trained(study, run)[2]
+
+
+def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None, Results]":
+    """Train both stages of a run; return its frames, its model, and errors on the target's test frames, by axis.
+
+    A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
+    with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
+    """
+    from gelgap.adapt import as_judged_on_source, evaluate, evaluate_constant_mean
+    from gelgap.adapt.runs import versions
+
+    frames = study.frames_of(run)
+    model, problem, stage1_s, stage2_s = train_stages(study, run, frames.source_train, frames.target_train)
+    constant = evaluate_constant_mean(frames.source_train, frames.target_test)
+    on_target, on_source, history = constant, None, [{}]
+    if model is not None:
+        on_target, history = evaluate(model, frames.target_test), model.history or history
+        on_source = evaluate(as_judged_on_source(model, frames.source_train), frames.source_held_out)
+    results = {
+        "versions": "gelgap {gelgap}, torch {torch}".format_map(versions()),
+        "control": control_of(run["method"]),
+        "problem": problem,
+        "mae_n": short(on_target.mae_n),
+        "r2": short(on_target.r2),
+        "constant_mean_n": short(constant.mae_n),
+        "source_held_out_r2": None if on_source is None else short(on_source.r2),
+        "stage1_s": round(stage1_s, 2),
+        "stage2_s": round(stage2_s, 2),
+        "skipped_steps": sum(epoch.get("skipped_steps", 0) for epoch in history),
+        "diagnostics": short(history[-1].get("diagnostics", {})),
+    }
+    return frames, model, results
+
+
+def train_stages(
+    study: Study, run: Setting, source: "LabelledFrames", target: "LabelledFrames"
+) -> "tuple[ForceModel | None, str | None, float, float]":
+    """Train both stages of a run on given frames; return the model, or else the problem, and the stages' times, s.
+
+    A collapse, or a loss that is not finite, is a result, not a failure.
+    """
+    from gelgap.adapt import FeatureCollapse, Stage1, TrainingDiverged, adapt, find_method
+
+    profile, method, seed = study.profile_of(run), run["method"], run["seed"]
+    shared = Stage1(source, profile, seed, out=study.out)
+    model, stage1_s = shared.model() if find_method(method).needs_stage_1 else (shared.untrained(), 0.0)
+    for part in (source, target):
+        part.images(profile.image_size_px)  # read before the clock starts
+    start = time.perf_counter()
+    try:
+        model, problem = adapt(model, source, target, method, profile, seed), None
+    except (FeatureCollapse, TrainingDiverged) as trouble:
+        model, problem = None, str(trouble)
+    return model, problem, stage1_s, time.perf_counter() - start
+
+
+def scored_run(study: Study, run: Setting) -> Results:
+    """Do one run, and score it by the selectors, which see no target label; `alarm`: it may predict a constant."""
+    from gelgap.adapt import Candidate, as_judged_on_source
+    from gelgap.adapt.selection import alarm, scores
+
+    frames, model, results = trained(study, run)
+    if model is None:
+        return results | {"scores": None, "alarm": False}
+    on_source = as_judged_on_source(model, frames.source_train)
+    candidate = Candidate(
+        source_features=on_source.features(frames.source_held_out),
+        source_force_n=frames.source_held_out.force_n,
+        source_prediction_n=on_source.predict_n(frames.source_held_out),
+        target_features=model.features(frames.target_validation),
+        target_prediction_n=model.predict_n(frames.target_validation),
+    )
+    return results | {"scores": short(scores(candidate)), "alarm": bool(alarm(candidate))}
+
+
+def control_of(method: str) -> str | None:
+    """Return the method that a method must beat for its loss to be of use; None for source-only and the ceiling.
+
+    Class-aware methods are compared with the classifier without a loss, source-free ones with AdaBN, others with stage
+    2 without a loss.
+    """
+    from gelgap.adapt import find_method
+
+    found = find_method(method)
+    if method in _CONTROLS or not found.uses_target or found.uses_target_labels:
+        return _CONTROLS.get(method)
+    return "classifier-only" if found.uses_classifier else "no-transfer"
+
+
+def short(values: Mapping[str, float] | Iterable[float]) -> Any:
+    """Return values rounded to five digits, so that records stay small."""
+    if isinstance(values, Mapping):
+        return dict(zip(values, short(values.values()), strict=True))
+    return [float(f"{value:.5g}") for value in values]
+
+
+def load_runs(file: Path) -> pd.DataFrame:
+    """Return the records of a file of runs; see `with_errors`."""
+    return with_errors(read_records(file))
+
+
+def with_errors(records: pd.DataFrame) -> pd.DataFrame:
+    """Return records with their group ("mb0i0 → wmb1i1"), MAE (N) and R² by axis, and the mean MAE over the axes, N."""
+    if records.empty:
+        records = pd.DataFrame(columns=[*records, *_COLUMNS])
+    by_axis = {
+        name.format(axis): records[column].map(lambda values, i=i: values[i])
+        for name, column in (("MAE {}, N", "mae_n"), ("R² {}", "r2"))
+        for i, axis in enumerate(board.AXES)
+    }
+    group = records["source"] + " → " + records["target"]
+    return records.assign(group=group, error_n=records["mae_n"].map(np.mean), **by_axis)
+
+
+def write_results(path: Path, results: Any) -> None:
+    """Write results as JSON, and their checksum to the folder's list, for `read_results`."""
+    write_json(path, results)
+    write_checksums(path.parent, {path.name: file_sha256(path)})
+
+
+def read_results(path: Path, kind: Any) -> Any:
+    """Return what `write_results` wrote, of a type.
+
+    Raises
+    ------
+    RuntimeError
+        If the file is damaged.
+    """
+    from pydantic import TypeAdapter
+
+    if not (problem := checksum_problem(path)):
+        try:
+            return TypeAdapter(kind).validate_python(read_json(path))
+        except ValueError as error:
+            problem = f"is damaged ({' '.join(str(error).split())[:120]})"
+    raise RuntimeError(f"{path} {problem}; delete it and run the same benchmark again")
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the benchmark: `measure` does what is missing; `tables` and `figures` show a folder's records."""
+
+    measure: Callable[[Study], None]
+    tables: Callable[[Path], list[ResultTable]]
+    figures: Callable[[Path], list[NamedFigure]] = lambda folder: []
+
+    def run(self, quick: bool, out_dir: Path) -> None:
+        """Measure with the cpu profile, or quickly with the smoke profile; print the tables, write the report."""
+        folder = out_dir / "adaptation" / ("smoke" if quick else "cpu")
+        self.carry_out(Study.at(folder, workers=1 if quick else None))
+
+    def carry_out(self, study: Study) -> None:
+        """Measure, print the tables and write the report of all parts."""
+        check_installed()
+        self.measure(study)
+        for table in self.tables(study.out):
+            table.show()
+        if is_benchmark(study.out):
+            print(f"wrote {write_benchmark_report(study.out)}")
+
+
+def check_installed() -> None:
+    """Stop, before anything is measured, if the package that compares methods is missing.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If scikit-posthocs is not installed.
+    """
+    try:
+        import scikit_posthocs  # noqa: F401
+    except ModuleNotFoundError:
+        missing = "comparing methods needs scikit-posthocs: pip install gelgap[benchmark]"
+        raise ModuleNotFoundError(missing) from None
+
+
+def is_benchmark(folder: Path) -> bool:
+    """Return whether a folder holds the records of the benchmark."""
+    return (folder / RUNS).is_file() and (folder / ORACLES).is_file()
+
+
+def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
+    """Write adaptation.md, .tex, .html and the figures of all parts that were run; return the HTML's path.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder holds no records of the benchmark.
+    ModuleNotFoundError
+        If scikit-posthocs is not installed.
+    """
+    if not is_benchmark(folder):
+        raise FileNotFoundError(
+            f"{folder} holds no records of the adaptation benchmark ({RUNS} and {ORACLES}); "
+            "`gelgap benchmark adaptation` writes them"
+        )
+    check_installed()
+    parts = [entry.load() for entry in parts_of("adaptation")]
+    tables = [table for part in parts for table in part.tables(folder)]
+    figures = [figure for part in parts for figure in part.figures(folder)]
+    title = f"Adaptation benchmark, profile {folder.name}"
+    return write_pages(out_dir or folder, "adaptation", title, tables, figures)

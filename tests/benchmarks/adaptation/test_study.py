@@ -1,0 +1,175 @@
+"""Runs of the board: what is missing, which records are refused, methods of one's own, and the report of all parts."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from run_records import crossed, label_record, look_up_method, record, write_benchmark, write_runs
+
+from gelgap.benchmarks.adaptation import gaps, labels, speed
+from gelgap.benchmarks.adaptation.board import GROUPS
+from gelgap.benchmarks.adaptation.study import (
+    RUNS,
+    Part,
+    Study,
+    grid,
+    is_benchmark,
+    write_benchmark_report,
+    write_results,
+)
+
+CASES = [("paired", GROUPS[0])]
+OWN_METHOD = """
+from gelgap.adapt import Method
+
+class Mine(Method):
+    needs_stage_1 = False
+
+class Other(Mine):
+    pass
+"""
+
+
+@pytest.fixture
+def same_data(monkeypatch, tmp_path):
+    """A study in one process whose domains need not be there."""
+    monkeypatch.setattr(Study, "domains_of", lambda self, run: [])
+    return Study(tmp_path, tmp_path, "cpu", workers=1)
+
+
+def test_work_comes_in_pieces_and_nothing_is_done_twice(same_data):
+    did = []
+
+    def work(own: Study, run: dict) -> dict:
+        did.append(run["method"])
+        return {"problem": None, "mae_n": [0.1] * 3, "r2": [0.5] * 3}
+
+    runs = grid(CASES, ["dan", "dann", "dsan"], [0])
+    assert len(replace(same_data, stop=time.time()).run(work, runs[:2], RUNS)) == 0
+    assert len(same_data.run(work, runs[:2], RUNS)) == 2
+    found = same_data.run(work, runs, RUNS)
+    assert list(found["method"]) == did == ["dan", "dann", "dsan"]
+    assert set(found["profile"]) == {"cpu"}
+    assert found["settings.transfer_weight"].iloc[1] == 0.003
+
+
+@pytest.mark.parametrize("differs", [{"configuration": "d"}, {"settings": {"transfer_weight": 0.7}}])
+def test_records_of_another_configuration_are_not_gone_on_from(same_data, differs):
+    (run,) = grid(CASES, ["jan"], [0])
+    stated = same_data.stated_of(run)
+    _, results = record(GROUPS[0], "jan", 0.1)
+    write_runs(same_data.out / RUNS, [(run, results | stated | differs)])
+    with pytest.raises(ValueError, match=f"is of another {next(iter(differs))} than the same run has now"):
+        same_data.run(lambda own, run: pytest.fail("measured"), [run], RUNS)
+
+
+def test_a_runs_settings_stand_above_the_methods_own(same_data):
+    from gelgap.adapt import transfer_weight
+
+    (run,) = grid(CASES, ["daregram"], [0], (("adapt_epochs", 3),), lambda _: [(("transfer_weight", 0.7),)])
+    profile = same_data.profile_of(run)
+    assert transfer_weight("daregram", profile) == 0.7
+    assert profile.adapt_epochs == 3
+    (plain,) = grid(CASES, ["source-only"], [0])
+    assert same_data.profile_of(plain).settings == {}
+
+
+def test_stored_records_are_those_of_the_grids_of_today():
+    from gelgap.benchmarks.adaptation import choice
+    from gelgap.benchmarks.adaptation.board import TUNING_CASES
+    from gelgap.benchmarks.common import key_of, read_records
+
+    stored = Path(__file__).parents[3] / "docs" / "results" / "runs"
+    grids = {
+        choice.TUNED: choice.grid_runs(TUNING_CASES, choice.GRIDS, [0]),
+        choice.NINE_GROUPS: choice.grid_runs(choice.NINE, ("dann", "daregram", "dsan"), [0]),
+        choice.AUGMENTATIONS: choice.variant_runs(TUNING_CASES, [choice.METHOD], [0]),
+        labels.RECORD: grid([("paired", group) for group in GROUPS], labels.METHODS, [0]),
+    }
+    for file, runs in grids.items():
+        assert set(read_records(stored / file).index) == {key_of(run) for run in runs}, file
+
+
+def test_workers_know_a_method_of_ones_own(same_data, tmp_path):
+    (tmp_path / "own.py").write_text(OWN_METHOD)
+    places = tuple(f"{tmp_path / 'own.py'}:{name}" for name in ("Mine", "Other"))
+    own = replace(same_data, methods=places, workers=2)
+    found = own.run(look_up_method, grid(CASES, own.known_methods(), range(4)), RUNS)
+    assert set(found["method"]) == {"own.Mine", "own.Other"}
+    assert set(found["found"]) == {"Mine", "Other"}
+    assert os.getpid() not in set(found["pid"])
+    assert found["pid"].nunique() == 2
+
+
+def test_runs_that_share_a_first_stage_name_its_checkpoint(source, target, monkeypatch, tmp_path):
+    own = Study(tmp_path, tmp_path, "smoke")
+    monkeypatch.setattr(Study, "domains_of", lambda self, run: [source, target])
+    one, two, other, _ = grid(CASES, ["dsan", "dann"], [0, 1])
+    (without,) = grid(CASES, ["constant-mean"], [0])
+    checkpoint = own.stage1_of(one)
+    assert checkpoint == own.stage1_of(two) != own.stage1_of(other)
+    assert own.stage1_of(without) is None
+    Path(checkpoint).parent.mkdir()
+    Path(checkpoint).touch()
+    assert own.stage1_of(one) is None
+
+
+def test_ctrl_c_ends_with_a_sentence(tmp_path):
+    command = [sys.executable, "-m", "gelgap.benchmarks.adaptation", "groups", "--out", tmp_path / "smoke"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    while not list(tmp_path.glob("data-smoke/paired/*")):
+        time.sleep(0.05)
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+    said = "interrupted; finished runs are kept, run the same command again to go on\n"
+    assert (process.returncode, error) == (130, said)
+
+
+def test_a_missing_package_is_named_before_anything_is_measured(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "scikit_posthocs", None)
+    part = Part(measure=lambda own: pytest.fail("measured"), tables=lambda folder: [])
+    with pytest.raises(ModuleNotFoundError, match=r"pip install gelgap\[benchmark\]"):
+        part.run(quick=True, out_dir=tmp_path)
+
+
+def test_no_records_is_one_sentence(tmp_path):
+    with pytest.raises(FileNotFoundError, match="holds no records of the adaptation benchmark"):
+        write_benchmark_report(tmp_path)
+
+
+def test_report_of_all_parts(tmp_path):
+    folder, rng = tmp_path / "cpu", np.random.default_rng(0)
+    assert not is_benchmark(folder)
+    found = [
+        record(group, method, 0.1, seed, mae_n=0.1 + 0.1 * rng.random(3), stage1_s=0.0)
+        for group in GROUPS
+        for method in ("source-only", "dann", "dsan", "supervised")
+        for seed in (0, 1)
+    ]
+    write_benchmark(folder, found)
+    write_runs(folder / labels.RECORD, [label_record(GROUPS[0], "dsan", {0: 0.2, 1: 0.1})])
+    write_results(folder / gaps.RESULTS, crossed(lambda c: 0.1))
+    times = {"step_ms": 40.0, "wait_share": 0.01, "overhead": 0.02}
+    loops = [{"name": name, **times} for name in ("stage 1", "stage 2, supervised")]
+    write_results(folder / speed.RESULTS, loops)
+    page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 5
+    text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
+    for expected in (
+        "Nemenyi's difference",
+        "A few labelled target frames",
+        "Effects and interactions",
+        "![Mean ranks",
+        "pose oracle",
+        "25.0 | +2.0 %",
+    ):
+        assert expected in text
+    latex = Path(tmp_path / "out" / "adaptation.tex").read_text(encoding="utf-8")
+    assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))
