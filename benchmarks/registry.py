@@ -100,13 +100,6 @@ BENCHMARKS = (
         by_default=False,
     ),
     Benchmark("throughput", "estimates", "estimated beside taken time", "data.estimates", by_default=False),
-    Benchmark("faults", "generation", "what a fault during generation costs", "data.faults"),
-    Benchmark(
-        "faults", "files", "what damage to each kind of file does", "data.file_faults", by_default=False
-    ),
-    Benchmark(
-        "faults", "interruptions", "commands stopped at random", "data.interruptions", by_default=False
-    ),
     Benchmark(
         "adaptation",
         "augmentations",

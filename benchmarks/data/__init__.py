@@ -1,1 +1,1 @@
-"""How fast domains are made and read, and what faults cost."""
+"""How fast domains are made and read."""

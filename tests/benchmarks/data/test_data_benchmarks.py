@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from gelgap.benchmarks.common.records import Ledger
-from gelgap.benchmarks.data import faults, throughput
+from gelgap.benchmarks.data import throughput
 from gelgap.benchmarks.data.estimates import ToldTimeLeft
 from gelgap.domains import preset_recipes
 
@@ -62,54 +62,6 @@ def test_a_measurement_is_done_once(tmp_path: Path):
         found = ledger.once("reading", list[throughput.Rate], measure)
         assert found == [throughput.Rate("in order", 400.0, 150), throughput.Rate("at random", 300.0)]
     assert len(calls) == 1
-
-
-def test_faults_that_were_tried_are_kept_when_the_benchmark_is_stopped(tmp_path: Path, monkeypatch):
-    struck = []
-
-    def strike(name: str):
-        def make(trial: faults.Trial) -> bool:
-            struck.append(name)
-            if struck == ["first", "second"]:
-                raise KeyboardInterrupt
-            return True
-
-        return make
-
-    def generate(folder: Path, directions: int) -> None:
-        (folder / "mb0i0").mkdir(parents=True, exist_ok=True)
-        (folder / "mb0i0" / "manifest.json").write_text("{}")
-
-    monkeypatch.setattr(faults, "generate_domains", generate)
-    names = ("first", "second", "third", "in the full form alone")
-    monkeypatch.setattr(faults, "FAULTS", {name: strike(name) for name in names})
-    monkeypatch.setattr(faults, "QUICK_FAULTS", names[:3])
-    with pytest.raises(KeyboardInterrupt):
-        faults.run(True, tmp_path)
-    faults.run(True, tmp_path)
-    assert struck == ["first", "second", "second", "third"]
-    content = json.loads((tmp_path / "faults.json").read_text())
-    assert [(result["fault"], result["survived"], result["files_different"]) for result in content] == [
-        ("first", 1, 0),
-        ("second", 1, 0),
-        ("third", 1, 0),
-    ]
-
-
-def test_the_quick_form_tries_a_fault_of_each_kind():
-    assert set(faults.QUICK_FAULTS) < faults.FAULTS.keys()
-
-
-def test_a_file_that_differs_is_counted(tmp_path: Path, monkeypatch):
-    def generate(folder: Path, directions: int) -> None:
-        (folder / "mb0i0").mkdir(parents=True, exist_ok=True)
-        (folder / "mb0i0" / "manifest.json").write_text(folder.name)
-        (folder / "mb0i0" / f"left-by-{folder.name}.txt").write_text("")
-
-    monkeypatch.setattr(faults, "generate_domains", generate)
-    generate(tmp_path / "whole", 1)
-    trial = faults.Trial(tmp_path / "struck", tmp_path / "whole", 1)
-    assert faults.measure("fault", lambda trial: False, [trial]).files_different == 3
 
 
 def test_the_told_time_left_is_compared_with_what_was_left() -> None:
