@@ -42,8 +42,7 @@ class Benchmark:
 
 
 _BEGINS_ANEW = (
-    "data.estimates",
-    "data.stages",
+    "stages",
     "render.accuracy",
     "physics.stability",
     "render.stability",
@@ -91,15 +90,14 @@ BENCHMARKS = (
         by_default=False,
     ),
     Benchmark("view", None, "from a knob of gelgap view to the picture", "view.latency"),
-    Benchmark("throughput", "generation", "time to generate and to read domains", "data.throughput"),
+    Benchmark("throughput", "generation", "time to generate and to read domains", "throughput"),
     Benchmark(
         "throughput",
         "stages",
         "where the time of a data set goes, and how it scales",
-        "data.stages",
+        "stages",
         by_default=False,
     ),
-    Benchmark("throughput", "estimates", "estimated beside taken time", "data.estimates", by_default=False),
     Benchmark(
         "adaptation",
         "augmentations",

@@ -16,7 +16,6 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +92,11 @@ def in_this_process(_: Callable) -> Callable:
     return lambda workers, function, arguments: [function(argument) for argument in arguments]
 
 
+def measured_in_this_process(real: Callable) -> Callable:
+    """Measure the settings of a benchmark in this process, instead of each in a fresh one."""
+    return lambda *given, **options: real(*given, **options | {"workers": 1, "tasks_per_worker": None})
+
+
 def smallest_solve(_: Callable) -> Callable:
     """Solve a benchmark's case at draft, with the cache."""
 
@@ -111,7 +115,7 @@ def smallest_recipes(_: Callable) -> Callable:
     """Make one domain of the tiny path instead of a preset's."""
     from gelgap.domains import make_recipes
 
-    return lambda: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
+    return lambda *_, **__: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
 def data_of_the_readme(_: Callable) -> Callable:
@@ -132,18 +136,13 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "render.speed.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
     },
     "gelgap benchmark throughput --quick": {
-        "data.throughput.quick_recipes": smallest_recipes,
-        "data.throughput.generate_recipes": lambda real: (
-            lambda recipes, out, workers, progress: real(recipes, out, workers=1, progress=progress)
-        ),
-    },
-    "gelgap benchmark throughput --what estimates --quick": {
-        "data.estimates.presses": lambda real: lambda quick: islice(real(quick), 1),
-        "data.estimates.generations": lambda real: lambda folder, quick: islice(real(folder, quick), 1),
+        "throughput.recipes_of": smallest_recipes,
+        "throughput.run_missing": measured_in_this_process,
     },
     "gelgap benchmark throughput --what stages --quick": {
-        "data.stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
-        "data.stages.generate_recipes": lambda real: (
+        "stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
+        "stages.preset_recipes": smallest_recipes,
+        "stages.generate_recipes": lambda real: (
             lambda recipes, out, workers: real(recipes, out, scheduler="synchronous")
         ),
     },
