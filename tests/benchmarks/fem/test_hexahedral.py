@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.fem.contact import SphereContact
-from gelgap.benchmarks.fem.hexahedral import Drag, HexahedralPad, solve_drag
+from gelgap.benchmarks.fem.hexahedral import Drag, half_pad, solve_drag
+from gelgap.benchmarks.fem.indentation import SphereContact
 from gelgap.benchmarks.physics.reference import no_slip_drags
 
 
 @pytest.fixture(scope="module")
 def pad():
-    return HexahedralPad(Drag(element_mm=0.6, sectors=8, pad_radius_mm=5.0), furthest_mm=0.3)
+    return half_pad(Drag(element_mm=0.6, sectors=8, pad_radius_mm=5.0), furthest_mm=0.3)
 
 
 def test_stiffness_is_the_slope_of_the_internal_forces(pad):
