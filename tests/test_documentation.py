@@ -14,12 +14,10 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
 from real_clones import write_ball_clone, write_recordings, write_wedge_clone
@@ -87,28 +85,9 @@ angles_deg = [0, 90, 180, 270]
 """
 
 
-def in_this_process(_: Callable) -> Callable:
-    """Do a benchmark's work in this process, instead of each piece in a process of its own."""
-    return lambda workers, function, arguments: [function(argument) for argument in arguments]
-
-
 def measured_in_this_process(real: Callable) -> Callable:
     """Measure the settings of a benchmark in this process, instead of each in a fresh one."""
     return lambda *given, **options: real(*given, **options | {"workers": 1, "tasks_per_worker": None})
-
-
-def smallest_solve(_: Callable) -> Callable:
-    """Solve a benchmark's case at draft, with the cache."""
-
-    def solve(case):
-        from gelgap.benchmarks.physics.cases import SolvedCase
-        from gelgap.sim import solve_poses
-
-        sharing = replace(case.sharing, cache=True)
-        states = solve_poses(case.elastomer, case.indenter, case.poses, "draft", sharing)
-        return SolvedCase(case, states, wall_s=1.0, processor_s=1.0, peak_memory_mib=1.0)
-
-    return solve
 
 
 def smallest_recipes(_: Callable) -> Callable:
@@ -127,8 +106,8 @@ def data_of_the_readme(_: Callable) -> Callable:
 
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
-        "physics.cases.Workers.map": in_this_process,
-        "physics.cases.solve_case": smallest_solve,
+        "physics.cases.run_missing": measured_in_this_process,
+        "physics.savings.run_missing": measured_in_this_process,
         "physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
     },
     "gelgap benchmark render --quick": {
@@ -166,12 +145,6 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     },
 }
 """Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""
-
-
-def shortened(reference: Any, poses: int) -> Any:
-    """Return a reference's first poses."""
-    series = {name: value for name, value in vars(reference).items() if isinstance(value, tuple | np.ndarray)}
-    return replace(reference, **{name: value[:poses] for name, value in series.items()})
 
 
 # --- running them ----------------------------------------------------------------------------------------------
