@@ -46,7 +46,7 @@ _BEGINS_ANEW = (
     "render.accuracy",
     "physics.stability",
     "render.stability",
-    "view.latency",
+    "view",
     "adaptation.losses",
     "adaptation.published_losses",
     "adaptation.speed",
@@ -89,7 +89,7 @@ BENCHMARKS = (
         "adaptation.published_losses",
         by_default=False,
     ),
-    Benchmark("view", None, "from a knob of gelgap view to the picture", "view.latency"),
+    Benchmark("view", None, "from a knob of gelgap view to the picture", "view"),
     Benchmark("throughput", "generation", "time to generate and to read domains", "throughput"),
     Benchmark(
         "throughput",

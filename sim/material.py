@@ -29,7 +29,7 @@ class Moduli:
         return young * poisson / ((1 + poisson) * (1 - 2 * poisson))
 
 
-# `python -m gelgap.benchmarks.calibration.material` prints these coefficients of `equivalent_moduli`.
+# `scripts/calibrate_material.py` prints these coefficients of `equivalent_moduli`.
 SMALLEST_CALIBRATED_POISSON_RATIO = 0.3
 MODULUS_COEFFICIENTS = (0.2294, -0.0290)
 POISSON_COEFFICIENTS = (0.0452, -0.1176)
@@ -66,7 +66,7 @@ def mesh_moduli(gel: Moduli, stiffness: tuple[float, float], contact_width: floa
 
     Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
     scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does:
-    1 + a + b / (1 − 2ν). `python -m gelgap.benchmarks.calibration.mesh` derives a and b against locking-free solutions
+    1 + a + b / (1 − 2ν). `scripts/calibrate_mesh.py` derives a and b against locking-free solutions
     of the same energy, and checks them on radii, thicknesses, ν and friction that it did not use. Under a contact that
     is `contact_width` times as wide as the gel is thick, the excess is smaller by the root of that.
     """

@@ -43,7 +43,7 @@ QUICKEST = {
     r"--test later/later-clips --clips 7": "--test later/later-clips --clips 2",
     r"own/mine --clips 5": "own/mine --clips 1",
     r"source_epochs=150": "source_epochs=4",
-    r"render.guide_pictures docs/pictures": "render.guide_pictures pictures --quality draft",
+    r"guide_pictures.py docs/pictures(?! --view)": "guide_pictures.py pictures --quality draft",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
     r"--what (networks|contact-point|pretraining|randomisation)(?= --data)": r"--what \1 --quick",
     r"adaptation/cpu": "adaptation/smoke",
@@ -58,11 +58,11 @@ NOT_RUN = {
     r"gelgap benchmark adaptation --what (augmentations|tuning|transfer|gaps|labels)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
-    r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
+    r"python scripts/(calibrate|drag)": "minutes to hours of solves",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|\"taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",
-    r"python -m gelgap.benchmarks.view.screenshot": "needs a browser; tests/view/test_page.py opens one",
+    r"python scripts/guide_pictures.py docs/pictures --view": "needs a browser; tests/view/test_page.py opens one",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"git clone": "downloads; tests/real_clones.py writes such clones in small",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
@@ -126,7 +126,7 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         ),
     },
     "gelgap benchmark view --quick": {
-        "view.latency.QUICK_REPEATS": lambda real: 1,
+        "view.QUICK_REPEATS": lambda real: 1,
     },
     "gelgap benchmark stability --what physics --quick": {
         "physics.stability.QUICK_SCENES": lambda real: real[:1],
@@ -208,6 +208,10 @@ def run_command(line: str, parse_only: bool) -> None:
         assert find_spec(words[2]), f"there is no module {words[2]}"
         if not parse_only:
             run_program([sys.executable, *words[1:]])
+    elif words[0] == "python":
+        assert (ROOT / words[1]).is_file(), f"there is no file {words[1]}"
+        if not parse_only:
+            run_program([sys.executable, str(ROOT / words[1]), *words[2:]])
     elif words[0] == "make":
         run_program([*words, "--directory", str(ROOT)])
     else:

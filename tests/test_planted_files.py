@@ -15,9 +15,8 @@ from hostile_bytes import Bait, npz, npz_of_bait, pickled, torch_bait
 from valid_files import DOMAIN, read_colours, read_resumed
 
 from gelgap.adapt import write_report
-from gelgap.benchmarks.adaptation.jobs import RunRecord
+from gelgap.benchmarks.common import read_records
 from gelgap.benchmarks.common.kept_results import result_from_bytes
-from gelgap.benchmarks.common.records import read_records
 from gelgap.domains import export, inspect_domain, open_domain, verify_domain
 from gelgap.domains.folder import DomainFolder, sha256
 from gelgap.sim.solution import solution_from_bytes
@@ -130,11 +129,11 @@ def test_a_planted_checkpoint_of_training_is_set_aside_and_training_begins_anew(
 
 def test_a_planted_line_among_records_is_left_out(files: Path, caplog) -> None:
     path = files / "records" / "runs.jsonl"
-    written = read_records(path, RunRecord)
+    written = read_records(path)
     lines = path.read_bytes().splitlines()
     planted = [b"[" * 200_000, b'{"job": 3}', b"null", b"\xff", lines[0].replace(b"0.1", b"0.0")]
     path.write_bytes(b"\n".join([*planted, *lines]) + b"\n")
-    assert read_records(path, RunRecord) == written
+    assert read_records(path).equals(written)
     assert caplog.text.count("runs.jsonl, line") == len(planted)
 
 

@@ -22,10 +22,10 @@ from gelgap.adapt import (
 )
 from gelgap.adapt.resnet import load_imagenet_weights
 from gelgap.assets import asset_path
-from gelgap.benchmarks.adaptation.jobs import RunRecord, TrainingJob
 from gelgap.benchmarks.adaptation.results import ORACLES, GroupOracles, write_oracles
+from gelgap.benchmarks.common import read_records, run_missing
 from gelgap.benchmarks.common.kept_results import kept_result
-from gelgap.benchmarks.common.records import append_record, read_records, read_results
+from gelgap.benchmarks.common.records import read_results
 from gelgap.cli.calibrate import read_presses
 from gelgap.domains import Sweep, generate, open_domain
 from gelgap.domains.picture_codec import encode_jpeg, encode_png
@@ -146,9 +146,9 @@ def _settings(folder: Path) -> None:
 
 
 def _records(folder: Path) -> None:
-    for seed in range(8):
-        job = TrainingJob("mb0i0", "wmb1i1", "dsan", seed)
-        append_record(folder / "runs.jsonl", RunRecord(job, "smoke", mae_n=(0.1, 0.2, 0.3)))
+    runs = [{"method": "dsan", "seed": seed} for seed in range(8)]
+    run_missing(lambda run: {"mae_n": (0.1, 0.2, 0.3)}, runs, folder / "runs.jsonl", workers=1)
+    run_missing(lambda run: {"curve": KEPT}, runs[:1], folder / "curves.jsonl", workers=1)
     write_oracles(folder, {("mb0i0", "wmb1i1"): GroupOracles((0.1, 0.1, 0.2), (0.2, 0.2, 0.3))})
     kept_result(folder / "solved.result", lambda: KEPT)
 
@@ -173,6 +173,11 @@ class FileKind:
 def read_colours(file: Path) -> Any:
     """Return the colours of LEDs, which are computed again if those of the cache cannot be used."""
     return Illumination.preset("i0").led_to_camera(Sensor.preset("paper").camera)
+
+
+def read_rows(file: Path) -> Any:
+    """Return the records of a study; those that cannot be used are left out, and measured again."""
+    return [tuple(map(repr, row)) for row in read_records(file).itertuples()]
 
 
 def read_frames(folder: Path) -> Any:
@@ -222,8 +227,9 @@ KINDS: dict[str, FileKind] = {
     "stage 1": FileKind("runs/stage1.pt", read_model),
     "checkpoint": FileKind("runs/resume.pt", read_resumed),
     "weights": FileKind("runs/weights.pt", read_weights),
-    "records": FileKind(
-        "records/runs.jsonl", lambda file: [repr(record) for record in read_records(file, RunRecord)]
+    "records": FileKind("records/runs.jsonl", read_rows),
+    "array of a record": FileKind(
+        "records/curves/*.npz", lambda file: read_rows(file.parents[1] / "curves.jsonl")
     ),
     "oracles": FileKind(f"records/{ORACLES}", lambda file: repr(read_results(file, dict[str, GroupOracles]))),
     "kept result": FileKind("records/solved.result", lambda file: kept_result(file, lambda: KEPT)),

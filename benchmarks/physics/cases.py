@@ -112,9 +112,9 @@ class SolvedCase:
 
 @dataclass(frozen=True)
 class Solver:
-    """How many processes solve, and the folder that keeps what they have finished."""
+    """How many processes solve (None: one per core), and the folder that keeps what they have finished."""
 
-    processes: int
+    processes: int | None
     folder: Path
 
     def solve(self, cases: Iterable[Case]) -> dict[Case, SolvedCase]:
