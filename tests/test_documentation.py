@@ -120,6 +120,7 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     },
     "gelgap benchmark throughput --what stages --quick": {
         "stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
+        "stages.REPEATS": lambda real: 1,
         "stages.preset_recipes": smallest_recipes,
         "stages.generate_recipes": lambda real: (
             lambda recipes, out, workers: real(recipes, out, scheduler="synchronous")
