@@ -69,11 +69,14 @@ def run(quick: bool, out_dir: Path) -> None:
     small, large = (plan_generation(recipes_of(size, quality)) for size in POINTS)
     with patch.dict(os.environ, GELGAP_CACHE=str(folder / "solves")):
         solves = solve_costs([*large.solves.values(), *paper.solves.values()])[len(large.solves) :]
-        frames = frame_costs(large.batches[0], inpainted_share(paper), folder / "frames")
-        generated = [
-            (plan.frames, workers, *generation_s(plan, folder / f"{plan.frames}-{workers}", workers))
-            for plan, workers in ((small, 1), (large, 1), (large, 2))
-        ]
+        inpainted = sum(len(batch) for batch in paper.batches for one in batch.recipes if one.inpainted_from)
+        frames = frame_costs(large.batches[0], inpainted / paper.frames, folder / "frames")
+        generated = []
+        for plan, workers in ((small, 1), (large, 1), (large, 2)):
+            wall_s, client_s = time.perf_counter(), time.process_time()
+            generate_recipes(plan.recipes, folder / f"{plan.frames}-{workers}", workers=workers)
+            wall_s, client_s = time.perf_counter() - wall_s, time.process_time() - client_s
+            generated.append((plan.frames, workers, wall_s, client_s))
     costs = stage_costs(frames, solves, paper)
     show(
         f"Where the processor time of the paper's data set goes, {quality} quality",
@@ -116,12 +119,6 @@ def solve_costs(solves: Sequence[Solve]) -> pd.DataFrame:
         iterations = sum(record.diagnostics.iterations for record in records)
         rows.append((time.process_time() - start, solve.problem.load_steps, iterations))
     return pd.DataFrame(rows, columns=["core_s", "load_steps", "iterations"])
-
-
-def inpainted_share(plan: GenerationPlan) -> float:
-    """Return the share of a plan's frames that are inpainted."""
-    inpainted = [len(batch) for batch in plan.batches for recipe in batch.recipes if recipe.inpainted_from]
-    return sum(inpainted) / plan.frames
 
 
 def rendering(batch: FrameBatch, folder: Path | None = None) -> Callable[[], None]:
@@ -207,13 +204,6 @@ def stage_costs(frames: pd.DataFrame, solves: pd.DataFrame, plan: GenerationPlan
     found.insert(3, "share, %", 100 * found["s in all"] / found["s in all"].sum())
     found.insert(5, "times the floor", found["ms per frame"] / found["floor, ms per frame"])
     return found
-
-
-def generation_s(plan: GenerationPlan, folder: Path, workers: int) -> tuple[float, float]:
-    """Generate a plan's domains, whose solves are known; return wall time and the client's own processor time, s."""
-    wall_s, client_s = time.perf_counter(), time.process_time()
-    generate_recipes(plan.recipes, folder, workers=workers)
-    return time.perf_counter() - wall_s, time.process_time() - client_s
 
 
 def scaling(times: pd.DataFrame, frames: int, solves_s: pd.Series) -> tuple[pd.DataFrame, str]:

@@ -23,7 +23,6 @@ from gelgap.domains import (
     generate_recipes,
     make_recipes,
     open_domain,
-    package_versions,
     plan_generation,
     preset_recipes,
     shown_progress,
@@ -47,21 +46,18 @@ def run(quick: bool, out_dir: Path) -> None:
     folder = out_dir / "throughput"
     preset, quality = ("quick", "draft") if quick else ("paper", "standard")
     recipes = recipes_of(preset, quality)
-    gels = list(dict.fromkeys(recipe.elastomer.model_dump_json() for recipe in recipes))
-    about = {"preset": preset, "quality": quality, "versions": package_versions()}
-    about["workers"] = 1 if quick else len(os.sched_getaffinity(0))
-    settings = [
-        about | {"domains": [recipe.name for recipe in recipes if recipe.elastomer.model_dump_json() == gel]}
-        for gel in gels
-    ]
+    by_gel: dict[str, list[str]] = {}
+    for recipe in recipes:
+        by_gel.setdefault(recipe.elastomer.model_dump_json(), []).append(recipe.name)
+    about = {"preset": preset, "quality": quality}
+    workers = 1 if quick else len(os.sched_getaffinity(0))
+    settings = [about | {"domains": names, "workers": workers} for names in by_gel.values()]
     file = folder / "generation.jsonl"
     if not file.exists():
         shutil.rmtree(folder, ignore_errors=True)
     # One after the other, each in a process of its own, whose children are the workers.
     runs = run_missing(partial(generation, folder), settings, file, workers=1, tasks_per_worker=1)
-    runs = runs[["workers", *runs.columns[runs.columns.get_loc("solves") :]]].set_index(
-        runs["domains"].map(" + ".join)
-    )
+    runs = runs.set_index(runs["domains"].map(" + ".join)).drop(columns=["domains", *about])
     whole = together(runs)
     show(f"Generation of {preset} at {quality} quality", pd.concat([runs, whole]), AIMS)
     shared_h = (whole["s"] * whole["workers"] * whole["CPU share"]).item() / 3600
