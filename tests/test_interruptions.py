@@ -101,16 +101,13 @@ class Child:
             signal.signal(signal.SIGINT, signal.SIG_DFL)
             prepare()
 
-        words = [
-            sys.executable,
-            "-c",
-            CHILD,
-            *command.words.format(inputs=inputs).split(),
-            "--out",
-            str(folder),
-        ]
+        given = [*command.words.format(inputs=inputs).split(), "--out", str(folder)]
         streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        child = cls(subprocess.Popen(words, start_new_session=True, preexec_fn=before_it, **streams))
+        child = cls(
+            subprocess.Popen(
+                [sys.executable, "-c", CHILD, *given], start_new_session=True, preexec_fn=before_it, **streams
+            )
+        )
         assert child.process.stdout.readline() == "begun\n"
         return child
 
@@ -123,15 +120,17 @@ class Child:
         """Wait for the end; return the exit code and what was said. Nothing that was started may outlive it."""
         out, err = self.process.communicate(timeout=DEADLINE_S)
         deadline = time.monotonic() + 60
-        while left := [p for p in psutil.process_iter() if _session(p.pid) == self.process.pid]:
+        while left := list(filter(self.started, psutil.process_iter())):
             assert time.monotonic() < deadline, left
             time.sleep(0.05)
         return self.process.returncode, out, err
 
-
-def _session(pid: int) -> int | None:
-    with contextlib.suppress(ProcessLookupError):
-        return os.getsid(pid)
+    def started(self, process: psutil.Process) -> bool:
+        """Return whether a process that still runs is of the command's session."""
+        with contextlib.suppress(ProcessLookupError, psutil.NoSuchProcess):
+            zombie = process.status() == psutil.STATUS_ZOMBIE
+            return os.getsid(process.pid) == self.process.pid and not zombie
+        return False
 
 
 @pytest.fixture(scope="module")
