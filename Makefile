@@ -9,13 +9,14 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 
-.PHONY: help setup demo view test lint format docs links wheel-check clean
+.PHONY: help setup demo view test test-slow lint format docs links wheel-check clean
 
 help:
 	@echo "make setup        create .venv with gelgap, its tested dependencies and what tests need, and install libosmesa6 if missing"
 	@echo "make demo         create .venv with gelgap alone, then run the main job end to end: domains, adaptation, report (minutes)"
 	@echo "make view         create .venv with gelgap and viser, and open the page in the browser"
 	@echo "make test         set up, then lint and run the test suite"
+	@echo "make test-slow    the tests that make test leaves out: longer forms of some"
 	@echo "make lint         ruff check, ruff format --check, and mypy over the public names"
 	@echo "make docs         make the site in build/site; its examples and notebooks run (minutes)"
 	@echo "make links        make the site, and follow its links to other sites; its own are checked by make docs"
@@ -46,7 +47,10 @@ view: $(VENV)/.view
 	$(BIN)/gelgap view
 
 test: setup lint
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m 'not slow'
+
+test-slow: setup
+	$(BIN)/python -m pytest -n $(WORKERS) -m slow
 
 lint: setup
 	$(BIN)/ruff check .

@@ -58,16 +58,10 @@ _MEASURED = {
         ("physics", "solves at the corners of what is allowed", "physics.stability", ANEW),
         ("render", "memory and time over many frames", "render.stability", EXTRA, ANEW),
     ],
-    "view": [(None, "from a knob of gelgap view to the picture", "view.latency", ANEW)],
+    "view": [(None, "from a knob of gelgap view to the picture", "view", ANEW)],
     "throughput": [
-        ("generation", "time to generate and to read domains", "data.throughput"),
-        ("stages", "where the time of a data set goes, and how it scales", "data.stages", EXTRA, ANEW),
-        ("estimates", "estimated beside taken time", "data.estimates", EXTRA, ANEW),
-    ],
-    "faults": [
-        ("generation", "what a fault during generation costs", "data.faults"),
-        ("files", "what damage to each kind of file does", "data.file_faults", EXTRA),
-        ("interruptions", "commands stopped at random", "data.interruptions", EXTRA),
+        ("generation", "time to generate and to read domains", "throughput"),
+        ("stages", "where the time of a data set goes, and how it scales", "stages", EXTRA, ANEW),
     ],
     "adaptation": [
         ("augmentations", "augmentations, chosen on the tuning groups", "adaptation.choice:AUGMENT", LONG),

@@ -116,7 +116,7 @@ def mesh_moduli(gel: Moduli, stiffness: tuple[float, float], contact_width: floa
 
     Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
     scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does:
-    1 + a + b / (1 − 2ν). `python -m gelgap.benchmarks.calibration.mesh` derives a and b against locking-free solutions
+    1 + a + b / (1 − 2ν). `scripts/calibrate_mesh.py` derives a and b against locking-free solutions
     of the same energy, and checks them on radii, thicknesses, ν and friction that it did not use. Under a contact that
     is `contact_width` times as wide as the gel is thick, the excess is smaller by the root of that.
     """

@@ -18,7 +18,7 @@ StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
 Length = Annotated[float, within(1.0, 100.0, "mm")]
 PadEdges = tuple[float, float, float, float]
 
-# `python -m gelgap.benchmarks.calibration.material` prints these coefficients of `equivalent_moduli`.
+# `scripts/calibrate_material.py` prints these coefficients of `equivalent_moduli`.
 SMALLEST_CALIBRATED_POISSON_RATIO = 0.3
 MODULUS_COEFFICIENTS = (0.2294, -0.0290)
 POISSON_COEFFICIENTS = (0.0452, -0.1176)

@@ -1,4 +1,4 @@
-"""A small domain drawn with NumPy, whose pictures determine the force, a profile that learns it, and sound files."""
+"""A small domain drawn with NumPy, whose pictures determine the force, a profile that learns it, and valid files."""
 
 import shutil
 from pathlib import Path
@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gelgap.adapt.profile import Profile
-from gelgap.benchmarks.data.sound_files import make_sound_files
 from gelgap.domains import ArrayFrames
 
 
@@ -85,16 +84,16 @@ def profile() -> Profile:
 
 
 @pytest.fixture(scope="session")
-def sound_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One sound file of every kind; the cache among them is not that of other tests."""
-    folder = tmp_path_factory.mktemp("sound") / "files"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GELGAP_CACHE", str(folder / "cache"))
-        make_sound_files(folder)
+def valid_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One valid file of every kind; the cache among them is not that of other tests."""
+    from valid_files import make_valid_files
+
+    folder = tmp_path_factory.mktemp("valid") / "files"
+    make_valid_files(folder)
     return folder
 
 
 @pytest.fixture
-def files(sound_files: Path, tmp_path: Path) -> Path:
+def files(valid_files: Path, tmp_path: Path) -> Path:
     """A copy to be changed."""
-    return Path(shutil.copytree(sound_files, tmp_path / "files"))
+    return Path(shutil.copytree(valid_files, tmp_path / "files"))

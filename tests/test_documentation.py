@@ -14,13 +14,10 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from importlib.util import find_spec
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
 from real_clones import write_ball_clone, write_recordings, write_wedge_clone
@@ -46,7 +43,7 @@ QUICKEST = {
     r"--test later/later-clips --clips 7": "--test later/later-clips --clips 2",
     r"own/mine --clips 5": "own/mine --clips 1",
     r"source_epochs=150": "source_epochs=4",
-    r"render.guide_pictures docs/pictures": "render.guide_pictures pictures --quality draft",
+    r"guide_pictures.py docs/pictures(?! --view)": "guide_pictures.py pictures --quality draft",
     r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
     r"--what (networks|contact-point|pretraining|randomisation)(?= --data)": r"--what \1 --quick",
     r"adaptation/cpu": "adaptation/smoke",
@@ -58,15 +55,14 @@ QUICKEST = {
 
 NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
-    r"gelgap benchmark faults": "kills processes and fills a disk for minutes",
     r"gelgap benchmark adaptation --what (augmentations|tuning|transfer|gaps|labels)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
-    r"python -m gelgap.benchmarks.calibration": "minutes to hours of solves; its module is looked up",
+    r"python scripts/(calibrate|drag)": "minutes to hours of solves",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|\"taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",
-    r"python -m gelgap.benchmarks.view.screenshot": "needs a browser; tests/view/test_page.py opens one",
+    r"python scripts/guide_pictures.py docs/pictures --view": "needs a browser; tests/view/test_page.py opens one",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"git clone": "downloads; tests/real_clones.py writes such clones in small",
     r"dask (scheduler|worker)": "servers; tests/domains/test_cluster.py starts them",
@@ -89,30 +85,16 @@ angles_deg = [0, 90, 180, 270]
 """
 
 
-def in_this_process(_: Callable) -> Callable:
-    """Do a benchmark's work in this process, instead of each piece in a process of its own."""
-    return lambda workers, function, arguments: [function(argument) for argument in arguments]
-
-
-def smallest_solve(_: Callable) -> Callable:
-    """Solve a benchmark's case at draft, with the cache."""
-
-    def solve(case):
-        from gelgap.benchmarks.physics.cases import SolvedCase
-        from gelgap.sim import solve_poses
-
-        sharing = replace(case.sharing, cache=True)
-        states = solve_poses(case.elastomer, case.indenter, case.poses, "draft", sharing)
-        return SolvedCase(case, states, wall_s=1.0, processor_s=1.0, peak_memory_mib=1.0)
-
-    return solve
+def measured_in_this_process(real: Callable) -> Callable:
+    """Measure the settings of a benchmark in this process, instead of each in a fresh one."""
+    return lambda *given, **options: real(*given, **options | {"workers": 1, "tasks_per_worker": None})
 
 
 def smallest_recipes(_: Callable) -> Callable:
     """Make one domain of the tiny path instead of a preset's."""
     from gelgap.domains import make_recipes
 
-    return lambda: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
+    return lambda *_, **__: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
 def data_of_the_readme(_: Callable) -> Callable:
@@ -124,8 +106,8 @@ def data_of_the_readme(_: Callable) -> Callable:
 
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
-        "physics.cases.Workers.map": in_this_process,
-        "physics.cases.solve_case": smallest_solve,
+        "physics.cases.run_missing": measured_in_this_process,
+        "physics.savings.run_missing": measured_in_this_process,
         "physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
     },
     "gelgap benchmark render --quick": {
@@ -133,23 +115,19 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "render.speed.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
     },
     "gelgap benchmark throughput --quick": {
-        "data.throughput.quick_recipes": smallest_recipes,
-        "data.throughput.generate_recipes": lambda real: (
-            lambda recipes, out, workers, progress: real(recipes, out, workers=1, progress=progress)
-        ),
-    },
-    "gelgap benchmark throughput --what estimates --quick": {
-        "data.estimates.presses": lambda real: lambda quick: islice(real(quick), 1),
-        "data.estimates.generations": lambda real: lambda folder, quick: islice(real(folder, quick), 1),
+        "throughput.recipes_of": smallest_recipes,
+        "throughput.run_missing": measured_in_this_process,
     },
     "gelgap benchmark throughput --what stages --quick": {
-        "data.stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
-        "data.stages.generate_recipes": lambda real: (
+        "stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
+        "stages.REPEATS": lambda real: 1,
+        "stages.preset_recipes": smallest_recipes,
+        "stages.generate_recipes": lambda real: (
             lambda recipes, out, workers: real(recipes, out, scheduler="synchronous")
         ),
     },
     "gelgap benchmark view --quick": {
-        "view.latency.QUICK_REPEATS": lambda real: 1,
+        "view.QUICK_REPEATS": lambda real: 1,
     },
     "gelgap benchmark stability --what physics --quick": {
         "physics.stability.QUICK_SCENES": lambda real: real[:1],
@@ -165,12 +143,6 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     },
 }
 """Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""
-
-
-def shortened(reference: Any, poses: int) -> Any:
-    """Return a reference's first poses."""
-    series = {name: value for name, value in vars(reference).items() if isinstance(value, tuple | np.ndarray)}
-    return replace(reference, **{name: value[:poses] for name, value in series.items()})
 
 
 # --- running them ----------------------------------------------------------------------------------------------
@@ -234,6 +206,10 @@ def run_command(line: str, parse_only: bool) -> None:
         assert find_spec(words[2]), f"there is no module {words[2]}"
         if not parse_only:
             run_program([sys.executable, *words[1:]])
+    elif words[0] == "python":
+        assert (ROOT / words[1]).is_file(), f"there is no file {words[1]}"
+        if not parse_only:
+            run_program([sys.executable, str(ROOT / words[1]), *words[2:]])
     elif words[0] == "make":
         run_program([*words, "--directory", str(ROOT)])
     else:

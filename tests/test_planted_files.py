@@ -12,12 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hostile_bytes import Bait, npz, npz_of_bait, pickled, torch_bait
+from valid_files import DOMAIN, read_colours, read_resumed
 
 from gelgap.adapt import write_report
 from gelgap.benchmarks.common import read_records
 from gelgap.benchmarks.common.kept_results import result_from_bytes
-from gelgap.benchmarks.data import file_kinds
-from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.domains import export, inspect_domain, open_domain, verify_domain
 from gelgap.domains.formats.domain_folder import DomainFolder, sha256
 from gelgap.sim.solution import solution_from_bytes
@@ -53,10 +52,10 @@ def test_a_planted_result_of_a_benchmark_is_refused(files: Path) -> None:
 )
 def test_planted_colours_are_named_and_made_again(files: Path, planted: bytes, monkeypatch, caplog) -> None:
     monkeypatch.setenv("GELGAP_CACHE", str(files / "cache"))
-    expected = file_kinds._colours(files)
+    expected = read_colours(files)
     for file in (files / "cache").glob("*.led"):
         file.write_bytes(planted)
-        assert np.array_equal(file_kinds._colours(files), expected)
+        assert np.array_equal(read_colours(files), expected)
         assert file.name in caplog.text
         assert file.with_name(f"{file.name}.damaged").read_bytes() == planted
 
@@ -118,19 +117,14 @@ def test_a_shard_whose_checksum_was_planted_too_is_refused(files: Path, change: 
 
 
 def test_a_planted_checkpoint_of_training_is_set_aside_and_training_begins_anew(files: Path, caplog) -> None:
-    expected = file_kinds._resumed(files_with_pictures(files))
+    expected = read_resumed(files / "runs" / "resume.pt")
     for planted in (torch_bait(files), b"", (files / "runs" / "stage1.pt").read_bytes()):
         (files / "runs" / "resume.pt").write_bytes(planted)
         caplog.clear()
-        found = file_kinds._resumed(files / "runs")
-        assert all(np.array_equal(found[name], values) for name, values in expected.items())
+        found = read_resumed(files / "runs" / "resume.pt")
+        assert np.array_equal(found, expected)
         assert "resume.pt" in caplog.text
     assert not (files / "bait").exists()
-
-
-def files_with_pictures(files: Path) -> Path:
-    shutil.copytree(files / "pictures", files / "runs" / "pictures")
-    return files / "runs"
 
 
 def test_a_planted_line_among_records_is_left_out(files: Path, caplog) -> None:

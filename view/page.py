@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import viser
 
-from gelgap.assets.names import shown as quoted
+from gelgap.assets.names import quoted
 from gelgap.view.controls import Controls
 from gelgap.view.panels import ComparePanel, DataPanel, Readout
 from gelgap.view.pictures import difference

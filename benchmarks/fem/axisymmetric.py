@@ -13,16 +13,12 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from gelgap.benchmarks.fem.contact import SphereContact
-from gelgap.benchmarks.fem.material import IsochoricNeoHookean, NeoHookean, StableNeoHookean
-from gelgap.benchmarks.fem.newton import Indentation, Iterate
-from gelgap.benchmarks.fem.pad import Pad
+from gelgap.benchmarks.fem.indentation import Indentation, SphereContact, State
+from gelgap.benchmarks.fem.pad import Element, NeoHookean, Pad, StableNeoHookean
 from gelgap.benchmarks.fem.theory import hertz_contact_radius_mm
 
 Floats = NDArray[np.float64]
-Energy = Literal["isochoric", "stable"]
 
-MATERIALS: dict[str, type[NeoHookean]] = {"isochoric": IsochoricNeoHookean, "stable": StableNeoHookean}
 PENALTY_PER_MODULUS = 1e4  # 1/mm: the sphere is entered by pressure / (1e4 E), some 0.05 µm
 STICK_PER_MODULUS = 3e2  # 1/mm: sticking nodes give way by shear / (3e2 E), less than 1 µm
 GROWTH = 1.18  # ratio of neighbouring elements away from the contact
@@ -43,7 +39,7 @@ class Press:
 
     young_modulus_mpa: float = 0.3
     poisson_ratio: float = 0.49
-    energy: Energy = "isochoric"
+    energy: Literal["isochoric", "stable"] = "isochoric"
     friction: float = np.inf
     indenter_radius_mm: float = 1.5
     thickness_mm: float = 3.0
@@ -80,7 +76,8 @@ class Press:
 
     @property
     def material(self) -> NeoHookean:
-        return MATERIALS[self.energy](self.young_modulus_mpa, self.poisson_ratio)
+        energy = NeoHookean if self.energy == "isochoric" else StableNeoHookean
+        return energy(self.young_modulus_mpa, self.poisson_ratio)
 
 
 @dataclass(frozen=True)
@@ -131,7 +128,7 @@ def solve_press(
         raise ValueError(f"depths_mm = {tuple(depths_mm)} must rise within (0, {problem.thickness_mm})")
     radius = problem.indenter_radius_mm
     scene = Indentation(
-        pad=AxisymmetricPad(problem, deepest_mm=depths[-1]),
+        pad=section_of_pad(problem, deepest_mm=depths[-1]),
         contact=SphereContact(
             radius,
             problem.friction,
@@ -153,68 +150,40 @@ def solve_press(
     return tuple(states)
 
 
-class AxisymmetricPad(Pad):
-    """Half the section of a round pad, with the axis at r = 0, the membrane at z = 0 and the backing below.
-
-    F has the components rr, rz, zr, zz and φφ.
-    """
-
-    identity = np.array([1.0, 0, 0, 1, 1])
-
-    def __init__(self, problem: Press, deepest_mm: float) -> None:
-        r, z = _mesh(problem, deepest_mm)
-        index = np.arange(len(r) * len(z)).reshape(len(r), len(z))
-        corner = index[:-2:2, :-2:2].ravel()
-        offsets = (np.arange(3)[:, None] * len(z) + np.arange(3)).ravel()
-        self.nodes = np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2)
-        self.connectivity = corner[:, None] + offsets
-        self.surface = index[:, -1]
-        self.surface_area_mm2 = _nodal_areas_mm2(r)
-        self._integrate()
-        fixed = np.concatenate([2 * index[:, 0], 2 * index[:, 0] + 1, 2 * index[0]])  # backing; axis
-        material = problem.material
-        pointwise = min(material.volumetric_modulus_mpa, POINTWISE_PER_SHEAR * material.shear_modulus_mpa)
-        super().__init__(material, fixed, pointwise)
-
-    def _integrate(self) -> None:
-        """Set strain operators and weights at the 3×3 Gauss points of each element."""
-        points, weights = leggauss(3)
-        values, slopes = _quadratic(points)
-        shape = np.einsum("ai,bj->abij", values, values).reshape(9, 9)
-        shape_r = np.einsum("ai,bj->abij", slopes, values).reshape(9, 9)
-        shape_z = np.einsum("ai,bj->abij", values, slopes).reshape(9, 9)
-        first, last = self.nodes[self.connectivity[:, 0]], self.nodes[self.connectivity[:, 8]]
-        half_r, half_z = (last - first).T / 2
-        gauss_r = self.nodes[self.connectivity, 0] @ shape.T
-        self.volume = 2 * np.pi * gauss_r * np.outer(half_r * half_z, np.outer(weights, weights))
-        strain = np.zeros((len(first), 9, 5, 9, 2))
-        strain[:, :, 0, :, 0] = strain[:, :, 2, :, 1] = shape_r / half_r[:, None, None]
-        strain[:, :, 1, :, 0] = strain[:, :, 3, :, 1] = shape_z / half_z[:, None, None]
-        strain[:, :, 4, :, 0] = shape / gauss_r[:, :, None]
-        self.strain = strain.reshape(len(first), 9, 5, 18)
-        self.modes = np.stack([np.ones(9), np.repeat(points, 3), np.tile(points, 3)], axis=-1)
-
-    @staticmethod
-    def volume_ratio(f: Floats) -> Floats:
-        return (f[..., 0] * f[..., 3] - f[..., 1] * f[..., 2]) * f[..., 4]
-
-    @staticmethod
-    def volume_ratio_derivatives(f: Floats) -> tuple[Floats, Floats]:
-        rr, rz, zr, zz, hoop = np.moveaxis(f, -1, 0)
-        dj = np.stack([zz * hoop, -zr * hoop, -rz * hoop, rr * hoop, rr * zz - rz * zr], axis=-1)
-        ddj = np.zeros((*f.shape, 5))
-        for i, k, value in ((0, 3, hoop), (1, 2, -hoop), (0, 4, zz), (1, 4, -zr), (2, 4, -rz), (3, 4, rr)):
-            ddj[..., i, k] = ddj[..., k, i] = value
-        return dj, ddj
-
-
-def _mesh(problem: Press, deepest_mm: float) -> tuple[Floats, Floats]:
-    """Return node coordinates r (from the axis) and z (from the backing to the surface at 0)."""
+def section_of_pad(problem: Press, deepest_mm: float) -> Pad:
+    """Return half the section of a round pad: the axis at r = 0, the membrane at z = 0 and the backing below."""
     contact = hertz_contact_radius_mm(problem.indenter_radius_mm, deepest_mm)
     ring = min(1.15 * contact, 1.2 * problem.indenter_radius_mm)
     r = _graded(ring, problem.pad_radius_mm, problem.element_mm, problem.thickness_mm / 4)
-    z = _graded(0, problem.thickness_mm, problem.element_mm, problem.thickness_mm / 6)
-    return r, -z[::-1]
+    z = -_graded(0, problem.thickness_mm, problem.element_mm, problem.thickness_mm / 6)[::-1]
+    index = np.arange(len(r) * len(z)).reshape(len(r), len(z))
+    offsets = (np.arange(3)[:, None] * len(z) + np.arange(3)).ravel()
+    material = problem.material
+    return Pad(
+        nodes=np.stack(np.meshgrid(r, z, indexing="ij"), axis=-1).reshape(-1, 2),
+        connectivity=index[:-2:2, :-2:2].reshape(-1, 1) + offsets,
+        element=_biquadratic(),
+        material=material,
+        fixed_dofs=np.concatenate([2 * index[:, 0], 2 * index[:, 0] + 1, 2 * index[0]]),  # backing; axis
+        surface=index[:, -1],
+        surface_area_mm2=_nodal_areas_mm2(r),
+        pointwise_mpa=min(material.volumetric_modulus_mpa, POINTWISE_PER_SHEAR * material.shear_modulus_mpa),
+    )
+
+
+def _biquadratic() -> Element:
+    """Return the element of nine nodes with 3×3 Gauss points; J is projected on linear functions."""
+    points, weights = leggauss(3)
+    values, slopes = _quadratic(points)
+    along_r, along_z = (
+        np.einsum("ai,bj->abij", *factors).reshape(9, 9) for factors in ((slopes, values), (values, slopes))
+    )
+    return Element(
+        shape=np.einsum("ai,bj->abij", values, values).reshape(9, 9),
+        slope=np.stack([along_r, along_z], axis=-1),
+        weights=np.outer(weights, weights).ravel(),
+        modes=np.stack([np.ones(9), np.repeat(points, 3), np.tile(points, 3)], axis=-1),
+    )
 
 
 def _graded(fine_until_mm: float, end_mm: float, element_mm: float, largest_mm: float) -> Floats:
@@ -252,10 +221,10 @@ def _nodal_areas_mm2(r: Floats) -> Floats:
     return area
 
 
-def _describe(pad: Pad, state: Iterate) -> PressState:
+def _describe(pad: Pad, state: State) -> PressState:
     r = pad.nodes[pad.surface, 0]
     u_r, u_z = state.u[pad.surface_dofs].T
-    _, j = pad.deformation(state.u)
+    j = pad.deformation(state.u)[1]
     pressure = state.touch.pressure_mpa
     return PressState(
         depth_mm=float(-state.sphere_mm[1]),

@@ -12,23 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.benchmarks.fem.contact import SphereContact
-from gelgap.benchmarks.fem.material import IsochoricNeoHookean
-from gelgap.benchmarks.fem.newton import Indentation, Iterate
-from gelgap.benchmarks.fem.pad import Pad
+from gelgap.benchmarks.fem.indentation import Indentation, SphereContact, State
+from gelgap.benchmarks.fem.pad import Element, NeoHookean, Pad
 from gelgap.sim.mesh import DiscGrid, half_disc, layer_heights_mm
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 PENALTY_PER_MODULUS = 1e3  # 1/mm: the sphere is entered by pressure / (1e3 E), some 1 µm
 STICK_PER_MODULUS = 5e2  # 1/mm: sticking nodes give way by shear / (5e2 E), some 1 µm
 RESIDUAL_TOLERANCE = 1e-6  # of the modulus times the square of the sphere's radius
-
-_i, _j, _k = np.indices((3, 3, 3))
-LEVI_CIVITA = (_i - _j) * (_j - _k) * (_k - _i) / 2
-# F (9,) times this is d²J/dF² = ε_ikm ε_jln F_mn (81,).
-SECOND_DERIVATIVE = np.einsum("ikm,jln->mnijkl", LEVI_CIVITA, LEVI_CIVITA).reshape(9, 81)
 
 
 @dataclass(frozen=True)
@@ -73,7 +65,7 @@ def solve_drag(problem: Drag, travels_mm: tuple[float, ...], step_mm: float = 0.
     if travels.size == 0 or travels[0] < 0 or np.any(np.diff(travels) <= 0):
         raise ValueError(f"travels_mm = {tuple(travels_mm)} must rise from 0")
     scene = Indentation(
-        pad=HexahedralPad(problem, furthest_mm=float(travels[-1])),
+        pad=half_pad(problem, furthest_mm=float(travels[-1])),
         contact=SphereContact(
             problem.sphere_radius_mm,
             problem.friction,
@@ -97,54 +89,38 @@ def solve_drag(problem: Drag, travels_mm: tuple[float, ...], step_mm: float = 0.
     return tuple(states)
 
 
-class HexahedralPad(Pad):
-    """Half a round pad, y ≥ 0, with the membrane at z = 0 and the backing below; F has nine components, row by row."""
+def half_pad(problem: Drag, furthest_mm: float) -> Pad:
+    """Return half a round pad, y ≥ 0, with the membrane at z = 0 and the backing below."""
+    above = max(problem.sphere_radius_mm - problem.depth_mm, 0.0)
+    contact = math.sqrt(problem.sphere_radius_mm**2 - above**2)
+    plane, quads = half_disc(
+        DiscGrid(problem.pad_radius_mm, 1.15 * contact + furthest_mm, problem.element_mm, problem.sectors)
+    )
+    layers = layer_heights_mm(problem.thickness_mm, 0.75 * problem.element_mm, 1.25)
+    below = np.arange(1, len(layers))[:, None, None] * len(plane) + quads
+    nodes = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in layers])
+    connectivity = np.concatenate([below, below - len(plane)], axis=-1).reshape(-1, 8)
+    _, y, z = nodes.T
+    surface = np.flatnonzero(z > -1e-9)
+    bonded, mirror = np.flatnonzero(z < -problem.thickness_mm + 1e-9), np.flatnonzero(np.abs(y) < 1e-9)
+    return Pad(
+        nodes=nodes,
+        connectivity=connectivity,
+        element=_trilinear(),
+        material=NeoHookean(problem.young_modulus_mpa, problem.poisson_ratio),
+        fixed_dofs=np.concatenate([(3 * bonded[:, None] + np.arange(3)).ravel(), 3 * mirror + 1]),
+        surface=surface,
+        surface_area_mm2=_nodal_areas_mm2(nodes, connectivity, surface),
+    )
 
-    identity = np.eye(3).ravel()
 
-    def __init__(self, problem: Drag, furthest_mm: float) -> None:
-        above = max(problem.sphere_radius_mm - problem.depth_mm, 0.0)
-        contact = math.sqrt(problem.sphere_radius_mm**2 - above**2)
-        plane, quads = half_disc(
-            DiscGrid(problem.pad_radius_mm, 1.15 * contact + furthest_mm, problem.element_mm, problem.sectors)
-        )
-        layers = layer_heights_mm(problem.thickness_mm, 0.75 * problem.element_mm, 1.25)
-        below = np.arange(1, len(layers))[:, None, None] * len(plane) + quads
-        self.nodes = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in layers])
-        self.connectivity = np.concatenate([below, below - len(plane)], axis=-1).reshape(-1, 8)
-        y, z = self.nodes[:, 1], self.nodes[:, 2]
-        self.surface = np.flatnonzero(z > -1e-9)
-        self.surface_area_mm2 = _nodal_areas_mm2(self.nodes, self.connectivity, self.surface)
-        self._integrate()
-        bonded, mirror = np.flatnonzero(z < -problem.thickness_mm + 1e-9), np.flatnonzero(np.abs(y) < 1e-9)
-        fixed = np.concatenate([(3 * bonded[:, None] + np.arange(3)).ravel(), 3 * mirror + 1])
-        super().__init__(IsochoricNeoHookean(problem.young_modulus_mpa, problem.poisson_ratio), fixed)
-
-    def _integrate(self) -> None:
-        """Set strain operators and weights at the 2×2×2 Gauss points of each element."""
-        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
-        corner = np.concatenate([np.column_stack([corners, np.full(4, z)]) for z in (-1.0, 1.0)])
-        factor = (1 + corner[:, None, :] * corner / np.sqrt(3)) / 2  # (point, node, axis)
-        slopes = [corner[:, i] / 2 * factor[..., (i + 1) % 3] * factor[..., (i + 2) % 3] for i in range(3)]
-        slope = np.stack(slopes, axis=-1)
-        jacobian = np.einsum("qai,eaj->eqij", slope, self.nodes[self.connectivity])
-        gradient = np.einsum("eqji,qai->eqja", np.linalg.inv(jacobian), slope)
-        self.volume = np.linalg.det(jacobian)
-        strain = np.zeros((len(self.connectivity), 8, 3, 3, 8, 3))
-        for i in range(3):
-            strain[:, :, i, :, :, i] = gradient
-        self.strain = strain.reshape(-1, 8, 9, 24)
-        self.modes = np.ones((8, 1))
-
-    @staticmethod
-    def volume_ratio(f: Floats) -> Floats:
-        return np.linalg.det(f.reshape(*f.shape[:-1], 3, 3))
-
-    @staticmethod
-    def volume_ratio_derivatives(f: Floats) -> tuple[Floats, Floats]:
-        rows = f.reshape(*f.shape[:-1], 3, 3)
-        cofactor = [np.cross(rows[..., (i + 1) % 3, :], rows[..., (i + 2) % 3, :]) for i in range(3)]
-        return np.concatenate(cofactor, axis=-1), (f @ SECOND_DERIVATIVE).reshape(*f.shape, 9)
+def _trilinear() -> Element:
+    """Return the element of eight nodes with 2×2×2 Gauss points; J is averaged."""
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
+    corner = np.concatenate([np.column_stack([corners, np.full(4, z)]) for z in (-1.0, 1.0)])
+    factor = (1 + corner[:, None, :] * corner / np.sqrt(3)) / 2  # (point, node, axis)
+    slopes = [corner[:, i] / 2 * factor[..., (i + 1) % 3] * factor[..., (i + 2) % 3] for i in range(3)]
+    return Element(factor.prod(axis=-1), np.stack(slopes, axis=-1), np.ones(8), np.ones((8, 1)))
 
 
 def _nodal_areas_mm2(nodes: Floats, hexahedra: NDArray[np.int64], surface: NDArray[np.int64]) -> Floats:
@@ -156,7 +132,7 @@ def _nodal_areas_mm2(nodes: Floats, hexahedra: NDArray[np.int64], surface: NDArr
     return np.bincount(quads.ravel(), np.repeat(area / 4, 4), len(nodes))[surface]
 
 
-def _describe(pad: Pad, state: Iterate) -> DragState:
+def _describe(pad: Pad, state: State) -> DragState:
     touch = state.touch
     push = touch.pressure_mpa * pad.surface_area_mm2
     return DragState(

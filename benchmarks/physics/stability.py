@@ -1,47 +1,255 @@
 """`gelgap benchmark stability --what physics`: hundreds of scenes, each checked against physical invariants.
 
-Each scene runs in a process of its own with a time limit, and its verdict is a JSON line, so that a run that was
-stopped goes on where it was. `python -m gelgap.benchmarks.physics.stability --only 17` repeats one scene.
+The scenes are the corners of a box of parameters, and others drawn from it by their number. Each is solved in a process
+of its own with a time limit, and its verdict is a JSON line, so that a run that was stopped goes on where it was.
+`python -m gelgap.benchmarks.physics.stability --only 17` repeats one scene.
 """
 
 import argparse
-import os
+import itertools
+import json
+import resource
+import signal
+import subprocess
+import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from gelgap.benchmarks.common.limited_process import run_limited
-from gelgap.benchmarks.common.records import append_record, read_records
-from gelgap.benchmarks.common.tables import print_table, write_json
-from gelgap.benchmarks.physics.cases import single_threaded
-from gelgap.benchmarks.physics.invariants import FORCE_ERROR, apart, solve_scene, violations
-from gelgap.benchmarks.physics.scenes import CORNERS, Scene, numbered_scene
+from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere, solve_poses
 
 SCENES = 300
 QUICK_SCENES = (35, 37, 39)  # drawn ones that are solved soon
-TIME_LIMIT_S = 600.0  # of processor time; at `draft` the longest scene took 510 s on a busy machine
+TIME_LIMIT_S = {
+    "draft": 600,
+    "standard": 600,
+    "fine": 1200,
+}  # at `draft` the longest scene took 510 s on a busy machine
+WALL_PER_PROCESSOR = 10  # a process that sleeps, or starves on a busy machine, ends after this many limits
 SOLVED_AT_FINE = 20
+YOUNG_MPA = (0.01, 10.0)
+POISSON = (0.3, 0.495)
+FRICTION = (0.0, 1.5)
+RADIUS_MM = (0.5, 5.0)
+THICKNESS_MM = (1.0, 6.0)
+STEP_MM = (0.01, 0.5)
+PAD_SIZE_MM = (24.0, 20.0)
+CORNERS = 2**5
+POSES_DOWN, POSES_SIDEWAYS = 4, 3
+NOTHING_SHARED = Sharing(modulus=False, translation=False, reflection=False, path=False, cache=False)
+FORCE_TOLERANCE = 0.01  # of the sphere's force: balance, monotony, scaling, symmetry
+DIAGNOSTIC_LIMITS = {"residual": 0.01, "imbalance": FORCE_TOLERANCE, "coulomb_excess": 1e-3, "tension": 0.01}
+FORCE_ERROR = {"draft": 0.06, "standard": 0.04, "fine": 0.02}  # what a quality promises
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What a scene did. `status` is converged, flagged (the solver says so) or failed (crash, error or time limit).
-
-    `seconds` are of processor time, `command` presses the scene's last pose alone.
-    """
+class Scene:
+    """A press in steps, then a drag in steps, of which the last few are recorded."""
 
     number: int
-    status: str
-    violations: tuple[str, ...]
-    in_papers_regime: bool
-    seconds: float
-    detail: str
-    command: str
+    quality: str
+    elastomer: Elastomer
+    indenter: Sphere
+    depth_mm: float
+    step_down_mm: float
+    step_sideways_mm: float
+    direction_deg: float
+    point_x_mm: float
+    point_y_mm: float
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        place = {"point_x_mm": self.point_x_mm, "point_y_mm": self.point_y_mm}
+        down = [self.depth_mm - k * self.step_down_mm for k in reversed(range(POSES_DOWN))]
+        furthest = min(self.elastomer.thickness_mm, self.indenter.radius_mm)
+        travels = [k * self.step_sideways_mm for k in range(1, POSES_SIDEWAYS + 1)]
+        drags = [np.round(travel * self.direction, 9) for travel in travels if travel <= furthest]
+        return (
+            *(Pose(depth_mm=round(depth, 9), **place) for depth in down if depth > 1e-6),
+            *(Pose(depth_mm=self.depth_mm, shear_x_mm=x, shear_y_mm=y, **place) for x, y in drags),
+        )
+
+    @property
+    def direction(self) -> np.ndarray:
+        """The unit vector (2,) of the drag."""
+        angle = np.radians(self.direction_deg)
+        return np.array([np.cos(angle), np.sin(angle)])
+
+    @property
+    def in_papers_regime(self) -> bool:
+        shallow = self.depth_mm <= self.elastomer.thickness_mm / 3
+        small_steps = max(self.step_down_mm, self.step_sideways_mm) <= 0.2
+        return self.elastomer.poisson_ratio <= 0.49 and shallow and small_steps
+
+    @property
+    def contact_mm(self) -> float:
+        """More than the contact's radius: where a paraboloid at that depth meets the undeformed membrane."""
+        return float(np.sqrt(self.indenter.diameter_mm * self.depth_mm))
+
+    @property
+    def to_rim_mm(self) -> float:
+        return min(PAD_SIZE_MM[0] / 2 - abs(self.point_x_mm), PAD_SIZE_MM[1] / 2 - abs(self.point_y_mm))
+
+    def solve(self) -> tuple[MembraneState, ...]:
+        """Solve the scene for itself, with nothing shared."""
+        return solve_poses(self.elastomer, self.indenter, self.poses, self.quality, NOTHING_SHARED)
+
+
+def numbered_scene(number: int, quality: str) -> Scene:
+    """Return scene `number`: a corner of the box, or one drawn at random."""
+    return _corner(number, quality) if number < CORNERS else _drawn(number, quality)
+
+
+def _corner(number: int, quality: str) -> Scene:
+    corners = list(itertools.product(YOUNG_MPA, POISSON, FRICTION, RADIUS_MM, THICKNESS_MM))
+    *moduli, radius, thickness = corners[number]
+    return Scene(
+        number,
+        quality,
+        _gel(*moduli, thickness),
+        Sphere(diameter_mm=2 * radius),
+        depth_mm=round(min(0.4 * thickness, 0.8 * radius), 6),
+        step_down_mm=STEP_MM[number % 2],
+        step_sideways_mm=STEP_MM[number // 2 % 2],
+        direction_deg=0.0,
+        point_x_mm=PAD_SIZE_MM[0] / 2 if number // 4 % 2 else 0.0,
+        point_y_mm=0.0,
+    )
+
+
+def _drawn(number: int, quality: str) -> Scene:
+    rng = np.random.default_rng(np.random.SeedSequence([20240, number]))
+
+    def uniform(low: float, high: float, digits: int = 6) -> float:
+        return round(float(rng.uniform(low, high)), digits)
+
+    def logarithmic(bounds: tuple[float, float]) -> float:
+        return round(float(np.exp(rng.uniform(*np.log(bounds)))), 6)
+
+    # The order of the draws is part of a scene's identity.
+    radius, thickness = logarithmic(RADIUS_MM), uniform(*THICKNESS_MM)
+    gel = _gel(logarithmic(YOUNG_MPA), uniform(*POISSON), uniform(*FRICTION), thickness)
+    return Scene(
+        number,
+        quality,
+        gel,
+        Sphere(diameter_mm=2 * radius),
+        depth_mm=round(float(rng.uniform(0.05, 1.0)) * min(0.4 * thickness, 0.8 * radius), 6),
+        step_down_mm=logarithmic(STEP_MM),
+        step_sideways_mm=logarithmic(STEP_MM),
+        direction_deg=uniform(0, 360, 3),
+        point_x_mm=round(float(rng.uniform(-1, 1)) * PAD_SIZE_MM[0] / 2, 4),
+        point_y_mm=round(float(rng.uniform(-1, 1)) * PAD_SIZE_MM[1] / 2, 4),
+    )
+
+
+def _gel(*values: float) -> Elastomer:
+    fields = ("young_modulus_mpa", "poisson_ratio", "friction", "thickness_mm")
+    return Elastomer(**dict(zip(fields, values, strict=True)), pad_size_mm=PAD_SIZE_MM)
+
+
+def violations(scene: Scene, states: Sequence[MembraneState]) -> Iterator[str]:
+    """Yield the invariants that the converged states violate: balance, friction limit, monotonic forces, symmetry.
+
+    Every tenth scene that converged is solved again at another modulus, every tenth mirrored; not at `fine`.
+    """
+    solved = [(pose, state) for pose, state in zip(scene.poses, states, strict=True) if state.converged]
+    if not all(np.isfinite(s.force_n).all() and np.isfinite(s.displacement_mm).all() for _, s in solved):
+        yield "not finite"
+        return
+    for _, state in solved:
+        values = {name: getattr(state.diagnostics, name) for name in DIAGNOSTIC_LIMITS}
+        yield from (f"{name} {v:.2g}" for name, v in values.items() if v > DIAGNOSTIC_LIMITS[name])
+        if state.force_n[2] > 0:
+            yield "pulls"
+        if state.diagnostics.min_volume_ratio <= 0:
+            yield "inverted element"
+    fz = [state.force_n[2] for pose, state in solved if pose.radius_mm == 0]
+    if fz and scene.to_rim_mm > scene.contact_mm and np.any(np.diff(fz) > FORCE_TOLERANCE * abs(fz[-1])):
+        yield "force falls in a press"
+    # In a straight drag at one depth, far from the rim, friction builds up to its limit and stays there. It may fall by
+    # the quality's force error, since in slip it changes as the sphere passes the membrane's vertices.
+    drags = [state.force_n for pose, state in solved if pose.radius_mm > 0]
+    travel = max(pose.radius_mm for pose in scene.poses)
+    if drags and scene.to_rim_mm > scene.contact_mm + travel + scene.elastomer.thickness_mm:
+        along = [float(scene.direction @ force[:2]) for force in drags]
+        if np.any(np.diff(along) < -FORCE_ERROR[scene.quality] * abs(drags[0][2])):
+            yield "friction falls in a drag"
+    if len(solved) == len(states) and scene.quality != "fine":
+        young = scene.elastomer.young_modulus_mpa
+        factor = 7.0 if young < 0.3 else 1 / 7
+        stiffer = scene.elastomer.model_copy(update={"young_modulus_mpa": factor * young})
+        mirrored = replace(scene, point_x_mm=-scene.point_x_mm, direction_deg=180 - scene.direction_deg)
+        if scene.number % 10 == 1 and _differ(states, replace(scene, elastomer=stiffer), 1 / factor):
+            yield "force does not scale with the modulus"
+        if scene.number % 10 == 2 and _differ(states, mirrored, np.array([-1, 1, 1])):
+            yield "mirrored scene has another force"
+
+
+def _differ(states: Sequence[MembraneState], other: Scene, factor: float | np.ndarray) -> bool:
+    pairs = [
+        (a.force_n, b.force_n * factor) for a, b in zip(states, other.solve(), strict=True) if b.converged
+    ]
+    return any(apart(force, expected) > FORCE_TOLERANCE for force, expected in pairs)
+
+
+def apart(force_n: np.ndarray, other_n: np.ndarray) -> float:
+    """Return how far a force is from another, as a share of the first."""
+    return float(np.linalg.norm(np.subtract(force_n, other_n)) / max(np.linalg.norm(force_n), 1e-12))
+
+
+def judge(scene: Scene) -> Results:
+    """Solve a scene and compare it with the invariants; `flagged` is one of which the solver says that it failed."""
+    started = time.process_time()
+    states = scene.solve()
+    flagged = [index for index, state in enumerate(states) if not state.converged]
+    return {
+        "status": "flagged" if flagged else "converged",
+        "violations": list(dict.fromkeys(violations(scene, states))),
+        "core_s": time.process_time() - started,
+        "detail": f"pose {flagged[0]} of {len(states)} did not converge" if flagged else "",
+        "force_n": states[-1].force_n.tolist() if states[-1].converged else None,
+    }
+
+
+def judge_apart(setting: Setting) -> Results:
+    """Judge a scene in a process of its own; a crash, an error or a time-out is a verdict too."""
+    scene, limit_s = numbered_scene(setting["scene"], setting["quality"]), TIME_LIMIT_S[setting["quality"]]
+    module = ["-m", "gelgap.benchmarks.physics.stability"]
+    said, failure = run_limited(
+        [*module, "--only", str(scene.number), "--quality", scene.quality, "--json"], limit_s
+    )
+    spent = limit_s if failure and "no end" in failure else 0.0
+    failed = {"status": "failed", "violations": [], "core_s": spent, "detail": failure, "force_n": None}
+    verdict = failed if failure else json.loads(said.splitlines()[-1])
+    return verdict | {"in_papers_regime": scene.in_papers_regime}
+
+
+def run_limited(words: Sequence[str], limit_s: float) -> tuple[str, str | None]:
+    """Run Python with a limit on its processor time; return what it prints, and in a few words why it failed."""
+    no_end, seconds = f"no end within {limit_s:g} s of processor time", max(1, round(limit_s))
+    limits = (seconds, seconds + 5)
+    try:
+        done = subprocess.run(
+            [sys.executable, *words],
+            capture_output=True,
+            text=True,
+            timeout=WALL_PER_PROCESSOR * limit_s,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, limits),
+        )
+    except subprocess.TimeoutExpired:
+        return "", no_end
+    if done.returncode == -signal.SIGXCPU:
+        return "", no_end
+    ended = f"process ended with code {done.returncode}"
+    failure = (done.stderr.strip().splitlines() or [ended])[-1] if done.returncode == 1 else ended
+    return done.stdout, failure if done.returncode else None
 
 
 def run(quick: bool, out_dir: Path) -> None:
@@ -56,136 +264,75 @@ def judge_all(quality: str, out_dir: Path) -> None:
     """Judge the corners and the drawn scenes, and compare some of them with `fine`."""
     verdicts = judge_scenes(range(CORNERS + SCENES), quality, out_dir)
     summarise(verdicts, quality, out_dir)
-    rows = compare_with_fine(verdicts, quality)
-    write_json(out_dir / f"stability-physics-{quality}-fine.json", rows)
+    usable = verdicts[(verdicts["status"] == "converged") & (verdicts["violations"].str.len() == 0)]
+    chosen = sorted(np.random.default_rng(0).permutation(sorted(usable["scene"]))[:SOLVED_AT_FINE].tolist())
+    fine = judge_scenes(chosen, "fine", out_dir).set_index("scene")["force_n"]
+    own, rows = verdicts.set_index("scene")["force_n"], []
+    for number in chosen:
+        share = None if own[number] is None or fine[number] is None else apart(fine[number], own[number])
+        verdict = "not solved" if share is None else "agrees" if share <= FORCE_ERROR[quality] else "differs"
+        rows.append((str(number), None if share is None else 100 * share, verdict))
+    table = pd.DataFrame(rows, columns=["scene", "force apart %", "verdict"])
+    show(f"The same scenes at fine ({quality} promises {100 * FORCE_ERROR[quality]:g} %)", table)
+    write_json(out_dir / f"stability-physics-{quality}-fine.json", table)
 
 
-def judge_scenes(numbers: Sequence[int], quality: str, out_dir: Path) -> list[Verdict]:
+def judge_scenes(numbers: Sequence[int], quality: str, out_dir: Path) -> pd.DataFrame:
     """Judge the scenes that `out_dir` does not hold yet; write how to repeat those that failed."""
     record = out_dir / f"stability-physics-{quality}.jsonl"
-    out_dir.mkdir(parents=True, exist_ok=True)
-    verdicts = {v.number: v for v in read_records(record, Verdict) if v.number in numbers}
-    missing = [numbered_scene(number, quality) for number in numbers if number not in verdicts]
-    print(f"{len(verdicts)} scenes are in {record}, {len(missing)} to go")
-    with single_threaded(), ThreadPoolExecutor(os.cpu_count() or 1) as threads:
-        for verdict in threads.map(judge_limited, missing):
-            verdicts[verdict.number] = verdict
-            append_record(record, verdict)
-            found = " ".join((verdict.status, *verdict.violations))
-            print(f"  {verdict.number}: {found} {verdict.seconds:.0f} s", flush=True)
-    failing = [v for v in verdicts.values() if v.violations or v.status != "converged"]
+    settings = [{"scene": number, "quality": quality} for number in numbers]
+    verdicts = run_missing(
+        judge_apart, settings, record, describe=lambda r: " ".join([r["status"], *r["violations"]])
+    )
+    failing = verdicts[(verdicts["status"] != "converged") | (verdicts["violations"].str.len() > 0)]
+    lines = []
+    for one in failing.itertuples():
+        again = f"python -m gelgap.benchmarks.physics.stability --only {one.scene} --quality {quality}"
+        reason = "; ".join(filter(None, (one.status, one.detail, *one.violations)))
+        lines.append(f"{again}  # {reason}\n")
     commands = out_dir / f"stability-physics-{quality}-failing.txt"
-    commands.write_text("".join(f"{_again(v, quality)}\n" for v in failing), encoding="utf-8")
+    commands.write_text("".join(lines), encoding="utf-8")
     print(f"{len(failing)} scenes that did not converge or violate an invariant: {commands}")
-    return list(verdicts.values())
+    return verdicts
 
 
-def judge_limited(scene: Scene) -> Verdict:
-    """Judge a scene in a process of its own; a crash, an error or a time-out is a verdict too."""
-    attempt = run_limited(judge, scene, TIME_LIMIT_S)
-    if attempt.failure is None:
-        return attempt.value
-    spent = TIME_LIMIT_S if "no end" in attempt.failure else 0.0
-    return Verdict(
-        scene.number, "failed", (), scene.in_papers_regime, spent, attempt.failure, scene.command()
-    )
-
-
-def judge(scene: Scene) -> Verdict:
-    """Solve a scene and compare it with the invariants."""
-    started = time.process_time()
-    states = solve_scene(scene)
-    flagged = [index for index, state in enumerate(states) if not state.converged]
-    found = violations(scene, states)
-    return Verdict(
-        number=scene.number,
-        status="flagged" if flagged else "converged",
-        violations=found,
-        in_papers_regime=scene.in_papers_regime,
-        seconds=time.process_time() - started,
-        detail=f"pose {flagged[0]} of {len(states)} did not converge" if flagged else "",
-        command=scene.command(),
-    )
-
-
-def summarise(verdicts: Sequence[Verdict], quality: str, out_dir: Path) -> None:
+def summarise(verdicts: pd.DataFrame, quality: str, out_dir: Path) -> None:
     """Print and write how many scenes converged, were flagged, failed and violated an invariant, by regime."""
-    rows = []
-    regimes = {
-        "the paper's regime": [v for v in verdicts if v.in_papers_regime],
-        "beyond it": [v for v in verdicts if not v.in_papers_regime],
-        "all": list(verdicts),
-    }
-    for name, found in regimes.items():
-        states = Counter(verdict.status for verdict in found)
-        share = 100 * states["converged"] / len(found) if found else None
-        violated = sum(bool(verdict.violations) for verdict in found)
-        rows.append(
-            [name, len(found), share, states["converged"], states["flagged"], states["failed"], violated]
-        )
+    regime, rows = verdicts["in_papers_regime"].astype(bool), []
+    groups = {"the paper's regime": verdicts[regime], "beyond it": verdicts[~regime], "all": verdicts}
+    for name, found in groups.items():
+        states = Counter(found["status"])
+        share = 100 * states["converged"] / len(found) if len(found) else None
+        violated = int((found["violations"].str.len() > 0).sum())
+        counts = (states[status] for status in ("converged", "flagged", "failed"))
+        rows.append((name, len(found), share, *counts, violated))
     columns = ["scenes", "number", "converged %", "converged", "flagged", "failed", "violate an invariant"]
-    minutes = sum(verdict.seconds for verdict in verdicts) / 60
-    print_table(
-        "Stability of the physics",
-        columns,
-        rows,
-        note=f"targets: 99 % in the paper's regime, 90 % over all, no violation; {minutes:.0f} core minutes in all",
-    )
-    kinds = Counter(violation.rstrip("0123456789.e+-∞inf ") for v in verdicts for violation in v.violations)
-    print_table(
-        "Violated invariants", ["invariant", "scenes"], [[kind, n] for kind, n in kinds.most_common()]
-    )
-    summary = {"columns": columns, "rows": rows, "violations": kinds, "core_minutes": minutes}
+    table, minutes = pd.DataFrame(rows, columns=columns), verdicts["core_s"].sum() / 60
+    targets = "targets: 99 % in the paper's regime, 90 % over all, no violation"
+    show("Stability of the physics", table, f"{targets}; {minutes:.0f} core minutes in all")
+    kinds = Counter(found.rstrip("0123456789.e+-∞inf ") for own in verdicts["violations"] for found in own)
+    show("Violated invariants", pd.DataFrame(kinds.most_common(), columns=["invariant", "scenes"]))
+    summary = {"scenes": table, "violations": kinds, "core_minutes": minutes}
     write_json(out_dir / f"stability-physics-{quality}.json", summary)
-
-
-def compare_with_fine(verdicts: Sequence[Verdict], quality: str) -> list[list[object]]:
-    """Solve converged scenes again at `fine`, and print how far their last force is from it."""
-    usable = sorted(v.number for v in verdicts if v.status == "converged" and not v.violations)
-    chosen = np.random.default_rng(0).permutation(usable)[:SOLVED_AT_FINE]
-    with single_threaded(), ThreadPoolExecutor(os.cpu_count() or 1) as threads:
-        rows = list(threads.map(lambda number: _beside_fine(number, quality), sorted(map(int, chosen))))
-    print_table(f"The same scenes at fine ({quality} promises {100 * FORCE_ERROR[quality]:g} %)",
-                ["scene", "force apart %", "verdict"], rows)  # fmt: skip
-    return rows
-
-
-def _beside_fine(number: int, quality: str) -> list[object]:
-    own, fine = (
-        run_limited(final_force_n, numbered_scene(number, q), 2 * TIME_LIMIT_S).value
-        for q in (quality, "fine")
-    )
-    if own is None or fine is None:
-        return [str(number), None, "not solved"]
-    share = apart(fine, own)
-    return [str(number), 100 * share, "agrees" if share <= FORCE_ERROR[quality] else "differs"]
-
-
-def final_force_n(scene: Scene) -> np.ndarray | None:
-    """Return the force of the scene's last pose, or None if it did not converge."""
-    last = solve_scene(scene)[-1]
-    return last.force_n if last.converged else None
-
-
-def _again(verdict: Verdict, quality: str) -> str:
-    """Return the line that judges a scene again, why, and the one that presses its last pose."""
-    reason = "; ".join(filter(None, (verdict.status, verdict.detail, *verdict.violations)))
-    command = f"python -m gelgap.benchmarks.physics.stability --only {verdict.number} --quality {quality}"
-    return f"{command}  # {reason}; {verdict.command}"
 
 
 def main() -> None:
     """Judge one scene, or all at a quality."""
     parser = argparse.ArgumentParser(description="Stress the physics.")
     parser.add_argument("--only", type=int, help="judge this scene alone and print its verdict")
+    parser.add_argument(
+        "--json", action="store_true", help="judge it in this process, without a limit, and print JSON"
+    )
     parser.add_argument("--quality", default="standard")
     parser.add_argument("--out", type=Path, default=Path("benchmark-results"))
     chosen = parser.parse_args()
     if chosen.only is None:
         judge_all(chosen.quality, chosen.out)
+    elif chosen.json:
+        print(json.dumps(judge(numbered_scene(chosen.only, chosen.quality))))
     else:
-        scene = numbered_scene(chosen.only, chosen.quality)
-        print(scene, judge_limited(scene), sep="\n")
+        setting = {"scene": chosen.only, "quality": chosen.quality}
+        print(numbered_scene(chosen.only, chosen.quality), judge_apart(setting), sep="\n")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from gelgap.cli.workflows.demo import run_demo
 from gelgap.cli.workflows.demo_result import SOURCE, TARGET
@@ -11,7 +10,6 @@ from gelgap.cli.workflows.stages import StageClock
 from gelgap.sim import ContactPath
 
 
-@pytest.mark.slow
 def test_the_demo_runs_end_to_end(tmp_path: Path) -> None:
     path = ContactPath(
         name="tiny",

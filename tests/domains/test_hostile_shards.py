@@ -11,14 +11,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hostile_bytes import png_that_claims
+from valid_files import DOMAIN
 
-from gelgap.benchmarks.data.sound_files import DOMAIN
 from gelgap.cli.main import main
 from gelgap.domains import export, open_domain, verify_domain
 from gelgap.domains.formats.domain_folder import DomainFolder, sha256
 from gelgap.domains.formats.shards import PICTURE, POINTS
 
-# Reads a sound domain, then the others with little more memory than that took, and prints what became of each.
+# Reads a valid domain, then the others with little more memory than that took, and prints what became of each.
 READER = """
 import json, resource, sys
 from gelgap.domains import open_domain
@@ -125,12 +125,12 @@ def plant(folder: Path, change: Callable[[pa.Table], pa.Table]) -> Path:
     return shard
 
 
-def test_hostile_shards_are_refused_within_the_memory_of_sound_ones(files: Path, tmp_path: Path) -> None:
-    sound = files / "data" / DOMAIN
-    folders = [Path(shutil.copytree(sound, tmp_path / name)) for name in PLANTED]
+def test_hostile_shards_are_refused_within_the_memory_of_valid_ones(files: Path, tmp_path: Path) -> None:
+    valid = files / "data" / DOMAIN
+    folders = [Path(shutil.copytree(valid, tmp_path / name)) for name in PLANTED]
     shards = [plant(folder, change) for folder, (change, _) in zip(folders, PLANTED.values(), strict=True)]
     assert all(shard.stat().st_size < 2**21 for shard in shards)
-    command = [sys.executable, "-c", READER, str(sound), *map(str, folders)]
+    command = [sys.executable, "-c", READER, str(valid), *map(str, folders)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     sentences, more_mib = json.loads(done.stdout)
     for shard, sentence, (_, reason) in zip(shards, sentences, PLANTED.values(), strict=True):

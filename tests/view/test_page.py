@@ -10,17 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loaded_file import load_file
 
-from gelgap.benchmarks.view.screenshot import browser_page, find_chromium
 from gelgap.sim import Pose, SolvedPath, SolvedPose
 from gelgap.view import Configuration
 from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
 from gelgap.view.state import PathRequest
 
 pytest.importorskip("viser")
+PICTURES = load_file(Path(__file__).parents[2] / "scripts" / "guide_pictures.py")
 
 needs_browser = pytest.mark.skipif(
-    find_spec("playwright") is None or find_chromium() is None,
+    find_spec("playwright") is None or PICTURES.find_chromium() is None,
     reason="no browser: pip install playwright; apt-get install chromium",
 )
 
@@ -192,7 +193,7 @@ def test_a_domain_with_fz_alone_and_references_of_its_own_is_shown(page: Any, tm
 
 @needs_browser
 def test_in_a_browser(page: Any) -> None:
-    with browser_page(page.address) as browser:
+    with PICTURES.browser_page(page.address) as browser:
         browser.get_by_text("interpolated").first.wait_for()
 
         def force() -> str:

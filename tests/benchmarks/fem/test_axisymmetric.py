@@ -8,7 +8,7 @@ import pytest
 
 from gelgap.assets import asset_path
 from gelgap.benchmarks.fem import theory
-from gelgap.benchmarks.fem.axisymmetric import AxisymmetricPad, Press, solve_press
+from gelgap.benchmarks.fem.axisymmetric import Press, section_of_pad, solve_press
 
 REFERENCE_UNCERTAINTY = 0.003
 SURFACE_UNCERTAINTY_MM = 0.003
@@ -44,7 +44,7 @@ def test_press_reproduces_independent_finite_elements(case, poisson_ratio, energ
 def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
     for energy in ("isochoric", "stable"):
         problem = Press(poisson_ratio=0.48, energy=energy, element_mm=1.0)
-        pad = AxisymmetricPad(problem, deepest_mm=0.5)
+        pad = section_of_pad(problem, deepest_mm=0.5)
         rng = np.random.default_rng(0)
         u = 0.02 * rng.standard_normal(pad.size)
         direction = rng.standard_normal(pad.size)

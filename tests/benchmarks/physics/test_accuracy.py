@@ -1,46 +1,52 @@
-"""What the physics benchmark measures with: references, surface errors, summaries, on cases that are known."""
+"""What the physics benchmark measures with: true solutions, surface errors, summaries, on cases that are known."""
 
-import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, write_json
-from gelgap.benchmarks.physics import cases as cases_of_benchmarks
-from gelgap.benchmarks.physics.cases import Case, Workers
-from gelgap.benchmarks.physics.presses import judge_press, press_case
-from gelgap.benchmarks.physics.reference import (
+from gelgap.benchmarks.physics.accuracy import normals, press_errors, surface_errors
+from gelgap.benchmarks.physics.cases import Case, Solver
+from gelgap.benchmarks.physics.references import (
+    LARGER_SPHERES,
+    LESS_DEEP_MM,
     NO_SLIP_FRICTION,
-    coulomb_drags,
-    no_slip_drags,
-    press_references,
+    drag_cases,
+    press_cases,
+    tabled_sphere,
 )
-from gelgap.benchmarks.physics.surface_errors import normals, picture_psnr_db, rms, surface_errors
-from gelgap.sim import Elastomer, Pose, grid_axes
+from gelgap.benchmarks.physics.savings import condensation_cases, condensation_table
+from gelgap.sim import Elastomer, MembraneState, Pose, grid_axes
+
+REPOSITORY = Path(__file__).parents[3]
 
 
-def test_references_have_profiles_that_fit_their_depths():
-    references = press_references()
-    assert "lin48_no_slip" not in references
-    reference = references["nh49_no_slip"]
-    assert reference.friction == NO_SLIP_FRICTION
-    assert references["nh48_friction_0.5"].friction == 0.5
-    for depth, (r, _, u_z) in zip(reference.depths_mm, reference.profiles, strict=True):
+def test_tables_have_profiles_that_fit_their_depths():
+    cases = press_cases()
+    assert "lin48_no_slip" not in cases
+    case = cases["nh49_no_slip"]
+    assert case.elastomer.friction == NO_SLIP_FRICTION
+    assert cases["nh48_friction_0.5"].elastomer.friction == 0.5
+    for pose, (r, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
         assert r[0] == 0
-        assert u_z[0] == pytest.approx(-depth, abs=2e-3)
-    assert [drag.depth_mm for drag in no_slip_drags()] == [0.6, 1.0]
-    assert no_slip_drags()[0].element_mm == 0.15
+        assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
 
 
-def test_reference_membrane_has_no_error_against_itself_and_a_shift_has_its_own():
-    reference = press_references()["nh49_no_slip"]
+def test_a_true_membrane_has_no_error_and_a_shift_has_its_own():
+    truth = press_cases()["nh49_no_slip"].truth
     x_mm, y_mm = grid_axes()
-    expected = reference.displacement_mm(2, x_mm, y_mm)
-    assert surface_errors(x_mm, y_mm, expected, expected, 1.0).normal_worst_deg == pytest.approx(0, abs=1e-5)
-    shifted = surface_errors(x_mm, y_mm, expected + np.array([3e-3, 4e-3, -2e-3]), expected, 1.0)
-    assert shifted.uz_rms_um == pytest.approx(2)
-    assert shifted.in_plane_rms_um == pytest.approx(5)
-    assert shifted.peak_um == pytest.approx(5)
+    expected = truth.displacement_mm(2, x_mm, y_mm)
+
+    def errors(displacement_mm):
+        state = MembraneState(x_mm, y_mm, displacement_mm, np.zeros(expected.shape[:2], bool), np.zeros(3))
+        return surface_errors(state, expected, 1.0)
+
+    assert errors(expected)["worst °"] == pytest.approx(0, abs=1e-5)
+    shifted = errors(expected + np.array([3e-3, 4e-3, -2e-3]))
+    assert shifted["u_z rms µm"] == pytest.approx(2)
+    assert shifted["in-plane rms µm"] == pytest.approx(5)
+    assert shifted["peak µm"] == pytest.approx(5)
 
 
 def test_normals_of_a_tilted_plane():
@@ -53,69 +59,79 @@ def test_normals_of_a_tilted_plane():
     )
 
 
-def test_psnr_of_a_known_difference():
-    black = np.zeros((4, 4, 3), np.uint8)
-    assert picture_psnr_db(black, black) == float("inf")
-    assert picture_psnr_db(black + np.uint8(1), black) == pytest.approx(48.13, abs=0.01)
+def test_presses_of_both_sizes_are_judged_by_their_tables_and_not_solved_again(tmp_path):
+    shallow = replace(press_cases()["nh49_no_slip"].down_to(0.2), quality="draft")
+    assert [pose.depth_mm for pose in shallow.poses] == [0.2]
+    sphere = replace(tabled_sphere(), quality="draft")
+    first = Solver(2, tmp_path).solve([shallow, sphere])
+    small, large = (press_errors(first[case]) for case in (shallow, sphere))
+    assert small["unconverged"] == large["unconverged"] == 0
+    assert np.abs(small["fz_percent"]).max() < 8
+    assert small["u_z rms µm"] < 10
+    assert small["core s/pose"] > 0
+    assert large["Fz rms %"] < 2
+    assert large["u_z rms µm"] < 5
+    assert large["in-plane rms µm"] < 5
+    light = Case("light", "b0", Elastomer.preset("b0"), (Pose(depth_mm=0.05),), "draft")
+    again = Solver(1, tmp_path).solve([shallow, sphere, light])
+    assert again[shallow].core_s_per_pose == first[shallow].core_s_per_pose
+    assert np.array_equal(again[sphere].states[-1].displacement_mm, first[sphere].states[-1].displacement_mm)
+    assert again[light].force_n[0, 2] < 0
 
 
-def test_shallow_press_is_judged_against_its_reference(tmp_path):
-    shallow = press_references()["nh49_no_slip"].down_to(0.2)
-    assert shallow.depths_mm == (0.2,)
-    (solved,) = Workers(1, tmp_path).solve([press_case(shallow, "draft")])
-    errors = judge_press(solved, shallow)
-    assert errors.unconverged == 0
-    assert errors.fz_worst_percent < 8
-    assert errors.surface.uz_rms_um < 10
-    assert errors.processor_s_per_pose > 0
+def test_table_of_a_larger_sphere_is_read():
+    case = tabled_sphere()
+    gel = case.elastomer
+    assert (case.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio) == (4.0, 3.0, 0.49)
+    for pose, (r, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
+        assert r[0] == 0
+        assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
+    assert case.truth.force_n[-1, 2] == pytest.approx(-2.463381)
 
 
-def test_a_case_that_was_finished_is_not_solved_again(tmp_path):
-    cases = [
-        Case("light", Elastomer.preset("b0"), (Pose(depth_mm=depth),), "draft") for depth in (0.05, 0.06)
+def test_own_pads_reach_far_beyond_the_contact():
+    for press, depths_mm in LARGER_SPHERES:
+        contact_mm = (2 * press.indenter_radius_mm * depths_mm[-1]) ** 0.5
+        assert press.pad_radius_mm > 3 * press.thickness_mm + contact_mm
+
+
+def test_the_guide_has_a_row_of_each_of_the_commands_spheres():
+    guide = (REPOSITORY / "docs" / "physics.md").read_text(encoding="utf-8")
+    table = guide.partition("### Larger spheres")[2].partition("The target is")[0]
+    documented = [
+        row.split("|")[3].strip() for row in table.splitlines() if "| table |" in row or "| own |" in row
     ]
-    workers = Workers(1, tmp_path)
-    (first,) = workers.solve(cases[:1])
-    again, other = workers.solve(cases)
-    assert again.processor_s == first.processor_s
-    assert other.case == cases[1]
-    assert other.states[0].force_n[2] < first.states[0].force_n[2] < 0
+    tabled = [pose.depth_mm for pose in tabled_sphere().poses]
+    own = [depths for _, depths in LARGER_SPHERES]
+    depths = [tabled, [depth for depth in tabled if depth <= LESS_DEEP_MM], *own]
+    assert documented == [f"{first:g}–{last:g}" for first, *_, last in depths if last != 1.33]
+    assert "| 0.33 | 0.67 | 1.0 | 1.33 mm |" in guide
 
 
-def test_results_do_not_go_through_the_pipe_that_a_stop_may_cut(tmp_path, monkeypatch):
-    sent = []
-
-    def as_completed(futures):
-        sent.extend(future.result() for future in futures)
-        return futures
-
-    monkeypatch.setattr(cases_of_benchmarks, "as_completed", as_completed)
-    assert Workers(1, tmp_path).map(rms, [(3.0, 4.0), (1.0, 1.0)]) == [pytest.approx(12.5**0.5), 1.0]
-    assert sent == [None, None]
-
-
-def test_results_and_plot_are_written(tmp_path, capsys):
-    print_table("a title", ["name", "value"], [["one", 1.23456], ["two", None]])
-    printed = capsys.readouterr().out
-    assert "1.235" in printed
-    assert "–" in printed
-    write_json(tmp_path / "deep" / "x.json", {"point": Point("s", "n", 1.0, 2.0), "array": np.arange(2)})
-    assert json.loads((tmp_path / "deep" / "x.json").read_text())["point"]["seconds"] == 1.0
-    figure = tmp_path / "f.png"
-    plot_frontier(
-        figure, [Point("s", "n", 1, 2)], title="t", error_label="e", uncertainty=0.3, targets=(2.0,)
-    )
-    assert figure.stat().st_size > 1000
-
-
-def test_drags_with_friction_know_how_far_they_are_off():
-    references = {(r.friction, r.depth_mm): r for r in coulomb_drags()}
-    assert {(0.3, 0.6), (0.8, 0.6)} <= set(references)
-    for reference in references.values():
-        assert 0 < reference.fx_uncertainty < 0.05
-        assert np.all(np.diff(reference.travel_mm) > 0)
-        assert reference.fx_n[0] == pytest.approx(0, abs=1e-3)
+def test_drags_without_slip_come_first_and_those_with_friction_know_how_far_they_are_off():
+    without, with_friction = drag_cases()[:2], drag_cases()[2:]
+    assert [case.poses[0].depth_mm for case in without] == [0.6, 1.0]
+    found = {(case.elastomer.friction, case.poses[0].depth_mm): case.truth for case in with_friction}
+    assert {(0.3, 0.6), (0.8, 0.6)} <= set(found)
+    for case in with_friction:
+        assert 0 < case.truth.fx_uncertainty < 0.05
+        assert np.all(np.diff([pose.shear_x_mm for pose in case.poses]) > 0)
+        assert case.truth.force_n[0, 0] == pytest.approx(0, abs=1e-3)
     # More friction, more shear, and both below the drag that never slips.
-    ends = [references[0.3, 0.6].fx_n[-1], references[0.8, 0.6].fx_n[-1]]
-    without_slip = next(r for r in no_slip_drags() if r.depth_mm == 0.6).fx_n[-1]
-    assert ends[0] < ends[1] < without_slip
+    ends = [found[0.3, 0.6].force_n[-1, 0], found[0.8, 0.6].force_n[-1, 0]]
+    assert ends[0] < ends[1] < without[0].truth.force_n[-1, 0]
+
+
+def test_the_condensed_solve_changes_nothing_but_time(tmp_path, capsys):
+    found = condensation_table(Solver(1, tmp_path), quick=True).iloc[0]
+    assert found["iterations"] > 10
+    assert found["core s"] > 0
+    assert found["ratio"] > 0
+    assert found["force changes by"] < 1e-9
+    assert found["membrane, mm"] < 1e-9
+    assert "on a condensed equation" in capsys.readouterr().out
+
+
+def test_condensation_is_measured_on_every_shape_of_mesh_at_two_qualities():
+    chosen = condensation_cases(quick=False)
+    assert len({(case.name, case.quality) for case in chosen}) == len(chosen) == 8

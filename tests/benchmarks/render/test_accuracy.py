@@ -3,8 +3,6 @@
 import json
 from pathlib import Path
 
-import pytest
-
 from gelgap.benchmarks.render.accuracy import run
 from gelgap.benchmarks.render.path_tracer import stored_reference
 from gelgap.benchmarks.render.scenes import STORED_SCENES
@@ -15,7 +13,6 @@ def test_every_stored_scene_has_its_picture() -> None:
         assert stored_reference(scene).shape == (96, 128, 3)
 
 
-@pytest.mark.slow
 def test_the_quick_benchmark_runs_and_standard_quality_is_accurate(tmp_path: Path) -> None:
     run(quick=True, out_dir=tmp_path)
     results = json.loads((tmp_path / "render.json").read_text())

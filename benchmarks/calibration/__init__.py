@@ -1,1 +1,0 @@
-"""Calibrations that are run by hand, and whose results are constants in the code."""

@@ -1,1 +1,0 @@
-"""How fast domains are made and read, and what faults cost."""

@@ -1,0 +1,192 @@
+"""Cases with a true solution: independent finite elements in assets/reference, or the project's own."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
+
+import numpy as np
+import pandas as pd
+
+from gelgap.assets import asset_path
+from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
+from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
+from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth, digest
+from gelgap.sim import Elastomer, Pose, Sphere
+
+FORCE_UNCERTAINTY = 0.003
+DRAG_FX_UNCERTAINTY = 0.04
+NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
+TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"
+LESS_DEEP_MM = 0.6
+Descent = tuple[Press, tuple[float, ...]]
+"""A press that the project's own axisymmetric solver is the truth of, and its depths, mm."""
+
+
+def _held_back(*scene: float) -> Descent:
+    press = Press.scaled(*scene)
+    depths_mm = tuple(round(press.deepest_mm * share, 3) for share in (0.25, 0.5, 0.75, 1.0))
+    return replace(press, element_mm=0.05 * press.indenter_radius_mm), depths_mm
+
+
+def _larger_sphere(radius: float, thickness: float, nu: float, friction: float, *depths_mm: float) -> Descent:
+    """A pad must reach so far beyond the contact that its rim does not matter."""
+    press = Press.scaled(radius, thickness, nu, friction)
+    return replace(press, pad_radius_mm=radius + 3.5 * thickness, element_mm=thickness / 20), depths_mm
+
+
+HELD_BACK = (  # presses that no table and no calibration has: R, thickness, ν, friction
+    _held_back(1.0, 2.0, 0.47, 0.3),
+    _held_back(2.5, 4.0, 0.49, 0.8),
+    _held_back(1.5, 5.0, 0.495, 0.1),
+    _held_back(2.0, 3.0, 0.46, math.inf),
+)
+LARGER_SPHERES = (  # the rows of docs/physics.md: R, thickness, ν, friction, and depths
+    _larger_sphere(4.0, 3.0, 0.49, 0.0, 0.2, 0.55, 0.9),
+    _larger_sphere(6.0, 2.0, 0.48, math.inf, 0.15, 0.375, 0.6),
+    _larger_sphere(6.0, 2.0, 0.48, 0.0, 0.15, 0.375, 0.6),
+    _larger_sphere(6.0, 4.0, 0.49, 0.3, 0.3, 0.75, 1.2),
+    _larger_sphere(6.0, 4.0, 0.49, 0.3, 0.33, 0.67, 1.0, 1.33),
+    _larger_sphere(6.0, 3.0, 0.45, math.inf, 0.2, 0.55, 0.9),
+    _larger_sphere(10.0, 4.0, 0.49, math.inf, 0.1, 0.25, 0.4),
+    _larger_sphere(10.0, 4.0, 0.49, math.inf, 0.1, 0.65, 1.2),
+)
+
+
+@cache
+def press_cases() -> dict[str, Case]:
+    """Return the neo-Hookean presses of the tables by name (the linear elastic ones are not a material of gelgap)."""
+    rows = pd.read_csv(asset_path("reference", "force_depth.csv"))
+    rows = rows[rows["energy"].str.contains("neo-Hookean")]
+    cases = {}
+    for name, own in rows.groupby("case", sort=False):
+        first, contact = own.iloc[0], own["contact"].iloc[0]
+        slips = {"no slip": NO_SLIP_FRICTION, "frictionless": 0.0}
+        truth = Truth(
+            force_n=_normal(own["fz_n"]),
+            radius_mm=own["contact_radius_mm"].to_numpy(),
+            radius_uncertainty_mm=(
+                (own["contact_radius_high_mm"] - own["contact_radius_low_mm"]) / 2
+            ).to_numpy(),
+            profiles=_profiles(own["depth_mm"], "profiles", f"{name}.csv"),
+        )
+        cases[name] = _press(
+            "presses",
+            name,
+            truth,
+            own["depth_mm"],
+            first["indenter_radius_mm"],
+            young_modulus_mpa=first["young_modulus_mpa"],
+            poisson_ratio=first["poisson_ratio"],
+            friction=slips[contact] if contact in slips else float(contact.split()[-1]),
+            thickness_mm=first["thickness_mm"],
+            strain_energy="isochoric" if first["energy"].startswith("isochoric") else "stable-neo-hookean",
+        )
+    return cases
+
+
+def tabled_sphere() -> Case:
+    """Return the table of a sphere of 8 mm diameter on 3 mm of gel, in assets/reference/spheres."""
+    rows = pd.read_csv(asset_path("reference", "spheres", "forces.csv"))
+    rows = rows[rows["case"] == TABLED_SPHERE]
+    first = rows.iloc[0]
+    # The true radius lies between the last node that touches and the next, one element further out.
+    half_mm = first["element_mm_fine"] / 2
+    truth = Truth(
+        force_n=_normal(-rows["F_fine"]),
+        radius_mm=rows["contact_radius_now_mm"].to_numpy() + half_mm,
+        radius_uncertainty_mm=np.full(len(rows), half_mm),
+        profiles=_profiles(rows["depth_mm"], "spheres", f"{TABLED_SPHERE}_profile.csv"),
+    )
+    gel = {"young_modulus_mpa": first["E_MPa"], "poisson_ratio": first["nu"], "thickness_mm": first["h_mm"]}
+    radius_mm = json.loads(first["shape_params"])["R"]
+    return _press(
+        "larger", TABLED_SPHERE, truth, rows["depth_mm"], radius_mm, friction=NO_SLIP_FRICTION, **gel
+    )
+
+
+def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[Case]:
+    """Return presses with what the project's own axisymmetric solver finds."""
+    names = [
+        str(press) if study == "held back" else f"{press} to {depths[-1]:g} mm" for press, depths in descents
+    ]
+    settings = [{"press": name, "of": digest(repr(own))} for name, own in zip(names, descents, strict=True)]
+    by_key = {key_of(setting): own for setting, own in zip(settings, descents, strict=True)}
+    found = run_missing(
+        partial(solve_own, by_key), settings, solver.folder / "own.jsonl", workers=solver.processes
+    )
+    cases = []
+    for name, (press, depths_mm), key in zip(names, descents, by_key, strict=True):
+        own = found.loc[key]
+        uncertainty_mm = np.full(len(depths_mm), press.element_mm / 4)
+        truth = Truth(
+            _normal(own["fz_n"]), "own", 0.0, own["radius_mm"], uncertainty_mm, tuple(own["profiles"])
+        )
+        gel = {name: getattr(press, name) for name in ("young_modulus_mpa", "poisson_ratio", "thickness_mm")}
+        friction = min(press.friction, NO_SLIP_FRICTION)
+        cases.append(
+            _press(study, name, truth, depths_mm, press.indenter_radius_mm, friction=friction, **gel)
+        )
+    return cases
+
+
+def solve_own(descents: Mapping[str, Descent], setting: Setting) -> Results:
+    """Return what the project's own axisymmetric solver finds, for a truth."""
+    states = solve_press(*descents[key_of(setting)])
+    return {
+        "fz_n": np.array([state.force_n for state in states]),
+        "radius_mm": np.array([state.contact_radius_mm for state in states]),
+        "profiles": np.array([[state.r_mm, state.u_r_mm, state.u_z_mm] for state in states]),
+    }
+
+
+@cache
+def drag_cases() -> tuple[Case, ...]:
+    """Return drags along x: without slip from a table, then with Coulomb friction by the project's own 3-D solver.
+
+    Of the table's drags, on a pad of 20×20 mm, the ones with the smallest elements. The own ones
+    (`scripts/drag_table.py`) have an error that falls with the square of the elements' size, so that the fine mesh is
+    off by what the coarse one differs from it, over (ratio of sizes)² − 1.
+    """
+    table = pd.read_csv(asset_path("reference", "shear_no_slip.csv")).assign(friction=NO_SLIP_FRICTION)
+    own = pd.read_csv(asset_path("reference", "drag_coulomb.csv"))
+    cases = [_drag("table", meshes[0], DRAG_FX_UNCERTAINTY) for meshes in _meshes(table)]
+    for fine, *coarser in _meshes(own[np.isfinite(own["friction"])]):
+        if coarser and len(coarser[0]) == len(fine):
+            ratio = coarser[0]["element_mm"].iloc[0] / fine["element_mm"].iloc[0]
+            apart = np.abs(coarser[0]["fx_n"].to_numpy()[1:] / fine["fx_n"].to_numpy()[1:] - 1).max()
+            cases.append(_drag("own 3-D", fine, float(apart / (ratio**2 - 1))))
+    return tuple(cases)
+
+
+def _meshes(rows: pd.DataFrame) -> list[list[pd.DataFrame]]:
+    """Return the rows of each drag by the mesh that they were solved on, the finest first."""
+    drags = rows.groupby(["friction", "depth_mm"], sort=False)
+    return [[mesh for _, mesh in drag.groupby("element_mm")] for _, drag in drags]
+
+
+def _drag(source: str, rows: pd.DataFrame, fx_uncertainty: float) -> Case:
+    first = rows.iloc[0]
+    gel = {name: first[name] for name in ("young_modulus_mpa", "poisson_ratio", "friction")}
+    poses = tuple(Pose(depth_mm=first["depth_mm"], shear_x_mm=float(s)) for s in rows["shear_x_mm"])
+    force_n = np.stack([rows["fx_n"], np.full(len(rows), np.nan), rows["fz_n"]], axis=-1)
+    name = f"{first['depth_mm']:g} mm, friction {first['friction']:g}"
+    elastomer = Elastomer(pad_size_mm=(20.0, 20.0), **gel)
+    return Case("drags", name, elastomer, poses, truth=Truth(force_n, source, fx_uncertainty))
+
+
+def _press(
+    study: str, name: str, truth: Truth, depths_mm: Sequence[float], radius_mm: float, **gel: float | str
+) -> Case:
+    poses = tuple(Pose(depth_mm=float(depth)) for depth in depths_mm)
+    return Case(study, name, Elastomer(**gel), poses, indenter=Sphere(diameter_mm=2 * radius_mm), truth=truth)
+
+
+def _normal(fz_n: pd.Series | Floats) -> Floats:
+    return np.array([[0.0, 0.0, fz] for fz in fz_n])
+
+
+def _profiles(depths_mm: pd.Series, *place: str) -> tuple[Floats, ...]:
+    rows = np.genfromtxt(asset_path("reference", *place), delimiter=",", skip_header=1)
+    return tuple(rows[np.isclose(rows[:, 0], depth), 1:].T for depth in depths_mm)

@@ -1,0 +1,230 @@
+"""Where the time of a data set goes, stage by stage, beside the least that each could take; and how it scales."""
+
+import cProfile
+import inspect
+import os
+import pstats
+import shutil
+import statistics
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pandas as pd
+
+from gelgap.benchmarks.common import show, write_json
+from gelgap.domains import (
+    DomainFolder,
+    DomainRecipe,
+    generate_recipes,
+    make_recipes,
+    plan_generation,
+    preset_recipes,
+)
+from gelgap.domains.formats.pictures import encode_png, without_markers
+from gelgap.domains.formats.shards import encode_shard
+from gelgap.domains.generation.plan import GenerationPlan
+from gelgap.domains.generation.shard import FrameBatch, render_batch
+from gelgap.render import MembraneRenderer, imaging
+from gelgap.render.surface import Membrane, shared_surface
+from gelgap.sim import ContactPath, Solve, SolvePlan, load_solution
+
+GEL_DOMAINS = ("mb0i0", "wmb0i0")
+"""The domains whose frames are taken apart: two of the paper's, of one gel, the second with its dots inpainted."""
+POINTS = {"small": (4, 1), "large": (8, 4)}
+"""Columns and rows of contact points, 16 frames each, of a generation of one shard and of one of four."""
+TABLED_WORKERS = (1, 2, 4, 8, 16, 32, 64)
+REPEATS = 5
+STAGES: dict[str, Sequence[Callable]] = {
+    "membrane": (SolvePlan.state, Membrane.displacement_on),
+    "light": (MembraneRenderer._radiance, shared_surface),
+    "raster": (MembraneRenderer._geometry,),
+    "pixels and dots": (MembraneRenderer._gather, MembraneRenderer._paint_markers),
+    "noise": (imaging.sensor_noise,),
+    "8 bits": (imaging.encode,),
+    "inpainting": (without_markers,),
+    "PNG": (encode_png,),
+    "Parquet": (encode_shard,),
+    "write": (DomainFolder.write_file,),
+}
+"""What each stage of a frame is made of: functions, none of which calls another of them."""
+
+
+def run(quick: bool, out_dir: Path) -> None:
+    """Solve what the paper's data set needs, take frames apart, time one and two workers; write `stages.json`.
+
+    The quick form is at draft quality, the full one at standard quality.
+    """
+    quality, folder = "draft" if quick else "standard", out_dir / "stages"
+    shutil.rmtree(folder, ignore_errors=True)
+    paper = plan_generation(preset_recipes("paper", quality=quality))
+    small, large = (plan_generation(recipes_of(size, quality)) for size in POINTS)
+    with patch.dict(os.environ, GELGAP_CACHE=str(folder / "solves")):
+        solves = solve_costs([*large.solves.values(), *paper.solves.values()])[len(large.solves) :]
+        inpainted = sum(len(batch) for batch in paper.batches for one in batch.recipes if one.inpainted_from)
+        frames = frame_costs(large.batches[0], inpainted / paper.frames, folder / "frames")
+        generated = []
+        for plan, workers in ((small, 1), (large, 1), (large, 2)):
+            wall_s, client_s = time.perf_counter(), time.process_time()
+            generate_recipes(plan.recipes, folder / f"{plan.frames}-{workers}", workers=workers)
+            wall_s, client_s = time.perf_counter() - wall_s, time.process_time() - client_s
+            generated.append((plan.frames, workers, wall_s, client_s))
+    costs = stage_costs(frames, solves, paper)
+    show(
+        f"Where the processor time of the paper's data set goes, {quality} quality",
+        costs,
+        f"{paper.frames} frames of 320×240 px, {costs['s in all'].sum():.0f} s. Frames: {' and '.join(GEL_DOMAINS)}, "
+        "shares by the profiler, of the time without it. A floor is the least that the stage must do, done here by one "
+        "call of a library.",
+    )
+    times = pd.DataFrame(generated, columns=["frames", "workers", "wall_s", "client_s"])
+    title = f"Wall time by workers, {quality} quality"
+    show(title, *scaling(times, paper.frames, solves["core_s"]))
+    write_json(out_dir / "stages.json", {"stages": costs, "solves": solves, "generated": times})
+
+
+def recipes_of(size: str, quality: str) -> tuple[DomainRecipe, ...]:
+    """Return the domains on a path of one depth and travel, which one solve serves."""
+    columns, rows = POINTS[size]
+    x_mm, y_mm = np.linspace(-3.5, 3.5, columns), np.linspace(-2.1, 2.1, rows)
+    directions = tuple(24.0 * k for k in range(15))
+    path = ContactPath(size, tuple(x_mm.tolist()), tuple(y_mm.tolist()), (0.2,), (0.1,), directions)
+    return make_recipes(GEL_DOMAINS, path, quality=quality)
+
+
+def processor_s(work: Callable[[], object], repeats: int = 0) -> float:
+    """Return the processor time of some work; with `repeats` their median, after one run to warm up."""
+    times = []
+    for _ in range(repeats + 1):
+        start = time.process_time()
+        work()
+        times.append(time.process_time() - start)
+    return statistics.median(times[1:] or times)
+
+
+def solve_costs(solves: Sequence[Solve]) -> pd.DataFrame:
+    """Solve into the cache; return core s, load steps and Newton iterations, each of which factorises once or more."""
+    rows = []
+    for solve in solves:
+        start = time.process_time()
+        records = solve.run().records
+        iterations = sum(record.diagnostics.iterations for record in records)
+        rows.append((time.process_time() - start, solve.problem.load_steps, iterations))
+    return pd.DataFrame(rows, columns=["core_s", "load_steps", "iterations"])
+
+
+def rendering(batch: FrameBatch, folder: Path | None = None) -> Callable[[], None]:
+    """Return what a worker does with a batch whose solves are known; its shards are written if there is a folder."""
+    solutions = {key: load_solution(key) for key in batch.solve_keys}
+
+    def work() -> None:
+        for shard in render_batch(batch, solutions):
+            if folder is not None:
+                (folder / shard.domain).mkdir(parents=True, exist_ok=True)
+                DomainFolder(folder / shard.domain).write_file(shard.file, shard.data)
+
+    return work
+
+
+def frame_costs(batch: FrameBatch, inpainted: float, folder: Path) -> pd.DataFrame:
+    """Return the ms per labelled frame of each stage, if a share of the frames is `inpainted`, beside its floor.
+
+    The batch has two domains, of which the second is inpainted: it is made with both, and with the first alone.
+    """
+    both, plain = (stages_ms(one, folder) for one in (batch, replace(batch, recipes=batch.recipes[:1])))
+    # Of the frames of both, every second one is inpainted.
+    ms = {name: 2 * inpainted * both[name] + (1 - 2 * inpainted) * plain[name] for name in both}
+    floors = floors_ms(batch.recipes[0], folder)
+    rows = [(name, value, *floors.get(name, (None, None))) for name, value in ms.items()]
+    return pd.DataFrame(rows, columns=["stage", "ms per frame", "floor, ms per frame", "floor"])
+
+
+def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:
+    """Return the ms per frame of each stage of a batch: shares by the profiler, of the time without it."""
+    work = rendering(batch, folder)
+    frame_ms = 1e3 * processor_s(work, REPEATS) / (len(batch) * len(batch.recipes))
+    profiler = cProfile.Profile(time.process_time)
+    profiler.runcall(work)
+    stats: Any = pstats.Stats(profiler)
+    shares = {}
+    for name, functions in STAGES.items():
+        codes = [inspect.unwrap(function).__code__ for function in functions]
+        places = [(code.co_filename, code.co_firstlineno, code.co_name) for code in codes]
+        cumulative_s = [stats.stats[place][3] for place in places if place in stats.stats]
+        shares[name] = sum(cumulative_s) / stats.total_tt
+    shares["labels, rest"] = 1 - sum(shares.values())
+    return {name: share * frame_ms for name, share in shares.items()}
+
+
+def floors_ms(recipe: DomainRecipe, folder: Path) -> dict[str, tuple[float, str]]:
+    """Return the least time per frame of stages, ms, and of what: one pass of one library over the same numbers."""
+    lattice = MembraneRenderer(
+        recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality
+    ).lattice
+    grid = np.ones((lattice.rows, lattice.columns, 3), np.float32)
+    light = np.ones((len(recipe.illumination.leds), lattice.rows, lattice.columns), np.float32)
+    pixels = np.ones((*recipe.size_px[::-1], 3), np.float32)
+    rng = np.random.default_rng(0)
+    raw = rng.bytes(pixels.size)
+    packed = raw[: len(raw) // 3]  # what compression leaves
+    work: dict[str, tuple[Callable[[], object], str]] = {
+        "membrane": (grid.copy, "copying three numbers for each vertex"),
+        "light": (lambda: light * light + light, "a product and a sum for each vertex and LED"),
+        "raster": (pixels.copy, "copying three numbers for each pixel"),
+        "pixels and dots": (pixels.copy, "copying three numbers for each pixel"),
+        "noise": (lambda: rng.bytes(pixels.size), "a random byte for each pixel and colour"),
+        "8 bits": (lambda: pixels.astype(np.uint8), "rounding three numbers for each pixel"),
+        "PNG": (lambda: (zlib.crc32(raw), zlib.adler32(raw)), "its two checksums of the picture"),
+        "Parquet": (lambda: bytearray(raw), "copying the bytes of the picture"),
+        "write": (
+            lambda: (folder / "floor").write_bytes(packed),
+            "giving the bytes of the file to the system",
+        ),
+    }
+    return {name: (1e3 * processor_s(job, REPEATS), what) for name, (job, what) in work.items()}
+
+
+def stage_costs(frames: pd.DataFrame, solves: pd.DataFrame, plan: GenerationPlan) -> pd.DataFrame:
+    """Return each stage's time per frame and in a whole data set, beside its floor."""
+    total = solves.sum()
+    solve_ms = 1e3 * total["core_s"] / plan.frames
+    least_ms = solve_ms * total["load_steps"] / total["iterations"]
+    solving = ("solve", solve_ms, least_ms, "one Newton iteration for each load step")
+    found = pd.concat([pd.DataFrame([solving], columns=frames.columns), frames], ignore_index=True)
+    found.insert(2, "s in all", 1e-3 * plan.frames * found["ms per frame"])
+    found.insert(3, "share, %", 100 * found["s in all"] / found["s in all"].sum())
+    found.insert(5, "times the floor", found["ms per frame"] / found["floor, ms per frame"])
+    return found
+
+
+def scaling(times: pd.DataFrame, frames: int, solves_s: pd.Series) -> tuple[pd.DataFrame, str]:
+    """Return wall time by workers as measured, by a model fitted to it, and by the model for a data set, and a note.
+
+    T(n) = start + max(longest solve, solves/n) + frames/n + client: the client's work on a frame none shares.
+    """
+    alone = times[times["workers"] == 1]
+    few, many = alone["frames"].min(), alone["frames"].max()
+    per_frame = alone.set_index("frames").sort_index().diff().iloc[-1] / (many - few)
+    client_s, frame_s = per_frame["client_s"], per_frame["wall_s"] - per_frame["client_s"]
+    start_s = alone.set_index("frames").loc[many, "wall_s"] - (frame_s + client_s) * many
+    rows = pd.DataFrame({"workers": TABLED_WORKERS})
+    measured = times[times["frames"] == many].set_index("workers")["wall_s"]
+    rows[f"{many} frames measured, s"] = rows["workers"].map(measured)
+    rows["by the model, s"] = start_s + (frame_s / rows["workers"] + client_s) * many
+    solving_s = (solves_s.sum() / rows["workers"]).clip(lower=solves_s.max())
+    rows["paper's data set by the model, s"] = (
+        start_s + solving_s + (frame_s / rows["workers"] + client_s) * frames
+    )
+    rows["speed-up"] = rows.iloc[0, -1] / rows.iloc[:, -1]
+    note = (
+        "T(n) = start + max(longest solve, solves/n) + frames/n + client. Start, frames and client are fitted to "
+        f"generations of {few} and {many} frames by one worker, with solves known; two workers test it. Paper's data "
+        f"set: start {start_s:.1f}, solves {solves_s.sum():.0f}, the longest {solves_s.max():.0f}, frames "
+        f"{frame_s * frames:.0f}, client {client_s * frames:.1f} s."
+    )
+    return rows, note

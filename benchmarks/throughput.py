@@ -1,0 +1,201 @@
+"""How fast domains are made and read, what sharing saves, and what a picture costs by PNG setting."""
+
+import os
+import resource
+import shutil
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pandas as pd
+
+from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
+from gelgap.benchmarks.stages import processor_s, rendering
+from gelgap.domains import (
+    DomainFolder,
+    DomainRecipe,
+    LabelledFrames,
+    generate_recipes,
+    make_recipes,
+    open_domain,
+    plan_generation,
+    preset_recipes,
+    shown_progress,
+)
+from gelgap.domains.formats.pictures import encode_png
+from gelgap.sim import ContactPath, Solve
+
+READING_SIZE_PX = 64
+BATCH = 32
+SAMPLE_FRAMES = 20
+AIMS = "aims for the paper's four domains: 1200 s, 1500 MiB a worker, 3500 MB"
+ALONE = "alone: extrapolated from one solve's time per load step and a few frames of each domain"
+
+
+def run(quick: bool, out_dir: Path) -> None:
+    """Measure generation, reading and encoding; print tables and write `throughput.json`.
+
+    The full form makes the paper's four domains at standard quality, gel by gel; the quick one two small domains at
+    draft quality, one solve per gel, with one worker. A benchmark that was stopped goes on with the next generation.
+    """
+    folder = out_dir / "throughput"
+    preset, quality = ("quick", "draft") if quick else ("paper", "standard")
+    recipes = recipes_of(preset, quality)
+    by_gel: dict[str, list[str]] = {}
+    for recipe in recipes:
+        by_gel.setdefault(recipe.elastomer.model_dump_json(), []).append(recipe.name)
+    about = {"preset": preset, "quality": quality}
+    workers = 1 if quick else len(os.sched_getaffinity(0))
+    settings = [about | {"domains": names, "workers": workers} for names in by_gel.values()]
+    file = folder / "generation.jsonl"
+    if not file.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+    # One after the other, each in a process of its own, whose children are the workers.
+    runs = run_missing(partial(generation, folder), settings, file, workers=1, tasks_per_worker=1)
+    runs = runs.set_index(runs["domains"].map(" + ".join)).drop(columns=["domains", *about])
+    whole = together(runs)
+    show(f"Generation of {preset} at {quality} quality", pd.concat([runs, whole]), AIMS)
+    shared_h = (whole["s"] * whole["workers"] * whole["CPU share"]).item() / 3600
+    with patch.dict(os.environ, GELGAP_CACHE=str(folder / "solves")):
+        alone = core_hours_alone(recipes)
+    columns = ["solving", "rendering", "together", "over shared"]
+    rows = [[*alone, sum(alone), sum(alone) / shared_h], [None, None, shared_h, 1.0]]
+    ways = pd.Index(["each frame solved and rendered alone", "shared"], name="way")
+    sharing = pd.DataFrame(rows, ways, columns)
+    show("What sharing saved, hours of one core", sharing, ALONE)
+    frames = open_domain(folder / "data" / recipes[0].name)
+    reading, png = reading_rates(frames), png_costs(frames)
+    show(f"Reading at {READING_SIZE_PX} px on one core", reading)
+    show("PNG of a {}×{} frame with sensor noise".format(*frames.size_px), png)
+    tables = {"generation": runs.reset_index(), "sharing": sharing, "reading": reading, "png": png}
+    write_json(out_dir / "throughput.json", tables)
+    file.unlink()
+
+
+def recipes_of(preset: str, quality: str) -> tuple[DomainRecipe, ...]:
+    """Return a preset's domains; "quick" are two of two gels with one shallow solve each, 100 frames a domain."""
+    if preset != "quick":
+        return preset_recipes(preset, quality=quality)
+    directions = tuple(15.0 * k for k in range(24))
+    path = ContactPath("quick", (-2.25, 2.25), (-1.3, 1.3), (0.2,), (0.1,), directions)
+    return make_recipes(["mb0i0", "wmb1i1"], path, quality=quality)
+
+
+def generation(folder: Path, setting: Setting) -> Results:
+    """Generate domains that share a gel, from nothing; this process and its workers are measured whole."""
+    recipes = [r for r in recipes_of(setting["preset"], setting["quality"]) if r.name in setting["domains"]]
+    with patch.dict(os.environ, GELGAP_CACHE=str(folder / "solves")):
+        solves = plan_generation(recipes).solves
+        # What a benchmark that was stopped has left.
+        for key in solves:
+            (folder / "solves" / f"{key}.solution").unlink(missing_ok=True)
+        start, own_s = time.perf_counter(), time.process_time()
+        with shown_progress() as progress:
+            generate_recipes(
+                recipes, folder / "data", workers=setting["workers"], progress=progress, overwrite=True
+            )
+        wall_s, own_s = time.perf_counter() - start, time.process_time() - own_s
+    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
+    manifests = [DomainFolder(folder / "data" / recipe.name).read_manifest() for recipe in recipes]
+    frames = sum(manifest["frames"] for manifest in manifests)
+    return {
+        "solves": len(solves),
+        "frames": frames,
+        "s": wall_s,
+        "frames/s": frames / wall_s,
+        "CPU share": (ended.ru_utime + ended.ru_stime) / (wall_s * setting["workers"]),
+        "client s": own_s,
+        "MiB a worker": ended.ru_maxrss / 1024,
+        "MB on disk": sum(entry["bytes"] for one in manifests for entry in one["files"].values()) / 1e6,
+        "unconverged": sum(manifest["unconverged"] for manifest in manifests),
+    }
+
+
+def together(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return what several generations took one after another."""
+    total = runs.agg({name: "max" if name in ("workers", "MiB a worker") else "sum" for name in runs})
+    total["frames/s"] = total["frames"] / total["s"]
+    total["CPU share"] = (runs["CPU share"] * runs["s"]).sum() / total["s"]
+    index = pd.Index(["together, one after another"], name=runs.index.name)
+    return pd.DataFrame([total], index).astype(runs.dtypes)
+
+
+def core_hours_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
+    """Return the core hours of solving and of rendering each frame on its own, extrapolated from samples.
+
+    A solve is sampled on the shallowest problem, uncached; a frame alone takes the load steps of its own contact.
+    """
+    problems = [solve.problem for solve in plan_generation(recipes).solves.values()]
+    problem = min(problems, key=lambda problem: problem.depth_mm)
+    step_s = processor_s(Solve(problem, cached=False).run) / problem.load_steps
+    poses = [pose for recipe in recipes for pose in recipe.path.poses]
+    ways = [
+        way for pose in poses for way in ((0.0, 0.0, -pose.depth_mm), (pose.radius_mm, 0.0, 0.0)) if any(way)
+    ]
+    steps = sum(problem.quality.load_steps(np.array(way)) for way in ways)
+    rendering_s = 0.0
+    for recipe in recipes:
+        batch = plan_generation([recipe]).batches[0]
+        sample = replace(batch, stop=min(batch.stop, batch.start + SAMPLE_FRAMES))
+        rendering_s += len(recipe.path.poses) * processor_s(rendering(sample), 3) / len(sample)
+    return step_s * steps / 3600, rendering_s / 3600
+
+
+def reading_rates(frames: LabelledFrames) -> pd.DataFrame:
+    """Return the rates of reading pictures from Parquet, of building the cache and of loading batches from it."""
+    import cv2
+    import torch
+
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    mixed = np.random.default_rng(0).permutation(len(frames))[:300].tolist()
+
+    def rate(work: Callable[[], object], count: int) -> float:
+        return count / processor_s(work, 3)
+
+    rates: list[tuple[str, float, float | None]] = [
+        (
+            "Parquet, in order, full size",
+            rate(lambda: [frames.picture(i) for i in range(len(mixed))], len(mixed)),
+            150,
+        ),
+        (
+            "Parquet, random order, full size",
+            rate(lambda: [frames.picture(i) for i in mixed], len(mixed)),
+            None,
+        ),
+        ("building the cache", len(frames) / processor_s(lambda: frames.images(READING_SIZE_PX)), None),
+    ]
+    for pairing in ("channels", "stack", "difference"):
+        loader, epochs = frames.torch(READING_SIZE_PX, pairing).loader(BATCH), max(1, 3000 // len(frames))
+        work = partial(lambda batches, n: [deque(batches, maxlen=0) for _ in range(n)], loader, epochs)
+        way = f"DataLoader from the cache, {pairing}, batches of {BATCH}"
+        rates.append((way, rate(work, epochs * len(frames)), 3000))
+    return pd.DataFrame(rates, columns=["way", "frames/s", "aim"])
+
+
+def png_costs(frames: LabelledFrames) -> pd.DataFrame:
+    """Return mean size and median time of encoding some of the frames, by PNG setting."""
+    import cv2
+
+    level, strategy = cv2.IMWRITE_PNG_COMPRESSION, cv2.IMWRITE_PNG_STRATEGY
+    settings = {f"OpenCV, level {value}": [level, value] for value in (0, 1, 3, 6, 9)} | {
+        "OpenCV, run-length": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_RLE],
+        "OpenCV, Huffman only": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY],
+        "Huffman only, average filter (used)": None,
+    }
+    rows = []
+    for name, own in settings.items():
+        sizes, times = [], []
+        for picture in (frames.picture(i) for i in range(0, len(frames), len(frames) // 10)):
+            bgr, start = picture[..., ::-1], time.process_time()
+            data = encode_png(picture) if own is None else cv2.imencode(".png", bgr, own)[1].tobytes()
+            times.append(time.process_time() - start)
+            sizes.append(len(data))
+        rows.append((name, np.mean(sizes) / 1e3, 1e3 * np.median(times)))
+    return pd.DataFrame(rows, columns=["setting", "kB", "ms"])
