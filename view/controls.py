@@ -11,6 +11,7 @@ import viser
 from pydantic import BaseModel
 
 from gelgap.assets import list_presets
+from gelgap.assets.settings import Settings
 from gelgap.render import Illumination, Led, Sensor
 from gelgap.sim import Elastomer
 from gelgap.view.meshes import COLOURINGS
@@ -19,10 +20,6 @@ from gelgap.view.state import DEEPEST_MM, FARTHEST_MM, Configuration
 
 OWN = "own"
 """What a dropdown says of a gel or light that is no preset; of a light also where it is the sensor's own."""
-MODULI_MPA = (0.05, 3.0)
-FRICTIONS = (0.0, 2.0)
-# Where contacts lie that the paper's camera sees.
-POINTS_MM = (5.0, 3.5)
 # A value beyond a knob's range makes the range this many times as large as the value.
 _ROOM = 2.0
 
@@ -61,7 +58,7 @@ class Controls:
         self._fill()
 
     def _add_contact(self, gui: viser.GuiApi) -> None:
-        x_mm, y_mm = POINTS_MM
+        x_mm, y_mm = 5.0, 3.5  # contacts that the paper's camera sees
         self.depth = self._field("pose.depth_mm", gui.add_slider("depth, mm", 0.0, DEEPEST_MM, 0.01, 0.6))
         self.travel = gui.add_slider("travel, mm", 0.0, FARTHEST_MM, 0.01, 0.0)
         self.direction = gui.add_slider("direction, °", 0, 359, 1, 0)
@@ -74,23 +71,17 @@ class Controls:
         )
 
     def _add_gel(self, gui: viser.GuiApi) -> None:
-        self.elastomer = gui.add_dropdown("elastomer", (*list_presets("elastomers"), OWN))
-        self._bind(self.elastomer, lambda: _preset_of("elastomers", self.wanted.elastomer), self._with_gel)
-        slider = gui.add_slider("Young's modulus, MPa", *MODULI_MPA, 0.01, 0.4)
+        self.elastomer = self._preset(gui, "elastomer", Elastomer, lambda gel: self._with(elastomer=gel))
+        slider = gui.add_slider("Young's modulus, MPa", 0.05, 3.0, 0.01, 0.4)
         self.modulus = self._field("elastomer.young_modulus_mpa", slider)
-        self.friction = self._field("elastomer.friction", gui.add_slider("friction", *FRICTIONS, 0.01, 0.5))
+        self.friction = self._field("elastomer.friction", gui.add_slider("friction", 0.0, 2.0, 0.01, 0.5))
 
     def _add_light(self, gui: viser.GuiApi) -> None:
-        self.illumination = gui.add_dropdown("illumination", (*list_presets("illuminations"), OWN))
+        self.illumination = self._preset(gui, "illumination", Illumination, self._with_illumination)
         self.led = gui.add_dropdown("LED", ("1",), hint="This one can be dragged in the scene")
         self.drive = gui.add_slider("drive", 0.0, 40.0, 0.1, 1.0)
         self.colour = gui.add_rgb("colour", (255, 255, 255))
         self.place = gui.add_vector3("place, mm", (0.0, 0.0, -3.0), step=0.1)
-        self._bind(
-            self.illumination,
-            lambda: _preset_of("illuminations", self.wanted.illumination),
-            self._with_illumination,
-        )
         self._bind(self.led, self._led_name, self._with_other_led)
         self._bind(self.drive, lambda: self._led.drive, lambda: self._with_led(drive=self.drive.value))
         self._bind(self.colour, self._colour, self._with_colour)
@@ -99,8 +90,7 @@ class Controls:
         )
 
     def _add_camera(self, gui: viser.GuiApi) -> None:
-        self.sensor = gui.add_dropdown("sensor", (*list_presets("sensors"), OWN))
-        self._bind(self.sensor, lambda: _preset_of("sensors", self.wanted.sensor), self._with_sensor)
+        self.sensor = self._preset(gui, "sensor", Sensor, self._with_sensor)
         self.markers = self._field("markers", gui.add_checkbox("markers", True))
         self.noise = self._field("noise", gui.add_checkbox("noise", False))
         qualities = gui.add_dropdown("quality", ("draft", "standard", "fine"), initial_value="standard")
@@ -126,6 +116,30 @@ class Controls:
             knob, lambda: attrgetter(path)(self.wanted), lambda: _replaced(self.wanted, path, knob.value)
         )
         return knob
+
+    def _preset(
+        self, gui: viser.GuiApi, field: str, kind: type[Settings], taken: Callable[[Any], Configuration]
+    ) -> Any:
+        """Add a dropdown of the presets of a field; `taken` makes the configuration with the one that is chosen.
+
+        It shows the preset that has the field's values. The own illumination is the sensor's, where it has one.
+        """
+        known = list_presets(f"{field}s")
+        dropdown = gui.add_dropdown(field, (*known, OWN))
+
+        def shown() -> str:
+            values = getattr(self.wanted, field)
+            names = [values.name] if getattr(values, "name", "") else known
+            return next((name for name in names if name in known and kind.preset(name) == values), OWN)
+
+        def changed() -> Configuration:
+            if dropdown.value != OWN:
+                return taken(kind.preset(dropdown.value))
+            own = self.wanted.sensor.illumination if field == "illumination" else None
+            return self.wanted if own is None else self._with(illumination=own)
+
+        self._bind(dropdown, shown, changed)
+        return dropdown
 
     def _bind(self, knob: Any, value: Callable[[], Any], changed: Callable[[], Configuration]) -> None:
         """Keep a knob at a value, and take over what it changes."""
@@ -173,22 +187,21 @@ class Controls:
     def _with_shear(self) -> Configuration:
         angle, pose = radians(self.direction.value), self.wanted.pose
         x_mm, y_mm = (round(self.travel.value * part, 15) for part in (cos(angle), sin(angle)))
-        return replace(self.wanted, pose=replace(pose, shear_x_mm=x_mm, shear_y_mm=y_mm))
+        return self._with(pose=replace(pose, shear_x_mm=x_mm, shear_y_mm=y_mm))
 
     def _direction(self) -> int | None:
         pose = self.wanted.pose
         return round(pose.angle_deg) % 360 if pose.radius_mm else None
 
-    def _with_gel(self) -> Configuration:
-        name = self.elastomer.value
-        return self.wanted if name == OWN else replace(self.wanted, elastomer=Elastomer.preset(name))
+    def _with(self, **values: Any) -> Configuration:
+        return replace(self.wanted, **values)
 
-    def _with_illumination(self) -> Configuration:
-        name, own = self.illumination.value, self.wanted.sensor.illumination
-        if name == OWN:
-            return replace(self.wanted, illumination=own) if own is not None else self.wanted
+    def _with_illumination(self, illumination: Illumination) -> Configuration:
         self.chosen_led = 0
-        return replace(self.wanted, illumination=Illumination.preset(name))
+        return self._with(illumination=illumination)
+
+    def _with_sensor(self, sensor: Sensor) -> Configuration:
+        return self._with(sensor=sensor, illumination=sensor.illumination or self.wanted.illumination)
 
     def _led_name(self) -> str:
         leds = enumerate(self.wanted.illumination.leds, start=1)
@@ -205,7 +218,7 @@ class Controls:
         leds = list(self.wanted.illumination.leds)
         leds[self.chosen_led] = Led(**{**dict(self._led), **values})
         light = self.wanted.illumination.model_copy(update={"leds": tuple(leds)})
-        return replace(self.wanted, illumination=light)
+        return self._with(illumination=light)
 
     def _colour(self) -> tuple[int, int, int] | None:
         """Return the chosen LED's colour, unless it is switched off or differs by no more than rounding."""
@@ -217,30 +230,11 @@ class Controls:
         picked = recoloured(self._led, self.colour.value, self.wanted.sensor.camera)
         return self._with_led(spectrum=picked.spectrum)
 
-    def _with_sensor(self) -> Configuration:
-        if self.sensor.value == OWN:
-            return self.wanted
-        sensor = Sensor.preset(self.sensor.value)
-        light = sensor.illumination or self.wanted.illumination
-        return replace(self.wanted, sensor=sensor, illumination=light)
-
 
 def _replaced(thing: Any, path: str, value: Any) -> Any:
     """Return a copy of nested settings and dataclasses with another value at a path such as `pose.depth_mm`."""
     first, _, rest = path.partition(".")
     inner = _replaced(getattr(thing, first), rest, value) if rest else value
-    return (
-        type(thing)(**{**dict(thing), first: inner})
-        if isinstance(thing, BaseModel)
-        else replace(thing, **{first: inner})
-    )
-
-
-_PRESET = {"elastomers": Elastomer.preset, "illuminations": Illumination.preset, "sensors": Sensor.preset}
-
-
-def _preset_of(kind: str, values: Any) -> str:
-    """Return the name of the preset that has these values."""
-    known, named = list_presets(kind), getattr(values, "name", "")
-    names = [named] if named else known
-    return next((name for name in names if name in known and _PRESET[kind](name) == values), OWN)
+    if isinstance(thing, BaseModel):
+        return type(thing)(**{**dict(thing), first: inner})
+    return replace(thing, **{first: inner})

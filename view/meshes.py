@@ -2,17 +2,16 @@
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from PIL import Image
 
 from gelgap.assets.whole_file import write_whole
 from gelgap.render import Camera
 from gelgap.sim import MembraneState, SolvedPose, Sphere
-
-if TYPE_CHECKING:
-    import trimesh
 
 MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]
@@ -28,7 +27,7 @@ _SHINING_SHARE, _SHADED_SHARE = 0.55, 0.25
 
 def membrane_mesh(
     state: MembraneState, camera: Camera, picture: NDArray[np.uint8], every: int = 1
-) -> "trimesh.Trimesh":
+) -> trimesh.Trimesh:
     """Return the part of a membrane that the camera sees, in mm, with the picture (h, w, 3) as its texture.
 
     `every` keeps each `every`-th point of the grid along both axes.
@@ -44,7 +43,7 @@ def membrane_mesh(
 
 def coloured_mesh(
     state: MembraneState, values: NDArray[np.floating], most: float, every: int = 1
-) -> "trimesh.Trimesh":
+) -> trimesh.Trimesh:
     """Return the whole membrane, in mm, coloured by values (ny, nx) from 0 to `most`."""
     import matplotlib
 
@@ -70,8 +69,6 @@ def mesh_bytes(
     suffix: str,
 ) -> bytes:
     """Return membrane and indenter as a file: `.glb`, textured, in metres, or `.ply`, coloured by vertex, in mm."""
-    import trimesh
-
     membrane = membrane_mesh(solved.state, camera, picture)
     body = trimesh.creation.icosphere(subdivisions=3, radius=indenter.radius_mm)
     body.apply_translation(indenter_centre_mm(solved, point_mm, indenter))
@@ -106,7 +103,7 @@ def save_mesh(
     write_whole(Path(path), mesh_bytes(solved, point_mm, indenter, camera, picture, suffix))
 
 
-def glb(mesh: "trimesh.Trimesh") -> bytes:
+def glb(mesh: trimesh.Trimesh) -> bytes:
     """Return one mesh as GLB in mm, as the page shows it."""
     shown = mesh.copy()
     material = shown.visual.material
@@ -125,11 +122,8 @@ def _points(state: MembraneState, every: int) -> NDArray[np.float64]:
 
 def _textured(
     points: NDArray, uv: NDArray, kept: NDArray[np.bool_], texture: NDArray[np.uint8]
-) -> "trimesh.Trimesh":
+) -> trimesh.Trimesh:
     """Return the triangles whose corners are all kept, seen from above (+z)."""
-    import trimesh
-    from PIL import Image
-
     index = np.arange(kept.size).reshape(kept.shape)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.stack([a, b, c, a, c, d], axis=-1).reshape(-1, 3)

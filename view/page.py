@@ -1,11 +1,12 @@
 """The page: knobs, scene and figures, put together around the live model, which works in a thread of its own."""
 
 import contextlib
+import errno
 import io
 import socket
 import threading
-from collections import deque
 from collections.abc import Callable
+from queue import SimpleQueue
 
 import viser
 
@@ -20,6 +21,17 @@ from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
 
 _PICTURES_WIDTH_PX = 360
 _KNOBS_WIDTH_PX = 330
+
+
+def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -> "Page":
+    """Open the page of a configuration; port 0 takes any free one, and `close` ends it.
+
+    Raises
+    ------
+    ValueError
+        If the gel is too thin for a path, the port is taken, or the host is not this machine's.
+    """
+    return Page(start, host, port)
 
 
 class Page:
@@ -42,12 +54,12 @@ class Page:
         """What the page shows now."""
         self._model = LiveModel()
         self._solver = make_solver(lambda answer: self.do(lambda: self._take_in(answer)))
-        self._condition = threading.Condition()
-        self._wanted: Configuration | None = start
-        self._tasks: deque[Callable[[], None]] = deque()
-        self._closed = False
+        self._tasks: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._lock = threading.Lock()
+        self._wanted: Configuration | None = None
         self._failed: PathRequest | None = None
         self._build(start)
+        self._want(start)
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
 
@@ -78,47 +90,40 @@ class Page:
 
     def do(self, task: Callable[[], None]) -> None:
         """Do something in the model's thread; what fails is said on the page."""
-        with self._condition:
-            self._tasks.append(task)
-            self._condition.notify()
+        self._tasks.put(task)
 
     def wait(self) -> None:
         """Wait until the page is closed."""
-        while not self._closed:
+        while self._thread.is_alive():
             self._thread.join(1.0)
 
     def close(self) -> None:
         """End the page and the process that solves for it."""
-        with self._condition:
-            self._closed = True
-            self._condition.notify()
+        self._tasks.put(None)
         self._solver.close()
         self._thread.join(5.0)
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
     def _want(self, configuration: Configuration) -> None:
-        with self._condition:
+        with self._lock:
             self._wanted = configuration
-            self._condition.notify()
+        self.do(self._show_wanted)
 
     def _work(self) -> None:
-        """Do tasks and show the newest configuration, until the page is closed."""
-        while True:
-            with self._condition:
-                self._condition.wait_for(lambda: self._closed or self._tasks or self._wanted is not None)
-                if self._closed:
-                    return
-                task = self._tasks.popleft() if self._tasks else None
-                if task is None:
-                    wanted, self._wanted = self._wanted, None
+        """Do tasks until the page is closed."""
+        while (task := self._tasks.get()) is not None:
             try:
-                if task is not None:
-                    task()
-                else:
-                    self._show(wanted)
+                task()
             except Exception as error:
                 self._readout.say(str(error) or type(error).__name__, bad=True)
+
+    def _show_wanted(self) -> None:
+        """Show the newest configuration, unless an earlier task has done so."""
+        with self._lock:
+            wanted, self._wanted = self._wanted, None
+        if wanted is not None:
+            self._show(wanted)
 
     def _show(self, configuration: Configuration) -> None:
         request = self._model.lacks(configuration)
@@ -153,7 +158,7 @@ class Page:
                     self._model.add_path(request, result)
                 else:
                     self._model.add_pose(request, result)
-                self._wanted = self._wanted or self.controls.wanted
+                self._want(self._wanted or self.controls.wanted)
 
     def _keep_source(self) -> None:
         if self.shown is not None:
@@ -195,21 +200,17 @@ def _start_server(host: str, port: int) -> viser.ViserServer:
     taken = (
         f"--port = {port}: is taken by another program; choose another, for example --port {port % 65535 + 1}"
     )
-    nowhere = f"--host = {quoted(host)}: is no address of this machine"
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    except (OSError, UnicodeError) as error:
-        raise ValueError(f"{nowhere} ({error})") from None
-    with socket.socket(family, kind, protocol) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-        except PermissionError:
-            raise ValueError(f"--port = {port}: is not allowed; choose one from 1024 on") from None
-        except OSError as error:
-            if error.errno in (98, 48):
-                raise ValueError(taken) from None
-            raise ValueError(f"{nowhere} ({error.strerror})") from None
+    except PermissionError:
+        raise ValueError(f"--port = {port}: is not allowed; choose one from 1024 on") from None
+    except (OSError, UnicodeError) as error:
+        if getattr(error, "errno", None) == errno.EADDRINUSE:
+            raise ValueError(taken) from None
+        raise ValueError(f"--host = {quoted(host)}: is no address of this machine ({error})") from None
     # viser prints a table of addresses, and this program prints its own.
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)

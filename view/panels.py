@@ -1,6 +1,7 @@
 """Parts of the page that show things: camera and figures, a source beside the target, and a domain on disk."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 
@@ -8,10 +9,10 @@ import numpy as np
 import viser
 
 from gelgap.domains import QUANTITIES, LabelledFrames, open_domain
+from gelgap.domains.sweep import DomainGap
 from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker, difference
-from gelgap.view.state import Comparison, Shown, compare
+from gelgap.view.state import Configuration, Shown
 
-_CELL = "padding:2px 10px 2px 0"
 _GOOD, _BAD, _MIDDLING = "#2b8a3e", "#c92a2a", "#b08900"
 _GREY = np.full((SIZE_PX[1], SIZE_PX[0], 3), 128, np.uint8)
 # What is told of a frame beside its labels, where the data set has it.
@@ -52,24 +53,15 @@ def figures_html(shown: Shown, colours: str) -> str:
     rows.append(("contact radius", f"{state.contact_radius_mm:.3f} mm"))
     rows.append(("largest displacement", f"{np.linalg.norm(state.displacement_mm, axis=-1).max():.3f} mm"))
     rows.append(("largest pressure", f"{shown.solved.pressure_mpa.max():.3f} MPa"))
-    cells = "".join(
-        f'<tr><td style="{_CELL};opacity:.7">{name}</td>'
-        f'<td style="text-align:right;font-variant-numeric:tabular-nums"><b>{value}</b></td></tr>'
-        for name, value in rows
-    )
+    verdict, colour = ("converged", _GOOD) if shown.exact else ("draft", _MIDDLING)
     if not state.converged:
         verdict, colour = "NOT CONVERGED", _BAD
-    else:
-        verdict, colour = ("converged", _GOOD) if shown.exact else ("draft", _MIDDLING)
     stages = ", ".join(f"{name} {ms:.0f} ms" for name, ms in shown.stages_ms.items()) or "nothing to do"
     said = [f'<span style="color:{colour};font-weight:600">{verdict}</span>: {escape(shown.source)}.']
     if colours:
         said.append(escape(colours) + ".")
     said.append(f'<span style="opacity:.6">{stages}</span>')
-    return (
-        f'<div style="padding:4px 12px;font-size:13px"><table style="border-collapse:collapse">{cells}</table>'
-        f'<div style="margin-top:6px;font-size:12px">{"<br>".join(said)}</div></div>'
-    )
+    return _table_html(rows, 13) + f'<div style="padding:2px 12px;font-size:12px">{"<br>".join(said)}</div>'
 
 
 class ComparePanel:
@@ -94,10 +86,8 @@ class ComparePanel:
         """Make something the source."""
         self.source = source
         self._picture.image = source.picture
-        for part in (self._picture, self._target):
-            part.visible = True
-        for button in (self.swap, self.recipe):
-            button.disabled = False
+        self._picture.visible = self._target.visible = True
+        self.swap.disabled = self.recipe.disabled = False
 
     def update(self, target: Shown) -> None:
         """Tell the gap to a new target."""
@@ -107,7 +97,15 @@ class ComparePanel:
             self.figures.content = gap_html(gap, self.source, target)
 
 
-def gap_html(gap: Comparison, source: Shown, target: Shown) -> str:
+def compare(source: Configuration, target: Configuration, pictures: PictureMaker) -> DomainGap:
+    """Return the gap between two configurations, as `domain_gap` has it for domains, without fields."""
+    mean, percentile_95 = pictures.colour_difference(source.light, target.light)
+    marked = {(False, True): "added", (True, False): "removed"}.get((source.markers, target.markers), "equal")
+    ratio = target.elastomer.young_modulus_mpa / source.elastomer.young_modulus_mpa
+    return DomainGap(ratio, mean, percentile_95, marked, fields=())
+
+
+def gap_html(gap: DomainGap, source: Shown, target: Shown) -> str:
     """Return the gap and the forces of both sides as HTML."""
     forces = [
         " ".join(f"{value:+.2f}" for value in shown.solved.state.force_n.round(2) + 0.0)
@@ -145,34 +143,35 @@ class DataPanel:
         if not folder.strip():
             self._say("name the folder of one domain, such as data/mb0i0")
             return
-        try:
+        with self._told():
             frames = open_domain(Path(folder.strip()).expanduser())
             self._references = frames.references_at()
-        except (ValueError, OSError, RuntimeError) as error:
-            self._say(str(error))
-            return
-        self._frames = frames
-        self._index.max = max(len(frames) - 1, 1)
-        self._index.disabled = False
-        for part in (self._picture, self._difference):
-            part.visible = True
-        self._index.value = 0
-        self.show(0)
+            self._frames = frames
+            self._index.max = max(len(frames) - 1, 1)
+            self._index.disabled = False
+            self._picture.visible = self._difference.visible = True
+            self._index.value = 0
+            self.show(0)
 
     def show(self, index: int) -> None:
         """Show a frame, or say why it cannot be read."""
-        frames = self._frames
-        if frames is None:
+        if (frames := self._frames) is None:
             return
         index = min(index, len(frames) - 1)
-        try:
+        with self._told():
             picture = frames.picture(index)
+            reference = self._references[frames.reference_id[index]]
+            self._picture.image = _enlarged(picture)
+            self._difference.image = _enlarged(difference(picture, reference))
+            self._labels.content = labels_html(frames, index)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Say on the page what is wrong with a data set."""
+        try:
+            yield
         except (ValueError, OSError, RuntimeError) as error:
             self._say(str(error))
-            return
-        self._picture.image = _enlarged(picture)
-        self._difference.image = _enlarged(difference(picture, self._references[frames.reference_id[index]]))
-        self._labels.content = labels_html(frames, index)
 
     def _say(self, sentence: str) -> None:
         self._labels.content = f'<div style="padding:4px 12px;color:{_BAD}">{escape(sentence)}</div>'
@@ -188,12 +187,15 @@ def labels_html(frames: LabelledFrames, index: int) -> str:
     return _table_html([*rows, *((name, str(columns[name][index])) for name in _COLUMNS if name in columns)])
 
 
-def _table_html(rows: Iterable[tuple[str, str]]) -> str:
+def _table_html(rows: Iterable[tuple[str, str]], font_size_px: int = 12) -> str:
     cells = "".join(
-        f'<tr><td style="opacity:.7;padding-right:10px">{name}</td><td><b>{escape(value)}</b></td></tr>'
+        f'<tr><td style="opacity:.7;padding:2px 10px 2px 0">{name}</td>'
+        f'<td style="font-variant-numeric:tabular-nums"><b>{escape(value)}</b></td></tr>'
         for name, value in rows
     )
-    return f'<table style="font-size:12px;margin:4px 12px">{cells}</table>'
+    return (
+        f'<table style="font-size:{font_size_px}px;margin:4px 12px;border-collapse:collapse">{cells}</table>'
+    )
 
 
 def _enlarged(picture: Picture) -> Picture:

@@ -46,7 +46,10 @@ class PictureMaker:
 
     def __init__(self) -> None:
         self._renderers: dict[Light, MembraneRenderer] = {}
-        self.reference = lru_cache(_KEPT_REFERENCES)(self._reference)
+        self.reference = lru_cache(_KEPT_REFERENCES)(
+            lambda light, markers: self.renderer(light).reference(markers)
+        )
+        """The picture of the undeformed membrane under a light, with markers or without, and without noise."""
         self.colour_difference = lru_cache(_KEPT_REFERENCES)(self._colour_difference)
 
     def picture(self, light: Light, state: MembraneState, markers: bool, noise: bool) -> Picture:
@@ -75,15 +78,8 @@ class PictureMaker:
         self._renderers[light] = renderer
         return renderer
 
-    def _reference(self, light: Light, markers: bool) -> Picture:
-        """Return the picture of the undeformed membrane without noise."""
-        return self.renderer(light).reference(markers)
-
     def _colour_difference(self, one: Light, other: Light) -> tuple[float, float]:
-        """Return CIEDE2000 between two pictures of the undeformed membrane: mean, and 95th percentile of the pixels.
-
-        They are without markers and noise.
-        """
+        """Return CIEDE2000 between two pictures of the undeformed membrane: mean, and 95th percentile of the pixels."""
         gap = picture_gap(self.reference(one, False), self.reference(other, False))
         return gap.mean, gap.percentile_95
 

@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ def add_savers(gui: viser.GuiApi, save: Callable[[viser.ClientHandle | None, Fil
         "Illumination": lambda shown: {"illumination.toml": settings_toml(shown.configuration.illumination)},
         "Sensor": lambda shown: sensor_files(shown.configuration.sensor),
     }
-    meshes: dict[str, FilesOf] = {f"Mesh{suffix}": _mesh_saver(suffix) for suffix in MESH_SUFFIXES}
+    meshes: dict[str, FilesOf] = {f"Mesh{suffix}": partial(_mesh_files, suffix) for suffix in MESH_SUFFIXES}
     for heading, savers in (
         ("The files that `--elastomer`, `--illumination` and `--sensor` take:", parts),
         ("The membrane with its picture, and the indenter:", meshes),
@@ -35,14 +36,11 @@ def add_savers(gui: viser.GuiApi, save: Callable[[viser.ClientHandle | None, Fil
             gui.add_button(label).on_click(lambda event, files_of=files_of: save(event.client, files_of))
 
 
-def _mesh_saver(suffix: str) -> FilesOf:
-    def files(shown: Shown) -> Files:
-        seen = shown.configuration
-        point_mm = seen.pose.point_x_mm, seen.pose.point_y_mm
-        content = mesh_bytes(shown.solved, point_mm, seen.indenter, seen.sensor.camera, shown.picture, suffix)
-        return {f"membrane{suffix}": content}
-
-    return files
+def _mesh_files(suffix: str, shown: Shown) -> Files:
+    seen = shown.configuration
+    point_mm = seen.pose.point_x_mm, seen.pose.point_y_mm
+    content = mesh_bytes(shown.solved, point_mm, seen.indenter, seen.sensor.camera, shown.picture, suffix)
+    return {f"membrane{suffix}": content}
 
 
 def settings_toml(settings: Elastomer | Illumination) -> bytes:

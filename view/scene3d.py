@@ -4,9 +4,9 @@ import contextlib
 import threading
 from collections.abc import Callable
 from itertools import count
-from typing import TYPE_CHECKING
 
 import numpy as np
+import trimesh
 import viser
 from numpy.typing import NDArray
 from viser import transforms
@@ -15,9 +15,6 @@ from gelgap.render import Illumination, Led
 from gelgap.view.meshes import Colouring, coloured_mesh, glb, indenter_centre_mm, membrane_mesh
 from gelgap.view.pictures import swatch
 from gelgap.view.state import Shown
-
-if TYPE_CHECKING:
-    import trimesh
 
 # The page shows every second point of the rest grid: a mesh that a browser takes in at once.
 _EVERY = 2
@@ -30,13 +27,11 @@ _INDENTER_COLOUR = (150, 165, 185)
 _NEAREST_LED_MM = -0.3
 _FLOOR_MM = 6.0
 
-MovedLed = Callable[[int, tuple[float, float, float]], None]
-
 
 class Scene3d:
     """What stands in the middle of the page; `moved_led` hears of an LED's number and new place while it is dragged."""
 
-    def __init__(self, server: viser.ViserServer, moved_led: MovedLed) -> None:
+    def __init__(self, server: viser.ViserServer, moved_led: Callable[[int, tuple], None]) -> None:
         self._scene = server.scene
         self._moved_led = moved_led
         self._numbers = count()
@@ -153,7 +148,7 @@ def _values(shown: Shown, colouring: Colouring) -> NDArray[np.floating]:
     return shown.solved.pressure_mpa
 
 
-def _coloured(shown: Shown, colouring: Colouring) -> "trimesh.Trimesh":
+def _coloured(shown: Shown, colouring: Colouring) -> trimesh.Trimesh:
     state = shown.solved.state
     if colouring == "picture":
         return membrane_mesh(state, shown.configuration.sensor.camera, shown.picture, _EVERY)

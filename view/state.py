@@ -105,9 +105,9 @@ ALL_WORK = Work.FORCE | Work.PICTURE | Work.LIGHT | Work.MEMBRANE | Work.SOLVE
 
 def needed_work(old: Configuration, new: Configuration) -> Work:
     """Return the work that leads from what is shown of one configuration to another."""
-    work = Work.NOTHING
     if old.path_keys() != new.path_keys():
         return ALL_WORK
+    work = Work.NOTHING
     if old.elastomer != new.elastomer:
         work |= Work.FORCE
     if (old.pose, old.indenter) != (new.pose, new.indenter):
@@ -221,29 +221,3 @@ def _timed(stage: str, stages_ms: dict[str, float]) -> Iterator[None]:
     started = time.perf_counter()
     yield
     stages_ms[stage] = 1e3 * (time.perf_counter() - started)
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The gap from a source to a target.
-
-    `modulus_ratio` is E of the target over E of the source; the colour differences are CIEDE2000 between the pictures
-    of the undeformed membrane without markers and noise: mean, and 95th percentile over the pixels.
-    """
-
-    modulus_ratio: float
-    colour_difference: float
-    colour_difference_p95: float
-    markers: str
-
-
-def compare(source: Configuration, target: Configuration, pictures: PictureMaker) -> Comparison:
-    """Return the gap between two configurations, as `gelgap.domains.domain_gap` has it for domains."""
-    mean, percentile_95 = pictures.colour_difference(source.light, target.light)
-    marked = (source.markers, target.markers)
-    return Comparison(
-        target.elastomer.young_modulus_mpa / source.elastomer.young_modulus_mpa,
-        mean,
-        percentile_95,
-        {(False, True): "added", (True, False): "removed"}.get(marked, "equal"),
-    )
