@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -108,22 +109,11 @@ class Solve:
         return newton.solve(problem, tell)
 
 
-@dataclass(frozen=True)
-class Pace:
-    """How long solves take, as `known_pace` returns it; `slowness` was that of this machine by its record."""
-
-    slowness: float | None = None
-
-    def solve_s(self, problem: ContactProblem) -> float:
-        """Return the expected seconds of a solve, alone on its core."""
-        return Solve(problem).expected_core_s
-
-
-def known_pace() -> Pace:
+def known_pace() -> SimpleNamespace:
     """Return how long solves take. Deprecated: use `Solve.expected_core_s`; no record of past solves is kept."""
     message = "known_pace and measured_pace are deprecated: use Solve.expected_core_s"
     warnings.warn(message, DeprecationWarning, stacklevel=2)
-    return Pace()
+    return SimpleNamespace(slowness=None, solve_s=lambda problem: Solve(problem).expected_core_s)
 
 
 measured_pace = known_pace
