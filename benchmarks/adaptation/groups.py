@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -121,12 +122,15 @@ def load_headline(
 def methods_of(runs: pd.DataFrame, *left_out: str) -> list[str]:
     """Return the methods that were run, in the board's order, others last."""
     there = list(runs["method"].unique())
-    order = [method for method in board.METHODS if method in there]
-    return [method for method in dict.fromkeys([*order, *there]) if method not in left_out]
+    return [
+        method
+        for method in dict.fromkeys([*board.METHODS, *there])
+        if method in there and method not in left_out
+    ]
 
 
 def counted(runs: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
-    """Return values by group and seed (rows) and method, NaN but for the pairs that all have finished.
+    """Return values by group and seed (rows) and method, NaN except for the pairs that all have finished.
 
     The ceiling apart: methods are compared on what every one of them has finished. A run that collapsed counts with
     the error of the constant mean that it became.
@@ -153,23 +157,35 @@ def ranks(errors: pd.DataFrame) -> pd.DataFrame:
     return errors.fillna(math.inf).rank(axis=1)
 
 
+def constant_mean(runs: pd.DataFrame) -> pd.Series:
+    """Return the error of predicting the source's mean force by group, N, mean over methods and seeds."""
+    return runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
+
+
+def stage1_s(runs: pd.DataFrame) -> float:
+    """Return the median time of the first stage, which all methods of a source and seed share; NaN if none has one."""
+    return float(runs.loc[runs["stage1_s"] > 0, "stage1_s"].median())
+
+
 def tables(folder: Path) -> list[ResultTable]:
     """Return all tables about the groups that the finished runs allow."""
     if not is_benchmark(folder):
         return []
     designs = {design: runs for design in DESIGNS if len(runs := load_headline(folder, design))}
     oracles, at_random = load_oracles(folder), load_headline(folder, "paired", board.AT_RANDOM)
-    found = [table(runs, d) for table in (method_table, control_table) for d, runs in designs.items()]
-    found += [group_table(runs, d, oracles if d == "paired" else oracles[:0]) for d, runs in designs.items()]
+
+    def of_each(*kinds) -> list[ResultTable]:
+        return [table(runs, design) for table in kinds for design, runs in designs.items()]
+
+    found = of_each(method_table, control_table, partial(group_table, oracles=oracles))
     compared = {design: runs for design, runs in designs.items() if PLAIN in methods_of(runs)}
     for table, needed in ((adabn_table, {"adabn"}), (order_table, set(PAPER_MAE_N))):
         if compared and all(needed <= set(methods_of(runs)) for runs in compared.values()):
             found.append(table(compared))
-    found += [shear_table(runs, design) for design, runs in designs.items()]
+    found += of_each(shear_table)
     if len(at_random) and "paired" in designs:
         found.append(split_table(at_random, designs["paired"]))
-    found += [check_table(runs, design) for design, runs in designs.items()]
-    return [*found, oracle_table(oracles), *(time_table(runs, design) for design, runs in designs.items())]
+    return [*found, *of_each(check_table), oracle_table(oracles), *of_each(time_table)]
 
 
 def summary(runs: pd.DataFrame) -> pd.DataFrame:
@@ -183,16 +199,25 @@ def summary(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def method_table(runs: pd.DataFrame, design: str) -> ResultTable:
-    """Each method's error, R² per axis and rank."""
-    frame, means = summary(runs), by_group(counted(runs))
+    """Each method's error, R² per axis and rank; in the note Friedman's test, with and without source-only."""
+    from scipy.stats import friedmanchisquare
+
+    frame, means, tests = summary(runs), by_group(counted(runs)), []
+    for name, left_out in (("all", (CEILING,)), (f"without {PLAIN}", (CEILING, PLAIN))):
+        found = ranks(means[methods_of(runs, *left_out)])
+        if found.shape[1] > 2 and len(found) > 1:
+            p = friedmanchisquare(*found.to_numpy().T).pvalue
+            difference = critical_difference(found.shape[1], len(found))
+            tests.append(f"{name}: Friedman's p = {p:.2g}, Nemenyi's difference {difference:.1f}")
     frame[f"without {PLAIN}"] = ranks(means[methods_of(runs, CEILING, PLAIN)]).mean()
     frame["collapsed"] = runs.groupby("method")["problem"].count()
     frame["paper, N"] = pd.DataFrame(PAPER_MAE_N).mean()
+    tested = f"Ranks over group means, {'; '.join(tests)}. {CAVEAT}" if tests else ""
     return result_table(
         f"All methods, {design} contacts: mean over {len(means)} groups",
         frame,
         f"Split by contact point; {_seeds(runs)}. Intervals: bootstrap over groups and seeds. Ranks: means over the "
-        f"groups. A run that collapsed counts with the constant mean's error. {_friedman(runs)}",
+        f"groups. A run that collapsed counts with the constant mean's error. {tested}",
         {**FORMATS, f"without {PLAIN}": "{:.1f}", "collapsed": "{:d}"},
     )
 
@@ -201,23 +226,6 @@ def _seeds(runs: pd.DataFrame) -> str:
     whole, seeds = counted(runs).notna().any(axis=1), f"{runs['seed'].nunique()} seed(s)"
     finished = f"({whole.sum()} of {len(whole)} pairs of group and seed are finished by all methods)"
     return seeds if whole.all() else f"{seeds} {finished}"
-
-
-def _friedman(runs: pd.DataFrame) -> str:
-    """Return Friedman's test and the critical difference over the groups' means, with and without source-only."""
-    from scipy.stats import friedmanchisquare
-
-    texts = []
-    for name, left_out in (("all", (CEILING,)), (f"without {PLAIN}", (CEILING, PLAIN))):
-        errors = by_group(counted(runs))[methods_of(runs, *left_out)]
-        cases, methods = errors.shape
-        if methods > 2 and cases > 1:
-            p, nemenyi = (
-                friedmanchisquare(*ranks(errors).to_numpy().T).pvalue,
-                critical_difference(methods, cases),
-            )
-            texts.append(f"{name}: Friedman's p = {p:.2g}, Nemenyi's difference {nemenyi:.1f}")
-    return f"Ranks over group means, {'; '.join(texts)}. {CAVEAT}" if texts else ""
 
 
 def critical_difference(methods: int, cases: int, level: float = 0.05) -> float:
@@ -230,22 +238,24 @@ def critical_difference(methods: int, cases: int, level: float = 0.05) -> float:
 
 def control_table(runs: pd.DataFrame, design: str) -> ResultTable:
     """What each method's loss brings: its error less that of its own control over the same groups and seeds."""
-    errors, rows = counted(runs), []
-    for method in errors:
-        control = runs.loc[runs["method"] == method, "control"].iloc[0]
-        if control in errors:
-            difference = errors[method] - errors[control]
-            means = by_group(difference)
-            pairs = [group.split(" → ") for group in means.index]
-            kept = [[domain not in pair for pair in pairs] for domain in {d for pair in pairs for d in pair}]
-            without = [means[rows].mean(skipna=False) for rows in kept if any(rows)] or [math.nan]
-            interval = bootstrap(difference.unstack(sort=False).to_numpy())
-            better, leaving_out = f"{(means < 0).sum()} of {len(means)}", (min(without), max(without))
-            rows.append((method, control, means.mean(skipna=False), interval, better, leaving_out))
-    columns = ["method", "control", "difference, N", "95 % interval", "better in", "leaving out a domain"]
+    errors, controls = counted(runs), runs.groupby("method")["control"].first()
+    methods = [method for method in errors if controls[method] in errors]
+    gains = pd.DataFrame({method: errors[method] - errors[controls[method]] for method in methods})
+    means = by_group(gains)
+    pairs = [group.split(" → ") for group in means.index]
+    kept = [[domain not in pair for pair in pairs] for domain in {d for pair in pairs for d in pair}]
+    without = pd.DataFrame([means[rows].mean(skipna=False) for rows in kept if any(rows)], columns=methods)
     return result_table(
         f"Methods against their own controls, {design} contacts",
-        pd.DataFrame(rows, columns=columns),
+        pd.DataFrame(
+            {
+                "control": controls[methods],
+                "difference, N": means.mean(skipna=False),
+                "95 % interval": [bootstrap(gains[m].unstack(sort=False).to_numpy()) for m in methods],
+                "better in": [f"{count} of {len(means)}" for count in (means < 0).sum()],
+                "leaving out a domain": list(zip(without.min(), without.max(), strict=True)),
+            }
+        ).rename_axis("method"),
         f"Error less that of the control over the same groups and seeds, negative where the method is better; "
         f"{_seeds(runs)}. Interval: bootstrap over groups and seeds. Last column: range of the mean when the groups "
         "of one domain are left out.",
@@ -254,11 +264,12 @@ def control_table(runs: pd.DataFrame, design: str) -> ResultTable:
 
 
 def group_table(runs: pd.DataFrame, design: str, oracles: pd.DataFrame) -> ResultTable:
-    """The main methods group by group, beside baselines without learning."""
+    """The main methods group by group, beside baselines without learning; the oracles are those of paired contacts."""
+    oracles = oracles if design == "paired" else oracles[:0]
     errors, constant = counted(runs), constant_mean(runs)
     means = by_group(errors)
     shown = [method for method in means if method in board.MAIN_METHODS]
-    worse = means[PLAIN] > constant if PLAIN in means else constant.isna()
+    worse = means[PLAIN] > constant[means.index] if PLAIN in means else constant.isna()
     unfair = ~oracles["comparable"].reindex(means.index, fill_value=True).astype(bool)
     numbers = means[shown].join(oracles[["pose oracle", "geometry oracle"]]).dropna(axis=1, how="all")
     numbers.insert(0, "constant mean", constant)
@@ -275,12 +286,6 @@ def group_table(runs: pd.DataFrame, design: str, oracles: pd.DataFrame) -> Resul
         f"the group is not comparable: {unfair.sum()} of {len(means)}.",
         {"": "{:.3f}"},
     )
-
-
-def constant_mean(runs: pd.DataFrame) -> pd.Series:
-    """Return the error of predicting the source's mean force by group, N, mean over methods and seeds."""
-    found = runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
-    return found[[name for name in NAMES if name in found]]
 
 
 def spread(values: pd.Series) -> str | None:
@@ -315,9 +320,8 @@ def order_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
     for design, runs in designs.items():
         errors = by_group(counted(runs))[order]
         errors.loc["of the means"] = errors.mean(skipna=False)
-        whole = errors.notna().all(axis=1)
         found = errors.apply(lambda row: " > ".join(row.sort_values(ascending=False).index), axis=1)
-        columns[f"{design}: order"] = found.where(whole)
+        columns[f"{design}: order"] = found.where(errors.notna().all(axis=1))
         columns[f"{design}: τ"] = errors.apply(kendall_tau, axis=1)
         columns[f"{design}: the paper's"] = (errors.diff(axis=1).iloc[:, 1:] < 0).all(axis=1).astype(object)
     groups = dict.fromkeys(group for column in columns.values() for group in column.index[:-1])
@@ -340,13 +344,10 @@ def kendall_tau(errors: Sequence[float]) -> float:
 
 def shear_table(runs: pd.DataFrame, design: str) -> ResultTable:
     """Whether shear is read at all: R² of Fx and Fy by group."""
-    shear = runs.assign(shear=runs[R2[:2]].mean(axis=1))
-    frame = (
-        shear.pivot_table(index="group", columns="method", values="shear").reindex(NAMES).dropna(how="all")
-    )
+    shear = runs.assign(shear=runs[R2[:2]].mean(axis=1)).pivot_table("shear", "group", "method")
     return result_table(
         f"Shear, {design} contacts: R² on the target, mean of Fx and Fy",
-        frame[[method for method in methods_of(runs) if method in board.MAIN_METHODS]],
+        shear.reindex(NAMES).dropna(how="all")[[m for m in methods_of(runs) if m in board.MAIN_METHODS]],
         "Mean over seeds. At 0 or below a method is no better than the target's mean force.",
         {"": "{:.2f}"},
     )
@@ -370,18 +371,23 @@ def split_table(at_random: pd.DataFrame, by_point: pd.DataFrame) -> ResultTable:
 
 def check_table(runs: pd.DataFrame, design: str) -> ResultTable:
     """Whether the profile counts: R² of supervised-on-target and of source-only on its source."""
-    good, rows = runs[runs["problem"].isna() & runs["method"].isin([PLAIN, CEILING])], []
     names = {PLAIN: f"{PLAIN} on held-out source", CEILING: "supervised on target"}
-    domain = good["source"].where(good["method"] == PLAIN, good["target"])
-    r2 = good["source_held_out_r2"].where(good["method"] == PLAIN, good["r2"]).dropna()
-    for condition, own in r2.groupby([good["method"].map(names), domain], sort=False):
-        mean, worst = np.mean(own.tolist(), axis=0), np.min(own.tolist(), axis=0)
-        cells = [f"{m:.2f} (≥ {w:.2f})" for m, w in zip(mean, worst, strict=True)]
-        rows.append([*condition, *cells, "yes" if (mean >= LEAST_R2).all() else "NO"])
-    return ResultTable(
+    good = runs[runs["problem"].isna() & runs["method"].isin(list(names))]
+    on_source = good["method"] == PLAIN
+    r2 = good["source_held_out_r2"].where(on_source, good["r2"]).dropna()
+    places = {
+        "condition": good["method"].map(names),
+        "domain": good["source"].where(on_source, good["target"]),
+    }
+    by_place = (
+        pd.DataFrame(r2.tolist(), r2.index, R2).join(pd.DataFrame(places)).groupby(list(places), sort=False)
+    )
+    means, worst = by_place.mean(), by_place.min()
+    frame = means.map("{:.2f}".format) + worst.map(" (≥ {:.2f})".format)
+    frame["met"] = (means >= LEAST_R2).all(axis=1).map({True: "yes", False: "NO"})
+    return result_table(
         f"Does the profile count? {design.capitalize()} contacts",
-        ["condition", "domain", *R2, "met"],
-        rows,
+        frame,
         "Needed in the mean over runs: R² of at least 0.8 in Fx and Fy and 0.9 in Fz (the worst run is in brackets).",
     )
 
@@ -399,26 +405,17 @@ def oracle_table(oracles: pd.DataFrame) -> ResultTable:
 
 def time_table(runs: pd.DataFrame, design: str) -> ResultTable:
     """Error against training time."""
-    frame = over_groups(counted(runs)).to_frame("mean MAE, N")
-    frame["stage 1, s"] = stage1_s(runs)
-    frame["stage 2, s"] = runs.groupby("method")["stage2_s"].median()
+    times = {"stage 1, s": stage1_s(runs), "stage 2, s": runs.groupby("method")["stage2_s"].median()}
     return result_table(
         f"Target MAE against training time, {design} contacts",
-        frame,
+        over_groups(counted(runs)).to_frame("mean MAE, N").assign(**times),
         "Medians of one core's wall time on a shared machine; stage 1 is shared by all methods of a source and seed.",
         {"mean MAE, N": "{:.3f}", "": "{:.1f}"},
     )
 
 
-def stage1_s(runs: pd.DataFrame) -> float:
-    """Return the median time of the first stage, which all methods of a source and seed share; NaN if none has one."""
-    return float(runs.loc[runs["stage1_s"] > 0, "stage1_s"].median())
-
-
 def figures(folder: Path) -> list[NamedFigure]:
     """Return errors by group, mean ranks (of two methods or more) and errors against time."""
-    if not is_benchmark(folder):
-        return []
     runs = load_headline(folder)
     found = [NamedFigure("groups", "Target MAE by group and method", plot_groups(runs, load_oracles(folder)))]
     errors = by_group(counted(runs))[methods_of(runs, CEILING)]
@@ -437,10 +434,12 @@ def plot_groups(runs: pd.DataFrame, oracles: pd.DataFrame) -> "Figure":
     shown = [method for method in errors if method in board.MAIN_METHODS]
     means, deviations = by_group(errors)[shown], errors[shown].groupby(level=0, sort=False).std().fillna(0.0)
     means.plot.bar(ax=axes, yerr=deviations, width=0.8, rot=0, legend=False, fontsize=8, xlabel="")
-    levels = {"constant mean": constant_mean(runs), "pose oracle": oracles.loc[means.index, "pose oracle"]}
     place = np.arange(len(means))
-    for (name, level), style in zip(levels.items(), ("dotted", "solid"), strict=True):
-        axes.hlines(level, place - 0.4, place + 0.4, "k", style, label=name)
+    for name, levels, style in (
+        ("constant mean", constant_mean(runs), "dotted"),
+        ("pose oracle", oracles["pose oracle"], "solid"),
+    ):
+        axes.hlines(levels[means.index], place - 0.4, place + 0.4, "k", style, label=name)
     axes.set_xticklabels([group.replace(" → ", "\n→ ") for group in means.index])
     axes.set_ylabel("target MAE, N")
     figure.legend(loc="outside upper center", fontsize=8, ncols=(len(shown) + 3) // 2)
@@ -474,11 +473,10 @@ def plot_time(runs: pd.DataFrame) -> "Figure":
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.5, 3.5), layout="constrained")
-    axes = figure.subplots()
+    axes = figure.subplots(subplot_kw={"xlabel": "both stages, s of one core", "ylabel": "target MAE, N"})
     seconds = np.nan_to_num(stage1_s(runs)) + runs.groupby("method")["stage2_s"].mean()
     for method, error in over_groups(counted(runs)).items():
         axes.plot(seconds[method], error, "o", alpha=0.7, label=method)
-    axes.set(xlabel="both stages, s of one core", ylabel="target MAE, N")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize=8)
     return figure
