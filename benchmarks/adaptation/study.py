@@ -143,9 +143,14 @@ class Study:
             workers=self.workers,
             fixed=self.stated_of,
             shared=self.stage1_of,
-            describe=lambda record: record["problem"] or f"{np.mean(record['mae_n']):.3f} N",
+            describe=self.describe,
             stop=self.stop,
         )
+
+    @staticmethod
+    def describe(record: Results) -> str:
+        """Return why a run stopped, or else its mean error."""
+        return record["problem"] or f"{np.mean(record['mae_n']):.3f} N"
 
     def profile_of(self, run: Setting) -> "Profile":
         """Return the preset with the changes of a run; of the methods' settings its own alone."""
@@ -171,14 +176,13 @@ class Study:
         return self.stated(self.profile_of(run), run["method"], *(d.recipe.key for d in self.domains_of(run)))
 
     def stated(self, profile: "Profile", method: str, *data: Any) -> Results:
-        """Return what a record states of a profile, of a method's settings, and of what says which data are used.
-
-        `configuration` is a hash of all that the methods of a group have in common.
-        """
-        common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
-        configuration = hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]
+        """Return what a record states of a profile, of a method's settings, and of what says which data are used."""
         settings = profile.settings.get(method, {})
-        return {"profile": self.profile, "configuration": configuration, "settings": settings}
+        return {
+            "profile": self.profile,
+            "configuration": configuration_of(profile, *data),
+            "settings": settings,
+        }
 
     def stage1_of(self, run: Setting) -> str | None:
         """Return the checkpoint of the first stage that a run has yet to train, and shares; None if there is none."""
@@ -188,6 +192,12 @@ class Study:
             return None
         checkpoint = _checkpoint(self, json.dumps(run | {"method": board.PLAIN, "settings": []}))
         return None if checkpoint.is_file() else str(checkpoint)
+
+
+def configuration_of(profile: "Profile", *data: Any) -> str:
+    """Return a hash of all that methods have in common: a profile without their settings, and what says which data."""
+    common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
+    return hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]
 
 
 @cache
@@ -224,7 +234,6 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
     """
     from gelgap.adapt import as_judged_on_source, evaluate, evaluate_constant_mean
-    from gelgap.adapt.runs import versions
 
     frames = study.frames_of(run)
     model, problem, stage1_s, stage2_s = train_stages(study, run, frames.source_train, frames.target_train)
@@ -234,7 +243,7 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
         on_target, history = evaluate(model, frames.target_test), model.history or history
         on_source = evaluate(as_judged_on_source(model, frames.source_train), frames.source_held_out)
     results = {
-        "versions": "gelgap {gelgap}, torch {torch}".format_map(versions()),
+        "versions": versions_line(),
         "control": control_of(run["method"]),
         "problem": problem,
         "mae_n": short(on_target.mae_n),
@@ -269,6 +278,13 @@ def train_stages(
     except (FeatureCollapse, TrainingDiverged) as trouble:
         model, problem = None, str(trouble)
     return model, problem, stage1_s, time.perf_counter() - start
+
+
+def versions_line() -> str:
+    """Return the versions that a record names."""
+    from gelgap.adapt.runs import versions
+
+    return "gelgap {gelgap}, torch {torch}".format_map(versions())
 
 
 def scored_run(study: Study, run: Setting) -> Results:

@@ -343,7 +343,7 @@ def result_table(
 
     shown = frame.reset_index(level=[name for name in frame.index.names if name is not None])
     patterns = [(formats or {}).get(column, (formats or {}).get("")) for column in shown.columns]
-    rows = [list(map(_cell, row, patterns)) for row in shown.itertuples(index=False, name=None)]
+    rows = [list(map(cell, row, patterns)) for row in shown.itertuples(index=False, name=None)]
     return ResultTable(title, [str(column) for column in shown.columns], rows, note)
 
 
@@ -352,9 +352,10 @@ def show(title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str
     result_table(title, frame, note, formats).show()
 
 
-def _cell(value: Any, pattern: str | None) -> Any:
+def cell(value: Any, pattern: str | None = None) -> Any:
+    """Return a value as a cell of a table: formatted by a pattern, None for NaN, a tuple as a range such as 1…2."""
     if isinstance(value, tuple):
-        ends = [_cell(end, pattern) for end in value]
+        ends = [cell(end, pattern) for end in value]
         return None if None in ends else "…".join(map(str, ends))
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return None
