@@ -2,7 +2,8 @@
 
 import base64
 import io
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -45,12 +46,18 @@ class ResultTable:
     note: str = ""
 
     @classmethod
-    def of(cls, title: str, frame: "DataFrame", note: str = "") -> "ResultTable":
-        """Return the table of a DataFrame; where its index has names, that comes first."""
-        if any(frame.index.names):
-            frame = frame.reset_index()
-        values = frame.astype(object).where(frame.notna(), None)
-        return cls(title, list(map(str, frame.columns)), values.to_numpy().tolist(), note)
+    def of(
+        cls, title: str, frame: "DataFrame", note: str = "", formats: Mapping[str, str] | None = None
+    ) -> "ResultTable":
+        """Return the table of a DataFrame, the named levels of its index as first columns.
+
+        NaN is a dash, and a tuple a range such as 1…2. `formats` has patterns for numbers, such as "{:.1f} %", by
+        column; that of "" is for all other columns.
+        """
+        frame = frame.reset_index(level=[name for name in frame.index.names if name is not None])
+        patterns = [(formats or {}).get(column, (formats or {}).get("")) for column in frame.columns]
+        rows = [list(map(cell, row, patterns)) for row in frame.itertuples(index=False, name=None)]
+        return cls(title, list(map(str, frame.columns)), rows, note)
 
     @property
     def cells(self) -> list[list[str]]:
@@ -100,6 +107,16 @@ class ResultTable:
             table.add_row(*row)
         width = None if Console().is_terminal else 150
         Console(width=width, highlight=False, markup=False, emoji=False).print(table)
+
+
+def cell(value: object, pattern: str | None = None) -> object:
+    """Return a value as a cell of a table: a number by a pattern, None for NaN, a tuple as a range such as 1…2."""
+    if isinstance(value, tuple):
+        ends = [cell(end, pattern) for end in value]
+        return None if None in ends else "…".join(map(str, ends))
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return None
+    return value if pattern is None or isinstance(value, str | bool) else pattern.format(value)
 
 
 def cell_text(value: object) -> str:

@@ -88,9 +88,8 @@ class Candidates:
 
     def own_regret_n(self, selector: str = SELECTOR) -> list[float]:
         """Return the regret of a selector that chooses in every case anew, N."""
-        return [
-            self.regret_n.loc[case, chosen] for case, chosen in self.ranks(selector).idxmin(axis=1).items()
-        ]
+        chosen = self.ranks(selector).idxmin(axis=1)
+        return [self.regret_n.loc[case, candidate] for case, candidate in chosen.items()]
 
 
 def of_grid(runs: pd.DataFrame) -> dict[str, Candidates]:
@@ -187,9 +186,9 @@ def choice_frame(found: dict[str, Candidates], chosen: dict[str, float]) -> pd.D
         regret_n, means_n = own.regret_n[value], own.errors_n.mean()
         rows[method] = {
             "setting": GRIDS[method][0],
-            "candidates": ", ".join(f"{candidate:g}" for candidate in means_n.index),
-            "mean ranks": ", ".join(f"{rank:.1f}" for rank in own.ranks().mean()),
-            "mean MAE, N": ", ".join(f"{error_n:.3f}" for error_n in means_n),
+            "candidates": ", ".join(map("{:g}".format, means_n.index)),
+            "mean ranks": ", ".join(map("{:.1f}".format, own.ranks().mean())),
+            "mean MAE, N": ", ".join(map("{:.3f}".format, means_n)),
             "chosen": f"{value:g}",
             "best one for all groups": f"{means_n.idxmin():g}",
             "regret, N": regret_n.mean(),
@@ -239,17 +238,17 @@ def selector_table(tuned: dict[str, Candidates], nine: dict[str, Candidates]) ->
             "tuning groups, one choice for all": [own.regret_n[frozen[m]] for m, own in tuned.items()],
             "tuning groups, each anew": [own.own_regret_n(name) for own in tuned.values()],
             "nine groups, chosen on tuning groups": [
-                own.regret_n[frozen[m]] for m, own in nine.items() if m in frozen
+                nine[m].regret_n[frozen[m]] for m in nine if m in frozen
             ],
             "nine groups, each anew": [own.own_regret_n(name) for own in nine.values()],
         }
         means = {
-            column: np.concatenate(found).mean() if found else math.nan for column, found in regrets_n.items()
+            column: np.mean([n for own in found for n in own]) for column, found in regrets_n.items() if found
         }
         rows[f"{name} (used)" if name == SELECTOR else name] = means
     return result_table(
         "Regret of selectors without target labels, N",
-        pd.DataFrame.from_dict(rows, orient="index").rename_axis("selector"),
+        pd.DataFrame.from_dict(rows, orient="index", columns=list(regrets_n)).rename_axis("selector"),
         f"Mean over methods and cases; on the nine groups of {', '.join(nine) or 'no method'}.",
         {"": "{:.3f}"},
     )

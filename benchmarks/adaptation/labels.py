@@ -14,8 +14,6 @@ from gelgap.benchmarks.adaptation.study import Part, Study, grid, trained
 from gelgap.benchmarks.common import Results, Setting, read_records, result_table
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from gelgap.adapt import ForceModel, SplitFrames
 
 RECORD = "labels.jsonl"
@@ -78,23 +76,19 @@ def label_points(model: "ForceModel", frames: "SplitFrames", seed: int) -> Itera
 
 def load_points(file: Path) -> pd.DataFrame:
     """Return every point of a file's records, with its mean error over the axes; that without labels in every way."""
-    rows = []
-    for _, record in read_records(file).iterrows():
-        for point in record["points"]:
-            row = {
-                **record[["source", "target", "method", "seed"]],
-                **point,
-                "error_n": np.mean(point["mae_n"]),
-            }
-            rows += [{**row, "way": way} for way in (WAYS if point["way"] == "none" else [point["way"]])]
-    return pd.DataFrame(rows)
+    runs = read_records(file).reindex(columns=["source", "target", "method", "seed", "points"])
+    runs = runs.explode("points").dropna(subset="points").reset_index(drop=True)
+    found = pd.DataFrame(runs["points"].tolist(), columns=["way", "labels", "mae_n"])
+    points = runs.drop(columns="points").join(found)
+    points["error_n"] = points["mae_n"].map(np.mean)
+    points["way"] = points["way"].map({way: [way] for way in WAYS} | {"none": list(WAYS)})
+    return points.explode("way")
 
 
 def curves(points: pd.DataFrame, targets: Sequence[str] | None = None) -> pd.DataFrame:
     """Return the mean error with each number of labels (columns) by method and way, and by target if some are given."""
-    names = (
-        {"target": targets, "method": METHODS, "way": WAYS} if targets else {"method": METHODS, "way": WAYS}
-    )
+    names = {} if targets is None else {"target": targets}
+    names |= {"method": METHODS, "way": WAYS}
     table = points.pivot_table(index=list(names), columns="labels", values="error_n")
     return table.reindex(pd.MultiIndex.from_product(names.values(), names=names), columns=COUNTS)
 
@@ -148,33 +142,28 @@ def figures(folder: Path) -> list[NamedFigure]:
     """Return the curves of error against labels: the nine groups' mean, and single gaps, as far as they were run."""
     from matplotlib.figure import Figure
 
-    shown = zip((_draw_nine, _draw_gaps), _load(folder), strict=True)
-    drawn = [(draw, points) for draw, points in shown if len(points)]
-    if not drawn:
+    nine, gaps = _load(folder)
+    panels: dict[str, tuple[pd.DataFrame, list[str]]] = {}
+    if len(nine):
+        found = curves(nine)
+        dashes = ["--" if method == METHODS[0] else "-" for method, _ in found.index]
+        styles = [f"C{number % len(WAYS)}o{dash}" for number, dash in enumerate(dashes)]
+        panels["nine groups, cpu profile"] = found.set_axis(found.index.map(", ".join)), styles
+    if len(gaps):
+        found = curves(gaps, gaps["target"].unique()).xs((METHODS[0], "both"), level=("method", "way"))
+        named = found.rename(gap_names() | {BASE: "no gap"})
+        panels["one gap, source-only, fine-tuned and corrected"] = named, ["o-"] * len(named)
+    if not panels:
         return []
-    figure = Figure(figsize=(5.5 * len(drawn), 3.8), layout="constrained")
-    panels = figure.subplots(1, len(drawn), sharey=True, squeeze=False)[0]
-    for axes, (draw, points) in zip(panels, drawn, strict=True):
-        draw(axes, points)
+    figure = Figure(figsize=(5.5 * len(panels), 3.8), layout="constrained")
+    places = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, (title, (found, styles)) in zip(places, panels.items(), strict=True):
+        found.T.reset_index(drop=True).plot(ax=axes, style=styles, title=title)
         axes.set_xticks(range(len(COUNTS)), map(str, COUNTS))
         axes.set_xlabel("labelled target frames")
         axes.legend(fontsize=7)
-    panels[0].set(ylabel="target MAE, N", ylim=(0, None))
+    places[0].set(ylabel="target MAE, N", ylim=(0, None))
     return [NamedFigure("few-labels", "Target MAE against the number of labelled target frames", figure)]
-
-
-def _draw_nine(axes: "Axes", points: pd.DataFrame) -> None:
-    for number, ((method, way), curve) in enumerate(curves(points).iterrows()):
-        style, colour = "o--" if method == METHODS[0] else "o-", f"C{number % len(WAYS)}"
-        axes.plot(curve.to_numpy(), style, color=colour, label=f"{method}, {way}")
-    axes.set_title("nine groups, cpu profile")
-
-
-def _draw_gaps(axes: "Axes", points: pd.DataFrame) -> None:
-    names, targets = gap_names() | {BASE: "no gap"}, list(points["target"].unique())
-    for target, curve in curves(points, targets).xs((METHODS[0], "both"), level=("method", "way")).iterrows():
-        axes.plot(curve.to_numpy(), "o-", label=names[target])
-    axes.set_title("one gap, source-only, fine-tuned and corrected")
 
 
 PART = Part(measure, tables, figures)

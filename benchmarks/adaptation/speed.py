@@ -1,7 +1,6 @@
 """Training speed: steps per second beside a plain PyTorch loop, waiting for data, cost of each loss."""
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,35 +30,29 @@ def measure(study: Study) -> None:
 
     methods, count, repeats = QUICK if study.is_quick else (METHODS, FRAMES, REPEATS)
     profile = Profile.preset(study.profile)
-    frames = random_frames(profile, count)
-    changes = {"source_epochs": EPOCHS, "adapt_epochs": EPOCHS, "transfer_warmup": 0.0, "transfer_ramp": 0.0}
-    short = profile.replace(**changes)
-    plain = short.replace(colour_mixing=0.0)
-    rows, ratios = [], []
+    frames, overheads = random_frames(profile, count), []
+    short = profile.replace(source_epochs=EPOCHS, adapt_epochs=EPOCHS, transfer_warmup=0.0, transfer_ramp=0.0)
     plain_loop_ms(frames, profile, 1)  # warm up
     for _ in range(repeats):
         start = time.process_time()
-        step_ms = plain_loop_ms(frames, profile, EPOCHS)
+        loop_ms = plain_loop_ms(frames, profile, EPOCHS)
         between = time.process_time()
-        history = train_source(frames, plain).history
-        ratios.append((time.process_time() - between) / (between - start) - 1)
-
-    def add(name: str, history: Sequence[dict], **more: float) -> None:
-        step_s = [epoch["wall_s"] / (count // profile.batch_size) for epoch in history]
-        wait_share = float(np.median([epoch["wait_s"] / epoch["wall_s"] for epoch in history]))
-        rows.append(
-            {"name": name, "step_ms": 1e3 * float(np.median(step_s)), "wait_share": wait_share, **more}
-        )
-
-    rows.append({"name": "plain PyTorch, source regression", "step_ms": step_ms})
-    add("stage 1", history, overhead=float(np.median(ratios)))
-    model = train_source(frames, short)
+        trained = train_source(frames, short.replace(colour_mixing=0.0))
+        overheads.append((time.process_time() - between) / (between - start) - 1)
+    histories, model = {"stage 1": trained.history}, train_source(frames, short)
     if profile.colour_mixing:
-        add("stage 1, mixed colours", model.history)
+        histories["stage 1, mixed colours"] = model.history
     for method in methods:
         adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
-        add(f"stage 2, {method}", adapted.history[EPOCHS:])
-    write_results(study.out / RESULTS, rows)
+        histories[f"stage 2, {method}"] = adapted.history[EPOCHS:]
+    found = pd.DataFrame({"name": ["plain PyTorch, source regression"], "step_ms": loop_ms})
+    for name, history in histories.items():
+        epochs = pd.DataFrame(history)
+        step_ms = 1e3 * epochs["wall_s"].median() / (count // profile.batch_size)
+        waiting = (epochs["wait_s"] / epochs["wall_s"]).median()
+        found.loc[len(found), ["name", "step_ms", "wait_share"]] = name, step_ms, waiting
+    found.loc[found["name"] == "stage 1", "overhead"] = np.median(overheads)
+    write_results(study.out / RESULTS, [row.dropna().to_dict() for _, row in found.iterrows()])
 
 
 def random_frames(profile: "Profile", count: int) -> "ArrayFrames":
@@ -95,13 +88,12 @@ def plain_loop_ms(frames: "ArrayFrames", profile: "Profile", epochs: int) -> flo
     times = []
     with torch_threads(profile.threads):
         for _ in range(epochs):
-            batches = torch.randperm(len(frames)).split(profile.batch_size)[
-                : len(frames) // profile.batch_size
-            ]
+            rows = torch.randperm(len(frames))[: len(frames) // profile.batch_size * profile.batch_size]
+            batches = rows.split(profile.batch_size)
             start = time.perf_counter()
-            for rows in batches:
+            for batch in batches:
                 optimizer.zero_grad(set_to_none=True)
-                functional.mse_loss(network(pictures.inputs(rows)), force[rows]).backward()
+                functional.mse_loss(network(pictures.inputs(batch)), force[batch]).backward()
                 optimizer.step()
             times.append((time.perf_counter() - start) / len(batches))
     return 1e3 * float(np.median(times))
@@ -115,18 +107,16 @@ def tables(folder: Path) -> list[ResultTable]:
     found = pd.DataFrame(read_results(path, list[dict[str, str | float | None]])).set_index("name")
     found = found.reindex(columns=["step_ms", "overhead", "wait_share"])
     over = found["step_ms"] / found.loc[f"stage 2, {BASE}", "step_ms"] - 1
-    frame = pd.DataFrame(
-        {
-            "ms a step": found["step_ms"],
-            "steps/s": 1e3 / found["step_ms"],
-            "over the plain loop": 100 * found["overhead"],
-            f"over {BASE}": 100 * over.where(over.index.str.startswith("stage 2")),
-            "waiting for data": 100 * found["wait_share"],
-        }
-    )
+    columns = {
+        "ms a step": found["step_ms"],
+        "steps/s": 1e3 / found["step_ms"],
+        "over the plain loop": 100 * found["overhead"],
+        f"over {BASE}": 100 * over.where(over.index.str.startswith("stage 2")),
+        "waiting for data": 100 * found["wait_share"],
+    }
     table = result_table(
         "Training speed, one thread",
-        frame.rename_axis("loop"),
+        pd.DataFrame(columns).rename_axis("loop"),
         "Medians over epochs of frames of noise; stage 1 over the plain loop in processor time. "
         "No-transfer takes no gradient through the target's pictures.",
         {"": "{:+.1f} %", "ms a step": "{:.1f}", "steps/s": "{:.1f}", "waiting for data": "{:.1f} %"},

@@ -30,19 +30,7 @@ if TYPE_CHECKING:
 RUNS, ORACLES = "runs.jsonl", "oracles.json"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
 _CONTROLS |= dict.fromkeys(board.SOURCE_FREE, "adabn")
-_COLUMNS = (
-    "source",
-    "target",
-    "method",
-    "seed",
-    "data",
-    "changes",
-    "settings",
-    "problem",
-    "alarm",
-    "mae_n",
-    "r2",
-)
+_RUN = ("source", "target", "method", "seed", "data", "changes", "settings")
 
 
 def grid(
@@ -58,10 +46,7 @@ def grid(
     """
     cases, methods = list(cases), list(methods)
     return [
-        {
-            **{"source": source, "target": target, "method": method, "seed": seed},
-            **{"data": data, "changes": changes, "settings": own},
-        }
+        dict(zip(_RUN, (source, target, method, seed, data, changes, own), strict=True))
         for seed in seeds
         for data, (source, target) in cases
         for method in methods
@@ -335,7 +320,7 @@ def load_runs(file: Path) -> pd.DataFrame:
 def with_errors(records: pd.DataFrame) -> pd.DataFrame:
     """Return records with their group ("mb0i0 → wmb1i1"), MAE (N) and R² by axis, and the mean MAE over the axes, N."""
     if records.empty:
-        records = pd.DataFrame(columns=[*records, *_COLUMNS])
+        records = pd.DataFrame(columns=[*_RUN, "problem", "alarm", "mae_n", "r2"])
     by_axis = {
         name.format(axis): records[column].map(lambda values, i=i: values[i])
         for name, column in (("MAE {}, N", "mae_n"), ("R² {}", "r2"))

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gelgap.adapt import ResultTable
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import canonical_json, parse_json, with_checksum, without_checksum
 from gelgap.assets.locks import defer_signals
@@ -29,8 +30,6 @@ from gelgap.assets.whole_file import set_aside, warn, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from gelgap.adapt import ResultTable
 
 Setting = dict[str, Any]
 """One cell of a study's grid, by name: what JSON can hold."""
@@ -332,34 +331,12 @@ def psnr_db(
     return float(10 * np.log10(peak**2 / max(mean, 1e-14 * peak**2)))
 
 
-def result_table(
-    title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None
-) -> "ResultTable":
-    """Return a table for readers, its named index as first columns; NaN is a dash, and a tuple a range such as 1…2.
-
-    `formats` has patterns for numbers, such as "{:.1f} %", by column; that of "" is for all other columns.
-    """
-    from gelgap.adapt import ResultTable
-
-    shown = frame.reset_index(level=[name for name in frame.index.names if name is not None])
-    patterns = [(formats or {}).get(column, (formats or {}).get("")) for column in shown.columns]
-    rows = [list(map(cell, row, patterns)) for row in shown.itertuples(index=False, name=None)]
-    return ResultTable(title, [str(column) for column in shown.columns], rows, note)
+result_table = ResultTable.of
 
 
 def show(title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None) -> None:
-    """Print a table; see `result_table`."""
-    result_table(title, frame, note, formats).show()
-
-
-def cell(value: Any, pattern: str | None = None) -> Any:
-    """Return a value as a cell of a table: formatted by a pattern, None for NaN, a tuple as a range such as 1…2."""
-    if isinstance(value, tuple):
-        ends = [cell(end, pattern) for end in value]
-        return None if None in ends else "…".join(map(str, ends))
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return None
-    return value if pattern is None or isinstance(value, str | bool) else pattern.format(value)
+    """Print a table; see `ResultTable.of`."""
+    ResultTable.of(title, frame, note, formats).show()
 
 
 def plot_frontier(
