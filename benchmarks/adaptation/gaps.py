@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,8 +23,6 @@ from gelgap.benchmarks.adaptation.study import (
 from gelgap.benchmarks.common import result_table
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from gelgap.domains import DomainRecipe
 
 BASE = "mb0i0"
@@ -35,8 +33,6 @@ RESULTS = "gaps/gaps.json"
 CROSSED = ("modulus", "light", "markers")
 CROSSED_MODULUS, CROSSED_LIGHT = 0.7, "mb0i1"
 CONSTANT, POSE = "constant mean", "pose oracle"
-
-
 PANELS = {
     "modulus": "target's modulus over source's",
     "light": "colour difference of the references, CIEDE2000",
@@ -79,23 +75,7 @@ def gap_size(panel: str, base: "DomainRecipe", target: "DomainRecipe") -> float:
     return round(value(target) / value(base), 6)
 
 
-def members(quality: str) -> "list[tuple[str, DomainRecipe]]":
-    """Return the domains of each curve, the base among them."""
-    from gelgap.domains import Factor, Sweep, make_recipes, sweep_variants
-
-    names = [BASE, *(name for _, name in DOMAINS)]
-    base, *others = make_recipes(names, PATH, quality=quality)
-    found = [(panel, base) for panel in PANELS]
-    found += [(panel, recipe) for (panel, _), recipe in zip(DOMAINS, others, strict=True)]
-    for panel, name, field, change, values in SWEEPS:
-        factors = (Factor(field=field, change=change, values=values),)
-        sweep = Sweep(name=name, base=BASE, path=PATH, method="one-at-a-time", factors=factors)
-        found += [(panel, variant.recipe) for variant in sweep_variants(sweep, quality=quality)[1:]]
-    return found
-
-
-@dataclass(frozen=True)
-class Design:
+class Design(NamedTuple):
     """The domains to make, by name; the targets of the curves (panel, domain, size); the cells of the crossed design.
 
     A cell is a domain, and which of modulus, light and markers differ from the base.
@@ -108,26 +88,29 @@ class Design:
 
 def design(quality: str = "draft") -> Design:
     """Return all domains; a cell that a curve has already is not made twice."""
-    curves = members(quality)
-    recipes = {recipe.name: recipe for _, recipe in curves}
-    base, cells = recipes[BASE], []
-    gaps = [(panel, recipe.name, gap_size(panel, base, recipe)) for panel, recipe in curves]
+    from gelgap.domains import Factor, Sweep, make_recipes, sweep_variants
+
+    base, *others = make_recipes([BASE, *(name for _, name in DOMAINS)], PATH, quality=quality)
+    members = [(panel, base) for panel in PANELS]
+    members += [(panel, recipe) for (panel, _), recipe in zip(DOMAINS, others, strict=True)]
+    for panel, name, field, change, values in SWEEPS:
+        factors = (Factor(field=field, change=change, values=values),)
+        sweep = Sweep(name=name, base=BASE, path=PATH, method="one-at-a-time", factors=factors)
+        members += [(panel, variant.recipe) for variant in sweep_variants(sweep, quality=quality)[1:]]
+    gaps = [(panel, recipe.name, gap_size(panel, base, recipe)) for panel, recipe in members]
+    recipes, cells = {recipe.name: recipe for _, recipe in members}, []
     for modulus, light, markers in product((False, True), repeat=3):
         start = recipes[CROSSED_LIGHT if light else BASE]
         young = start.elastomer.young_modulus_mpa * (CROSSED_MODULUS if modulus else 1.0)
-        changes = {
-            "name": f"crossed-{modulus:d}{light:d}{markers:d}",
-            "elastomer": start.elastomer.model_copy(update={"young_modulus_mpa": young}),
-            "markers": not markers,
-        }
-        cell = start.model_copy(update=changes)
+        elastomer = start.elastomer.model_copy(update={"young_modulus_mpa": young})
+        changes = {"name": f"crossed-{modulus:d}{light:d}{markers:d}", "elastomer": elastomer}
+        cell = start.model_copy(update=changes | {"markers": not markers})
         same = [r for r in recipes.values() if r == cell.model_copy(update={"name": r.name})]
         domain = same[0] if same else recipes.setdefault(cell.name, cell)
         cells.append((domain.name, modulus, light, markers))
-    sizes = pd.DataFrame(gaps, columns=["panel", "domain", "size"]).sort_values(
-        ["panel", "size"], kind="stable"
-    )
-    return Design(recipes, sizes, pd.DataFrame(cells, columns=["domain", *CROSSED]))
+    curves = pd.DataFrame(gaps, columns=["panel", "domain", "size"])
+    by_size = curves.sort_values(["panel", "size"], kind="stable")
+    return Design(recipes, by_size, pd.DataFrame(cells, columns=["domain", *CROSSED]))
 
 
 def measure(study: Study) -> None:
@@ -136,9 +119,9 @@ def measure(study: Study) -> None:
     targets: list[str] = []
     for gel in dict.fromkeys(recipe.elastomer for recipe in found.recipes.values()):
         if not own.is_over:
-            members = [recipe for recipe in found.recipes.values() if recipe.elastomer == gel]
-            own.generate(members)
-            targets += [recipe.name for recipe in members]
+            of_gel = [name for name, recipe in found.recipes.items() if recipe.elastomer == gel]
+            own.generate([found.recipes[name] for name in of_gel])
+            targets += of_gel
     cases = [("paired", (BASE, target)) for target in targets]
     runs = own.run(adapt_run, grid(cases, METHODS, study.seeds or SEEDS, ()), RUNS)
     if len(runs):
@@ -171,26 +154,20 @@ def collect(found: Design, runs: pd.DataFrame, data: Path) -> GapResults:
         gaps=found.gaps.to_dict("records"),
         cells=found.cells.to_dict("records"),
         errors_n={target: row.dropna().to_dict() for target, row in errors_n.iterrows()},
-        pose_n={
-            target: pose_oracle(base, open_domain(data / target)).mean_mae_n for target in errors_n.index
-        },
+        pose_n={name: pose_oracle(base, open_domain(data / name)).mean_mae_n for name in errors_n.index},
     )
+
+
+def load(folder: Path) -> GapResults | None:
+    """Return the results of a folder, None if there are none."""
+    path = folder / RESULTS
+    return read_results(path, GapResults) if path.is_file() else None
 
 
 def tables(folder: Path) -> list[ResultTable]:
     """Return the tables of the curves and of the crossed design, if they were measured."""
-    return [table for results in _load(folder) for table in (gap_table(results), *crossed_tables(results))]
-
-
-def figures(folder: Path) -> list[NamedFigure]:
-    """Return the figure of the curves, if they were measured."""
-    caption = "Target MAE against the size of each gap"
-    return [NamedFigure("gap-curves", caption, plot_gaps(results)) for results in _load(folder)]
-
-
-def _load(folder: Path) -> list[GapResults]:
-    path = folder / RESULTS
-    return [read_results(path, GapResults)] if path.is_file() else []
+    results = load(folder)
+    return [gap_table(results), *crossed_tables(results)] if results else []
 
 
 def errors_of(results: GapResults, places: list[dict]) -> pd.DataFrame:
@@ -202,7 +179,7 @@ def errors_of(results: GapResults, places: list[dict]) -> pd.DataFrame:
 
 def gap_table(results: GapResults) -> ResultTable:
     """Error of each method against the size of each gap."""
-    frame = errors_of(results, [gap for gap in results.gaps if gap["domain"] in results.errors_n])
+    frame = errors_of(results, results.gaps).dropna(subset=CONSTANT)
     sizes = "; ".join(f"{name}: {label}" for name, label in PANELS.items())
     return result_table(
         f"Gap curves from {BASE}, profile {PROFILE}: target MAE, N",
@@ -251,27 +228,27 @@ def crossed_tables(results: GapResults) -> list[ResultTable]:
     ]
 
 
-def plot_gaps(results: GapResults) -> "Figure":
-    """Draw one panel per factor: error against the size of the gap."""
+def figures(folder: Path) -> list[NamedFigure]:
+    """Return the figure of the curves, one panel per factor, if they were measured."""
     from matplotlib.figure import Figure
 
+    if not (results := load(folder)):
+        return []
     figure = Figure(figsize=(15, 3.6), layout="constrained")
-    curves = errors_of(results, [gap for gap in results.gaps if gap["domain"] in results.errors_n])
-    styles = dict.fromkeys(results.methods, "o-") | {CONSTANT: "k:", POSE: "k--"}
-    for axes, (name, label) in zip(figure.subplots(1, len(PANELS), sharey=True), PANELS.items(), strict=True):
-        curve = curves[curves["panel"] == name]
-        for method, style in styles.items():
-            axes.plot(curve["size"], curve[method], style, label=method)
+    panels = figure.subplots(1, len(PANELS), sharey=True)
+    curves = errors_of(results, results.gaps).dropna(subset=CONSTANT).set_index(["panel", "size"])
+    styles = {**dict.fromkeys(results.methods, "o-"), CONSTANT: "k:", POSE: "k--"}
+    for axes, (name, label) in zip(panels, PANELS.items(), strict=True):
+        curve = curves.loc[name, list(styles)]
+        curve.plot(ax=axes, style=styles, logx=name in RATIOS, legend=False, ylim=(0, None))
         if name in RATIOS:
-            axes.set_xscale("log")
-            axes.set_xticks(curve["size"], [f"{size:.2g}" for size in curve["size"]])
+            axes.set_xticks(curve.index, [f"{size:.2g}" for size in curve.index])
             axes.minorticks_off()
         axes.set_xlabel(label, fontsize=8)
-        axes.set_ylim(bottom=0)
-    figure.axes[0].set_ylabel("target MAE, N")
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", fontsize=8, ncols=len(labels))
-    return figure
+    panels[0].set_ylabel("target MAE, N")
+    lines = panels[0].get_legend_handles_labels()
+    figure.legend(*lines, loc="outside upper center", fontsize=8, ncols=len(styles))
+    return [NamedFigure("gap-curves", "Target MAE against the size of each gap", figure)]
 
 
 PART = Part(measure, tables, figures)

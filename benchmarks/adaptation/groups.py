@@ -33,7 +33,7 @@ SEEDS = (0, 1, 2, 3, 4)
 QUICK_GROUP = ("mb0i0", "wmb1i1")
 QUICK_METHODS = (PLAIN, "adabn", "classifier-only", "dsan", CEILING)
 LEAST_R2 = (0.8, 0.8, 0.9)
-"""What supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
+"""R² that supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
 R2 = [f"R² {axis}" for axis in AXES]
 NAMES = [" → ".join(group) for group in GROUPS]
 FORMATS = {"": "{:.3f}", "rank": "{:.1f}", **dict.fromkeys(R2, "{:.2f}")}
@@ -384,7 +384,7 @@ def check_table(runs: pd.DataFrame, design: str) -> ResultTable:
     )
     means, worst = by_place.mean(), by_place.min()
     frame = means.map("{:.2f}".format) + worst.map(" (≥ {:.2f})".format)
-    frame["met"] = (means >= LEAST_R2).all(axis=1).map({True: "yes", False: "NO"})
+    frame["met"] = (means >= list(LEAST_R2)).all(axis=1).map({True: "yes", False: "NO"})
     return result_table(
         f"Does the profile count? {design.capitalize()} contacts",
         frame,

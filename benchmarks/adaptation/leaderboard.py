@@ -62,18 +62,15 @@ class Entry(Settings):
 
 def entries_of(runs: pd.DataFrame, design: str, who: str) -> Iterator[Entry]:
     """Yield the entries of the methods that have run on all groups and seeds."""
+    runs = runs[runs["seed"].isin(SEEDS)]
     for method in methods_of(runs):
-        own = runs[(runs["method"] == method) & runs["seed"].isin(SEEDS)]
+        own = runs[runs["method"] == method]
         if len(own) == len(_PLACES):
             first = own.iloc[0]
             settings = first.filter(like="settings.").dropna().rename(lambda name: name.partition(".")[2])
             yield Entry(
-                **{
-                    "method": method,
-                    "design": design,
-                    "profile": first["profile"],
-                    "versions": first["versions"],
-                },
+                **first[["method", "profile", "versions"]],
+                design=design,
                 settings=settings.to_dict(),
                 who=who,
                 when=datetime.datetime.now(tz=datetime.UTC).date(),
@@ -101,8 +98,9 @@ def read_entries(folder: Path) -> list[Entry]:
     plain = {entry.design: entry for entry in found.values() if entry.method == PLAIN}
     for path, entry in sorted(found.items(), key=lambda item: item[1].method != PLAIN):
         if entry.design not in plain:
-            lacking = f"the record of {PLAIN}, {entry.design}, with which the others are compared"
-            raise ValueError(f"{folder} lacks {lacking}")
+            raise ValueError(
+                f"{folder} lacks the record of {PLAIN}, {entry.design}, with which the others are compared"
+            )
         if problem := _problem(entry, plain[entry.design]):
             raise ValueError(f"{path}: {problem}")
     return list(found.values())
@@ -112,18 +110,17 @@ def _problem(entry: Entry, plain: Entry) -> str | None:
     """Return what is wrong with an entry, if anything is; it must be of the same configurations as another one."""
     if not is_plain_name(entry.method):
         return f"method = {entry.method!r} is no name"
-    runs = {(run.source, run.target, run.seed): run.configuration for run in entry.runs}
+    runs = {(run.source, run.target, run.seed): f"{entry.profile} {run.configuration}" for run in entry.runs}
     if missing := [place for place in _PLACES if place not in runs]:
         first = "{} → {}, seed {}".format(*missing[0])
         return f"runs: {len(missing)} of {len(_PLACES)} are missing, the first is {first}"
     if len(entry.runs) > len(_PLACES):
-        wanted = f"needed are {len(_PLACES)}: each group with seeds {SEEDS}"
-        return f"runs: there are {len(entry.runs)}, {wanted}"
+        return f"runs: there are {len(entry.runs)}, needed are {len(_PLACES)}: each group with seeds {SEEDS}"
     expected = {(run.source, run.target): f"{plain.profile} {run.configuration}" for run in plain.runs}
     for (*group, seed), configuration in runs.items():
-        if f"{entry.profile} {configuration}" != expected[tuple(group)]:
+        if configuration != expected[tuple(group)]:
             return (
-                f"{' → '.join(group)}, seed {seed}, is of configuration {entry.profile} {configuration}, {PLAIN}'s is "
+                f"{' → '.join(group)}, seed {seed}, is of configuration {configuration}, {PLAIN}'s is "
                 f"{expected[tuple(group)]}; only runs of one profile and of the same data can be compared"
             )
     return None
@@ -135,16 +132,13 @@ def leaderboard_table(entries: Sequence[Entry], design: str) -> ResultTable:
     runs = [{**run.model_dump(), "method": entry.method} for entry in own.values() for run in entry.runs]
     frame = summary(with_errors(pd.DataFrame(runs))).sort_values("mean MAE, N", kind="stable")
     shown = [own[method] for method in frame.index]
-    frame["settings"] = [
-        ", ".join(f"{k} = {v}" for k, v in entry.settings.items()) or None for entry in shown
-    ]
+    frame["settings"] = [", ".join(f"{k} = {v}" for k, v in e.settings.items()) or None for e in shown]
     frame["who"] = [entry.who for entry in shown]
     frame["when"] = [entry.when.isoformat() for entry in shown]
+    named = {method: f"**{method}**" for method in frame.index if method not in METHODS}
     return result_table(
         f"{design.capitalize()} contacts",
-        frame.rename(lambda name: name if name in METHODS else f"**{name}**").rename(
-            columns={"rank": "mean rank"}
-        ),
+        frame.rename(index=named, columns={"rank": "mean rank"}),
         f"Nine groups, seeds {SEEDS[0]} to {SEEDS[-1]}, profile {shown[0].profile}, split by contact point. Interval: "
         "bootstrap over groups and seeds. Rank: mean over the groups, the ceiling apart.",
         FORMATS | {"mean rank": "{:.1f}"},
@@ -155,9 +149,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Check the records of a folder and write the leaderboard; with --write, first make those of finished runs."""
     name = "python -m gelgap.benchmarks.adaptation.leaderboard"
     parser = argparse.ArgumentParser(prog=name, description=main.__doc__)
-    parser.add_argument(
-        "records", type=Path, help="folder of the records, a JSON file for each method and design"
-    )
+    records_help = "folder of the records, a JSON file for each method and design"
+    parser.add_argument("records", type=Path, help=records_help)
     parser.add_argument("--write", type=Path, metavar="RUNS", help="folder of the benchmark's runs")
     parser.add_argument("--who", default="gelgap", help="who ran them")
     parser.add_argument("--out", type=Path, default=Path("docs/results/leaderboard.md"))
