@@ -6,8 +6,8 @@ user's clones. The parts of the adaptation benchmark are each a `Part`, which it
 """
 
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 
@@ -30,9 +30,7 @@ class Benchmark:
 
     def load(self) -> Any:
         """Import the benchmark's module, or the thing in it."""
-        module, _, name = self.place.partition(":")
-        found = import_module(f"gelgap.benchmarks.{module}")
-        return getattr(found, name) if name else found
+        return resolve_name(f"gelgap.benchmarks.{self.place}")
 
     def run(self, quick: bool, out_dir: Path, data: Path | None = None) -> None:
         """Measure."""
@@ -102,15 +100,12 @@ _MEASURED = {
 }
 BENCHMARKS = tuple(
     Benchmark(
-        subject,
-        *what,
-        EXTRA not in flags,
-        LONG not in flags,
-        resumes=ANEW not in flags,
+        *(subject, part, description, place),
+        *(flag not in flags for flag in (EXTRA, LONG, ANEW)),
         needs_data=subject == "real",
     )
     for subject, rows in _MEASURED.items()
-    for *what, flags in ((*row[:3], row[3:]) for row in rows)
+    for part, description, place, *flags in rows
 )
 
 
@@ -132,13 +127,13 @@ def find_benchmarks(subject: str, part: str | None, quick: bool) -> tuple[Benchm
     ValueError
         If the subject has no such part, or nothing of what was chosen has a quick form.
     """
-    names = ", ".join(benchmark.part for benchmark in parts_of(subject))
     chosen = [b for b in BENCHMARKS if b.subject == subject and (b.part == part if part else b.by_default)]
     if not chosen:
+        names = ", ".join(benchmark.part for benchmark in parts_of(subject))
         has = f"its parts are {names}" if names else "it has no parts"
         raise ValueError(f"--what {part} is no part of benchmark {subject}; {has}")
-    found = tuple(b for b in chosen if b.has_quick_form or not quick)
+    found = tuple(benchmark for benchmark in chosen if benchmark.has_quick_form or not quick)
     if not found:
-        quick_names = ", ".join(b.part for b in parts_of(subject) if b.has_quick_form)
-        raise ValueError(f"--quick: {part} has no quick form; {quick_names} have")
+        names = ", ".join(benchmark.part for benchmark in parts_of(subject) if benchmark.has_quick_form)
+        raise ValueError(f"--quick: {part} has no quick form; {names} have")
     return found

@@ -236,15 +236,18 @@ def figures(folder: Path) -> list[NamedFigure]:
         return []
     figure = Figure(figsize=(15, 3.6), layout="constrained")
     panels = figure.subplots(1, len(PANELS), sharey=True)
-    curves = errors_of(results, results.gaps).dropna(subset=CONSTANT).set_index(["panel", "size"])
+    curves = errors_of(results, results.gaps).dropna(subset=CONSTANT)
     styles = {**dict.fromkeys(results.methods, "o-"), CONSTANT: "k:", POSE: "k--"}
     for axes, (name, label) in zip(panels, PANELS.items(), strict=True):
-        curve = curves.loc[name, list(styles)]
-        curve.plot(ax=axes, style=styles, logx=name in RATIOS, legend=False, ylim=(0, None))
+        curve = curves[curves["panel"] == name]
+        for method, style in styles.items():
+            axes.plot(curve["size"], curve[method], style, label=method)
         if name in RATIOS:
-            axes.set_xticks(curve.index, [f"{size:.2g}" for size in curve.index])
+            axes.set_xscale("log")
+            axes.set_xticks(curve["size"], [f"{size:.2g}" for size in curve["size"]])
             axes.minorticks_off()
         axes.set_xlabel(label, fontsize=8)
+        axes.set_ylim(bottom=0)
     panels[0].set_ylabel("target MAE, N")
     lines = panels[0].get_legend_handles_labels()
     figure.legend(*lines, loc="outside upper center", fontsize=8, ncols=len(styles))
