@@ -321,13 +321,10 @@ def with_errors(records: pd.DataFrame) -> pd.DataFrame:
     """Return records with their group ("mb0i0 → wmb1i1"), MAE (N) and R² by axis, and the mean MAE over the axes, N."""
     if records.empty:
         records = pd.DataFrame(columns=[*_RUN, "problem", "alarm", "mae_n", "r2"])
-    by_axis = {
-        name.format(axis): records[column].map(lambda values, i=i: values[i])
-        for name, column in (("MAE {}, N", "mae_n"), ("R² {}", "r2"))
-        for i, axis in enumerate(board.AXES)
-    }
+    of_axes = {f"MAE {axis}, N": records["mae_n"].str[i] for i, axis in enumerate(board.AXES)}
+    of_axes |= {f"R² {axis}": records["r2"].str[i] for i, axis in enumerate(board.AXES)}
     group = records["source"] + " → " + records["target"]
-    return records.assign(group=group, error_n=records["mae_n"].map(np.mean), **by_axis)
+    return records.assign(group=group, error_n=records["mae_n"].map(np.mean), **of_axes)
 
 
 def write_results(path: Path, results: Any) -> None:
