@@ -19,6 +19,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from gelgap.adapt.profile import Profile
 
@@ -81,10 +82,6 @@ class ForceNetwork(nn.Module):
         """Return the normalised labels (B, k) in [0, 1]."""
         return self.regressor(self.features(pictures))
 
-    def head_parameters(self) -> list[nn.Parameter]:
-        """Return the parameters outside the backbone; they learn at the full rate."""
-        return [p for m in (self.bottleneck, self.regressor, self.classifier) for p in m.parameters()]
-
 
 def make_network(profile: Profile, n_classes: int, seed: int, n_labels: int = 3) -> ForceNetwork:
     """Return an untrained network whose weights depend on `seed` alone, whatever was drawn before."""
@@ -93,64 +90,48 @@ def make_network(profile: Profile, n_classes: int, seed: int, n_labels: int = 3)
         return ForceNetwork(profile, n_classes, n_labels).to(memory_format=torch.channels_last)
 
 
+RESNETS = {
+    "resnet18": ((2, 2, 2, 2), ((1, 3), (1, 3))),
+    "resnet50": ((3, 4, 6, 3), ((1, 1), (1, 3), (4, 1))),
+}
+"""Blocks of each layer, and a block's convolutions ([1], figure 5): channels over the layer's, and kernel size."""
+
+
 def _convolution(n_in: int, n_out: int, size: int, stride: int = 1) -> nn.Conv2d:
     return nn.Conv2d(n_in, n_out, size, stride, padding=size // 2, bias=False)
 
 
-def _shortcut(n_in: int, n_out: int, stride: int) -> nn.Sequential | None:
-    if stride == 1 and n_in == n_out:
-        return None
-    return nn.Sequential(_convolution(n_in, n_out, 1, stride), nn.BatchNorm2d(n_out))
+class Residual(nn.Module):
+    """A block of convolutions (see `RESNETS`), the first 3×3 with the stride, and a shortcut around them."""
 
-
-class BasicBlock(nn.Module):
-    """Two 3×3 convolutions and a shortcut ([1], figure 5 left)."""
-
-    expansion = 1
-
-    def __init__(self, n_in: int, planes: int, stride: int = 1) -> None:
+    def __init__(self, n_in: int, planes: int, stride: int, shape: Sequence[tuple[int, int]]) -> None:
         super().__init__()
-        self.conv1 = _convolution(n_in, planes, 3, stride)
-        self.bn1 = nn.BatchNorm2d(planes)
-        self.conv2 = _convolution(planes, planes, 3)
-        self.bn2 = nn.BatchNorm2d(planes)
-        self.relu = nn.ReLU(inplace=True)
-        self.downsample = _shortcut(n_in, planes, stride)
+        self.depth, channels = len(shape), n_in
+        strided = [size for _, size in shape].index(3)
+        for i, (factor, size) in enumerate(shape):
+            convolution = _convolution(channels, factor * planes, size, stride if i == strided else 1)
+            channels = factor * planes
+            self.add_module(f"conv{i + 1}", convolution)
+            self.add_module(f"bn{i + 1}", nn.BatchNorm2d(channels))
+        self.out_features, self.downsample = channels, nn.Sequential()
+        if stride > 1 or channels != n_in:
+            self.downsample = nn.Sequential(_convolution(n_in, channels, 1, stride), nn.BatchNorm2d(channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        residual = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
-        return self.relu(residual + (x if self.downsample is None else self.downsample(x)))
-
-
-class Bottleneck(nn.Module):
-    """1×1, 3×3, 1×1 convolutions and a shortcut ([1], figure 5 right), stride on the 3×3."""
-
-    expansion = 4
-
-    def __init__(self, n_in: int, planes: int, stride: int = 1) -> None:
-        super().__init__()
-        n_out = planes * self.expansion
-        self.conv1 = _convolution(n_in, planes, 1)
-        self.bn1 = nn.BatchNorm2d(planes)
-        self.conv2 = _convolution(planes, planes, 3, stride)
-        self.bn2 = nn.BatchNorm2d(planes)
-        self.conv3 = _convolution(planes, n_out, 1)
-        self.bn3 = nn.BatchNorm2d(n_out)
-        self.relu = nn.ReLU(inplace=True)
-        self.downsample = _shortcut(n_in, n_out, stride)
-
-    def forward(self, x: Tensor) -> Tensor:
-        residual = self.relu(self.bn1(self.conv1(x)))
-        residual = self.relu(self.bn2(self.conv2(residual)))
-        residual = self.bn3(self.conv3(residual))
-        return self.relu(residual + (x if self.downsample is None else self.downsample(x)))
+        residual = x
+        for number in range(1, self.depth + 1):
+            residual = getattr(self, f"bn{number}")(getattr(self, f"conv{number}")(residual))
+            if number < self.depth:
+                residual = functional.relu(residual, inplace=True)
+        return functional.relu(residual + self.downsample(x), inplace=True)
 
 
 class ResNet(nn.Module):
     """ResNet without its classifier: maps (B, in_channels, h, w) to the pooled feature (B, out_features)."""
 
-    def __init__(self, block: type[nn.Module], depths: Sequence[int], in_channels: int, width: float) -> None:
+    def __init__(self, name: str, in_channels: int, width: float) -> None:
         super().__init__()
+        depths, shape = RESNETS[name]
         planes = [round(64 * 2**i * width) for i in range(4)]
         self.conv1 = nn.Conv2d(in_channels, planes[0], 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(planes[0])
@@ -160,8 +141,8 @@ class ResNet(nn.Module):
         for i, depth in enumerate(depths):
             blocks = []
             for j in range(depth):
-                blocks.append(block(n_in, planes[i], stride=2 if i > 0 and j == 0 else 1))
-                n_in = planes[i] * block.expansion
+                blocks.append(Residual(n_in, planes[i], 2 if i > 0 and j == 0 else 1, shape))
+                n_in = blocks[-1].out_features
             self.add_module(f"layer{i + 1}", nn.Sequential(*blocks))
         self.avgpool = nn.AdaptiveAvgPool2d(1)
         self.out_features = n_in
@@ -175,14 +156,11 @@ class ResNet(nn.Module):
         return self.avgpool(x).flatten(1)
 
 
-RESNETS = {"resnet18": (BasicBlock, (2, 2, 2, 2)), "resnet50": (Bottleneck, (3, 4, 6, 3))}
-
-
 def make_resnet(name: str, in_channels: int = 3, width: float = 1.0) -> ResNet:
     """Return an untrained ResNet; `width` scales the number of channels of every layer."""
     if name not in RESNETS:
         raise ValueError(f"backbone {name!r} is unknown; known backbones: {', '.join(RESNETS)}")
-    return ResNet(*RESNETS[name], in_channels, width)
+    return ResNet(name, in_channels, width)
 
 
 def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:

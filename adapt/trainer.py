@@ -427,10 +427,10 @@ def _make_optimizer(
     network: ForceNetwork, method: Method | None, profile: Profile, rate: float
 ) -> torch.optim.SGD:
     """Return SGD with the backbone's learning rate scaled down; what a method owns learns like the heads."""
-    own = [] if method is None else list(method.parameters())
+    heads = [network.bottleneck, network.regressor, network.classifier, *([] if method is None else [method])]
     groups = [
         {"params": list(network.backbone.parameters()), "lr": rate * profile.backbone_rate_factor},
-        {"params": network.head_parameters() + own, "lr": rate},
+        {"params": [p for module in heads for p in module.parameters()], "lr": rate},
     ]
     optimizer = torch.optim.SGD(groups, lr=rate, momentum=profile.momentum, weight_decay=profile.weight_decay)
     for group in optimizer.param_groups:
