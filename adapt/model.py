@@ -10,7 +10,6 @@ import torch
 from torch import nn
 
 from gelgap.adapt.data import Draw, epoch_order, network_inputs
-from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
@@ -222,18 +221,6 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     pictures = network_inputs(frames, model.profile, model.device)
     estimate_statistics(network, pictures, model.seed)
     return replace(model, network=network, input_statistics=pictures.statistics)
-
-
-def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
-    """Return an adapted model as it is judged on the source: under its statistics, where each domain has its own.
-
-    source_train holds the source's training frames.
-    """
-    if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
-        return with_statistics_of(model, source_train)
-    if model.profile.input_standardisation == "none":
-        return model
-    return replace(model, input_statistics=input_statistics(source_train, model.profile, model.device))
 
 
 def input_statistics(

@@ -244,11 +244,6 @@ def _check_archive(path: Path) -> None:
         raise ValueError(f"{path} is damaged: the CRC-32 of {damaged!r} does not match")
 
 
-def best_device() -> torch.device:
-    """Return the GPU if there is one, else the CPU."""
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-
-
 def autocast(profile: Profile, device: torch.device) -> torch.autocast:
     """Return the context in which the backbone computes in the profile's precision."""
     return torch.autocast(device.type, torch.bfloat16, enabled=profile.precision == "bfloat16")

@@ -21,12 +21,12 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
 
-from gelgap.adapt.data import SplitFrames, check_classes, size_notes, split_for_training
+from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
 from gelgap.adapt.epochs import Progress, silent
-from gelgap.adapt.evaluation import Evaluation, evaluate_constant_mean, evaluate_frames
+from gelgap.adapt.evaluation import Evaluation, as_judged_on_source, evaluate_constant_mean, evaluate_frames
 from gelgap.adapt.methods import registry
 from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
-from gelgap.adapt.model import ForceModel, as_judged_on_source
+from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.trainer import adapt, train_source, untrained
@@ -186,7 +186,7 @@ def adapt_folders(
     for note in (*notes, *frames.notes, *of_labels):
         LOG.warning("%s", note)
     for method in methods:
-        check_classes(method, registry.find_method(method), frames.source_train)
+        registry.find_method(method).check_classes(method, frames.source_train)
         if registry.find_method(method).uses_target_labels:
             frames.target_train.check_labels()
     stage1 = Stage1(

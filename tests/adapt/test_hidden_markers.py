@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from gelgap.adapt.data import Draw, TrainingDomain, hidden_batches, network_inputs
-from gelgap.adapt.model import ForceModel, as_judged_on_source
+from gelgap.adapt.evaluation import as_judged_on_source
+from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import make_network
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import stage1_profile
