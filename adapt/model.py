@@ -159,10 +159,9 @@ class ForceModel:
         names = content.get("labels", FORCE_COLUMNS)
         ranges = content["label_ranges" if "labels" in content else "force_range_n"]
         labels = Labels.of(dict(zip(names, ranges, strict=True)))
-        statistics = _two_rows(content, "input_statistics", profile.in_channels)
+        statistics = _two_rows(ChannelStatistics, content, "input_statistics", profile.in_channels)
         if statistics is not None and min(statistics[1]) <= 0:
             raise ValueError(f"input_statistics = {statistics}")
-        correction = _two_rows(content, "correction", len(labels))
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
         return cls(
@@ -171,21 +170,18 @@ class ForceModel:
             labels,
             **{name: content[name] for name in ("n_classes", "seed", "source", "target", "method")},
             history=tuple(content["history"]),
-            input_statistics=statistics and ChannelStatistics(*statistics),
-            correction=correction and AffineCorrection(*correction),
+            input_statistics=statistics,
+            correction=_two_rows(AffineCorrection, content, "correction", len(labels)),
         )
 
 
-def _two_rows(
-    content: dict[str, Any], name: str, columns: int
-) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+def _two_rows(kind: type[NamedTuple], content: dict[str, Any], name: str, columns: int) -> Any:
     if content.get(name) is None:
         return None
     values = np.array(content[name], dtype=float)
     if values.shape != (2, columns) or not np.isfinite(values).all():
         raise ValueError(f"{name} = {content[name]!r}")
-    first, second = values.tolist()
-    return tuple(first), tuple(second)
+    return kind(*map(tuple, values.tolist()))
 
 
 def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:

@@ -8,10 +8,8 @@ Backbones are ResNets [1] with torchvision's state-dict keys, any number of inpu
 import contextlib
 import ctypes
 import functools
-import struct
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,11 +25,6 @@ from gelgap.adapt.profile import Profile
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 # A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
 _MOST_GROWTH = 2
-# What Python's zipfile and zlib raise on bytes that are not theirs.
-_UNREADABLE = (
-    *(zipfile.BadZipFile, zlib.error, struct.error),
-    *(EOFError, OSError, ValueError, NotImplementedError, RuntimeError),
-)
 _ZIP = b"PK\x03\x04"
 
 
@@ -62,7 +55,7 @@ class ForceNetwork(nn.Module):
     def __init__(self, profile: Profile, n_classes: int, n_labels: int = 3) -> None:
         super().__init__()
         self.n_labels = n_labels
-        self.backbone = make_resnet(profile.backbone, profile.in_channels, profile.width)
+        self.backbone = ResNet(profile.backbone, profile.in_channels, profile.width)
         self.bottleneck = nn.Sequential(
             nn.Linear(self.backbone.out_features, profile.feature_dim), nn.ReLU(inplace=True)
         )
@@ -127,9 +120,12 @@ class Residual(nn.Module):
 
 
 class ResNet(nn.Module):
-    """ResNet without its classifier: maps (B, in_channels, h, w) to the pooled feature (B, out_features)."""
+    """Untrained ResNet without its classifier: maps (B, in_channels, h, w) to the pooled feature (B, out_features).
 
-    def __init__(self, name: str, in_channels: int, width: float) -> None:
+    `width` scales the number of channels of every layer.
+    """
+
+    def __init__(self, name: str, in_channels: int = 3, width: float = 1.0) -> None:
         super().__init__()
         depths, shape = RESNETS[name]
         planes = [round(64 * 2**i * width) for i in range(4)]
@@ -156,13 +152,6 @@ class ResNet(nn.Module):
         return self.avgpool(x).flatten(1)
 
 
-def make_resnet(name: str, in_channels: int = 3, width: float = 1.0) -> ResNet:
-    """Return an untrained ResNet; `width` scales the number of channels of every layer."""
-    if name not in RESNETS:
-        raise ValueError(f"backbone {name!r} is unknown; known backbones: {', '.join(RESNETS)}")
-    return ResNet(name, in_channels, width)
-
-
 def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
     """Load a torchvision ResNet state dictionary from a file the user names (its `fc` layer is left out).
 
@@ -176,25 +165,17 @@ def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
     ValueError
         If the file does not fit this backbone (another depth or width).
     """
-    path = Path(path)
-    state = {key: value for key, value in load_checkpoint(path).items() if not str(key).startswith("fc.")}
-    if not all(isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()):
-        raise ValueError(f"weights file {path} is no state dictionary: it holds more than named tensors")
-    expected = backbone.state_dict()
-    filters = state.get("conv1.weight")
-    wanted = expected["conv1.weight"].shape[1]
-    if filters is not None and filters.ndim == 4 and filters.shape[1] == 3 and wanted % 3 == 0:
-        state["conv1.weight"] = filters.repeat(1, wanted // 3, 1, 1) * (3 / wanted)
-    wrong = sorted(
-        {key for key in expected if key not in state or state[key].shape != expected[key].shape}
-        | (set(state) - set(expected))
-    )
-    if wrong:
+    state = {key: x for key, x in load_checkpoint(Path(path)).items() if not str(key).startswith("fc.")}
+    filters, channels = state.get("conv1.weight"), backbone.conv1.in_channels
+    try:
+        if filters is not None and filters.ndim == 4 and filters.shape[1] == 3 and channels % 3 == 0:
+            state["conv1.weight"] = filters.repeat(1, channels // 3, 1, 1) * (3 / channels)
+        backbone.load_state_dict(state)
+    except (RuntimeError, AttributeError, TypeError) as error:
+        reason = " ".join(str(error).split())[:200]
         raise ValueError(
-            f"weights file {path} does not fit this backbone: {len(wrong)} keys are missing, foreign or of "
-            f"another shape (first: {wrong[0]}); use the same depth and width=1"
-        )
-    backbone.load_state_dict(state)
+            f"weights file {path} does not fit this backbone ({reason}); use the same depth and width=1"
+        ) from None
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
@@ -212,15 +193,15 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"checkpoint {path} does not exist")
-    with path.open("rb") as file:
-        is_archive = file.read(len(_ZIP)) == _ZIP
-    if is_archive:
-        _check_archive(path)
     try:
+        with path.open("rb") as file:
+            is_archive = file.read(len(_ZIP)) == _ZIP
+        if is_archive:
+            _check_archive(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about foreign bytes; the sentence below is enough
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # an unpickler of foreign bytes raises anything
+    except Exception as error:  # readers of foreign bytes raise anything
         reason = str(error).partition("\n")[0].partition(". ")[0]
         raise ValueError(f"{path} is not a checkpoint of torch ({type(error).__name__}: {reason})") from None
     if not isinstance(content, dict):
@@ -231,17 +212,13 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def _check_archive(path: Path) -> None:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            total = sum(info.file_size for info in archive.infolist())
-            fits = total <= _MOST_GROWTH * path.stat().st_size
-            damaged = archive.testzip() if fits else None
-    except _UNREADABLE as error:
-        raise ValueError(f"{path} is damaged ({error}): it is not a whole checkpoint") from None
-    if not fits:
-        raise ValueError(f"{path} is not a checkpoint: it would take {total / 2**20:.0f} MiB")
-    if damaged is not None:
-        raise ValueError(f"{path} is damaged: the CRC-32 of {damaged!r} does not match")
+    """Raise a ValueError if a part of the archive is damaged, or all would take more memory than the file may."""
+    with zipfile.ZipFile(path) as archive:
+        total = sum(info.file_size for info in archive.infolist())
+        if total > _MOST_GROWTH * path.stat().st_size:
+            raise ValueError(f"it would take {total / 2**20:.0f} MiB")
+        if damaged := archive.testzip():
+            raise ValueError(f"the CRC-32 of {damaged!r} does not match")
 
 
 def autocast(profile: Profile, device: torch.device) -> torch.autocast:
