@@ -1,6 +1,7 @@
 """A trained model: predicts forces or other labels, is saved and loaded, and takes the statistics of other pictures."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -175,7 +176,7 @@ class ForceModel:
         )
 
 
-def _two_rows(kind: type[NamedTuple], content: dict[str, Any], name: str, columns: int) -> Any:
+def _two_rows(kind: Callable[..., Any], content: dict[str, Any], name: str, columns: int) -> Any:
     if content.get(name) is None:
         return None
     values = np.array(content[name], dtype=float)
