@@ -3,6 +3,7 @@ from .data import split_for_training as split_for_training
 from .epochs import console_progress as console_progress
 from .evaluation import Evaluation as Evaluation
 from .evaluation import Presses as Presses
+from .evaluation import as_judged_on_source as as_judged_on_source
 from .evaluation import evaluate as evaluate
 from .evaluation import evaluate_constant_mean as evaluate_constant_mean
 from .evaluation import evaluate_predictions as evaluate_predictions
@@ -30,7 +31,6 @@ from .methods.registry import register as register
 from .methods.registry import transfer_weight as transfer_weight
 from .model import AffineCorrection as AffineCorrection
 from .model import ForceModel as ForceModel
-from .model import as_judged_on_source as as_judged_on_source
 from .model import with_statistics_of as with_statistics_of
 from .network import Activations as Activations
 from .network import make_network as make_network

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.methods.base import Method
 from gelgap.adapt.profile import Profile
 from gelgap.domains import (
     ChannelStatistics,
@@ -108,21 +107,6 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
     return tuple(found)
 
 
-def check_classes(name: str, method: Method | type[Method], source: LabelledFrames) -> None:
-    """Raise a ValueError if a method needs contact classes, and frames of the source have none, or all the same."""
-    if method.uses_classifier and not source.has_classes:
-        raise ValueError(
-            f"method {name} needs contact classes, and source {source.name} has frames without one: choose "
-            "another method, classes from force (--classes from-force 12), or a source whose frames all have a class, "
-            "as `gelgap generate` writes them on the paper's path"
-        )
-    if method.uses_classifier and len(np.unique(source.contact_class)) < 2:
-        raise ValueError(
-            f"method {name} needs source frames of at least 2 contact classes, and the {len(source)} of "
-            f"{source.name} are of one: take more frames, or choose another method"
-        )
-
-
 class Draw(IntEnum):
     """What random numbers are drawn for: part of every draw's key, so that no draw depends on another."""
 
@@ -192,13 +176,12 @@ def normalised_labels(frames: LabelledFrames) -> np.ndarray:
 
 
 class Batch(NamedTuple):
-    """Network inputs (B, C, h, w) of one domain, which of its frames (B,) they are, and their labels where known.
+    """Network inputs (B, C, h, w) of one domain, and their labels where known.
 
     force is (B, k), labels normalised to [0, 1]; contact_class (B,).
     """
 
     inputs: Tensor
-    rows: Tensor
     force: Tensor | None
     contact_class: Tensor | None
 
@@ -224,7 +207,7 @@ class TrainingDomain:
         """Return a batch of these frames (B,), their markers `hidden` or not."""
         rows = torch.from_numpy(indices).to(self.pictures.images.device)
         inputs = (self.without_markers if hidden else self.pictures).inputs(rows)
-        return Batch(inputs, rows, *(x if x is None else x[rows] for x in (self.force, self.contact_class)))
+        return Batch(inputs, *(x if x is None else x[rows] for x in (self.force, self.contact_class)))
 
     def __len__(self) -> int:
         return len(self.pictures)
@@ -236,6 +219,8 @@ def mix_colours(pictures: Tensor, share: float, rng: np.random.Generator) -> Ten
     Under lamps of other colours in other places each channel sees the membrane's slopes along other directions; mixed
     channels show a network many such lights, so that it must read forces from what they share.
     """
+    if share == 0:
+        return pictures
     chosen = torch.from_numpy(rng.random(len(pictures)) < share).to(pictures.device)
     turns, _ = np.linalg.qr(rng.standard_normal((len(pictures), 3, 3)))
     turns = torch.from_numpy(turns.astype(np.float32)).to(pictures.device)
@@ -251,6 +236,8 @@ def shift_pictures(pictures: Tensor, most_px: int, rng: np.random.Generator) -> 
     Contact and reference are shifted together, and their edges are continued. A network that has seen few contact
     points takes the light at each of them for the force; the same contact elsewhere shows it what the force does.
     """
+    if most_px == 0:
+        return pictures
     height, width = pictures.shape[2:]
     padded = functional.pad(pictures, (most_px,) * 4, mode="replicate")
     offsets = rng.integers(0, 2 * most_px + 1, (len(pictures), 2)).tolist()

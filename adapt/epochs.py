@@ -138,23 +138,15 @@ def silent(title: str, done: int, total: int, message: str) -> None:
 @contextmanager
 def console_progress() -> Iterator[Progress]:
     """Yield a `Progress` that writes to stderr: a bar on a terminal, plain lines elsewhere."""
-    from rich.console import Console
-
-    console = Console(file=sys.stderr)
-    if not console.is_terminal:
-
-        def lines(title: str, done: int, total: int, message: str) -> None:
-            if done == total or done % max(1, total // 5) == 0:
-                print(f"{title}: epoch {done}/{total}  {message}", file=sys.stderr, flush=True)
-
-        yield lines
+    if not sys.stderr.isatty():
+        yield _print_some
         return
-
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bars(*columns, TextColumn("{task.fields[message]}"), console=console) as bars:
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), "{task.fields[message]}")
+    with Bars("{task.description}", *columns, console=Console(file=sys.stderr)) as bars:
         tasks = {}
 
         def advance(title: str, done: int, total: int, message: str) -> None:
@@ -163,3 +155,9 @@ def console_progress() -> Iterator[Progress]:
             bars.update(tasks[title], completed=done, message=message)
 
         yield advance
+
+
+def _print_some(title: str, done: int, total: int, message: str) -> None:
+    """Print a line for every fifth of the epochs."""
+    if done == total or done % max(1, total // 5) == 0:
+        print(f"{title}: epoch {done}/{total}  {message}", file=sys.stderr, flush=True)

@@ -6,12 +6,13 @@ source gel's force at the target's actual contact: what a network gives that see
 Neither is a lower bound: shrinkage or luck can beat them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.adapt.model import ForceModel
+from gelgap.adapt.methods.registry import find_method
+from gelgap.adapt.model import ForceModel, input_statistics, with_statistics_of
 from gelgap.domains import FORCE_COLUMNS, QUANTITIES, LabelledFrames, paired_contacts, with_labels
 
 if TYPE_CHECKING:
@@ -104,6 +105,18 @@ def evaluate(model: ForceModel, frames: LabelledFrames) -> Evaluation:
     if frames.labels.names != model.labels.names:
         frames = with_labels(frames, model.labels)
     return evaluate_frames(frames, model.predict(frames))
+
+
+def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
+    """Return an adapted model as it is judged on the source: under its statistics, where each domain has its own.
+
+    source_train holds the source's training frames.
+    """
+    if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
+        return with_statistics_of(model, source_train)
+    if model.profile.input_standardisation == "none":
+        return model
+    return replace(model, input_statistics=input_statistics(source_train, model.profile, model.device))
 
 
 def evaluate_frames(frames: LabelledFrames, predicted: np.ndarray) -> Evaluation:

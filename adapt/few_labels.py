@@ -4,7 +4,7 @@ Labelled frames must come from the target's training part; its test frames stay 
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -184,6 +184,14 @@ def _check(model: ForceModel, frames: LabelledFrames) -> None:
     frames.check_labels()
 
 
+def _mae_lines(title: str, errors: Mapping[str, Evaluation]) -> list[str]:
+    """Return a table of evaluations of the same labels, line by line."""
+    rows = {name: [f"{value:8.4f}" for value in error.mae] for name, error in errors.items()}
+    known = [QUANTITIES[name] for name in next(iter(errors.values())).labels]
+    rows = {title: [f"{f'{what.symbol}/{what.unit}':>8}" for what in known]} | rows
+    return [" ".join([f"{name:<34}", *cells]) for name, cells in rows.items()]
+
+
 @dataclass(frozen=True)
 class Pretraining:
     """A pretrained network: its checkpoint, the frames that it has learnt from, and its error on unseen domains.
@@ -198,13 +206,11 @@ class Pretraining:
     held_out_constant_mean: Evaluation
 
     def __str__(self) -> str:
-        lines = [
-            f"{self.checkpoint}: trained on {self.frames} frames",
-            f"{'MAE in N':<28} {'Fx':>7} {'Fy':>7} {'Fz':>7}",
-        ]
-        for name, error in (("constant mean", self.held_out_constant_mean), ("pretrained", self.held_out)):
-            values = " ".join(f"{value:7.4f}" for value in error.mae_n)
-            lines.append(f"{name + ', unseen domains':<28} {values}")
+        errors = {
+            "constant mean, unseen domains": self.held_out_constant_mean,
+            "pretrained, unseen domains": self.held_out,
+        }
+        lines = [f"{self.checkpoint}: trained on {self.frames} frames", *_mae_lines("MAE", errors)]
         if self.left_out:
             lines.append(f"{self.left_out} frames with a force outside the declared range were left out")
         return "\n".join(lines)
@@ -264,16 +270,12 @@ class Finetuning:
     after: Evaluation
 
     def __str__(self) -> str:
-        known = [QUANTITIES[name] for name in self.model.labels.names]
-        columns = " ".join(f"{f'{what.symbol}/{what.unit}':>8}" for what in known)
         errors = {
             f"mean of the {self.frames} labelled frames": self.constant_mean,
             "no label": self.before,
             "fine-tuned": self.after,
         }
-        lines = [f"{f'MAE on {self.after.n} other frames':<34} {columns}"]
-        for name, error in errors.items():
-            lines.append(f"{name:<34} " + " ".join(f"{value:8.4f}" for value in error.mae))
+        lines = _mae_lines(f"MAE on {self.after.n} other frames", errors)
         if self.left_out:
             lines.append(f"left out: {self.left_out} frames with a label outside {self.model.labels}")
         return "\n".join(lines)

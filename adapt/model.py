@@ -1,6 +1,7 @@
 """A trained model: predicts forces or other labels, is saved and loaded, and takes the statistics of other pictures."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,6 @@ import torch
 from torch import nn
 
 from gelgap.adapt.data import Draw, epoch_order, network_inputs
-from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
@@ -160,10 +160,9 @@ class ForceModel:
         names = content.get("labels", FORCE_COLUMNS)
         ranges = content["label_ranges" if "labels" in content else "force_range_n"]
         labels = Labels.of(dict(zip(names, ranges, strict=True)))
-        statistics = _two_rows(content, "input_statistics", profile.in_channels)
+        statistics = _two_rows(ChannelStatistics, content, "input_statistics", profile.in_channels)
         if statistics is not None and min(statistics[1]) <= 0:
             raise ValueError(f"input_statistics = {statistics}")
-        correction = _two_rows(content, "correction", len(labels))
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
         return cls(
@@ -172,21 +171,18 @@ class ForceModel:
             labels,
             **{name: content[name] for name in ("n_classes", "seed", "source", "target", "method")},
             history=tuple(content["history"]),
-            input_statistics=statistics and ChannelStatistics(*statistics),
-            correction=correction and AffineCorrection(*correction),
+            input_statistics=statistics,
+            correction=_two_rows(AffineCorrection, content, "correction", len(labels)),
         )
 
 
-def _two_rows(
-    content: dict[str, Any], name: str, columns: int
-) -> tuple[tuple[float, ...], tuple[float, ...]] | None:
+def _two_rows(kind: Callable[..., Any], content: dict[str, Any], name: str, columns: int) -> Any:
     if content.get(name) is None:
         return None
     values = np.array(content[name], dtype=float)
     if values.shape != (2, columns) or not np.isfinite(values).all():
         raise ValueError(f"{name} = {content[name]!r}")
-    first, second = values.tolist()
-    return tuple(first), tuple(second)
+    return kind(*map(tuple, values.tolist()))
 
 
 def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
@@ -222,18 +218,6 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     pictures = network_inputs(frames, model.profile, model.device)
     estimate_statistics(network, pictures, model.seed)
     return replace(model, network=network, input_statistics=pictures.statistics)
-
-
-def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:
-    """Return an adapted model as it is judged on the source: under its statistics, where each domain has its own.
-
-    source_train holds the source's training frames.
-    """
-    if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
-        return with_statistics_of(model, source_train)
-    if model.profile.input_standardisation == "none":
-        return model
-    return replace(model, input_statistics=input_statistics(source_train, model.profile, model.device))
 
 
 def input_statistics(

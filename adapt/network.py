@@ -8,10 +8,8 @@ Backbones are ResNets [1] with torchvision's state-dict keys, any number of inpu
 import contextlib
 import ctypes
 import functools
-import struct
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +17,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from gelgap.adapt.profile import Profile
 
@@ -26,11 +25,6 @@ from gelgap.adapt.profile import Profile
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 # A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
 _MOST_GROWTH = 2
-# What Python's zipfile and zlib raise on bytes that are not theirs.
-_UNREADABLE = (
-    *(zipfile.BadZipFile, zlib.error, struct.error),
-    *(EOFError, OSError, ValueError, NotImplementedError, RuntimeError),
-)
 _ZIP = b"PK\x03\x04"
 
 
@@ -61,7 +55,7 @@ class ForceNetwork(nn.Module):
     def __init__(self, profile: Profile, n_classes: int, n_labels: int = 3) -> None:
         super().__init__()
         self.n_labels = n_labels
-        self.backbone = make_resnet(profile.backbone, profile.in_channels, profile.width)
+        self.backbone = ResNet(profile.backbone, profile.in_channels, profile.width)
         self.bottleneck = nn.Sequential(
             nn.Linear(self.backbone.out_features, profile.feature_dim), nn.ReLU(inplace=True)
         )
@@ -81,10 +75,6 @@ class ForceNetwork(nn.Module):
         """Return the normalised labels (B, k) in [0, 1]."""
         return self.regressor(self.features(pictures))
 
-    def head_parameters(self) -> list[nn.Parameter]:
-        """Return the parameters outside the backbone; they learn at the full rate."""
-        return [p for m in (self.bottleneck, self.regressor, self.classifier) for p in m.parameters()]
-
 
 def make_network(profile: Profile, n_classes: int, seed: int, n_labels: int = 3) -> ForceNetwork:
     """Return an untrained network whose weights depend on `seed` alone, whatever was drawn before."""
@@ -93,64 +83,53 @@ def make_network(profile: Profile, n_classes: int, seed: int, n_labels: int = 3)
         return ForceNetwork(profile, n_classes, n_labels).to(memory_format=torch.channels_last)
 
 
+RESNETS = {
+    "resnet18": ((2, 2, 2, 2), ((1, 3), (1, 3))),
+    "resnet50": ((3, 4, 6, 3), ((1, 1), (1, 3), (4, 1))),
+}
+"""Blocks of each layer, and a block's convolutions ([1], figure 5): channels over the layer's, and kernel size."""
+
+
 def _convolution(n_in: int, n_out: int, size: int, stride: int = 1) -> nn.Conv2d:
     return nn.Conv2d(n_in, n_out, size, stride, padding=size // 2, bias=False)
 
 
-def _shortcut(n_in: int, n_out: int, stride: int) -> nn.Sequential | None:
-    if stride == 1 and n_in == n_out:
-        return None
-    return nn.Sequential(_convolution(n_in, n_out, 1, stride), nn.BatchNorm2d(n_out))
+class Residual(nn.Module):
+    """A block of convolutions (see `RESNETS`), the first 3×3 with the stride, and a shortcut around them."""
 
-
-class BasicBlock(nn.Module):
-    """Two 3×3 convolutions and a shortcut ([1], figure 5 left)."""
-
-    expansion = 1
-
-    def __init__(self, n_in: int, planes: int, stride: int = 1) -> None:
+    def __init__(self, n_in: int, planes: int, stride: int, shape: Sequence[tuple[int, int]]) -> None:
         super().__init__()
-        self.conv1 = _convolution(n_in, planes, 3, stride)
-        self.bn1 = nn.BatchNorm2d(planes)
-        self.conv2 = _convolution(planes, planes, 3)
-        self.bn2 = nn.BatchNorm2d(planes)
-        self.relu = nn.ReLU(inplace=True)
-        self.downsample = _shortcut(n_in, planes, stride)
+        self.depth, channels = len(shape), n_in
+        strided = [size for _, size in shape].index(3)
+        for i, (factor, size) in enumerate(shape):
+            convolution = _convolution(channels, factor * planes, size, stride if i == strided else 1)
+            channels = factor * planes
+            self.add_module(f"conv{i + 1}", convolution)
+            self.add_module(f"bn{i + 1}", nn.BatchNorm2d(channels))
+        self.out_features, self.downsample = channels, nn.Sequential()
+        if stride > 1 or channels != n_in:
+            self.downsample = nn.Sequential(_convolution(n_in, channels, 1, stride), nn.BatchNorm2d(channels))
 
     def forward(self, x: Tensor) -> Tensor:
-        residual = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
-        return self.relu(residual + (x if self.downsample is None else self.downsample(x)))
-
-
-class Bottleneck(nn.Module):
-    """1×1, 3×3, 1×1 convolutions and a shortcut ([1], figure 5 right), stride on the 3×3."""
-
-    expansion = 4
-
-    def __init__(self, n_in: int, planes: int, stride: int = 1) -> None:
-        super().__init__()
-        n_out = planes * self.expansion
-        self.conv1 = _convolution(n_in, planes, 1)
-        self.bn1 = nn.BatchNorm2d(planes)
-        self.conv2 = _convolution(planes, planes, 3, stride)
-        self.bn2 = nn.BatchNorm2d(planes)
-        self.conv3 = _convolution(planes, n_out, 1)
-        self.bn3 = nn.BatchNorm2d(n_out)
-        self.relu = nn.ReLU(inplace=True)
-        self.downsample = _shortcut(n_in, n_out, stride)
-
-    def forward(self, x: Tensor) -> Tensor:
-        residual = self.relu(self.bn1(self.conv1(x)))
-        residual = self.relu(self.bn2(self.conv2(residual)))
-        residual = self.bn3(self.conv3(residual))
-        return self.relu(residual + (x if self.downsample is None else self.downsample(x)))
+        residual = x
+        for number in range(1, self.depth + 1):
+            residual = getattr(self, f"bn{number}")(getattr(self, f"conv{number}")(residual))
+            if number < self.depth:
+                residual = functional.relu(residual, inplace=True)
+        return functional.relu(residual + self.downsample(x), inplace=True)
 
 
 class ResNet(nn.Module):
-    """ResNet without its classifier: maps (B, in_channels, h, w) to the pooled feature (B, out_features)."""
+    """Untrained ResNet without its classifier: maps (B, in_channels, h, w) to the pooled feature (B, out_features).
 
-    def __init__(self, block: type[nn.Module], depths: Sequence[int], in_channels: int, width: float) -> None:
+    `width` scales the number of channels of every layer.
+    """
+
+    def __init__(self, name: str, in_channels: int = 3, width: float = 1.0) -> None:
         super().__init__()
+        if name not in RESNETS:
+            raise ValueError(f"backbone {name!r} is unknown; known backbones: {', '.join(RESNETS)}")
+        depths, shape = RESNETS[name]
         planes = [round(64 * 2**i * width) for i in range(4)]
         self.conv1 = nn.Conv2d(in_channels, planes[0], 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(planes[0])
@@ -160,8 +139,8 @@ class ResNet(nn.Module):
         for i, depth in enumerate(depths):
             blocks = []
             for j in range(depth):
-                blocks.append(block(n_in, planes[i], stride=2 if i > 0 and j == 0 else 1))
-                n_in = planes[i] * block.expansion
+                blocks.append(Residual(n_in, planes[i], 2 if i > 0 and j == 0 else 1, shape))
+                n_in = blocks[-1].out_features
             self.add_module(f"layer{i + 1}", nn.Sequential(*blocks))
         self.avgpool = nn.AdaptiveAvgPool2d(1)
         self.out_features = n_in
@@ -173,16 +152,6 @@ class ResNet(nn.Module):
         x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
         return self.avgpool(x).flatten(1)
-
-
-RESNETS = {"resnet18": (BasicBlock, (2, 2, 2, 2)), "resnet50": (Bottleneck, (3, 4, 6, 3))}
-
-
-def make_resnet(name: str, in_channels: int = 3, width: float = 1.0) -> ResNet:
-    """Return an untrained ResNet; `width` scales the number of channels of every layer."""
-    if name not in RESNETS:
-        raise ValueError(f"backbone {name!r} is unknown; known backbones: {', '.join(RESNETS)}")
-    return ResNet(*RESNETS[name], in_channels, width)
 
 
 def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
@@ -198,25 +167,17 @@ def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:
     ValueError
         If the file does not fit this backbone (another depth or width).
     """
-    path = Path(path)
-    state = {key: value for key, value in load_checkpoint(path).items() if not str(key).startswith("fc.")}
-    if not all(isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()):
-        raise ValueError(f"weights file {path} is no state dictionary: it holds more than named tensors")
-    expected = backbone.state_dict()
-    filters = state.get("conv1.weight")
-    wanted = expected["conv1.weight"].shape[1]
-    if filters is not None and filters.ndim == 4 and filters.shape[1] == 3 and wanted % 3 == 0:
-        state["conv1.weight"] = filters.repeat(1, wanted // 3, 1, 1) * (3 / wanted)
-    wrong = sorted(
-        {key for key in expected if key not in state or state[key].shape != expected[key].shape}
-        | (set(state) - set(expected))
-    )
-    if wrong:
+    state = {key: x for key, x in load_checkpoint(Path(path)).items() if not str(key).startswith("fc.")}
+    filters, channels = state.get("conv1.weight"), backbone.conv1.in_channels
+    try:
+        if filters is not None and filters.ndim == 4 and filters.shape[1] == 3 and channels % 3 == 0:
+            state["conv1.weight"] = filters.repeat(1, channels // 3, 1, 1) * (3 / channels)
+        backbone.load_state_dict(state)
+    except (RuntimeError, AttributeError, TypeError) as error:
+        reason = " ".join(str(error).split())[:200]
         raise ValueError(
-            f"weights file {path} does not fit this backbone: {len(wrong)} keys are missing, foreign or of "
-            f"another shape (first: {wrong[0]}); use the same depth and width=1"
-        )
-    backbone.load_state_dict(state)
+            f"weights file {path} does not fit this backbone ({reason}); use the same depth and width=1"
+        ) from None
 
 
 def load_checkpoint(path: Path) -> dict[str, Any]:
@@ -234,15 +195,15 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise FileNotFoundError(f"checkpoint {path} does not exist")
-    with path.open("rb") as file:
-        is_archive = file.read(len(_ZIP)) == _ZIP
-    if is_archive:
-        _check_archive(path)
     try:
+        with path.open("rb") as file:
+            is_archive = file.read(len(_ZIP)) == _ZIP
+        if is_archive:
+            _check_archive(path)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about foreign bytes; the sentence below is enough
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # an unpickler of foreign bytes raises anything
+    except Exception as error:  # readers of foreign bytes raise anything
         reason = str(error).partition("\n")[0].partition(". ")[0]
         raise ValueError(f"{path} is not a checkpoint of torch ({type(error).__name__}: {reason})") from None
     if not isinstance(content, dict):
@@ -253,22 +214,13 @@ def load_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def _check_archive(path: Path) -> None:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            total = sum(info.file_size for info in archive.infolist())
-            fits = total <= _MOST_GROWTH * path.stat().st_size
-            damaged = archive.testzip() if fits else None
-    except _UNREADABLE as error:
-        raise ValueError(f"{path} is damaged ({error}): it is not a whole checkpoint") from None
-    if not fits:
-        raise ValueError(f"{path} is not a checkpoint: it would take {total / 2**20:.0f} MiB")
-    if damaged is not None:
-        raise ValueError(f"{path} is damaged: the CRC-32 of {damaged!r} does not match")
-
-
-def best_device() -> torch.device:
-    """Return the GPU if there is one, else the CPU."""
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    """Raise a ValueError if a part of the archive is damaged, or all would take more memory than the file may."""
+    with zipfile.ZipFile(path) as archive:
+        total = sum(info.file_size for info in archive.infolist())
+        if total > _MOST_GROWTH * path.stat().st_size:
+            raise ValueError(f"it would take {total / 2**20:.0f} MiB")
+        if damaged := archive.testzip():
+            raise ValueError(f"the CRC-32 of {damaged!r} does not match")
 
 
 def autocast(profile: Profile, device: torch.device) -> torch.autocast:

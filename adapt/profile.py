@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from gelgap.assets import load_preset
 from gelgap.assets.settings import Settings
@@ -13,114 +13,82 @@ from gelgap.assets.toml_file import read_toml
 class Profile(Settings):
     """Network, input, optimiser, schedule and splits of a run; `settings` holds what a single method needs."""
 
-    name: str = Field(default="custom", description="name under which results are filed")
-    backbone: Literal["resnet18", "resnet50"] = Field(default="resnet18", description="feature encoder")
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    name: str = "custom"
+    """name under which results are filed"""
+    backbone: Literal["resnet18", "resnet50"] = "resnet18"
+    """feature encoder"""
     # With fewer than 8 channels, oneDNN's strided 1×1 convolutions (torch 2.13) write past their buffer on AVX2.
-    width: float = Field(
-        default=1.0,
-        ge=0.125,
-        le=2,
-        description="factor on the number of channels (64, 128, 256, 512) of the backbone's layers",
-    )
-    feature_dim: int = Field(default=256, ge=2, le=4096, description="size of the transfer feature")
-    image_size_px: tuple[int, int] = Field(
-        default=(64, 48), description="width and height of the network's pictures, px"
-    )
-    pairing: Literal["channels", "stack", "difference"] = Field(
-        default="channels",
-        description="contact and reference picture as 6 channels, one above the other, or their difference",
-    )
-    batch_size: int = Field(default=32, ge=2, le=4096, description="frames of each domain in a step")
-    source_epochs: int = Field(default=20, ge=1, description="epochs of stage 1 (source regression only)")
-    source_learning_rate: float = Field(default=0.1, gt=0, description="initial learning rate of stage 1")
-    adapt_epochs: int = Field(
-        default=10, ge=1, description="epochs of stage 2; an epoch is one pass over the source"
-    )
-    adapt_learning_rate: float = Field(default=0.01, gt=0, description="initial learning rate of stage 2")
-    backbone_rate_factor: float = Field(
-        default=0.1, gt=0, le=1, description="learning rate of the backbone over the heads'"
-    )
-    momentum: float = Field(default=0.9, ge=0, lt=1, description="momentum of SGD")
-    weight_decay: float = Field(default=5e-4, ge=0, description="weight decay of SGD")
-    rate_decay: float = Field(
-        default=3e-4, ge=0, description="a in the learning rate's factor (1 + a·step)^−b"
-    )
-    rate_power: float = Field(
-        default=0.75, ge=0, description="b in the learning rate's factor (1 + a·step)^−b"
-    )
-    regression_weight: float = Field(default=1.0, ge=0, description="λ_r of stage 2")
-    classification_weight: float = Field(
-        default=1.0, ge=0, description="λ_c of stage 2, for methods with a classifier"
-    )
-    classification_feedback: float = Field(
-        default=1.0,
-        ge=0,
-        le=1,
-        description="share of the classification gradient that reaches the features (the paper: 1); the classifier "
-        "itself learns at full weight",
-    )
-    transfer_weight: float = Field(default=1.0, ge=0, description="λ_t of stage 2 when the ramp has ended")
-    transfer_warmup: float = Field(
-        default=0.0, ge=0, lt=1, description="share of stage 2 with λ_t = 0, in which the classifier learns"
-    )
-    transfer_ramp: float = Field(
-        default=10.0,
-        ge=0,
-        description="γ of λ_t's ramp 2/(1+e^(−γp))−1 over the steps after the warm-up; 0: no ramp",
-    )
-    colour_mixing: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="share of source frames whose colours are turned at random, a stand-in for other lights",
-    )
-    marker_hiding: float = Field(
-        default=0.0,
-        ge=0,
-        le=1,
-        description="share of training batches shown with their markers inpainted, in stage 2 the target's too",
-    )
-    input_standardisation: Literal["none", "domain"] = Field(
-        default="none",
-        description="standardise each channel of the network's input by mean and standard deviation over the "
-        "training pictures of its domain",
-    )
-    shift_px: int = Field(
-        default=0,
-        ge=0,
-        le=64,
-        description="training pictures of both domains are shifted at random by up to this many pixels, a stand-in for "
-        "contacts elsewhere",
-    )
-    batch_statistics: Literal["joint", "mixed", "per_domain"] = Field(
-        default="joint",
-        description="stage 2 normalises source and target as one batch, or each by itself; then both are judged under "
-        "the running statistics of the two (mixed), or each under its own (per_domain)",
-    )
-    source_holdout: float = Field(
-        default=0.1, ge=0, lt=1, description="share of the source kept out of training to measure source risk"
-    )
-    target_split: tuple[float, float, float] = Field(
-        default=(0.6, 0.2, 0.2), description="target shares for training (unlabelled), validation and test"
-    )
-    split_by: str = Field(
-        default="random",
-        description="split at random by the run's seed, by contact point so that no near-duplicate crosses it, as the "
-        "data set states it (given), or by a column of the data such as clip or object",
-    )
-    stratify_by: str | None = Field(
-        default=None,
-        exclude_if=lambda value: value is None,
-        description="column of the data of which every part of a split gets its share of each value",
-    )
-    precision: Literal["float32", "bfloat16"] = Field(
-        default="float32", description="of the backbone's arithmetic"
-    )
-    threads: int = Field(default=1, ge=1, le=256, description="CPU threads of one run")
-    settings: dict[str, dict[str, Any]] = Field(
-        default_factory=dict,
-        description="by method: settings of the method that differ from its defaults",
-    )
+    width: float = Field(default=1.0, ge=0.125, le=2)
+    """factor on the number of channels (64, 128, 256, 512) of the backbone's layers"""
+    feature_dim: int = Field(default=256, ge=2, le=4096)
+    """size of the transfer feature"""
+    image_size_px: tuple[int, int] = (64, 48)
+    """width and height of the network's pictures, px"""
+    pairing: Literal["channels", "stack", "difference"] = "channels"
+    """contact and reference picture as 6 channels, one above the other, or their difference"""
+    batch_size: int = Field(default=32, ge=2, le=4096)
+    """frames of each domain in a step"""
+    source_epochs: int = Field(default=20, ge=1)
+    """epochs of stage 1 (source regression only)"""
+    source_learning_rate: float = Field(default=0.1, gt=0)
+    """initial learning rate of stage 1"""
+    adapt_epochs: int = Field(default=10, ge=1)
+    """epochs of stage 2; an epoch is one pass over the source"""
+    adapt_learning_rate: float = Field(default=0.01, gt=0)
+    """initial learning rate of stage 2"""
+    backbone_rate_factor: float = Field(default=0.1, gt=0, le=1)
+    """learning rate of the backbone over the heads'"""
+    momentum: float = Field(default=0.9, ge=0, lt=1)
+    """momentum of SGD"""
+    weight_decay: float = Field(default=5e-4, ge=0)
+    """weight decay of SGD"""
+    rate_decay: float = Field(default=3e-4, ge=0)
+    """a in the learning rate's factor (1 + a·step)^−b"""
+    rate_power: float = Field(default=0.75, ge=0)
+    """b in the learning rate's factor (1 + a·step)^−b"""
+    regression_weight: float = Field(default=1.0, ge=0)
+    """λ_r of stage 2"""
+    classification_weight: float = Field(default=1.0, ge=0)
+    """λ_c of stage 2, for methods with a classifier"""
+    classification_feedback: float = Field(default=1.0, ge=0, le=1)
+    """share of the classification gradient that reaches the features (the paper: 1); the classifier itself learns at
+    full weight"""
+    transfer_weight: float = Field(default=1.0, ge=0)
+    """λ_t of stage 2 when the ramp has ended"""
+    transfer_warmup: float = Field(default=0.0, ge=0, lt=1)
+    """share of stage 2 with λ_t = 0, in which the classifier learns"""
+    transfer_ramp: float = Field(default=10.0, ge=0)
+    """γ of λ_t's ramp 2/(1+e^(−γp))−1 over the steps after the warm-up; 0: no ramp"""
+    colour_mixing: float = Field(default=0.0, ge=0, le=1)
+    """share of source frames whose colours are turned at random, a stand-in for other lights"""
+    marker_hiding: float = Field(default=0.0, ge=0, le=1)
+    """share of training batches shown with their markers inpainted, in stage 2 the target's too"""
+    input_standardisation: Literal["none", "domain"] = "none"
+    """standardise each channel of the network's input by mean and standard deviation over the training pictures of its
+    domain"""
+    shift_px: int = Field(default=0, ge=0, le=64)
+    """training pictures of both domains are shifted at random by up to this many pixels, a stand-in for contacts
+    elsewhere"""
+    batch_statistics: Literal["joint", "mixed", "per_domain"] = "joint"
+    """stage 2 normalises source and target as one batch, or each by itself; then both are judged under the running
+    statistics of the two (mixed), or each under its own (per_domain)"""
+    source_holdout: float = Field(default=0.1, ge=0, lt=1)
+    """share of the source kept out of training to measure source risk"""
+    target_split: tuple[float, float, float] = (0.6, 0.2, 0.2)
+    """target shares for training (unlabelled), validation and test"""
+    split_by: str = "random"
+    """split at random by the run's seed, by contact point so that no near-duplicate crosses it, as the data set states
+    it (given), or by a column of the data such as clip or object"""
+    stratify_by: str | None = Field(default=None, exclude_if=lambda value: value is None)
+    """column of the data of which every part of a split gets its share of each value"""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """of the backbone's arithmetic"""
+    threads: int = Field(default=1, ge=1, le=256)
+    """CPU threads of one run"""
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """by method: settings of the method that differ from its defaults"""
 
     @field_validator("image_size_px")
     @classmethod

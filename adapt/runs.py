@@ -10,7 +10,7 @@ import logging
 import math
 import platform
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -19,14 +19,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
 
-from gelgap.adapt.data import SplitFrames, check_classes, size_notes, split_for_training
+from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
 from gelgap.adapt.epochs import Progress, silent
-from gelgap.adapt.evaluation import Evaluation, evaluate_constant_mean, evaluate_frames
+from gelgap.adapt.evaluation import Evaluation, as_judged_on_source, evaluate_constant_mean, evaluate_frames
 from gelgap.adapt.methods import registry
 from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
-from gelgap.adapt.model import ForceModel, as_judged_on_source
+from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.trainer import adapt, train_source, untrained
@@ -56,11 +56,12 @@ def _read_evaluation(content: Any) -> Any:
     """Return the fields of a recorded evaluation; NaN are null, and that of the three axes of force has no labels."""
     if not isinstance(content, dict):
         return content
-    content = {"mae" if name == "mae_n" else name: value for name, value in content.items()}
-    for name, value in content.items():
-        if isinstance(value, list):
-            content[name] = [math.nan if item is None else item for item in value]
-    return content
+    return {
+        "mae" if name == "mae_n" else name: (
+            [math.nan if item is None else item for item in value] if isinstance(value, list) else value
+        )
+        for name, value in content.items()
+    }
 
 
 def _evaluation_content(evaluation: Evaluation) -> dict[str, Any]:
@@ -70,19 +71,9 @@ def _evaluation_content(evaluation: Evaluation) -> dict[str, Any]:
     return {"mae_n" if name == "mae" else name: content[name] for name in ("n", "mae", "mae_percent", "r2")}
 
 
-def _must(hold: Callable[[Any], bool], message: str) -> AfterValidator:
-    def check(value: Any) -> Any:
-        if not hold(value):
-            raise ValueError(message)
-        return value
-
-    return AfterValidator(check)
-
-
 RecordedEvaluation = Annotated[
     Evaluation, BeforeValidator(_read_evaluation), PlainSerializer(_evaluation_content)
 ]
-PlainName = Annotated[str, _must(is_plain_name, "must be a plain name")]
 
 
 @dataclass(frozen=True)
@@ -104,18 +95,18 @@ class Run:
     """
 
     key: str
-    source: PlainName
-    target: PlainName
-    method: PlainName
+    source: str
+    target: str
+    method: str
     seed: int
-    profile: Annotated[dict[str, Any], _must(lambda p: isinstance(p.get("name"), str), "must have a name")]
+    profile: dict[str, Any]
     n_source: int
     n_target: int
     target_test: RecordedEvaluation
     target_constant_mean: RecordedEvaluation
     source_held_out: RecordedEvaluation | None
     source_constant_mean: RecordedEvaluation | None
-    wall_s: Annotated[dict[str, float], _must({"stage1", "stage2"}.issubset, "must have both stages")]
+    wall_s: dict[str, float]
     skipped_steps: int
     history: tuple[dict[str, Any], ...]
     versions: dict[str, str]
@@ -137,8 +128,8 @@ _RUN = TypeAdapter(Run)
 
 
 def adapt_folders(
-    source: str | Path | Sequence[str | Path],
-    target: str | Path,
+    source: str | Path | Sequence[str | Path] | LabelledFrames,
+    target: str | Path | LabelledFrames,
     methods: Iterable[str],
     profile: str | Profile = "smoke",
     seed: int = 0,
@@ -158,7 +149,8 @@ def adapt_folders(
     Parameters
     ----------
     source, target
-        Folders of domains that `gelgap.domains.open_domain` reads; several sources are trained on together.
+        Domains that are open, or folders that `gelgap.domains.open_domain` reads; several source folders are trained on
+        together.
     methods
         Their names, or `module:Class` or `file.py:Class` of your own; the runs come in this order.
     labels, ranges, classes_from_force
@@ -178,40 +170,15 @@ def adapt_folders(
         If another process is writing one of these runs.
     """
     profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
-    methods = _known(methods, profile)
-    return adapt_frames(
-        open_domains(source),
-        open_domain(target),
-        methods,
-        profile,
-        seed,
-        labels=labels,
-        ranges=ranges,
-        classes_from_force=classes_from_force,
-        weights=weights,
-        out_dir=out_dir,
-        progress=progress,
-    )
-
-
-def adapt_frames(
-    source: LabelledFrames,
-    target: LabelledFrames,
-    methods: Iterable[str],
-    profile: Profile,
-    seed: int = 0,
-    *,
-    labels: Sequence[str] | None = None,
-    ranges: Mapping[str, tuple[float, float]] | None = None,
-    classes_from_force: int | None = None,
-    weights: str | Path | None = None,
-    out_dir: str | Path | None = None,
-    progress: Progress = silent,
-) -> list[Run]:
-    """As `adapt_folders`, for domains that are open."""
-    methods = _known(methods, profile)
+    methods = tuple(registry.use_method(method) for method in methods)
+    if not methods:
+        raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
+    for method in methods:
+        registry.method_settings(method, profile)
     if weights is not None:
         load_checkpoint(Path(weights))  # refused before any picture is read
+    source = source if isinstance(source, LabelledFrames) else open_domains(source)
+    target = target if isinstance(target, LabelledFrames) else open_domain(target)
     notes = size_notes(source, target, profile)
     choice = {"labels": labels, "ranges": ranges, "classes_from_force": classes_from_force}
     frames = split_for_training(source, target, profile, seed, **choice)
@@ -219,7 +186,7 @@ def adapt_frames(
     for note in (*notes, *frames.notes, *of_labels):
         LOG.warning("%s", note)
     for method in methods:
-        check_classes(method, registry.find_method(method), frames.source_train)
+        registry.find_method(method).check_classes(method, frames.source_train)
         if registry.find_method(method).uses_target_labels:
             frames.target_train.check_labels()
     stage1 = Stage1(
@@ -252,14 +219,8 @@ def adapt_frames(
     return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
 
-def _known(methods: Iterable[str], profile: Profile) -> tuple[str, ...]:
-    """Return the methods' names; raise ValueError if there is none, one is unknown, or has a wrong setting."""
-    methods = tuple(registry.use_method(method) for method in methods)
-    if not methods:
-        raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
-    for method in methods:
-        registry.method_settings(method, profile)
-    return methods
+adapt_frames = adapt_folders
+"""The same function, by the name under which it is given domains that are open."""
 
 
 @dataclass(frozen=True)
@@ -465,10 +426,15 @@ def load_run(folder: str | Path) -> Run:
     if problem := checksum_problem(path):
         raise _damaged(path, problem)
     try:
-        return _RUN.validate_python({**read_json(path), "folder": folder})
+        run = _RUN.validate_python({**read_json(path), "folder": folder})
+        if not all(map(is_plain_name, (run.source, run.target, run.method))):
+            raise ValueError("source, target and method must be plain names")
+        if not isinstance(run.profile.get("name"), str) or not {"stage1", "stage2"} <= run.wall_s.keys():
+            raise ValueError("the profile must have a name, and wall_s both stages")
     except (ValueError, TypeError) as error:
         reason = one_sentence(error) if isinstance(error, ValidationError) else str(error)
         raise _damaged(path, f"is not the record of a run: {reason}") from None
+    return run
 
 
 def load_runs(folder: str | Path) -> list[Run]:
@@ -523,10 +489,10 @@ def _check_predictions(arrays: dict[str, np.ndarray], n_labels: int) -> None:
         raise ValueError(f"it lacks {', '.join(missing)}")
     for name, values in arrays.items():
         columns = values.shape[1] if name.endswith("_features") and values.ndim == 2 else n_labels
-        if values.dtype.kind != "f" or values.shape[1:] != (columns,):
-            raise ValueError(f"{name} is {values.dtype} {values.shape}, expected numbers (n, {columns})")
-        if not np.isfinite(values).all():
-            raise ValueError(f"{name} holds values that are not finite")
+        if values.dtype.kind != "f" or values.shape[1:] != (columns,) or not np.isfinite(values).all():
+            raise ValueError(
+                f"{name} is {values.dtype} {values.shape}, expected (n, {columns}) finite numbers"
+            )
         other = name.replace("_true_n", "_predicted_n")
         if other in arrays and len(arrays[other]) != len(values):
             raise ValueError(f"{name} and {other} have {len(values)} and {len(arrays[other])} rows")

@@ -22,13 +22,11 @@ from gelgap.adapt.data import (
     Batch,
     Draw,
     TrainingDomain,
-    check_classes,
     epoch_order,
     generator,
     hidden_batches,
     mix_colours,
     network_inputs,
-    normalised_labels,
     shift_pictures,
     steps_per_epoch,
 )
@@ -40,7 +38,6 @@ from gelgap.adapt.network import (
     Activations,
     ForceNetwork,
     autocast,
-    best_device,
     load_checkpoint,
     make_network,
     torch_threads,
@@ -85,15 +82,8 @@ def train_source(
     model = untrained(source, profile, seed)
     if weights is not None:
         load_start(model.network, Path(weights), source.labels.names)
-    trainer = Trainer(
-        model.network,
-        profile,
-        seed,
-        source,
-        title=f"source {source.name}",
-        resume_file=resume_file,
-        progress=progress,
-    )
+    how = {"title": f"source {source.name}", "resume_file": resume_file, "progress": progress}
+    trainer = Trainer(model.network, profile, seed, source, **how)
     with torch_threads(profile.threads):
         trainer.train()
         pictures = trainer.source_domain.pictures
@@ -105,7 +95,8 @@ def train_source(
 
 def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
     """Return the model with which stage 1 begins, for methods that do not need its training."""
-    network = make_network(profile, source.n_classes, seed, len(source.labels)).to(best_device())
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    network = make_network(profile, source.n_classes, seed, len(source.labels)).to(device)
     return ForceModel(network.eval(), profile, source.labels, source.n_classes, seed, source.name)
 
 
@@ -153,7 +144,7 @@ def adapt(
     if chosen.uses_target_labels:
         target = with_labels(target, model.labels)
         target.check_labels()
-    check_classes(method, chosen, source)
+    chosen.check_classes(method, source)
     adapted = replace(
         model,
         network=copy.deepcopy(model.network),
@@ -175,12 +166,10 @@ def adapt(
 
 @dataclass
 class Trainer(Adaptation):
-    """Trains a network in place, and is what a method works with while it adapts one.
+    """Trains a network in place, and is what a method works with while it adapts one; stage 1 needs no target.
 
     Attributes
     ----------
-    source, target
-        Training frames; stage 1 needs no target.
     title
         What progress and errors call the stage.
     resume_file
@@ -191,11 +180,6 @@ class Trainer(Adaptation):
         What the epochs did.
     """
 
-    network: ForceNetwork
-    profile: Profile
-    seed: int
-    source: LabelledFrames
-    target: LabelledFrames | None = None
     title: str = ""
     resume_file: Path | None = None
     progress: Progress = silent
@@ -283,17 +267,15 @@ class Trainer(Adaptation):
 
         An epoch is one pass over the source. The target is cycled, permutation after permutation.
         """
+        stage = Draw.STAGE_1 if target is None else Draw.STAGE_2
+        of_source = starmap(self.source_domain.batch, self._order(self.source_domain, stage, epoch))
         if target is None:
-            order = self._order(self.source_domain, Draw.STAGE_1, epoch)
-            return zip(starmap(self.source_domain.batch, order), repeat(None), strict=False)
+            return zip(of_source, repeat(None), strict=False)
         done = epoch * steps_per_epoch(len(self.source), self.profile.batch_size)
         cycle, offset = divmod(done, steps_per_epoch(len(target), self.profile.batch_size))
         cycles = (self._order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
-        of_target = islice(chain.from_iterable(cycles), offset, None)
-        of_source = self._order(self.source_domain, Draw.STAGE_2, epoch)
-        return zip(
-            starmap(self.source_domain.batch, of_source), starmap(target.batch, of_target), strict=False
-        )
+        of_target = starmap(target.batch, islice(chain.from_iterable(cycles), offset, None))
+        return zip(of_source, of_target, strict=False)
 
     def _order(self, domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
         """Return which frames make the batches of one pass over a domain, and which are shown without markers."""
@@ -305,42 +287,27 @@ class Trainer(Adaptation):
         self, source: Batch, target: Batch | None, method: Method | None, step: Step
     ) -> tuple[Activations, Activations | None]:
         """Return the network's output for the batches of a step, changed at random as the profile and method say."""
-        network, profile = self.network, self.profile
-        key = self.seed, Draw.STAGE_1 if target is None else Draw.STAGE_2, step.number
-        inputs = source.inputs
-        if profile.colour_mixing:
-            inputs = mix_colours(inputs, profile.colour_mixing, generator(Draw.COLOURS, *key))
-        shown = [self._shifted(inputs, *key)]
+        network, profile, seed = self.network, self.profile, self.seed
+        key = seed, Draw.STAGE_1 if target is None else Draw.STAGE_2, step.number
+        mixed = mix_colours(source.inputs, profile.colour_mixing, generator(Draw.COLOURS, *key))
+        shown = [shift_pictures(mixed, profile.shift_px, generator(Draw.SHIFTS, *key))]
         if target is not None:
-            moved = self._shifted(target.inputs, self.seed, Draw.STAGE_2_TARGET, step.number)
-            target = target._replace(inputs=moved)
-            shown.append(method.augment(moved, step))
+            rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
+            target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
+            shown.append(method.augment(target.inputs, step))
         with autocast(profile, network.device):
             if target is not None and profile.batch_statistics == "joint":
-                together = network.features(torch.cat(shown))
-                features = [together[: len(inputs)], together[len(inputs) :]]
+                features = network.features(torch.cat(shown)).split(list(map(len, shown)))
             else:
                 features = [network.features(pictures) for pictures in shown]
         of_source = self._heads(features[0].float(), source, method)
         return of_source, None if target is None else self._heads(features[1].float(), target, method)
 
-    def _shifted(self, inputs: Tensor, *key: int) -> Tensor:
-        if self.profile.shift_px == 0:
-            return inputs
-        return shift_pictures(inputs, self.profile.shift_px, generator(Draw.SHIFTS, *key))
-
     def _heads(self, features: Tensor, batch: Batch, method: Method | None) -> Activations:
         share, logits = self.profile.classification_feedback, None
         if method is not None and method.uses_classifier:
             logits = self.network.classifier(share * features + (1 - share) * features.detach())
-        return Activations(
-            features=features,
-            prediction=self.network.regressor(features),
-            logits=logits,
-            force=batch.force,
-            contact_class=batch.contact_class,
-            inputs=batch.inputs,
-        )
+        return Activations(features, self.network.regressor(features), logits, **batch._asdict())
 
     def _finished(self, network: ForceNetwork, method: Method) -> ForceNetwork:
         """Turn a network in training into the result, under the target's statistics where domains have their own."""
@@ -377,32 +344,6 @@ class Trainer(Adaptation):
             set_aside(self.resume_file, f"cannot be resumed from ({' '.join(str(error).split())[:200]})")
             return []
 
-    def estimate_target_statistics(self) -> None:
-        pictures = network_inputs(self.target, self.profile, self.network.device)
-        estimate_statistics(self.network, pictures, self.seed)
-
-    def source_mean(self) -> np.ndarray:
-        return normalised_labels(self.source).mean(axis=0)
-
-    def source_batches(self, epoch: int) -> Iterator[Tensor]:
-        return (inputs for _, inputs in self._shuffled(self.source, Draw.SOURCE_PASS, epoch))
-
-    def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
-        force = torch.from_numpy(normalised_labels(self.source)).to(self.network.device)
-        for rows, inputs in self._shuffled(self.source, Draw.SOURCE_PASS, epoch):
-            yield inputs, force[torch.from_numpy(rows)]
-
-    def target_batches(self, epoch: int) -> Iterator[Tensor]:
-        return (inputs for _, inputs in self._shuffled(self.target, Draw.TARGET_PASS, epoch))
-
-    def _shuffled(
-        self, frames: LabelledFrames, draw: Draw, epoch: int
-    ) -> Iterator[tuple[np.ndarray, Tensor]]:
-        """Yield one pass over the frames: which (B,) they are, and the network's inputs."""
-        pictures = network_inputs(frames, self.profile, self.network.device)
-        for rows in epoch_order(len(frames), self.profile.batch_size, self.seed, draw, epoch):
-            yield rows, pictures.inputs(rows)
-
 
 def learning_rate_factor(step: int, profile: Profile) -> float:
     """Return (1 + a·step)^−b, the paper's schedule (section IV-B)."""
@@ -427,10 +368,10 @@ def _make_optimizer(
     network: ForceNetwork, method: Method | None, profile: Profile, rate: float
 ) -> torch.optim.SGD:
     """Return SGD with the backbone's learning rate scaled down; what a method owns learns like the heads."""
-    own = [] if method is None else list(method.parameters())
+    heads = [network.bottleneck, network.regressor, network.classifier, *([] if method is None else [method])]
     groups = [
         {"params": list(network.backbone.parameters()), "lr": rate * profile.backbone_rate_factor},
-        {"params": network.head_parameters() + own, "lr": rate},
+        {"params": [p for module in heads for p in module.parameters()], "lr": rate},
     ]
     optimizer = torch.optim.SGD(groups, lr=rate, momentum=profile.momentum, weight_decay=profile.weight_decay)
     for group in optimizer.param_groups:

@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -11,9 +11,12 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
+from gelgap.adapt.data import Draw, epoch_order, network_inputs, normalised_labels
+from gelgap.adapt.model import estimate_statistics
 from gelgap.adapt.network import Activations, ForceNetwork
 from gelgap.adapt.profile import Profile
 from gelgap.assets.settings import Settings
+from gelgap.domains import LabelledFrames
 
 
 class FeatureCollapse(RuntimeError):
@@ -75,28 +78,50 @@ class TransferLoss:
     diagnostics: Mapping[str, float | Tensor] = field(default_factory=dict)
 
 
-class Adaptation(Protocol):
-    """What a method may work with while it adapts `network` in place."""
+@dataclass
+class Adaptation:
+    """What a method may work with while it adapts `network` in place: training frames of both domains.
+
+    Of the target it is given pictures alone, and of the source also the labels, normalised to [0, 1].
+    """
 
     network: ForceNetwork
+    profile: Profile
+    seed: int
+    source: LabelledFrames
+    target: LabelledFrames | None = None
 
     def train(self, method: "Method") -> None:
         """Run stage 2 with the method's loss."""
+        raise NotImplementedError
 
     def estimate_target_statistics(self) -> None:
         """Replace the batch normalisations' statistics by those of the target's pictures."""
+        pictures = network_inputs(self.target, self.profile, self.network.device)
+        estimate_statistics(self.network, pictures, self.seed)
 
     def source_mean(self) -> np.ndarray:
         """Return the mean normalised labels (k,) of the source's frames."""
+        return normalised_labels(self.source).mean(axis=0)
 
     def source_batches(self, epoch: int) -> Iterator[Tensor]:
         """Yield the network's inputs for the source's frames in shuffled batches, one pass."""
+        return (inputs for _, inputs in self._batches(self.source, Draw.SOURCE_PASS, epoch))
 
     def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
         """Yield the same with their normalised labels (B, k)."""
+        force = torch.from_numpy(normalised_labels(self.source)).to(self.network.device)
+        for rows, inputs in self._batches(self.source, Draw.SOURCE_PASS, epoch):
+            yield inputs, force[torch.from_numpy(rows)]
 
     def target_batches(self, epoch: int) -> Iterator[Tensor]:
         """Yield the network's inputs for the target's frames in shuffled batches, one pass."""
+        return (inputs for _, inputs in self._batches(self.target, Draw.TARGET_PASS, epoch))
+
+    def _batches(self, frames: LabelledFrames, draw: Draw, epoch: int) -> Iterator[tuple[np.ndarray, Tensor]]:
+        pictures = network_inputs(frames, self.profile, self.network.device)
+        for rows in epoch_order(len(frames), self.profile.batch_size, self.seed, draw, epoch):
+            yield rows, pictures.inputs(rows)
 
 
 class Method(nn.Module):
@@ -144,6 +169,21 @@ class Method(nn.Module):
         self.feature_dim = feature_dim
         self.n_classes = n_classes
         self.n_labels = n_labels
+
+    @classmethod
+    def check_classes(cls, name: str, source: LabelledFrames) -> None:
+        """Raise a ValueError if it needs contact classes, and frames of the source have none, or all the same."""
+        if cls.uses_classifier and not source.has_classes:
+            raise ValueError(
+                f"method {name} needs contact classes, and source {source.name} has frames without one: choose "
+                "another method, classes from force (--classes from-force 12), or a source whose frames all have a "
+                "class, as `gelgap generate` writes them on the paper's path"
+            )
+        if cls.uses_classifier and len(np.unique(source.contact_class)) < 2:
+            raise ValueError(
+                f"method {name} needs source frames of at least 2 contact classes, and the {len(source)} of "
+                f"{source.name} are of one: take more frames, or choose another method"
+            )
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Adapt the network; by default stage 2 with this method's loss."""

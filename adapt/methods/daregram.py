@@ -87,10 +87,14 @@ def daregram_tikhonov(source: Tensor, target: Tensor, angle: float, scale: float
     a_s, a_t = _with_ones(source).double(), _with_ones(target).double()
     k_s, k_t = a_s @ a_s.T, a_t @ a_t.T
     epsilon = ridge * (k_s.diagonal().mean() + k_t.diagonal().mean()) / 2
-    inverse_s, inverse_t = (_regularised_inverse(a, k, epsilon) for a, k in ((a_s, k_s), (a_t, k_t)))
-    cosine = _cosine(
-        (inverse_s * inverse_t).sum(dim=0), inverse_s.square().sum(dim=0), inverse_t.square().sum(dim=0)
-    )
+
+    def inverse(a: Tensor, dual: Tensor) -> Tensor:
+        # ε(AᵀA + εI)⁻¹ = I − Aᵀ(K + εI)⁻¹A (Woodbury)
+        inner = torch.linalg.solve(dual + epsilon * torch.eye(len(a)).to(a), a)
+        return torch.eye(a.shape[1]).to(a) - a.T @ inner
+
+    x_s, x_t = inverse(a_s, k_s), inverse(a_t, k_t)
+    cosine = _cosine((x_s * x_t).sum(dim=0), x_s.square().sum(dim=0), x_t.square().sum(dim=0))
     rank = min(len(k_s), len(k_t))
     values_s, values_t = torch.linalg.eigvalsh(k_s).flip(0)[:rank], torch.linalg.eigvalsh(k_t).flip(0)[:rank]
     return (angle * (1 - cosine).abs().mean() + scale * _norm(values_s - values_t) / rank).to(source.dtype)
@@ -136,13 +140,6 @@ def _norm(x: Tensor) -> Tensor:
     """Euclidean norm whose gradient at 0 is 0."""
     square = x.square().sum()
     return torch.where(square > 0, square.where(square > 0, torch.ones_like(square)).sqrt(), 0 * square)
-
-
-def _regularised_inverse(a: Tensor, dual: Tensor, epsilon: Tensor) -> Tensor:
-    """Return ε(AᵀA + εI)⁻¹ = I − Aᵀ(K + εI)⁻¹A (Woodbury)."""
-    eye = torch.eye(len(a), dtype=a.dtype, device=a.device)
-    inner = torch.linalg.solve(dual + epsilon * eye, a)
-    return torch.eye(a.shape[1], dtype=a.dtype, device=a.device) - a.T @ inner
 
 
 class _InverseSquare(torch.autograd.Function):

@@ -102,6 +102,8 @@ class DSAN(Method):
 
     Settings = DSANSettings
     uses_classifier = True
+    aligned = staticmethod(common_classes)
+    """Which subdomains (C,) the loss aligns, of memberships (n, C)."""
 
     def __init__(self, settings: DSANSettings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__(settings, feature_dim, n_classes, n_labels)
@@ -111,10 +113,6 @@ class DSAN(Method):
     def groups(self) -> np.ndarray:
         """Return the subdomain (n_classes,) of each contact class."""
         return np.arange(self.n_classes)
-
-    def aligned(self, source_weights: Tensor, target_weights: Tensor) -> Tensor:
-        """Return which subdomains (C,) the loss aligns, of memberships (n, C)."""
-        return common_classes(source_weights, target_weights)
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
         if step.weight == 0:
@@ -131,8 +129,7 @@ class DSAN(Method):
 class UnmaskedDSAN(DSAN):
     """Regression with LMMD on all classes of the source batch, also those that no target frame is taken for."""
 
-    def aligned(self, source_weights: Tensor, target_weights: Tensor) -> Tensor:
-        return weighted_classes(source_weights, target_weights)
+    aligned = staticmethod(weighted_classes)
 
 
 class CoarseDSAN(DSAN):

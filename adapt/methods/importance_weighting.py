@@ -13,8 +13,8 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
-from gelgap.adapt.methods.dann import domain_loss, make_discriminator
+from gelgap.adapt.methods.base import Step, TransferLoss
+from gelgap.adapt.methods.dann import DANN, domain_loss
 from gelgap.adapt.network import Activations
 
 
@@ -27,16 +27,11 @@ def density_ratio(logits: Tensor, largest: float) -> Tensor:
     return ratio / ratio.mean().clamp_min(torch.finfo(ratio.dtype).tiny)
 
 
-class ImportanceWeighting(Method):
+class ImportanceWeighting(DANN):
     """Regression on the source with weights 1 + λ_t(w − 1): λ_t = 1 is the weighted risk, 0 the plain one."""
 
-    class Settings(MethodSettings):
-        hidden: int = Field(default=128, ge=1, description="width of the discriminator's two hidden layers")
+    class Settings(DANN.Settings):
         largest_ratio: float = Field(default=10.0, gt=1, description="density ratios are cut here")
-
-    def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
-        super().__init__(settings, feature_dim, n_classes, n_labels)
-        self.discriminator = make_discriminator(feature_dim, settings.hidden)
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
         n = len(source.features)

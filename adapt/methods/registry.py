@@ -13,6 +13,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from pkgutil import resolve_name
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -23,32 +24,32 @@ if TYPE_CHECKING:
     from gelgap.adapt.profile import Profile
 
 METHODS = {
-    "constant-mean": "controls.ConstantMean",
-    "source-only": "controls.SourceOnly",
-    "adabn": "controls.AdaBN",
-    "no-transfer": "controls.NoTransfer",
-    "classifier-only": "controls.ClassifierOnly",
-    "coral": "coral.DeepCORAL",
-    "dan": "dan.DAN",
-    "jan": "jan.JAN",
-    "dann": "dann.DANN",
-    "cdan": "cdan.CDAN",
-    "rsd": "rsd.RSD",
-    "daregram": "daregram.DAREGRAM",
-    "daregram-published": "daregram.PublishedDAREGRAM",
-    "daregram-tikhonov": "daregram.TikhonovDAREGRAM",
-    "dsan": "dsan.DSAN",
-    "dsan-unmasked": "dsan.UnmaskedDSAN",
-    "dsan-coarse": "dsan.CoarseDSAN",
-    "dsan-soft": "dsan.SoftDSAN",
-    "cod": "cod.COD",
-    "conditional-mmd": "conditional_mmd.ConditionalMMD",
-    "ssa": "ssa.SSA",
-    "tasfar": "tasfar.TASFAR",
-    "mean-teacher": "mean_teacher.MeanTeacher",
-    "uga": "uga.UGA",
-    "importance-weighting": "importance_weighting.ImportanceWeighting",
-    "supervised": "controls.Supervised",
+    "constant-mean": "controls:ConstantMean",
+    "source-only": "controls:SourceOnly",
+    "adabn": "controls:AdaBN",
+    "no-transfer": "controls:NoTransfer",
+    "classifier-only": "controls:ClassifierOnly",
+    "coral": "coral:DeepCORAL",
+    "dan": "dan:DAN",
+    "jan": "jan:JAN",
+    "dann": "dann:DANN",
+    "cdan": "cdan:CDAN",
+    "rsd": "rsd:RSD",
+    "daregram": "daregram:DAREGRAM",
+    "daregram-published": "daregram:PublishedDAREGRAM",
+    "daregram-tikhonov": "daregram:TikhonovDAREGRAM",
+    "dsan": "dsan:DSAN",
+    "dsan-unmasked": "dsan:UnmaskedDSAN",
+    "dsan-coarse": "dsan:CoarseDSAN",
+    "dsan-soft": "dsan:SoftDSAN",
+    "cod": "cod:COD",
+    "conditional-mmd": "conditional_mmd:ConditionalMMD",
+    "ssa": "ssa:SSA",
+    "tasfar": "tasfar:TASFAR",
+    "mean-teacher": "mean_teacher:MeanTeacher",
+    "uga": "uga:UGA",
+    "importance-weighting": "importance_weighting:ImportanceWeighting",
+    "supervised": "controls:Supervised",
 }
 EXTRA: "dict[str, type[Method]]" = {}
 """Methods from outside that are loaded, by name."""
@@ -118,8 +119,7 @@ def find_method(name: str) -> "type[Method]":
         If there is no such method; the message lists the known ones.
     """
     if name in METHODS:
-        module, _, attribute = METHODS[name].rpartition(".")
-        return getattr(import_module(f"gelgap.adapt.methods.{module}"), attribute)
+        return resolve_name(f"gelgap.adapt.methods.{METHODS[name]}")
     if name not in EXTRA and name in installed_methods():
         _keep(name, _load(installed_methods()[name]))
     if name not in EXTRA:
@@ -178,10 +178,10 @@ def _load(place: str) -> "type[Method]":
         ) from error
     found = getattr(module, class_name, None)
     if not (isinstance(found, type) and issubclass(found, Method)):
-        own = [
-            thing for thing in vars(module).values() if getattr(thing, "__module__", "") == module.__name__
+        kinds = [
+            kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Method)
         ]
-        names = [thing.__name__ for thing in own if isinstance(thing, type) and issubclass(thing, Method)]
+        names = [kind.__name__ for kind in kinds if kind.__module__ == module.__name__]
         raise ValueError(
             f"method {place!r}: {class_name or 'nothing'} is not a class of {module_name} that extends "
             f"gelgap.adapt.Method; it has {', '.join(names) or 'none'}"

@@ -11,8 +11,6 @@ statistics are estimated anew on the target.
 [1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR 2025.
 """
 
-from typing import NamedTuple
-
 import torch
 from pydantic import Field
 from torch import Tensor, nn
@@ -41,15 +39,6 @@ def subspace_loss(
     return (weights * both / 2).sum().to(features.dtype)
 
 
-class _Subspace(NamedTuple):
-    """What is kept of the source: see `subspace_loss`."""
-
-    mean: Tensor
-    directions: Tensor
-    variances: Tensor
-    weights: Tensor
-
-
 class SSA(Method):
     """Test-time adaptation by significant-subspace alignment."""
 
@@ -73,7 +62,8 @@ class SSA(Method):
         adaptation.estimate_target_statistics()
 
     @torch.no_grad()
-    def _subspace(self, adaptation: Adaptation) -> _Subspace:
+    def _subspace(self, adaptation: Adaptation) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return what is kept of the source: mean, directions, variances and weights of `subspace_loss`."""
         network = adaptation.network
         features = torch.cat([network.features(batch) for batch in adaptation.source_batches(0)]).double()
         mean = features.mean(dim=0)
@@ -81,4 +71,4 @@ class SSA(Method):
         count = int(min(self.settings.directions, (values > 1e-8 * values[-1]).sum()))
         variances, directions = values.flip(0)[:count], vectors.flip(1)[:, :count]
         head = network.regressor[0].weight.double()
-        return _Subspace(mean, directions, variances, 1 + (head @ directions).abs().sum(dim=0))
+        return mean, directions, variances, 1 + (head @ directions).abs().sum(dim=0)

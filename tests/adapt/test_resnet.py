@@ -5,18 +5,18 @@ import pytest
 import torch
 
 from gelgap.adapt.data import split_for_training
-from gelgap.adapt.network import load_imagenet_weights, make_resnet
+from gelgap.adapt.network import ResNet, load_imagenet_weights
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import adapt_frames, run_key
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])
 def test_parameter_count_is_torchvisions_without_fc(name, parameters):
-    assert sum(p.numel() for p in make_resnet(name).parameters()) == parameters
+    assert sum(p.numel() for p in ResNet(name).parameters()) == parameters
 
 
 def test_keys_are_torchvisions():
-    keys = set(make_resnet("resnet50").state_dict())
+    keys = set(ResNet("resnet50").state_dict())
     assert {
         "conv1.weight",
         "bn1.running_var",
@@ -27,15 +27,15 @@ def test_keys_are_torchvisions():
         "layer4.2.conv1.weight",
     } <= keys
     assert len(keys) == 318
-    assert len(make_resnet("resnet18").state_dict()) == 120
-    assert "layer1.0.downsample.0.weight" not in make_resnet("resnet18").state_dict()
+    assert len(ResNet("resnet18").state_dict()) == 120
+    assert "layer1.0.downsample.0.weight" not in ResNet("resnet18").state_dict()
 
 
 def test_six_channels_answer_to_a_doubled_picture_as_the_original(tmp_path):
-    original = make_resnet("resnet18").eval()
+    original = ResNet("resnet18").eval()
     state = {**original.state_dict(), "fc.weight": torch.zeros(1000, 512), "fc.bias": torch.zeros(1000)}
     torch.save(state, tmp_path / "weights.pt")
-    paired = make_resnet("resnet18", in_channels=6).eval()
+    paired = ResNet("resnet18", in_channels=6).eval()
     load_imagenet_weights(paired, tmp_path / "weights.pt")
     picture = torch.rand(2, 3, 64, 64)
     torch.testing.assert_close(
@@ -44,15 +44,15 @@ def test_six_channels_answer_to_a_doubled_picture_as_the_original(tmp_path):
 
 
 def test_weights_that_do_not_fit_are_refused(tmp_path):
-    torch.save(make_resnet("resnet18").state_dict(), tmp_path / "weights.pt")
+    torch.save(ResNet("resnet18").state_dict(), tmp_path / "weights.pt")
     with pytest.raises(ValueError, match="does not fit this backbone"):
-        load_imagenet_weights(make_resnet("resnet50"), tmp_path / "weights.pt")
+        load_imagenet_weights(ResNet("resnet50"), tmp_path / "weights.pt")
     with pytest.raises(FileNotFoundError, match=r"missing\.pt"):
-        load_imagenet_weights(make_resnet("resnet18"), tmp_path / "missing.pt")
+        load_imagenet_weights(ResNet("resnet18"), tmp_path / "missing.pt")
 
 
 def test_width_scales_the_feature():
-    narrow = make_resnet("resnet18", width=0.125)
+    narrow = ResNet("resnet18", width=0.125)
     assert narrow.out_features == 64
     assert narrow(torch.rand(2, 3, 48, 64)).shape == (2, 64)
 
@@ -64,7 +64,7 @@ def test_networks_too_narrow_for_every_processor_are_refused():
 
 def test_unknown_backbone():
     with pytest.raises(ValueError, match="known backbones: resnet18, resnet50"):
-        make_resnet("vgg")
+        ResNet("vgg")
 
 
 def test_paper_profile_runs_on_imagenet_weights(source, target, tmp_path):
@@ -73,7 +73,7 @@ def test_paper_profile_runs_on_imagenet_weights(source, target, tmp_path):
     assert (paper.backbone, paper.precision, paper.image_size_px) == ("resnet50", "bfloat16", (256, 256))
     short = paper.replace(image_size_px=(40, 32), batch_size=4, source_epochs=1, adapt_epochs=1, threads=1)
     weights = tmp_path / "resnet50.pth"
-    torch.save({**make_resnet("resnet50").state_dict(), "fc.weight": torch.zeros(1000, 2048)}, weights)
+    torch.save({**ResNet("resnet50").state_dict(), "fc.weight": torch.zeros(1000, 2048)}, weights)
     few = [frames.take(np.arange(14)) for frames in (source, target)]
     (run,) = adapt_frames(*few, ["dsan"], short, weights=weights)
     assert [record["skipped_steps"] for record in run.history] == [0, 0]

@@ -10,10 +10,10 @@ import torch
 from network_weights import weights
 
 from gelgap.adapt.data import Draw, epoch_order, network_inputs, split_for_training
-from gelgap.adapt.evaluation import evaluate, evaluate_constant_mean
+from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import FeatureCollapse, Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
-from gelgap.adapt.model import ForceModel, as_judged_on_source
+from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import keep_freed_memory
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
