@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from gelgap.benchmarks.common import show
-from gelgap.benchmarks.fem.axisymmetric import Press, PressState, solve_press
+from gelgap.benchmarks.fem.spheres import Press, PressState, solve_press
 from gelgap.sim.scene import Moduli, equivalent_moduli
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from loaded_file import load_file
 
 from gelgap.assets import list_presets
-from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
+from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.mesh import LARGEST_POISSON_RATIO, mesh_moduli
 from gelgap.sim.problem import QUALITIES

@@ -23,7 +23,9 @@ def test_scenes_are_reproducible_and_in_the_box():
         ):
             assert low <= value <= high
         assert 0 < scene.depth_mm <= min(0.4 * gel.thickness_mm, 0.8 * radius_mm) + 1e-6
-        assert scene.to_rim_mm >= 0
+        assert all(
+            abs(at) <= size / 2 for at, size in zip(scene.point_mm, stability.PAD_SIZE_MM, strict=True)
+        )
         depths = [pose.depth_mm for pose in scene.poses]
         assert depths == sorted(depths)
         assert depths[-1] == scene.depth_mm
