@@ -41,8 +41,7 @@ PAD_SIZE_MM = (24.0, 20.0)
 CORNERS = 2**5
 POSES_DOWN, POSES_SIDEWAYS = 4, 3
 NOTHING_SHARED = Sharing(modulus=False, translation=False, reflection=False, path=False, cache=False)
-FORCE_TOLERANCE = 0.01  # of the sphere's force: balance, monotony, scaling, symmetry
-DIAGNOSTIC_LIMITS = {"residual": 0.01, "imbalance": FORCE_TOLERANCE, "coulomb_excess": 1e-3, "tension": 0.01}
+FORCE_TOLERANCE = 0.01  # of the sphere's force: monotony, scaling, symmetry
 FORCE_ERROR = {"draft": 0.06, "standard": 0.04, "fine": 0.02}  # what a quality promises
 
 
@@ -133,21 +132,14 @@ def numbered_scene(number: int, quality: str) -> Scene:
 
 
 def violations(scene: Scene, states: Sequence[MembraneState]) -> Iterator[str]:
-    """Yield the invariants that the converged states violate: balance, friction limit, monotonic forces, symmetry.
+    """Yield the invariants that the converged states violate: monotonic forces, scaling, symmetry.
 
+    Balance, the friction limit and elements' volumes are the audit's, without which no state counts as converged.
     Every tenth scene that converged is solved again at another modulus, every tenth mirrored; not at `fine`.
     """
     solved = [(pose, state) for pose, state in zip(scene.poses, states, strict=True) if state.converged]
-    if not all(np.isfinite(s.force_n).all() and np.isfinite(s.displacement_mm).all() for _, s in solved):
-        yield "not finite"
-        return
-    for _, state in solved:
-        values = {name: getattr(state.diagnostics, name) for name in DIAGNOSTIC_LIMITS}
-        yield from (f"{name} {v:.2g}" for name, v in values.items() if v > DIAGNOSTIC_LIMITS[name])
-        if state.force_n[2] > 0:
-            yield "pulls"
-        if state.diagnostics.min_volume_ratio <= 0:
-            yield "inverted element"
+    if any(state.force_n[2] > 0 for _, state in solved):
+        yield "pulls"
     fz = [state.force_n[2] for pose, state in solved if pose.radius_mm == 0]
     if fz and scene.clear_of_rim_mm > 0 and np.any(np.diff(fz) > FORCE_TOLERANCE * abs(fz[-1])):
         yield "force falls in a press"
@@ -284,7 +276,7 @@ def summarise(verdicts: pd.DataFrame, quality: str, out_dir: Path) -> None:
     minutes = verdicts["core_s"].sum() / 60
     targets = "targets: 99 % in the paper's regime, 90 % over all, no violation"
     show("Stability of the physics", table, f"{targets}; {minutes:.0f} core minutes in all")
-    kinds = Counter(found.rstrip("0123456789.e+-∞inf ") for own in verdicts["violations"] for found in own)
+    kinds = Counter(found for own in verdicts["violations"] for found in own)
     show("Violated invariants", pd.DataFrame(kinds.most_common(), columns=["invariant", "scenes"]))
     summary = {"scenes": table, "violations": kinds, "core_minutes": minutes}
     write_json(out_dir / f"stability-physics-{quality}.json", summary)
