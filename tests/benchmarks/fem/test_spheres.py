@@ -16,6 +16,11 @@ REFERENCE_UNCERTAINTY = 0.003
 SURFACE_UNCERTAINTY_MM = 0.003
 
 
+@pytest.fixture(scope="module")
+def half():
+    return half_pad(Drag(element_mm=0.6, sectors=8, pad_radius_mm=5.0), furthest_mm=0.3)
+
+
 def reference_force_n(case: str, depth_mm: float) -> float:
     with asset_path("reference", "force_depth.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["case"] == case]
@@ -43,10 +48,9 @@ def test_press_reproduces_independent_finite_elements(case, poisson_ratio, energ
         assert np.abs(u_r - rows["u_r_mm"]).max() < SURFACE_UNCERTAINTY_MM
 
 
-def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
-    for energy in ("isochoric", "stable"):
-        problem = Press(poisson_ratio=0.48, energy=energy, element_mm=1.0)
-        pad = section_of_pad(problem, deepest_mm=0.5)
+def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy(half):
+    presses = [Press(poisson_ratio=0.48, energy=energy, element_mm=1.0) for energy in ("isochoric", "stable")]
+    for pad in (*(section_of_pad(press, deepest_mm=0.5) for press in presses), half):
         rng = np.random.default_rng(0)
         u = 0.02 * rng.standard_normal(pad.size)
         direction = rng.standard_normal(pad.size)
@@ -55,7 +59,7 @@ def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
         rise = (pad.energy_mj(u + step * direction) - pad.energy_mj(u - step * direction)) / (2 * step)
         assert force @ direction == pytest.approx(rise, rel=1e-6)
         change = (pad.assemble(u + step * direction)[0] - pad.assemble(u - step * direction)[0]) / (2 * step)
-        np.testing.assert_allclose(matrix @ direction, change, rtol=1e-4, atol=1e-6 * np.abs(change).max())
+        assert np.abs(matrix @ direction - change).max() < 1e-7 * np.abs(change).max()
 
 
 def test_shallow_press_meets_the_bonded_layer():
@@ -96,20 +100,8 @@ def test_moduli_agree_with_each_other():
     assert 9 * k * mu / (3 * k + mu) == pytest.approx(0.3)
 
 
-@pytest.fixture(scope="module")
-def pad():
-    return half_pad(Drag(element_mm=0.6, sectors=8, pad_radius_mm=5.0), furthest_mm=0.3)
-
-
-def test_stiffness_is_the_slope_of_the_internal_forces(pad):
-    rng = np.random.default_rng(0)
-    u, direction = 0.02 * rng.normal(size=pad.size), rng.normal(size=pad.size)
-    _, stiffness = pad.assemble(u)
-    slope = (pad.assemble(u + 1e-6 * direction)[0] - pad.assemble(u - 1e-6 * direction)[0]) / 2e-6
-    assert np.abs(slope - stiffness @ direction).max() < 1e-7 * np.abs(slope).max()
-
-
-def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces(pad):
+def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces(half):
+    pad = half
     rng = np.random.default_rng(1)
     contact = SphereContact(radius_mm=1.5, friction=0.3, penalty=300.0, stick_stiffness=150.0)
     rest = pad.nodes[pad.surface]

@@ -22,14 +22,18 @@ REPOSITORY = Path(__file__).parents[3]
 
 
 def test_tables_have_profiles_that_fit_their_depths():
-    cases = press_cases()
+    cases, sphere = press_cases(), tabled_sphere()
     assert "lin48_no_slip" not in cases
     case = cases["nh49_no_slip"]
     assert case.elastomer.friction == NO_SLIP_FRICTION
     assert cases["nh48_friction_0.5"].elastomer.friction == 0.5
-    for pose, (r, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
-        assert r[0] == 0
-        assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
+    gel = sphere.elastomer
+    assert (sphere.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio) == (4.0, 3.0, 0.49)
+    assert sphere.truth.force_n[-1, 2] == pytest.approx(-2.463381)
+    for one in (case, sphere):
+        for pose, (r, _, u_z) in zip(one.poses, one.truth.profiles, strict=True):
+            assert r[0] == 0
+            assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
 
 
 def test_a_true_membrane_has_no_error_and_a_shift_has_its_own():
@@ -76,16 +80,6 @@ def test_presses_of_both_sizes_are_judged_by_their_tables_and_not_solved_again(t
     assert again[shallow].core_s == first[shallow].core_s
     assert np.array_equal(again[sphere].states[-1].displacement_mm, first[sphere].states[-1].displacement_mm)
     assert again[light].states[0].force_n[2] < 0
-
-
-def test_table_of_a_larger_sphere_is_read():
-    case = tabled_sphere()
-    gel = case.elastomer
-    assert (case.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio) == (4.0, 3.0, 0.49)
-    for pose, (r, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
-        assert r[0] == 0
-        assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
-    assert case.truth.force_n[-1, 2] == pytest.approx(-2.463381)
 
 
 def test_own_pads_reach_far_beyond_the_contact():
