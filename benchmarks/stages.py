@@ -145,25 +145,15 @@ def stage_costs(batch: FrameBatch, plan: GenerationPlan, solves: pd.DataFrame, f
             "one Newton iteration for each load step",
         )
     }
-    ms = pd.Series(
-        {"solve": solve_ms} | {name: share * both[name] + (1 - share) * plain[name] for name in both}
-    )
-    floors = pd.DataFrame(least | floors_ms(batch.recipes[0], folder), index=["ms", "of"]).T.reindex(ms.index)
-    least_ms = floors["ms"].astype(float)
-    return (
-        pd.DataFrame(
-            {
-                "ms per frame": ms,
-                "s in all": 1e-3 * plan.frames * ms,
-                "share, %": 100 * ms / ms.sum(),
-                "floor, ms per frame": least_ms,
-                "times the floor": ms / least_ms,
-                "floor": floors["of"],
-            }
-        )
-        .rename_axis("stage")
-        .reset_index()
-    )
+    ms = {"solve": solve_ms} | {name: share * both[name] + (1 - share) * plain[name] for name in both}
+    floors = least | floors_ms(batch.recipes[0], folder)
+    table = pd.DataFrame({"stage": list(ms), "ms per frame": ms.values()})
+    table["s in all"] = 1e-3 * plan.frames * table["ms per frame"]
+    table["share, %"] = 100 * table["ms per frame"] / table["ms per frame"].sum()
+    table["floor, ms per frame"] = [floors.get(name, (np.nan,))[0] for name in ms]
+    table["times the floor"] = table["ms per frame"] / table["floor, ms per frame"]
+    table["floor"] = [floors.get(name, (None, None))[1] for name in ms]
+    return table
 
 
 def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:

@@ -72,16 +72,14 @@ def full_tables(solver: Solver) -> dict[str, pd.DataFrame]:
 
 def changed(label: str, ways: Sequence[tuple[Any, Way, Way]], solver: Solver) -> pd.DataFrame:
     """Solve a pose in one way and in the right one, for each name; return its changes and the solve's cost."""
-    solves = {plan.solve_key(index): plan for _, *both in ways for plan, index in both}
-    found = solver.solve({key: one for key, plan in solves.items() for one in plan.solves if one.key == key})
+    plans = {plan.solve_key(index): (plan, index) for _, *both in ways for plan, index in both}
+    found = solver.solve({key: plan.solves[plan.placements[i].solve] for key, (plan, i) in plans.items()})
     rows = []
     for name, *both in ways:
         keys = [plan.solve_key(index) for plan, index in both]
-        states = [
-            plan.state(index, found.loc[key, "solution"])
-            for (plan, index), key in zip(both, keys, strict=True)
-        ]
-        rows.append({label: name, **changes(*states, both[0]), "core s": found.loc[keys[0], "core_s"]})
+        solutions = found["solution"][keys]
+        state, right = (plan.state(i, own) for (plan, i), own in zip(both, solutions, strict=True))
+        rows.append({label: name, **changes(state, right, both[0]), "core s": found["core_s"][keys[0]]})
     return pd.DataFrame(rows)
 
 
