@@ -66,15 +66,13 @@ def run(quick: bool, out_dir: Path) -> None:
     small, large = (plan_generation(recipes_of(size, quality)) for size in POINTS)
     with patch.dict(os.environ, GELGAP_CACHE=str(folder / "solves")):
         solves = solve_costs([*large.solves.values(), *paper.solves.values()])[len(large.solves) :]
-        inpainted = sum(len(batch) for batch in paper.batches for one in batch.recipes if one.inpainted_from)
-        frames = frame_costs(large.batches[0], inpainted / paper.frames, folder / "frames")
+        costs = stage_costs(large.batches[0], paper, solves, folder / "frames")
         generated = []
         for plan, workers in ((small, 1), (large, 1), (large, 2)):
             wall_s, client_s = time.perf_counter(), time.process_time()
             generate_recipes(plan.recipes, folder / f"{plan.frames}-{workers}", workers=workers)
             wall_s, client_s = time.perf_counter() - wall_s, time.process_time() - client_s
             generated.append((plan.frames, workers, wall_s, client_s))
-    costs = stage_costs(frames, solves, paper)
     show(
         f"Where the processor time of the paper's data set goes, {quality} quality",
         costs,
@@ -131,17 +129,31 @@ def rendering(batch: FrameBatch, folder: Path | None = None) -> Callable[[], Non
     return work
 
 
-def frame_costs(batch: FrameBatch, inpainted: float, folder: Path) -> pd.DataFrame:
-    """Return the ms per labelled frame of each stage, if a share of the frames is `inpainted`, beside its floor.
+def stage_costs(batch: FrameBatch, plan: GenerationPlan, solves: pd.DataFrame, folder: Path) -> pd.DataFrame:
+    """Return the ms per frame of each stage of a data set, the time in it, and the least that it could take.
 
     The batch has two domains, of which the second is inpainted: it is made with both, and with the first alone.
     """
     both, plain = (stages_ms(one, folder) for one in (batch, replace(batch, recipes=batch.recipes[:1])))
+    inpainted = sum(len(one) for one in plan.batches for recipe in one.recipes if recipe.inpainted_from)
     # Of the frames of both, every second one is inpainted.
-    ms = {name: 2 * inpainted * both[name] + (1 - 2 * inpainted) * plain[name] for name in both}
-    floors = floors_ms(batch.recipes[0], folder)
-    rows = [(name, value, *floors.get(name, (None, None))) for name, value in ms.items()]
-    return pd.DataFrame(rows, columns=["stage", "ms per frame", "floor, ms per frame", "floor"])
+    share, total = 2 * inpainted / plan.frames, solves.sum()
+    solve_ms = 1e3 * total["core_s"] / plan.frames
+    least = {
+        "solve": (
+            solve_ms * total["load_steps"] / total["iterations"],
+            "one Newton iteration for each load step",
+        )
+    }
+    ms = {"solve": solve_ms} | {name: share * both[name] + (1 - share) * plain[name] for name in both}
+    floors = least | floors_ms(batch.recipes[0], folder)
+    table = pd.DataFrame({"stage": list(ms), "ms per frame": ms.values()})
+    table["s in all"] = 1e-3 * plan.frames * table["ms per frame"]
+    table["share, %"] = 100 * table["ms per frame"] / table["ms per frame"].sum()
+    table["floor, ms per frame"] = [floors.get(name, (np.nan,))[0] for name in ms]
+    table["times the floor"] = table["ms per frame"] / table["floor, ms per frame"]
+    table["floor"] = [floors.get(name, (None, None))[1] for name in ms]
+    return table
 
 
 def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:
@@ -155,8 +167,7 @@ def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:
     for name, functions in STAGES.items():
         codes = [inspect.unwrap(function).__code__ for function in functions]
         places = [(code.co_filename, code.co_firstlineno, code.co_name) for code in codes]
-        cumulative_s = [stats.stats[place][3] for place in places if place in stats.stats]
-        shares[name] = sum(cumulative_s) / stats.total_tt
+        shares[name] = sum(stats.stats[place][3] for place in places if place in stats.stats) / stats.total_tt
     shares["labels, rest"] = 1 - sum(shares.values())
     return {name: share * frame_ms for name, share in shares.items()}
 
@@ -187,19 +198,6 @@ def floors_ms(recipe: DomainRecipe, folder: Path) -> dict[str, tuple[float, str]
         ),
     }
     return {name: (1e3 * processor_s(job, REPEATS), what) for name, (job, what) in work.items()}
-
-
-def stage_costs(frames: pd.DataFrame, solves: pd.DataFrame, plan: GenerationPlan) -> pd.DataFrame:
-    """Return each stage's time per frame and in a whole data set, beside its floor."""
-    total = solves.sum()
-    solve_ms = 1e3 * total["core_s"] / plan.frames
-    least_ms = solve_ms * total["load_steps"] / total["iterations"]
-    solving = ("solve", solve_ms, least_ms, "one Newton iteration for each load step")
-    found = pd.concat([pd.DataFrame([solving], columns=frames.columns), frames], ignore_index=True)
-    found.insert(2, "s in all", 1e-3 * plan.frames * found["ms per frame"])
-    found.insert(3, "share, %", 100 * found["s in all"] / found["s in all"].sum())
-    found.insert(5, "times the floor", found["ms per frame"] / found["floor, ms per frame"])
-    return found
 
 
 def scaling(times: pd.DataFrame, frames: int, solves_s: pd.Series) -> tuple[pd.DataFrame, str]:

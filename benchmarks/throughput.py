@@ -5,7 +5,7 @@ import resource
 import shutil
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -34,6 +34,7 @@ READING_SIZE_PX = 64
 BATCH = 32
 SAMPLE_FRAMES = 20
 AIMS = "aims for the paper's four domains: 1200 s, 1500 MiB a worker, 3500 MB"
+READING_AIMS = "aims: 150 frames/s from Parquet in order, 3000 by a DataLoader"
 ALONE = "alone: extrapolated from one solve's time per load step and a few frames of each domain"
 
 
@@ -70,7 +71,7 @@ def run(quick: bool, out_dir: Path) -> None:
     show("What sharing saved, hours of one core", sharing, ALONE)
     frames = open_domain(folder / "data" / recipes[0].name)
     reading, png = reading_rates(frames), png_costs(frames)
-    show(f"Reading at {READING_SIZE_PX} px on one core", reading)
+    show(f"Reading at {READING_SIZE_PX} px on one core", reading, READING_AIMS)
     show("PNG of a {}×{} frame with sensor noise".format(*frames.size_px), png)
     tables = {"generation": runs.reset_index(), "sharing": sharing, "reading": reading, "png": png}
     write_json(out_dir / "throughput.json", tables)
@@ -133,17 +134,15 @@ def core_hours_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
     problems = [solve.problem for solve in plan_generation(recipes).solves.values()]
     problem = min(problems, key=lambda problem: problem.depth_mm)
     step_s = processor_s(Solve(problem, cached=False).run) / problem.load_steps
-    poses = [pose for recipe in recipes for pose in recipe.path.poses]
-    ways = [
-        way for pose in poses for way in ((0.0, 0.0, -pose.depth_mm), (pose.radius_mm, 0.0, 0.0)) if any(way)
-    ]
-    steps = sum(problem.quality.load_steps(np.array(way)) for way in ways)
-    rendering_s = 0.0
+    solving_s = rendering_s = 0.0
     for recipe in recipes:
+        for pose in recipe.path.poses:
+            ways = np.array([(0.0, 0.0, -pose.depth_mm), (pose.radius_mm, 0.0, 0.0)])
+            solving_s += step_s * sum(problem.quality.load_steps(way) for way in ways if way.any())
         batch = plan_generation([recipe]).batches[0]
         sample = replace(batch, stop=min(batch.stop, batch.start + SAMPLE_FRAMES))
         rendering_s += len(recipe.path.poses) * processor_s(rendering(sample), 3) / len(sample)
-    return step_s * steps / 3600, rendering_s / 3600
+    return solving_s / 3600, rendering_s / 3600
 
 
 def reading_rates(frames: LabelledFrames) -> pd.DataFrame:
@@ -153,30 +152,17 @@ def reading_rates(frames: LabelledFrames) -> pd.DataFrame:
 
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    mixed = np.random.default_rng(0).permutation(len(frames))[:300].tolist()
-
-    def rate(work: Callable[[], object], count: int) -> float:
-        return count / processor_s(work, 3)
-
-    rates: list[tuple[str, float, float | None]] = [
-        (
-            "Parquet, in order, full size",
-            rate(lambda: [frames.picture(i) for i in range(len(mixed))], len(mixed)),
-            150,
-        ),
-        (
-            "Parquet, random order, full size",
-            rate(lambda: [frames.picture(i) for i in mixed], len(mixed)),
-            None,
-        ),
-        ("building the cache", len(frames) / processor_s(lambda: frames.images(READING_SIZE_PX)), None),
-    ]
+    mixed, rates = np.random.default_rng(0).permutation(len(frames))[:300].tolist(), []
+    for order, indices in (("in order", range(len(mixed))), ("random order", mixed)):
+        taken_s = processor_s(lambda indices=indices: [frames.picture(i) for i in indices], 3)
+        rates.append((f"Parquet, {order}, full size", len(mixed) / taken_s))
+    rates.append(("building the cache", len(frames) / processor_s(lambda: frames.images(READING_SIZE_PX))))
     for pairing in ("channels", "stack", "difference"):
         loader, epochs = frames.torch(READING_SIZE_PX, pairing).loader(BATCH), max(1, 3000 // len(frames))
         work = partial(lambda batches, n: [deque(batches, maxlen=0) for _ in range(n)], loader, epochs)
         way = f"DataLoader from the cache, {pairing}, batches of {BATCH}"
-        rates.append((way, rate(work, epochs * len(frames)), 3000))
-    return pd.DataFrame(rates, columns=["way", "frames/s", "aim"])
+        rates.append((way, epochs * len(frames) / processor_s(work, 3)))
+    return pd.DataFrame(rates, columns=["way", "frames/s"])
 
 
 def png_costs(frames: LabelledFrames) -> pd.DataFrame:
@@ -189,13 +175,11 @@ def png_costs(frames: LabelledFrames) -> pd.DataFrame:
         "OpenCV, Huffman only": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY],
         "Huffman only, average filter (used)": None,
     }
-    rows = []
+    pictures, rows = [frames.picture(i) for i in range(0, len(frames), len(frames) // 10)], []
     for name, own in settings.items():
-        sizes, times = [], []
-        for picture in (frames.picture(i) for i in range(0, len(frames), len(frames) // 10)):
+        for picture in pictures:
             bgr, start = picture[..., ::-1], time.process_time()
             data = encode_png(picture) if own is None else cv2.imencode(".png", bgr, own)[1].tobytes()
-            times.append(time.process_time() - start)
-            sizes.append(len(data))
-        rows.append((name, np.mean(sizes) / 1e3, 1e3 * np.median(times)))
-    return pd.DataFrame(rows, columns=["setting", "kB", "ms"])
+            rows.append((name, len(data) / 1e3, 1e3 * (time.process_time() - start)))
+    table = pd.DataFrame(rows, columns=["setting", "kB", "ms"])
+    return table.groupby("setting", sort=False, as_index=False).agg({"kB": "mean", "ms": "median"})

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -31,16 +32,13 @@ Turn = Callable[[Configuration, int], Configuration]
 def turns() -> dict[str, Turn]:
     """Return the kinds of change: the configuration after the k-th turn of a knob."""
 
-    def led(values: Callable[[int], dict]) -> Turn:
-        def turn(start: Configuration, k: int) -> Configuration:
-            first, *others = start.illumination.leds
-            leds = (first.model_copy(update=values(k)), *others)
-            return replace(start, illumination=start.illumination.model_copy(update={"leds": leds}))
+    def led(start: Configuration, **values: Any) -> Configuration:
+        first, *others = start.illumination.leds
+        leds = (first.model_copy(update=values), *others)
+        return replace(start, illumination=start.illumination.model_copy(update={"leds": leds}))
 
-        return turn
-
-    def pose(values: Callable[[Pose, int], dict]) -> Turn:
-        return lambda start, k: replace(start, pose=replace(start.pose, **values(start.pose, k)))
+    def pose(start: Configuration, **moves: float) -> Configuration:
+        return replace(start, pose=replace(start.pose, **moves))
 
     def sensor(start: Configuration, k: int) -> Configuration:
         chosen = Sensor.preset(("paper", "gelsight-mini-like")[k % 2])
@@ -50,22 +48,23 @@ def turns() -> dict[str, Turn]:
         values = dict(start.elastomer) | {"young_modulus_mpa": 0.4 + 0.01 * k}
         return replace(start, elastomer=Elastomer(**values))
 
+    at = BETWEEN
     return {
-        "LED: drive": led(lambda k: {"drive": 5.5 + 0.1 * k}),
-        "LED: colour": led(lambda k: {"spectrum": RgbSpectrum(rgb=(1.0, 0.01 * k, 0.0))}),
-        "LED: place": led(lambda k: {"position_mm": (-11.0 + 0.05 * k, 0.0, -3.0)}),
+        "LED: drive": lambda start, k: led(start, drive=5.5 + 0.1 * k),
+        "LED: colour": lambda start, k: led(start, spectrum=RgbSpectrum(rgb=(1.0, 0.01 * k, 0.0))),
+        "LED: place": lambda start, k: led(start, position_mm=(-11.0 + 0.05 * k, 0.0, -3.0)),
         "illumination": lambda start, k: replace(start, illumination=Illumination.preset(f"i{k % 5}")),
         "markers": lambda start, k: replace(start, markers=k % 2 == 0),
         "noise": lambda start, k: replace(start, noise=k % 2 == 1),
         "sensor": sensor,
         "Young's modulus": modulus,
-        "contact point": pose(
-            lambda p, k: {"point_x_mm": p.point_x_mm + 0.02 * k, "point_y_mm": p.point_y_mm + 0.01 * k}
+        "contact point": lambda start, k: pose(
+            start, point_x_mm=at.point_x_mm + 0.02 * k, point_y_mm=at.point_y_mm + 0.01 * k
         ),
-        "depth": pose(lambda p, k: {"depth_mm": p.depth_mm - 0.005 * k}),
-        "travel": pose(lambda p, k: {"shear_x_mm": p.shear_x_mm - 0.005 * k}),
-        "direction": pose(
-            lambda p, k: {"shear_x_mm": 0.3 * np.cos(0.1 * k), "shear_y_mm": 0.3 * np.sin(0.1 * k)}
+        "depth": lambda start, k: pose(start, depth_mm=at.depth_mm - 0.005 * k),
+        "travel": lambda start, k: pose(start, shear_x_mm=at.shear_x_mm - 0.005 * k),
+        "direction": lambda start, k: pose(
+            start, shear_x_mm=0.3 * np.cos(0.1 * k), shear_y_mm=0.3 * np.sin(0.1 * k)
         ),
     }
 

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 from gelgap.benchmarks.common import show
-from gelgap.benchmarks.fem.axisymmetric import Press, PressState, solve_press
+from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.sim.scene import Moduli, equivalent_moduli
 
 Floats = NDArray[np.float64]
@@ -46,18 +46,15 @@ class Response:
     volume_change_mm3: Floats
 
 
-def respond(press: Press) -> Response:
-    """Press as deep as the scene allows, and describe it by depth."""
-    states = solve_press(press, tuple(press.deepest_mm * share for share in SHARES_OF_DEEPEST))
-    return describe(states, 5.0 * press.indenter_radius_mm / 1.5)
-
-
-def describe(states: Sequence[PressState], furthest_mm: float) -> Response:
-    """Collect forces, volume changes and surfaces up to a material radius."""
-    radii = np.linspace(0, furthest_mm, 101)
+def respond(
+    press: Press, shares: Sequence[float] = SHARES_OF_DEEPEST, nodes_per_step: float = 0.5
+) -> Response:
+    """Press to shares of the scene's greatest depth; surfaces reach to 5 mm under R 1.5 mm."""
+    states = solve_press(press, tuple(press.deepest_mm * share for share in shares), nodes_per_step)
+    radii_mm = np.linspace(0, 5.0 * press.indenter_radius_mm / 1.5, 101)
     return Response(
         np.array([state.force_n for state in states]),
-        np.array([state.surface_mm(radii) for state in states]),
+        np.array([state.surface_mm(radii_mm) for state in states]),
         np.array([state.volume_change_mm3 for state in states]),
     )
 

@@ -16,9 +16,9 @@ import numpy as np
 import pandas as pd
 
 from gelgap.benchmarks.common import show
-from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
-from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS, SURFACE, press_errors
-from gelgap.benchmarks.physics.cases import Case, SolvedCase, Solver
+from gelgap.benchmarks.fem.spheres import Press, solve_press
+from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS, SURFACE, errors
+from gelgap.benchmarks.physics.cases import Case, Solver
 from gelgap.benchmarks.physics.references import own_cases, press_cases
 from gelgap.sim import Sharing, Solve
 from gelgap.sim.mesh import LARGEST_POISSON_RATIO, mesh_moduli
@@ -62,8 +62,11 @@ def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -
             cases = [
                 on_mesh(truth, press, quality, mesh) for truth, press in zip(truths, presses, strict=True)
             ]
-            solved = solver.solve(cases)
-            ratios = [solved[case].force_n[:, 2] / case.truth.force_n[:, 2] for case in cases]
+            solved = solver.cases(cases)
+            ratios = [
+                np.array([state.force_n[2] for state in solved[case].states]) / case.truth.force_n[:, 2]
+                for case in cases
+            ]
             for press, ratio in zip(presses, ratios, strict=True):
                 error = " ".join(f"{100 * (r - 1):+.2f}" for r in ratio)
                 rows.append((quality, mesh, str(press), error, ratio.mean()))
@@ -117,15 +120,14 @@ def press_on(sizes: dict[str, MeshSize], cases: Sequence[Case], solver: Solver) 
     grid = list(itertools.product(sizes, cases))
     solves = {}
     for name, case in grid:
-        problem = case.plan.solves[0].problem
+        problem = case.solve.problem
         quality = replace(problem.quality, disc=sizes[name])
         solves[f"{name}: {case.name}"] = Solve(replace(problem, quality=quality), cached=False)
-    rows = []
-    for (name, case), one in zip(grid, solver.problems(solves).itertuples(), strict=True):
-        states = tuple(case.plan.state(index, one.solution) for index in range(len(case.poses)))
-        seconds = (one.wall_s / len(states), one.solve_s / len(states))
-        rows.append({"mesh": name, **press_errors(SolvedCase(case, states, *seconds, one.peak_mib))})
-    return pd.DataFrame(rows)
+    found = solver.solve(solves)
+    found["states"] = [case.states(own) for (_, case), own in zip(grid, found["solution"], strict=True)]
+    found["core_s"] = found["solve_s"]
+    rows = zip(grid, found.itertuples(), strict=True)
+    return pd.DataFrame([{"mesh": name, **errors(case, own)} for (name, case), own in rows])
 
 
 def main() -> None:

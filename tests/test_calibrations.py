@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from loaded_file import load_file
 
+from gelgap.benchmarks.fem.spheres import Drag
 from gelgap.benchmarks.physics.cases import Solver
 from gelgap.benchmarks.physics.references import press_cases
 from gelgap.sim.problem import QUALITIES
@@ -24,8 +25,7 @@ def test_a_coarse_mesh_is_solved_and_compared_with_the_table(tmp_path: Path) -> 
 
 def test_drags_are_tabled_on_a_coarse_and_a_fine_mesh() -> None:
     study = load_file(SCRIPTS / "drag_table.py")
-    assert set(study.MESHES) == set(study.DEPTHS_MM)
-    setting = {"friction": "inf", "depth_mm": 0.3, "element_mm": 0.6, "sectors": 8}
-    rows = study.solve(setting)["rows"]
+    assert all(coarse > fine for (coarse, _), (fine, _) in study.MESHES.values())
+    rows = study.drag_rows(Drag(depth_mm=0.3, element_mm=0.6, sectors=8))["rows"]
     assert [row[0] for row in rows] == [f"{travel:.9g}" for travel in study.TRAVELS_MM]
     assert float(rows[-1][1]) > 0 > float(rows[-1][2])

@@ -107,7 +107,6 @@ def data_of_the_readme(_: Callable) -> Callable:
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
         "physics.cases.run_missing": measured_in_this_process,
-        "physics.savings.run_missing": measured_in_this_process,
         "physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
     },
     "gelgap benchmark render --quick": {

@@ -10,16 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 
-def shear_modulus_mpa(young_modulus_mpa: ArrayLike, poisson_ratio: ArrayLike) -> Floats:
-    """Return μ = E / 2(1+ν), MPa."""
-    return np.asarray(young_modulus_mpa) / (2 * (1 + np.asarray(poisson_ratio)))
-
-
-def bulk_modulus_mpa(young_modulus_mpa: ArrayLike, poisson_ratio: ArrayLike) -> Floats:
-    """Return K = E / 3(1−2ν), MPa."""
-    return np.asarray(young_modulus_mpa) / (3 * (1 - 2 * np.asarray(poisson_ratio)))
-
-
 def hertz_contact_radius_mm(indenter_radius_mm: ArrayLike, depth_mm: ArrayLike) -> Floats:
     """Return Hertz's contact radius a = √(R d), mm (Johnson 1985, eq. 4.22).
 

@@ -7,11 +7,11 @@ import hashlib
 import importlib.metadata
 import resource
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,18 +19,9 @@ from numpy.typing import NDArray
 from gelgap import sim
 from gelgap.benchmarks import fem
 from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
-from gelgap.sim import (
-    Elastomer,
-    MembraneState,
-    Pose,
-    PosePath,
-    Sharing,
-    Solve,
-    SolvePlan,
-    Sphere,
-    plan_solves,
-)
-from gelgap.sim.solution import solution_bytes, solution_from_bytes
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Solve, SolvePlan, Sphere
+from gelgap.sim.plan import plan_visit
+from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -79,8 +70,11 @@ class Case:
     @cached_property
     def plan(self) -> SolvePlan:
         """The one solve that the poses need."""
-        path = PosePath("visit", tuple(replace(pose, trajectory=0) for pose in self.poses))
-        return plan_solves(self.elastomer, self.indenter, path, self.quality, self.sharing)
+        return plan_visit(self.elastomer, self.indenter, self.poses, self.quality, self.sharing)
+
+    @property
+    def solve(self) -> Solve:
+        return self.plan.solves[0]
 
     def down_to(self, depth_mm: float) -> "Case":
         """Return the part of a press that is no deeper."""
@@ -89,68 +83,59 @@ class Case:
         kept = {name: getattr(truth, name)[:count] for name in arrays}
         return replace(self, poses=self.poses[:count], truth=replace(truth, **kept))
 
-
-@dataclass(frozen=True)
-class SolvedCase:
-    """A case's states, and what its process took: wall and processor s per pose (imports included), peak MiB."""
-
-    case: Case
-    states: tuple[MembraneState, ...]
-    wall_s_per_pose: float
-    core_s_per_pose: float
-    peak_mib: float
-
-    @property
-    def force_n(self) -> Floats:
-        """Forces (poses, 3)."""
-        return np.array([state.force_n for state in self.states])
-
-    @property
-    def unconverged(self) -> int:
-        return sum(not state.converged for state in self.states)
+    def states(self, solution: Solution) -> tuple[MembraneState, ...]:
+        """Return the membrane at each pose."""
+        return tuple(self.plan.state(index, solution) for index in range(len(self.poses)))
 
 
 @dataclass(frozen=True)
 class Solver:
-    """How many processes solve (None: one per core), and the folder that keeps what they have finished."""
+    """How many processes measure (None: one per core), and the folder that keeps what they have finished."""
 
     processes: int | None
     folder: Path
 
-    def solve(self, cases: Iterable[Case]) -> dict[Case, SolvedCase]:
-        """Solve each case, the slowest first; one that is in the folder already is read."""
-        ordered = sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality))
-        found = self.problems({f"{c.study}, {c.name}, {c.quality}": c.plan.solves[0] for c in ordered})
-        solved = {}
-        for case, one in zip(ordered, found.itertuples(), strict=True):
-            count = len(case.poses)
-            states = tuple(case.plan.state(index, one.solution) for index in range(count))
-            solved[case] = SolvedCase(case, states, one.wall_s / count, one.core_s / count, one.peak_mib)
-        return solved
+    def measure(
+        self, function: Callable[[Any], Results], things: Mapping[str, Any], tasks_per_worker: int | None = 1
+    ) -> "pd.DataFrame":
+        """Call a function with each thing, in a fresh process; return the results by the things' names.
 
-    def problems(self, solves: Mapping[str, Solve]) -> "pd.DataFrame":
-        """Solve problems, each in a process of its own; return solution, wall_s, core_s, peak_mib of each.
-
-        `core_s` is that of the whole process, `solve_s` of the solve in it.
+        What the folder has of the same thing and the same code of the solvers is read.
         """
-        settings = [{"what": name, "of": digest(solve.key)} for name, solve in solves.items()]
-        by_key = {key_of(setting): solve for setting, solve in zip(settings, solves.values(), strict=True)}
+        settings = [
+            {"study": function.__name__.replace("_", " "), "what": name, "of": _digest(thing)}
+            for name, thing in things.items()
+        ]
+        by_key = dict(zip(map(key_of, settings), things.values(), strict=True))
         found = run_missing(
-            partial(solve_problem, by_key),
+            partial(_called, function, by_key),
             settings,
-            self.folder / "solves.jsonl",
+            self.folder / f"{function.__name__}.jsonl",
             workers=self.processes,
-            tasks_per_worker=1,
-            describe=lambda record: f"{record['core_s']:.1f} s",
+            tasks_per_worker=tasks_per_worker,
         )
-        found["solution"] = [solution_from_bytes(data.tobytes()) for data in found["solution"]]
-        return found
+        return found.set_index("what").drop(columns=["study", "of"])
+
+    def solve(self, solves: Mapping[str, Solve]) -> "pd.DataFrame":
+        """Return solution, wall_s, core_s, solve_s and peak_mib of each solve; see `solved`."""
+        found = self.measure(solved, solves)
+        return found.assign(solution=[solution_from_bytes(data.tobytes()) for data in found["solution"]])
+
+    def cases(self, cases: Iterable[Case]) -> dict[Case, Any]:
+        """Solve cases, the slowest first; each has its `states` beside what `solve` returns."""
+        ordered = sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality))
+        found = self.solve({f"{case.study}, {case.name}, {case.quality}": case.solve for case in ordered})
+        found["states"] = [case.states(own) for case, own in zip(ordered, found["solution"], strict=True)]
+        return dict(zip(ordered, found.itertuples(), strict=True))
 
 
-def solve_problem(solves: Mapping[str, Solve], setting: Setting) -> Results:
-    """Solve in this process, which is taken to be fresh; keep the solution as the bytes of its file."""
+def solved(solve: Solve) -> Results:
+    """Solve in this process, which is taken to be fresh; keep the solution as the bytes of its file.
+
+    `core_s` is the processor time of the whole process, imports included, `solve_s` that of the solve in it.
+    """
     started, imports_s = time.perf_counter(), time.process_time()
-    solution = solves[key_of(setting)].run()
+    solution = solve.run()
     return {
         "wall_s": time.perf_counter() - started,
         "core_s": time.process_time(),
@@ -160,13 +145,17 @@ def solve_problem(solves: Mapping[str, Solve], setting: Setting) -> Results:
     }
 
 
-def digest(of: str) -> str:
-    """Return a short hash of what is solved, of the solvers' code, and of MuJoCo's version."""
-    return hashlib.sha256(f"{of} {_code_digest()}".encode()).hexdigest()[:12]
+def _called(function: Callable[[Any], Results], things: Mapping[str, Any], setting: Setting) -> Results:
+    return function(things[key_of(setting)])
+
+
+def _digest(thing: Any) -> str:
+    return hashlib.sha256(f"{thing!r} {code_digest()}".encode()).hexdigest()[:12]
 
 
 @cache
-def _code_digest() -> str:
+def code_digest() -> str:
+    """Return a short hash of the solvers' code and of MuJoCo's version."""
     files = [file for room in (sim, fem) for file in sorted(Path(room.__file__).parent.rglob("*.py"))]
     code = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-    return f"{code} {importlib.metadata.version('mujoco')}"
+    return f"{code[:12]} {importlib.metadata.version('mujoco')}"

@@ -2,24 +2,23 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pandas as pd
 
 from gelgap.assets import asset_path
-from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
-from gelgap.benchmarks.fem.axisymmetric import Press, solve_press
-from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth, digest
+from gelgap.benchmarks.common import Results
+from gelgap.benchmarks.fem.spheres import Press, solve_press
+from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
 from gelgap.sim import Elastomer, Pose, Sphere
 
 FORCE_UNCERTAINTY = 0.003
 DRAG_FX_UNCERTAINTY = 0.04
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"
-LESS_DEEP_MM = 0.6
 Descent = tuple[Press, tuple[float, ...]]
 """A press that the project's own axisymmetric solver is the truth of, and its depths, mm."""
 
@@ -58,29 +57,25 @@ LARGER_SPHERES = (  # the rows of docs/physics.md: R, thickness, ν, friction, a
 def press_cases() -> dict[str, Case]:
     """Return the neo-Hookean presses of the tables by name (the linear elastic ones are not a material of gelgap)."""
     rows = pd.read_csv(asset_path("reference", "force_depth.csv"))
-    rows = rows[rows["energy"].str.contains("neo-Hookean")]
+    slips = {"no slip": NO_SLIP_FRICTION, "frictionless": 0.0}
     cases = {}
-    for name, own in rows.groupby("case", sort=False):
+    for name, own in rows[rows["energy"].str.contains("neo-Hookean")].groupby("case", sort=False):
         first, contact = own.iloc[0], own["contact"].iloc[0]
-        slips = {"no slip": NO_SLIP_FRICTION, "frictionless": 0.0}
-        truth = Truth(
-            force_n=_normal(own["fz_n"]),
-            radius_mm=own["contact_radius_mm"].to_numpy(),
-            radius_uncertainty_mm=(
-                (own["contact_radius_high_mm"] - own["contact_radius_low_mm"]) / 2
-            ).to_numpy(),
-            profiles=_profiles(own["depth_mm"], "profiles", f"{name}.csv"),
-        )
         cases[name] = _press(
             "presses",
             name,
-            truth,
             own["depth_mm"],
             first["indenter_radius_mm"],
-            young_modulus_mpa=first["young_modulus_mpa"],
-            poisson_ratio=first["poisson_ratio"],
+            Truth(
+                force_n=_normal(own["fz_n"]),
+                radius_mm=own["contact_radius_mm"].to_numpy(),
+                radius_uncertainty_mm=own.eval(
+                    "(contact_radius_high_mm - contact_radius_low_mm) / 2"
+                ).to_numpy(),
+                profiles=_profiles(own["depth_mm"], "profiles", f"{name}.csv"),
+            ),
+            **first[["young_modulus_mpa", "poisson_ratio", "thickness_mm"]],
             friction=slips[contact] if contact in slips else float(contact.split()[-1]),
-            thickness_mm=first["thickness_mm"],
             strain_energy="isochoric" if first["energy"].startswith("isochoric") else "stable-neo-hookean",
         )
     return cases
@@ -93,47 +88,53 @@ def tabled_sphere() -> Case:
     first = rows.iloc[0]
     # The true radius lies between the last node that touches and the next, one element further out.
     half_mm = first["element_mm_fine"] / 2
-    truth = Truth(
-        force_n=_normal(-rows["F_fine"]),
-        radius_mm=rows["contact_radius_now_mm"].to_numpy() + half_mm,
-        radius_uncertainty_mm=np.full(len(rows), half_mm),
-        profiles=_profiles(rows["depth_mm"], "spheres", f"{TABLED_SPHERE}_profile.csv"),
-    )
-    gel = {"young_modulus_mpa": first["E_MPa"], "poisson_ratio": first["nu"], "thickness_mm": first["h_mm"]}
-    radius_mm = json.loads(first["shape_params"])["R"]
     return _press(
-        "larger", TABLED_SPHERE, truth, rows["depth_mm"], radius_mm, friction=NO_SLIP_FRICTION, **gel
+        "larger",
+        TABLED_SPHERE,
+        rows["depth_mm"],
+        json.loads(first["shape_params"])["R"],
+        Truth(
+            force_n=_normal(-rows["F_fine"]),
+            radius_mm=rows["contact_radius_now_mm"].to_numpy() + half_mm,
+            radius_uncertainty_mm=np.full(len(rows), half_mm),
+            profiles=_profiles(rows["depth_mm"], "spheres", f"{TABLED_SPHERE}_profile.csv"),
+        ),
+        young_modulus_mpa=first["E_MPa"],
+        poisson_ratio=first["nu"],
+        thickness_mm=first["h_mm"],
+        friction=NO_SLIP_FRICTION,
     )
 
 
 def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[Case]:
-    """Return presses with what the project's own axisymmetric solver finds."""
-    names = [
-        str(press) if study == "held back" else f"{press} to {depths[-1]:g} mm" for press, depths in descents
+    """Return presses with what the project's own axisymmetric solver finds, named by scene and greatest depth."""
+    named = {f"{press} to {depths_mm[-1]:g} mm": (press, depths_mm) for press, depths_mm in descents}
+    found = solver.measure(solved_truth, named, tasks_per_worker=None)
+    return [
+        _press(
+            study,
+            name,
+            depths_mm,
+            press.indenter_radius_mm,
+            Truth(
+                force_n=_normal(found.loc[name, "fz_n"]),
+                source="own",
+                radius_mm=found.loc[name, "radius_mm"],
+                radius_uncertainty_mm=np.full(len(depths_mm), press.element_mm / 4),
+                profiles=tuple(found.loc[name, "profiles"]),
+            ),
+            young_modulus_mpa=press.young_modulus_mpa,
+            poisson_ratio=press.poisson_ratio,
+            thickness_mm=press.thickness_mm,
+            friction=min(press.friction, NO_SLIP_FRICTION),
+        )
+        for name, (press, depths_mm) in named.items()
     ]
-    settings = [{"press": name, "of": digest(repr(own))} for name, own in zip(names, descents, strict=True)]
-    by_key = {key_of(setting): own for setting, own in zip(settings, descents, strict=True)}
-    found = run_missing(
-        partial(solve_own, by_key), settings, solver.folder / "own.jsonl", workers=solver.processes
-    )
-    cases = []
-    for name, (press, depths_mm), key in zip(names, descents, by_key, strict=True):
-        own = found.loc[key]
-        uncertainty_mm = np.full(len(depths_mm), press.element_mm / 4)
-        truth = Truth(
-            _normal(own["fz_n"]), "own", 0.0, own["radius_mm"], uncertainty_mm, tuple(own["profiles"])
-        )
-        gel = {name: getattr(press, name) for name in ("young_modulus_mpa", "poisson_ratio", "thickness_mm")}
-        friction = min(press.friction, NO_SLIP_FRICTION)
-        cases.append(
-            _press(study, name, truth, depths_mm, press.indenter_radius_mm, friction=friction, **gel)
-        )
-    return cases
 
 
-def solve_own(descents: Mapping[str, Descent], setting: Setting) -> Results:
+def solved_truth(descent: Descent) -> Results:
     """Return what the project's own axisymmetric solver finds, for a truth."""
-    states = solve_press(*descents[key_of(setting)])
+    states = solve_press(*descent)
     return {
         "fz_n": np.array([state.force_n for state in states]),
         "radius_mm": np.array([state.contact_radius_mm for state in states]),
@@ -151,40 +152,35 @@ def drag_cases() -> tuple[Case, ...]:
     """
     table = pd.read_csv(asset_path("reference", "shear_no_slip.csv")).assign(friction=NO_SLIP_FRICTION)
     own = pd.read_csv(asset_path("reference", "drag_coulomb.csv"))
-    cases = [_drag("table", meshes[0], DRAG_FX_UNCERTAINTY) for meshes in _meshes(table)]
-    for fine, *coarser in _meshes(own[np.isfinite(own["friction"])]):
-        if coarser and len(coarser[0]) == len(fine):
-            ratio = coarser[0]["element_mm"].iloc[0] / fine["element_mm"].iloc[0]
-            apart = np.abs(coarser[0]["fx_n"].to_numpy()[1:] / fine["fx_n"].to_numpy()[1:] - 1).max()
-            cases.append(_drag("own 3-D", fine, float(apart / (ratio**2 - 1))))
+    cases = []
+    for source, rows in (("table", table), ("own 3-D", own[np.isfinite(own["friction"])])):
+        for (friction, depth_mm), drag in rows.groupby(["friction", "depth_mm"], sort=False):
+            fine, *coarser = [mesh for _, mesh in drag.groupby("element_mm")]
+            uncertainty = DRAG_FX_UNCERTAINTY
+            if source != "table":
+                if not coarser or len(coarser[0]) != len(fine):
+                    continue
+                ratio = coarser[0]["element_mm"].iloc[0] / fine["element_mm"].iloc[0]
+                apart = np.abs(coarser[0]["fx_n"].to_numpy()[1:] / fine["fx_n"].to_numpy()[1:] - 1).max()
+                uncertainty = float(apart / (ratio**2 - 1))
+            gel = fine.iloc[0][["young_modulus_mpa", "poisson_ratio", "friction"]]
+            poses = tuple(Pose(depth_mm=depth_mm, shear_x_mm=float(x)) for x in fine["shear_x_mm"])
+            force_n = np.stack([fine["fx_n"], np.full(len(fine), np.nan), fine["fz_n"]], axis=-1)
+            name = f"{depth_mm:g} mm, friction {friction:g}"
+            elastomer = Elastomer(pad_size_mm=(20.0, 20.0), **gel)
+            cases.append(Case("drags", name, elastomer, poses, truth=Truth(force_n, source, uncertainty)))
     return tuple(cases)
 
 
-def _meshes(rows: pd.DataFrame) -> list[list[pd.DataFrame]]:
-    """Return the rows of each drag by the mesh that they were solved on, the finest first."""
-    drags = rows.groupby(["friction", "depth_mm"], sort=False)
-    return [[mesh for _, mesh in drag.groupby("element_mm")] for _, drag in drags]
-
-
-def _drag(source: str, rows: pd.DataFrame, fx_uncertainty: float) -> Case:
-    first = rows.iloc[0]
-    gel = {name: first[name] for name in ("young_modulus_mpa", "poisson_ratio", "friction")}
-    poses = tuple(Pose(depth_mm=first["depth_mm"], shear_x_mm=float(s)) for s in rows["shear_x_mm"])
-    force_n = np.stack([rows["fx_n"], np.full(len(rows), np.nan), rows["fz_n"]], axis=-1)
-    name = f"{first['depth_mm']:g} mm, friction {first['friction']:g}"
-    elastomer = Elastomer(pad_size_mm=(20.0, 20.0), **gel)
-    return Case("drags", name, elastomer, poses, truth=Truth(force_n, source, fx_uncertainty))
-
-
 def _press(
-    study: str, name: str, truth: Truth, depths_mm: Sequence[float], radius_mm: float, **gel: float | str
+    study: str, name: str, depths_mm: Sequence[float], radius_mm: float, truth: Truth, **gel: float | str
 ) -> Case:
     poses = tuple(Pose(depth_mm=float(depth)) for depth in depths_mm)
     return Case(study, name, Elastomer(**gel), poses, indenter=Sphere(diameter_mm=2 * radius_mm), truth=truth)
 
 
 def _normal(fz_n: pd.Series | Floats) -> Floats:
-    return np.array([[0.0, 0.0, fz] for fz in fz_n])
+    return np.outer(fz_n, [0.0, 0.0, 1.0])
 
 
 def _profiles(depths_mm: pd.Series, *place: str) -> tuple[Floats, ...]:

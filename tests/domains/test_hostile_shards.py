@@ -100,6 +100,9 @@ PLANTED: dict[str, tuple[Callable[[pa.Table], pa.Table], str]] = {
     "rows": (rows, "it states 250000 rows"),
     "nested": (nested, ""),
     "unknown": (unknown, "column 'more' is unknown"),
+    "texts": (lambda table: with_column(table, "fx_n", pa.array(["x"] * len(table))), ""),
+    "no pictures": (lambda table: table.drop_columns("image"), ""),
+    "no cells": (lambda table: with_column(table, "image", pa.nulls(len(table), PICTURE)), ""),
 }
 
 
@@ -137,6 +140,7 @@ def test_hostile_shards_are_refused_within_the_memory_of_valid_ones(files: Path,
         assert f"{shard} is damaged (" in sentence
         assert reason in sentence
         assert "generate" in sentence
+        assert "--verify" in sentence
         assert "\n" not in sentence
 
     assert more_mib < 64

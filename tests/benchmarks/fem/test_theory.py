@@ -31,9 +31,3 @@ def test_partial_slip_has_mindlins_stiffness_and_coulombs_limit():
     assert stiffness == pytest.approx(8 * contact_radius_mm * shear_modulus_mpa / (2 - nu), rel=1e-3)
     assert theory.partial_slip_force_n(*contact, 0.9 * theory.full_slip_mm(*contact)) < limit_n
     assert theory.partial_slip_force_n(*contact, 1.0) == pytest.approx(limit_n)
-
-
-def test_moduli_agree_with_each_other():
-    e, nu = 0.3, 0.45
-    mu, k = theory.shear_modulus_mpa(e, nu), theory.bulk_modulus_mpa(e, nu)
-    assert 9 * k * mu / (3 * k + mu) == pytest.approx(e)

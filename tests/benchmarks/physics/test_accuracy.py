@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.physics.accuracy import normals, press_errors, surface_errors
+from gelgap.benchmarks.physics.accuracy import LESS_DEEP_MM, errors, normals, surface_errors
 from gelgap.benchmarks.physics.cases import Case, Solver
 from gelgap.benchmarks.physics.references import (
     LARGER_SPHERES,
-    LESS_DEEP_MM,
     NO_SLIP_FRICTION,
     drag_cases,
     press_cases,
@@ -23,14 +22,18 @@ REPOSITORY = Path(__file__).parents[3]
 
 
 def test_tables_have_profiles_that_fit_their_depths():
-    cases = press_cases()
+    cases, sphere = press_cases(), tabled_sphere()
     assert "lin48_no_slip" not in cases
     case = cases["nh49_no_slip"]
     assert case.elastomer.friction == NO_SLIP_FRICTION
     assert cases["nh48_friction_0.5"].elastomer.friction == 0.5
-    for pose, (r, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
-        assert r[0] == 0
-        assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
+    gel = sphere.elastomer
+    assert (sphere.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio) == (4.0, 3.0, 0.49)
+    assert sphere.truth.force_n[-1, 2] == pytest.approx(-2.463381)
+    for one in (case, sphere):
+        for pose, (r, _, u_z) in zip(one.poses, one.truth.profiles, strict=True):
+            assert r[0] == 0
+            assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
 
 
 def test_a_true_membrane_has_no_error_and_a_shift_has_its_own():
@@ -38,12 +41,12 @@ def test_a_true_membrane_has_no_error_and_a_shift_has_its_own():
     x_mm, y_mm = grid_axes()
     expected = truth.displacement_mm(2, x_mm, y_mm)
 
-    def errors(displacement_mm):
+    def errors_of(displacement_mm):
         state = MembraneState(x_mm, y_mm, displacement_mm, np.zeros(expected.shape[:2], bool), np.zeros(3))
         return surface_errors(state, expected, 1.0)
 
-    assert errors(expected)["worst °"] == pytest.approx(0, abs=1e-5)
-    shifted = errors(expected + np.array([3e-3, 4e-3, -2e-3]))
+    assert errors_of(expected)["worst °"] == pytest.approx(0, abs=1e-5)
+    shifted = errors_of(expected + np.array([3e-3, 4e-3, -2e-3]))
     assert shifted["u_z rms µm"] == pytest.approx(2)
     assert shifted["in-plane rms µm"] == pytest.approx(5)
     assert shifted["peak µm"] == pytest.approx(5)
@@ -63,8 +66,8 @@ def test_presses_of_both_sizes_are_judged_by_their_tables_and_not_solved_again(t
     shallow = replace(press_cases()["nh49_no_slip"].down_to(0.2), quality="draft")
     assert [pose.depth_mm for pose in shallow.poses] == [0.2]
     sphere = replace(tabled_sphere(), quality="draft")
-    first = Solver(2, tmp_path).solve([shallow, sphere])
-    small, large = (press_errors(first[case]) for case in (shallow, sphere))
+    first = Solver(2, tmp_path).cases([shallow, sphere])
+    small, large = (errors(case, first[case]) for case in (shallow, sphere))
     assert small["unconverged"] == large["unconverged"] == 0
     assert np.abs(small["fz_percent"]).max() < 8
     assert small["u_z rms µm"] < 10
@@ -73,20 +76,10 @@ def test_presses_of_both_sizes_are_judged_by_their_tables_and_not_solved_again(t
     assert large["u_z rms µm"] < 5
     assert large["in-plane rms µm"] < 5
     light = Case("light", "b0", Elastomer.preset("b0"), (Pose(depth_mm=0.05),), "draft")
-    again = Solver(1, tmp_path).solve([shallow, sphere, light])
-    assert again[shallow].core_s_per_pose == first[shallow].core_s_per_pose
+    again = Solver(1, tmp_path).cases([shallow, sphere, light])
+    assert again[shallow].core_s == first[shallow].core_s
     assert np.array_equal(again[sphere].states[-1].displacement_mm, first[sphere].states[-1].displacement_mm)
-    assert again[light].force_n[0, 2] < 0
-
-
-def test_table_of_a_larger_sphere_is_read():
-    case = tabled_sphere()
-    gel = case.elastomer
-    assert (case.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio) == (4.0, 3.0, 0.49)
-    for pose, (r, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
-        assert r[0] == 0
-        assert u_z[0] == pytest.approx(-pose.depth_mm, abs=2e-3)
-    assert case.truth.force_n[-1, 2] == pytest.approx(-2.463381)
+    assert again[light].states[0].force_n[2] < 0
 
 
 def test_own_pads_reach_far_beyond_the_contact():

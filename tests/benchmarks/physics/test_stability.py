@@ -23,7 +23,9 @@ def test_scenes_are_reproducible_and_in_the_box():
         ):
             assert low <= value <= high
         assert 0 < scene.depth_mm <= min(0.4 * gel.thickness_mm, 0.8 * radius_mm) + 1e-6
-        assert scene.to_rim_mm >= 0
+        assert all(
+            abs(at) <= size / 2 for at, size in zip(scene.point_mm, stability.PAD_SIZE_MM, strict=True)
+        )
         depths = [pose.depth_mm for pose in scene.poses]
         assert depths == sorted(depths)
         assert depths[-1] == scene.depth_mm
@@ -59,7 +61,7 @@ def test_summary_counts_by_regime(tmp_path):
     rows = [
         ("converged", (), True, 1.0),
         ("flagged", (), False, 1.0),
-        ("converged", ("residual 0.5",), False, 1.0),
+        ("converged", ("pulls",), False, 1.0),
     ]
     columns = ["status", "violations", "in_papers_regime", "core_s"]
     stability.summarise(pd.DataFrame(rows, columns=columns), "draft", tmp_path)
@@ -67,4 +69,4 @@ def test_summary_counts_by_regime(tmp_path):
     assert summary["scenes"][0]["converged %"] == 100
     everything = list(summary["scenes"][-1].values())
     assert everything[1:] == [3, pytest.approx(66.7, abs=0.1), 2, 1, 0, 1]
-    assert dict(summary["violations"]) == {"residual": 1}
+    assert dict(summary["violations"]) == {"pulls": 1}

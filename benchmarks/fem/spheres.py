@@ -1,11 +1,13 @@
-"""A rigid sphere pressed into a bonded pad: locking-free axisymmetric finite elements of finite strain.
+"""A rigid sphere on a bonded pad: an axisymmetric press, and a drag in three dimensions.
 
-The project's own check of MuJoCo's forces and surfaces, and the solver behind `equivalent_moduli`; a user is never
-given its results as a frame. Elements are biquadratic quadrilaterals in (r, z) whose volume ratio is projected on
-linear functions (Q2/P1 discontinuous: Simo & Taylor 1991, Comput. Methods Appl. Mech. Eng. 85:273). Units are mm,
-N and MPa.
+The project's own check of MuJoCo's forces and surfaces, which shares nothing with it; a user is never given its results
+as a frame. A press has biquadratic quadrilaterals in (r, z) whose volume ratio is projected on linear functions (Q2/P1
+discontinuous: Simo & Taylor 1991, Comput. Methods Appl. Mech. Eng. 85:273), and is also the solver behind
+`equivalent_moduli`. A drag has trilinear hexahedra whose volume ratio is averaged over the element (Q1/P0: Nagtegaal,
+Parks & Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153) on half the pad, since it goes along x. Units are mm, N, MPa.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,19 +15,26 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
-from gelgap.benchmarks.fem.indentation import Indentation, SphereContact, State
-from gelgap.benchmarks.fem.pad import Element, NeoHookean, Pad, StableNeoHookean
+from gelgap.benchmarks.fem.indentation import (
+    Element,
+    Floats,
+    Indentation,
+    NeoHookean,
+    Pad,
+    SphereContact,
+    StableNeoHookean,
+    State,
+)
 from gelgap.benchmarks.fem.theory import hertz_contact_radius_mm
+from gelgap.sim.mesh import DiscGrid, half_disc, layer_heights_mm
 
-Floats = NDArray[np.float64]
-
-PENALTY_PER_MODULUS = 1e4  # 1/mm: the sphere is entered by pressure / (1e4 E), some 0.05 µm
-STICK_PER_MODULUS = 3e2  # 1/mm: sticking nodes give way by shear / (3e2 E), less than 1 µm
+# 1/mm: a node enters the sphere by pressure / (first · E), some 0.05 µm in a press and 1 µm in a drag; where it sticks
+# it gives way by shear / (second · E), some 1 µm.
+PRESS_STIFFNESS, DRAG_STIFFNESS = (1e4, 3e2), (1e3, 5e2)
 GROWTH = 1.18  # ratio of neighbouring elements away from the contact
 # With nothing of the volumetric modulus on J itself, the Stable Neo-Hookean form's −μ (J−1) softens what the projection
 # does not see, and a frictionless press collapses; biquadratic elements do not lock at this ratio (that of ν = 0.45).
 POINTWISE_PER_SHEAR = 10.0
-RESIDUAL_TOLERANCE = 1e-8  # of the modulus times the square of the indenter's radius
 
 
 @dataclass(frozen=True)
@@ -127,17 +136,7 @@ def solve_press(
     if len(depths) < 2 or np.any(np.diff(depths) <= 0) or depths[-1] >= problem.thickness_mm:
         raise ValueError(f"depths_mm = {tuple(depths_mm)} must rise within (0, {problem.thickness_mm})")
     radius = problem.indenter_radius_mm
-    scene = Indentation(
-        pad=section_of_pad(problem, deepest_mm=depths[-1]),
-        contact=SphereContact(
-            radius,
-            problem.friction,
-            penalty=PENALTY_PER_MODULUS * problem.young_modulus_mpa,
-            stick_stiffness=STICK_PER_MODULUS * problem.young_modulus_mpa,
-        ),
-        tolerance_n=RESIDUAL_TOLERANCE * problem.young_modulus_mpa * radius**2,
-        largest_rise=np.inf,
-    )
+    scene = _indentation(problem, section_of_pad(problem, depths[-1]), PRESS_STIFFNESS, 1e-8, np.inf)
     state, reached, states = scene.untouched(), 0.0, []
     for depth in depths[1:]:
         while reached < depth:
@@ -146,7 +145,7 @@ def solve_press(
             target = contact**2 / radius
             reached = target if depth - target >= 1e-3 * depth else depth
             state = scene.advance(state, np.array([0.0, -reached]))
-        states.append(_describe(scene.pad, state))
+        states.append(_press_state(scene.pad, state))
     return tuple(states)
 
 
@@ -221,7 +220,7 @@ def _nodal_areas_mm2(r: Floats) -> Floats:
     return area
 
 
-def _describe(pad: Pad, state: State) -> PressState:
+def _press_state(pad: Pad, state: State) -> PressState:
     r = pad.nodes[pad.surface, 0]
     u_r, u_z = state.u[pad.surface_dofs].T
     j = pad.deformation(state.u)[1]
@@ -246,3 +245,122 @@ def _edge_radius_mm(radius_mm: Floats, pressure_mpa: Floats) -> float:
     last = touching[max(-8, -max(3, len(touching) // 4)) :]
     slope, intercept = np.polyfit(radius_mm[last], pressure_mpa[last] ** 2, 1)
     return float(-intercept / slope)
+
+
+@dataclass(frozen=True)
+class Drag:
+    """A sphere pressed `depth_mm` deep, then moved along x without rotating.
+
+    The gel is isochoric neo-Hookean. `friction` is Coulomb's coefficient, `inf` never slips. `element_mm` is the edge
+    of an element at the contact, `sectors` the number of them around half of it.
+    """
+
+    young_modulus_mpa: float = 0.3
+    poisson_ratio: float = 0.48
+    friction: float = np.inf
+    indenter_radius_mm: float = 1.5
+    thickness_mm: float = 3.0
+    pad_radius_mm: float = 10.0
+    depth_mm: float = 0.6
+    element_mm: float = 0.2
+    sectors: int = 24
+
+
+@dataclass(frozen=True)
+class DragState:
+    """Equilibrium at one travel: the sphere's force on the pad (3,), N, and the share of it that sticks."""
+
+    travel_mm: float
+    force_n: Floats
+    sticking_fraction: float
+
+
+def solve_drag(problem: Drag, travels_mm: tuple[float, ...], step_mm: float = 0.05) -> tuple[DragState, ...]:
+    """Press, then drag to each travel in turn (rising from 0), in steps of `step_mm`; return the states there.
+
+    Raises
+    ------
+    ValueError
+        If travels do not rise from 0.
+    RuntimeError
+        If Newton's method fails at the smallest step.
+    """
+    travels = np.asarray(travels_mm, float)
+    if travels.size == 0 or travels[0] < 0 or np.any(np.diff(travels) <= 0):
+        raise ValueError(f"travels_mm = {tuple(travels_mm)} must rise from 0")
+    scene = _indentation(problem, half_pad(problem, float(travels[-1])), DRAG_STIFFNESS, 1e-6, 1.0)
+    state = scene.untouched()
+    first = min(step_mm, problem.depth_mm) / 4
+    for depth in np.append(np.arange(first, problem.depth_mm - 1e-9, step_mm), problem.depth_mm):
+        state = scene.advance(state, np.array([0.0, 0.0, -depth]))
+    states = []
+    for travel in travels:
+        start = state.sphere_mm[0]
+        steps = max(1, math.ceil((travel - start) / step_mm - 1e-9))
+        for x in start + (travel - start) * np.arange(1, steps + 1) / steps:
+            state = scene.advance(state, np.array([x, 0.0, -problem.depth_mm]))
+        states.append(_drag_state(scene.pad, state))
+    return tuple(states)
+
+
+def half_pad(problem: Drag, furthest_mm: float) -> Pad:
+    """Return half a round pad, y ≥ 0, with the membrane at z = 0 and the backing below."""
+    above = max(problem.indenter_radius_mm - problem.depth_mm, 0.0)
+    contact = math.sqrt(problem.indenter_radius_mm**2 - above**2)
+    plane, quads = half_disc(
+        DiscGrid(problem.pad_radius_mm, 1.15 * contact + furthest_mm, problem.element_mm, problem.sectors)
+    )
+    layers = layer_heights_mm(problem.thickness_mm, 0.75 * problem.element_mm, 1.25)
+    below = np.arange(1, len(layers))[:, None, None] * len(plane) + quads
+    nodes = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in layers])
+    connectivity = np.concatenate([below, below - len(plane)], axis=-1).reshape(-1, 8)
+    _, y, z = nodes.T
+    surface = np.flatnonzero(z > -1e-9)
+    bonded, mirror = np.flatnonzero(z < -problem.thickness_mm + 1e-9), np.flatnonzero(np.abs(y) < 1e-9)
+    return Pad(
+        nodes=nodes,
+        connectivity=connectivity,
+        element=_trilinear(),
+        material=NeoHookean(problem.young_modulus_mpa, problem.poisson_ratio),
+        fixed_dofs=np.concatenate([(3 * bonded[:, None] + np.arange(3)).ravel(), 3 * mirror + 1]),
+        surface=surface,
+        surface_area_mm2=_quad_areas_mm2(nodes, connectivity, surface),
+    )
+
+
+def _trilinear() -> Element:
+    """Return the element of eight nodes with 2×2×2 Gauss points; J is averaged."""
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
+    corner = np.concatenate([np.column_stack([corners, np.full(4, z)]) for z in (-1.0, 1.0)])
+    factor = (1 + corner[:, None, :] * corner / np.sqrt(3)) / 2  # (point, node, axis)
+    slopes = [corner[:, i] / 2 * factor[..., (i + 1) % 3] * factor[..., (i + 2) % 3] for i in range(3)]
+    return Element(factor.prod(axis=-1), np.stack(slopes, axis=-1), np.ones(8), np.ones((8, 1)))
+
+
+def _quad_areas_mm2(nodes: Floats, hexahedra: NDArray[np.int64], surface: NDArray[np.int64]) -> Floats:
+    """Return the area of the outer membrane that belongs to each of its nodes."""
+    quads = hexahedra[np.isin(hexahedra[:, 4:], surface).all(axis=1), 4:]
+    corner = nodes[quads, :2]
+    across, along = corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1]
+    area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]) / 2
+    return np.bincount(quads.ravel(), np.repeat(area / 4, 4), len(nodes))[surface]
+
+
+def _drag_state(pad: Pad, state: State) -> DragState:
+    touch = state.touch
+    push = touch.pressure_mpa * pad.surface_area_mm2
+    return DragState(
+        travel_mm=float(state.sphere_mm[0]),
+        force_n=2 * touch.force_n.sum(0) * [1, 0, 1],
+        sticking_fraction=float(1 - push[touch.slipping].sum() / push.sum()),
+    )
+
+
+def _indentation(
+    problem: Press | Drag, pad: Pad, stiffness: tuple[float, float], tolerance: float, largest_rise: float
+) -> Indentation:
+    """Return a problem's scene: stiffness by the modulus, tolerance by the modulus and the sphere's radius squared."""
+    young_mpa, radius_mm = problem.young_modulus_mpa, problem.indenter_radius_mm
+    penalty, stick_stiffness = (factor * young_mpa for factor in stiffness)
+    contact = SphereContact(radius_mm, problem.friction, penalty, stick_stiffness)
+    return Indentation(pad, contact, tolerance * young_mpa * radius_mm**2, largest_rise)

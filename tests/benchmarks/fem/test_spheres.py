@@ -1,4 +1,4 @@
-"""The project's own press solver against tables it has never seen, theory and its own invariants."""
+"""The project's own solvers of presses and drags: derivatives, tables that they have never seen, theory, invariants."""
 
 import csv
 import math
@@ -8,10 +8,17 @@ import pytest
 
 from gelgap.assets import asset_path
 from gelgap.benchmarks.fem import theory
-from gelgap.benchmarks.fem.axisymmetric import Press, section_of_pad, solve_press
+from gelgap.benchmarks.fem.indentation import NeoHookean, SphereContact
+from gelgap.benchmarks.fem.spheres import Drag, Press, half_pad, section_of_pad, solve_drag, solve_press
+from gelgap.benchmarks.physics.references import drag_cases
 
 REFERENCE_UNCERTAINTY = 0.003
 SURFACE_UNCERTAINTY_MM = 0.003
+
+
+@pytest.fixture(scope="module")
+def half():
+    return half_pad(Drag(element_mm=0.6, sectors=8, pad_radius_mm=5.0), furthest_mm=0.3)
 
 
 def reference_force_n(case: str, depth_mm: float) -> float:
@@ -41,10 +48,9 @@ def test_press_reproduces_independent_finite_elements(case, poisson_ratio, energ
         assert np.abs(u_r - rows["u_r_mm"]).max() < SURFACE_UNCERTAINTY_MM
 
 
-def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
-    for energy in ("isochoric", "stable"):
-        problem = Press(poisson_ratio=0.48, energy=energy, element_mm=1.0)
-        pad = section_of_pad(problem, deepest_mm=0.5)
+def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy(half):
+    presses = [Press(poisson_ratio=0.48, energy=energy, element_mm=1.0) for energy in ("isochoric", "stable")]
+    for pad in (*(section_of_pad(press, deepest_mm=0.5) for press in presses), half):
         rng = np.random.default_rng(0)
         u = 0.02 * rng.standard_normal(pad.size)
         direction = rng.standard_normal(pad.size)
@@ -53,7 +59,7 @@ def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
         rise = (pad.energy_mj(u + step * direction) - pad.energy_mj(u - step * direction)) / (2 * step)
         assert force @ direction == pytest.approx(rise, rel=1e-6)
         change = (pad.assemble(u + step * direction)[0] - pad.assemble(u - step * direction)[0]) / (2 * step)
-        np.testing.assert_allclose(matrix @ direction, change, rtol=1e-4, atol=1e-6 * np.abs(change).max())
+        assert np.abs(matrix @ direction - change).max() < 1e-7 * np.abs(change).max()
 
 
 def test_shallow_press_meets_the_bonded_layer():
@@ -86,3 +92,52 @@ def test_bad_input_names_the_field_and_the_range():
         Press(poisson_ratio=0.5)
     with pytest.raises(ValueError, match="must rise"):
         solve_press(Press(), (0.4, 0.2))
+
+
+def test_moduli_agree_with_each_other():
+    gel = NeoHookean(0.3, 0.45)
+    mu, k = gel.shear_modulus_mpa, gel.volumetric_modulus_mpa
+    assert 9 * k * mu / (3 * k + mu) == pytest.approx(0.3)
+
+
+def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces(half):
+    pad = half
+    rng = np.random.default_rng(1)
+    contact = SphereContact(radius_mm=1.5, friction=0.3, penalty=300.0, stick_stiffness=150.0)
+    rest = pad.nodes[pad.surface]
+    u, direction = (0.02 * rng.normal(size=pad.size), rng.normal(size=pad.size))
+    displaced, direction = rest + u[pad.surface_dofs], direction[pad.surface_dofs]
+    sphere = np.array([0.05, 0.0, -0.4])
+    from_centre = rest - sphere - [0, 0, contact.radius_mm]
+    stick = from_centre + 0.2 * rng.normal(size=rest.shape) * rng.uniform(size=(len(rest), 1)) ** 4
+
+    def touch(step: float):
+        return contact.touch(displaced + step * direction, pad.surface_area_mm2, sphere, stick)
+
+    pushed = touch(0.0).pressure_mpa > 0
+    assert 0 < touch(0.0).slipping.sum() < pushed.sum()
+    slope = (touch(1e-7).force_n - touch(-1e-7).force_n) / 2e-7
+    expected = -np.einsum("nij,nj->ni", touch(0.0).tangent, direction)
+    assert np.abs(slope - expected).max() < 1e-5 * np.abs(expected).max()
+
+
+def test_coarse_drag_without_slip_is_near_the_table():
+    case = next(
+        case for case in drag_cases() if case.truth.source == "table" and case.poses[0].depth_mm == 0.6
+    )
+    expected = case.truth.force_n[-1]
+    (state,) = solve_drag(Drag(element_mm=0.4, sectors=12), (0.6,), step_mm=0.2)
+    assert state.force_n[0] == pytest.approx(expected[0], rel=0.05)
+    assert state.force_n[2] == pytest.approx(expected[2], rel=0.05)
+
+
+def test_full_slip_keeps_to_coulombs_cone():
+    (state,) = solve_drag(Drag(element_mm=0.5, sectors=8, friction=0.1, depth_mm=0.3), (0.3,), step_mm=0.1)
+    assert state.sticking_fraction < 0.05
+    # On a cap the ratio of the forces exceeds the coefficient, by far less than its own size when shallow.
+    assert 0.1 <= state.force_n[0] / -state.force_n[2] < 0.13
+
+
+def test_travels_must_rise():
+    with pytest.raises(ValueError, match="travels_mm"):
+        solve_drag(Drag(), (0.2, 0.1))
