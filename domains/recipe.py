@@ -47,22 +47,25 @@ class AcquisitionError(Settings):
     """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
 
     point_offset_mm: float = Field(
-        0.0, ge=0, le=1, description="offset of all contact points along x and along y, mm, 0 to 1"
+        default=0.0, ge=0, le=1, description="offset of all contact points along x and along y, mm, 0 to 1"
     )
     depth_zero_mm: float = Field(
-        0.0, ge=0, le=0.5, description="error of the depth at which contact is taken to begin, mm, 0 to 0.5"
+        default=0.0,
+        ge=0,
+        le=0.5,
+        description="error of the depth at which contact is taken to begin, mm, 0 to 0.5",
     )
     tilt_deg: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=3,
         description="tilt of the pad about x and y, degrees, 0 to 3: depth changes with the point",
     )
     force_noise_n: float = Field(
-        0.0, ge=0, le=1, description="noise of the force sensor per frame and axis, N, 0 to 1"
+        default=0.0, ge=0, le=1, description="noise of the force sensor per frame and axis, N, 0 to 1"
     )
     force_bias_n: float = Field(
-        0.0, ge=0, le=1, description="bias of the force sensor along each axis, N, 0 to 1"
+        default=0.0, ge=0, le=1, description="bias of the force sensor along each axis, N, 0 to 1"
     )
 
 
