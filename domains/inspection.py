@@ -13,7 +13,7 @@ import numpy as np
 
 from gelgap.assets import html_page
 from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
-from gelgap.domains.formats.pictures import encode_png, stated_size_px
+from gelgap.domains.formats.pictures import decode_picture, encode_png, stated_size_px
 from gelgap.domains.frames.dataset import LabelledFrames, outside
 from gelgap.domains.frames.folders import GROUPS, PictureFiles, open_domain
 from gelgap.domains.frames.labels import (
@@ -135,7 +135,7 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         extremes = (float(values.min()) + 0.0, float(values.max()) + 0.0) if len(values) else (0.0, 0.0)
         facts.append(LabelFacts(name, frames.label_range(name), *extremes))
     # Generated pictures were compared with their manifest.
-    damages = header_damages(frames) if isinstance(frames, PictureFiles) else []
+    damages = picture_damages(frames) if isinstance(frames, PictureFiles) else []
     pictures = (
         (f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}",) if damages else ()
     )
@@ -178,7 +178,7 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
         return tuple(damages)
     # A manifest may vouch for bytes that no reader takes.
     try:
-        found = [str(damage) for damage in header_damages(GeneratedDomain(folder))]
+        found = [str(damage) for damage in picture_damages(GeneratedDomain(folder))]
     except (RuntimeError, ValueError) as error:
         found = [str(error).partition(": run the same")[0]]
     return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in found)
@@ -226,48 +226,36 @@ def _distinct(numbers: np.ndarray) -> int:
 def label_notes(frames: LabelledFrames) -> list[str]:
     """Return what is unusual about labels, in sentences: NaN, and forces that pull the sensor."""
     notes = []
-    known = known_labels(frames.columns)
-    for names, what in (
-        ([name for name in known if name in FORCE_COLUMNS], "a force"),
-        ([name for name in known if name not in FORCE_COLUMNS], "a label other than force"),
-    ):
-        wrong = np.zeros(len(frames), bool)
-        for name in names:
-            wrong |= ~np.isfinite(frames.columns[name])
-        if wrong.any():
-            notes.append(f"{int(wrong.sum())} frames have {what} that is not a number")
+    not_finite = {name: ~np.isfinite(frames.columns[name]) for name in known_labels(frames.columns)}
+    for is_force, what in ((True, "a force"), (False, "a label other than force")):
+        wrong = [values for name, values in not_finite.items() if (name in FORCE_COLUMNS) == is_force]
+        if count := int(np.any(wrong, axis=0).sum()):
+            notes.append(f"{count} frames have {what} that is not a number")
     pulling = int((frames.columns.get("fz_n", np.zeros(0)) > 0).sum())
     if pulling:
         notes.append(f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one")
     return notes
 
 
-def header_damages(frames: StoredFrames) -> list[Damage]:
-    """Return the pictures that state another size than the reference, or are no pictures; none is decoded."""
+def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damage]:
+    """Return the pictures that state another size than the reference, are no pictures, or cannot be decoded."""
     found, (width, height) = [], frames.size_px
     for index in range(len(frames)):
         try:
-            size_px = stated_size_px(frames.encoded_picture(index))
-            if size_px == (width, height):
-                continue
-            problem = f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px"
+            data = frames.encoded_picture(index)
+            size_px = stated_size_px(data)
+            if size_px != (width, height):
+                raise ValueError(f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px")
+            if decode:
+                decode_picture(data)
         except (OSError, ValueError) as error:
-            problem = str(error)
-        found.append(Damage(frames.place_of(index), f"frame {index}: {problem}"))
+            found.append(Damage(frames.place_of(index), f"frame {index}: {error}"))
     return found
 
 
 def table_damages(frames: PictureFiles) -> Iterator[Damage]:
     """Yield every picture that cannot be decoded to the reference's size, and every label that is NaN or infinite."""
-    headers = header_damages(frames)
-    wrong = {damage.file for damage in headers}
-    yield from headers
-    for index in range(len(frames)):
-        if frames.place_of(index) not in wrong:
-            try:
-                frames.picture(index)
-            except ValueError as error:
-                yield Damage(frames.place_of(index), str(error).partition("; `gelgap")[0])
+    yield from picture_damages(frames, decode=True)
     for path in frames.reference_paths:
         try:
             frames.reference_picture(path)

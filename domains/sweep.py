@@ -11,11 +11,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gelgap.assets.checksums import with_checksum
-from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
-from gelgap.domains.recipe import DomainRecipe, make_recipes
+from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
 from gelgap.render import Variation, vary_illumination, vary_sensor
 
 if TYPE_CHECKING:
@@ -80,13 +79,8 @@ class Sweep(Settings):
             If it is not valid TOML or a value is out of range.
         """
         file = Path(file)
-        values = {"name": file.stem} | read_toml(file)
-        if isinstance(path := values.get("path"), str) and not stays_inside(path):
-            raise ValueError(
-                f"{file}: path = {path!r} must be a preset or a TOML file below the working folder"
-            )
         with named_in_errors(file):
-            return cls(**values)
+            return cls(**{"name": file.stem} | read_with_path(file))
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -241,16 +235,3 @@ def _renderer(recipe: DomainRecipe) -> "MembraneRenderer":
     from gelgap.render import MembraneRenderer
 
     return MembraneRenderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
-
-
-def differing_fields(one: Any, other: Any, field: str = "") -> list[str]:
-    """Return the dotted names of the fields in which two configurations differ."""
-    if isinstance(one, list) and isinstance(other, list):
-        one, other = dict(enumerate(one)), dict(enumerate(other))
-    if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
-        return [
-            name
-            for key in one
-            for name in differing_fields(one[key], other[key], f"{field}.{key}" if field else str(key))
-        ]
-    return [] if one == other else [field]

@@ -67,12 +67,8 @@ class Shard:
     domain: str
     file: str
     data: bytes
-    frames: int
-    unconverged: int
+    facts: dict[str, Any]
     unrenderable: dict[int, str]
-    force_min_n: tuple[float, ...] | None
-    force_max_n: tuple[float, ...] | None
-    outside_range: int
 
 
 def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
@@ -231,14 +227,11 @@ def _shard(recipe: DomainRecipe, file: str, rows: list[Row], unrenderable: dict[
     forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in rows if row["converged"]])
     forces = forces.reshape(-1, 3)
     low, high = np.array(recipe.force_range_n).T
-    return Shard(
-        domain=recipe.name,
-        file=file,
-        data=encode_shard(rows, recipe.columns),
-        frames=len(rows),
-        unconverged=len(rows) - len(forces),
-        unrenderable=unrenderable,
-        force_min_n=tuple(forces.min(axis=0).tolist()) if len(forces) else None,
-        force_max_n=tuple(forces.max(axis=0).tolist()) if len(forces) else None,
-        outside_range=int(((forces < low) | (forces > high)).any(axis=1).sum()),
-    )
+    facts = {
+        "frames": len(rows),
+        "unconverged": len(rows) - len(forces),
+        "force_min_n": forces.min(axis=0).tolist() if len(forces) else None,
+        "force_max_n": forces.max(axis=0).tolist() if len(forces) else None,
+        "outside_range": int(((forces < low) | (forces > high)).any(axis=1).sum()),
+    }
+    return Shard(recipe.name, file, encode_shard(rows, recipe.columns), facts, unrenderable)
