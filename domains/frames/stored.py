@@ -56,7 +56,7 @@ class StoredFrames(LabelledFrames):
         return self._decoded(index, self.encoded_picture(index))
 
     def _decoded(self, index: int, data: bytes) -> np.ndarray:
-        return self.decoded(data, f"the picture of frame {index} ({self.place_of(index)})")
+        return self.decoded(data, f"{self.place_of(index)}: frame {index}")
 
     def decoded(self, data: bytes, what: str, *, is_reference: bool = False) -> np.ndarray:
         """Return a picture (h, w, 3) of the reference's size; a ValueError names what it is."""
