@@ -282,19 +282,7 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
     text = html_page(
         "overview.html",
         name=frames.name,
-        counts=[
-            ("frames", str(summary.frames)),
-            ("left out, not converged", str(summary.unconverged)),
-            ("contact points", str(summary.points)),
-            ("contact classes", str(summary.classes)),
-            ("picture", f"{summary.size_px[0]}×{summary.size_px[1]} px"),
-            ("on disk", f"{summary.bytes / 1e6:.1f} MB"),
-            (
-                f"{'forces' if summary.force_min_n else 'labels'} outside the declared range",
-                str(summary.outside_range),
-            ),
-        ],
-        notes=summary.notes,
+        summary=summary,
         label_histograms=_plot(_label_histograms, frames),
         label_quantiles=[
             (str(what), *(f"{value:.3f}" for value in row))
@@ -304,12 +292,10 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
         coverage=_plot(_coverage, frames),
         samples=_samples(frames),
         marker_flow=_marker_flow(frames),
-        unconverged=frames.unconverged,
         gap=None if base is None else {"base": base.name, "rows": gap_rows(frames, base)},
         folder=frames.folder,
         manifest=manifest,
         configuration=manifest and json.dumps(manifest["configuration"], indent=1, ensure_ascii=False),
-        hashes=manifest and [(name, entry["sha256"]) for name, entry in manifest["files"].items()],
         left_out=np.setdiff1d(np.arange(manifest["frames"]), frames.columns["frame_id"]).tolist()
         if manifest
         else [],

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,11 +14,9 @@ from gelgap.assets.checksums import with_checksum
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
+from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
 from gelgap.render import Variation, vary_illumination, vary_sensor
-
-if TYPE_CHECKING:
-    from gelgap.render import MembraneRenderer
 
 SWEEP_FILE = "sweep.json"
 Value = float | int | str | bool | None
@@ -220,7 +218,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
     from gelgap.render import reference_gap
 
-    colours = reference_gap(_renderer(base), _renderer(other))
+    colours = reference_gap(renderer_of(base), renderer_of(other))
     changed = (other.markers, base.markers)
     return DomainGap(
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
@@ -229,9 +227,3 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
         markers={(True, False): "added", (False, True): "removed"}.get(changed, "equal"),
         fields=tuple(differing_fields(base.configuration(), other.configuration())),
     )
-
-
-def _renderer(recipe: DomainRecipe) -> "MembraneRenderer":
-    from gelgap.render import MembraneRenderer
-
-    return MembraneRenderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)

@@ -17,7 +17,7 @@ import numpy as np
 from gelgap.assets.locks import sole_use
 from gelgap.assets.names import comma_list, quoted
 from gelgap.domains.domain import Domain
-from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder
+from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import run
 from gelgap.domains.generation.plan import plan_generation, shard_bounds
@@ -149,7 +149,7 @@ def generate_recipes(
         for writer in writers.values():
             writer.check(overwrite)
         for writer in writers.values():
-            writer.prepare(overwrite)
+            writer.prepare()
         skipped = tuple(name for name in names if writers[name].complete)
         plan = plan.without({name: writer.finished for name, writer in writers.items()})
         solves, written, unrenderable = len(plan.solves), 0, 0
@@ -229,13 +229,11 @@ class DomainWriter:
             )
         self.files = intact
 
-    def prepare(self, overwrite: bool) -> None:
+    def prepare(self) -> None:
         """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
-        if overwrite:
-            self.folder.clear()
-        self.folder.remove_leftovers(set(self.files))
         if not self.complete:
+            self.folder.keep_only({MANIFEST, *self.files})
             self._write_manifest()
 
     def write_reference(self) -> None:

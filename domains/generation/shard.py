@@ -141,7 +141,7 @@ def picture_cells(
 ) -> list[dict[str, Any]]:
     """Return the picture columns of one contact for recipes that are one group of `group_by_picture`, rendered once."""
     first = recipes[0]
-    renderer = _renderer(first.sensor, first.illumination, first.size_px, first.render_quality)
+    renderer = renderer_of(first)
     view = View(renderer, first.sensor, state)
     picture = renderer.picture(
         *view.membrane,
@@ -163,9 +163,14 @@ def picture_cells(
 
 def reference_png(recipe: DomainRecipe) -> bytes:
     """Return a domain's picture without contact."""
-    renderer = _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
+    renderer = renderer_of(recipe)
     rng = random_stream(recipe.seed, recipe.picture_name, "reference noise")
     return encode_png(_as_shown(recipe, renderer.reference(markers=_shows_markers(recipe), rng=rng)))
+
+
+def renderer_of(recipe: DomainRecipe) -> "MembraneRenderer":
+    """Return what renders the pictures of a domain; it is kept for other domains of the same light and camera."""
+    return _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
 
 
 @lru_cache(maxsize=KEPT_RENDERERS)
