@@ -4,7 +4,7 @@ import base64
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -173,15 +173,27 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     """
     files = DomainFolder(folder)
     if not files.exists() and files.path.is_dir():
-        return tuple(table_damages(open_domain(folder)))
+        frames = open_domain(folder)
+        assert isinstance(frames, PictureFiles)
+        found = picture_damages(frames, decode=True)
+        for path in frames.reference_paths:
+            try:
+                frames.reference_picture(path)
+            except ValueError as error:
+                found.append(Damage(str(path.relative_to(frames.folder)), str(error)))
+        for name in known_labels(frames.columns):
+            for index in np.flatnonzero(~np.isfinite(frames.columns[name])).tolist():
+                problem = f"has {QUANTITIES[name].symbol} = {frames.columns[name][index]} in the table"
+                found.append(Damage(frames.place_of(index), f"frame {index} {problem}"))
+        return tuple(found)
     if damages := files.damages():
         return tuple(damages)
     # A manifest may vouch for bytes that no reader takes.
     try:
-        found = [str(damage) for damage in picture_damages(GeneratedDomain(folder))]
+        problems = [str(damage) for damage in picture_damages(GeneratedDomain(folder))]
     except (RuntimeError, ValueError) as error:
-        found = [str(error).partition(": run the same")[0]]
-    return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in found)
+        problems = [str(error).partition(": run the same")[0]]
+    return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in problems)
 
 
 def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:
@@ -251,20 +263,6 @@ def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damag
         except (OSError, ValueError) as error:
             found.append(Damage(frames.place_of(index), f"frame {index}: {error}"))
     return found
-
-
-def table_damages(frames: PictureFiles) -> Iterator[Damage]:
-    """Yield every picture that cannot be decoded to the reference's size, and every label that is NaN or infinite."""
-    yield from picture_damages(frames, decode=True)
-    for path in frames.reference_paths:
-        try:
-            frames.reference_picture(path)
-        except ValueError as error:
-            yield Damage(str(path.relative_to(frames.folder)), str(error))
-    for name in known_labels(frames.columns):
-        for index in np.flatnonzero(~np.isfinite(frames.columns[name])).tolist():
-            value, symbol = frames.columns[name][index], QUANTITIES[name].symbol
-            yield Damage(frames.place_of(index), f"frame {index} has {symbol} = {value} in the table")
 
 
 def write_overview(folder: Path | str, page: Path | str, other: Path | str | None = None) -> Path:

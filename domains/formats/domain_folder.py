@@ -119,8 +119,8 @@ class DomainFolder:
         return None
 
     def keep_only(self, names: set[str]) -> None:
-        """Remove what generation and readers wrote here, but for these files; nothing of anyone else's."""
-        for pattern in (MANIFEST, REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}", ".cache/*"):
+        """Remove the files of a generation that are not among these, and nothing else."""
+        for pattern in (MANIFEST, REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}"):
             for path in self.path.glob(pattern):
                 if path.name not in names:
                     path.unlink()

@@ -17,7 +17,7 @@ from gelgap.assets import html_page
 from gelgap.assets.checksums import file_sha256
 from gelgap.domains.formats.domain_folder import check_is_new, new_folder
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
-from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION, ShardFile
+from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
 from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import (
     PUBLISHED_FORCES,
@@ -151,20 +151,22 @@ def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
     """`<domain>/<split>-00000.parquet`, references, a data card that `datasets` reads, and `croissant.json`."""
     import pyarrow.parquet as pq
 
-    for frames in domains:
-        if not isinstance(frames, GeneratedDomain):
-            raise ValueError(
-                f"data set {frames.name} is not in gelgap's format; only generated domains are exported so"
-            )
+    generated = [frames for frames in domains if isinstance(frames, GeneratedDomain)]
+    if others := [frames.name for frames in domains if frames not in generated]:
+        raise ValueError(
+            f"data set {others[0]} is not in gelgap's format; only generated domains are exported so"
+        )
+    for frames in generated:
         folder = out_dir / frames.name
         folder.mkdir()
         (folder / "reference.png").write_bytes(encode_png(frames.reference))
-        shards = [ShardFile(path) for path in frames.shard_paths]
         writers = {
-            part: pq.ParquetWriter(folder / f"{part}-00000.parquet", shards[0].schema, compression="zstd")
+            part: pq.ParquetWriter(
+                folder / f"{part}-00000.parquet", frames.shards[0].schema, compression="zstd"
+            )
             for part in _by_split(frames)
         }
-        for table in (shard.table() for shard in shards):
+        for table in (shard.table() for shard in frames.shards):
             for part, writer in writers.items():
                 rows = table.filter(
                     pa.compute.and_(table["converged"], pa.compute.equal(table["split"], part))
@@ -172,21 +174,17 @@ def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
                 writer.write_table(rows, row_group_size=100)
         for writer in writers.values():
             writer.close()
-    (out_dir / "README.md").write_text(_data_card(domains), encoding="utf-8")
-    (out_dir / "croissant.json").write_text(_croissant(out_dir), encoding="utf-8")
-
-
-def _data_card(domains: Sequence[GeneratedDomain]) -> str:
-    used = {name for frames in domains for name in frames.optional_columns}
+    used = {name for frames in generated for name in frames.optional_columns}
     card = html_page(
         "data-card.md",
         **_ABOUT,
-        domains=[(frames, inspect_domain(frames.folder), list(_by_split(frames))) for frames in domains],
+        domains=[(frames, inspect_domain(frames.folder), list(_by_split(frames))) for frames in generated],
         # The height map's scale is in no other file of the export.
         optional=[columns for name, columns in OPTIONAL.items() if name in used],
-        versions=domains[0].manifest["versions"],
+        versions=generated[0].manifest["versions"],
     )
-    return f"{card}\n"
+    (out_dir / "README.md").write_text(f"{card}\n", encoding="utf-8")
+    (out_dir / "croissant.json").write_text(_croissant(out_dir), encoding="utf-8")
 
 
 def _croissant(folder: Path) -> str:

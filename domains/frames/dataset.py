@@ -302,8 +302,8 @@ class ArrayFrames(LabelledFrames):
         self.name, self.n_classes = name, n_classes
         self.force_range_n = np.asarray(force_range_n, float)
         self._images, self._reference = images, reference
-        columns |= {"contact_class": contact_class, "point_id": point_id}
-        columns = {label: values for label, values in columns.items() if values is not None}
+        numbers = {"contact_class": contact_class, "point_id": point_id}
+        columns |= {label: values for label, values in numbers.items() if values is not None}
         if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
             raise ValueError(
                 f"domain {name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"

@@ -186,9 +186,9 @@ class GeneratedDomain(StoredFrames):
                 f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
             )
         self._check_bytes(files)
-        self._shards = [ShardFile(self.folder / name) for name in names]
-        tables = [shard.labels() for shard in self._shards]
-        for shard, table in zip(self._shards, tables, strict=True):
+        self.shards = [ShardFile(self.folder / name) for name in names]
+        tables = [shard.labels() for shard in self.shards]
+        for shard, table in zip(self.shards, tables, strict=True):
             if table.keys() != tables[0].keys():
                 raise damaged(shard.path, f"its columns are not those of {names[0]}")
         joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
@@ -215,11 +215,6 @@ class GeneratedDomain(StoredFrames):
                 if problem:
                     raise damaged(self.folder / name, problem)
 
-    @property
-    def shard_paths(self) -> list[Path]:
-        """The Parquet files that the manifest names, in order."""
-        return [shard.path for shard in self._shards]
-
     @cached_property
     def reference(self) -> np.ndarray:
         path = self.folder / REFERENCE
@@ -237,7 +232,7 @@ class GeneratedDomain(StoredFrames):
         return picture
 
     def place_of(self, index: int) -> str:
-        return self._shards[int(self._places[index][0])].path.name
+        return self.shards[int(self._places[index][0])].path.name
 
     def optional(self, column: str, index: int) -> np.ndarray:
         """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
@@ -285,4 +280,4 @@ class GeneratedDomain(StoredFrames):
 
     def _cell(self, index: int, column: str) -> Any:
         shard, row = (int(number) for number in self._places[index])
-        return self._shards[shard].cell(row, column)
+        return self.shards[shard].cell(row, column)

@@ -4,6 +4,7 @@ import contextlib
 import json
 import logging
 import platform
+import shutil
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -232,8 +233,9 @@ class DomainWriter:
     def prepare(self) -> None:
         """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
+        self.folder.keep_only({MANIFEST, *self.files})
         if not self.complete:
-            self.folder.keep_only({MANIFEST, *self.files})
+            shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
 
     def write_reference(self) -> None:
