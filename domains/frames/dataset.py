@@ -191,12 +191,9 @@ class LabelledFrames(ABC):
             frame, label = np.argwhere(wrong)[0]
             value, (symbol, unit) = values[frame, label], labels.quantities[label]
             what = "a force" if set(labels.names) <= set(FORCE_COLUMNS) else "a label"
-            how, advice = "that is not a number", "take such frames out"
-            if np.isfinite(value):
-                how, advice = (
-                    "outside the declared range",
-                    "labels are never clipped: give a wider one (--range)",
-                )
+            how, advice = "outside the declared range", "labels are never clipped: give a wider one (--range)"
+            if not np.isfinite(value):
+                how, advice = "that is not a number", "take such frames out"
             raise ValueError(
                 f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have {what} {how}; first: frame "
                 f"{frame}, {symbol} = {value:.4g} {unit}, allowed [{labels.low[label]:g}, {labels.high[label]:g}] "
