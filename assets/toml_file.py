@@ -1,4 +1,4 @@
-"""Reading and writing TOML files, with one sentence that names the file where one is not right."""
+"""Reading TOML files, with one sentence that names the file where one is not right."""
 
 import contextlib
 import tomllib
@@ -40,10 +40,3 @@ def named_in_errors(path: Path | str) -> Iterator[None]:
         if str(path) in str(error):
             raise
         raise ValueError(f"{path}: {error}") from None
-
-
-def toml_text(values: dict[str, Any]) -> str:
-    """Return values as TOML text."""
-    import tomli_w
-
-    return tomli_w.dumps(values)

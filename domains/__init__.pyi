@@ -56,13 +56,13 @@ from .pretraining import PretrainingRanges as PretrainingRanges
 from .pretraining import pretraining_recipes as pretraining_recipes
 from .recipe import AcquisitionError as AcquisitionError
 from .recipe import DomainRecipe as DomainRecipe
+from .recipe import differing_fields as differing_fields
 from .recipe import load_recipes as load_recipes
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
 from .sweep import Factor as Factor
 from .sweep import Sweep as Sweep
-from .sweep import differing_fields as differing_fields
 from .sweep import domain_gap as domain_gap
 from .sweep import sweep_variants as sweep_variants
 from .sweep import write_sweep as write_sweep

@@ -4,7 +4,7 @@ import base64
 import io
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ import numpy as np
 
 from gelgap.assets import html_page
 from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
-from gelgap.domains.formats.pictures import encode_png, stated_size_px
+from gelgap.domains.formats.pictures import decode_picture, encode_png, stated_size_px
 from gelgap.domains.frames.dataset import LabelledFrames, outside
 from gelgap.domains.frames.folders import GROUPS, PictureFiles, open_domain
 from gelgap.domains.frames.labels import (
@@ -135,7 +135,7 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         extremes = (float(values.min()) + 0.0, float(values.max()) + 0.0) if len(values) else (0.0, 0.0)
         facts.append(LabelFacts(name, frames.label_range(name), *extremes))
     # Generated pictures were compared with their manifest.
-    damages = header_damages(frames) if isinstance(frames, PictureFiles) else []
+    damages = picture_damages(frames) if isinstance(frames, PictureFiles) else []
     pictures = (
         (f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}",) if damages else ()
     )
@@ -173,15 +173,27 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     """
     files = DomainFolder(folder)
     if not files.exists() and files.path.is_dir():
-        return tuple(table_damages(open_domain(folder)))
+        frames = open_domain(folder)
+        assert isinstance(frames, PictureFiles)
+        found = picture_damages(frames, decode=True)
+        for path in frames.reference_paths:
+            try:
+                frames.reference_picture(path)
+            except ValueError as error:
+                found.append(Damage(str(path.relative_to(frames.folder)), str(error)))
+        for name in known_labels(frames.columns):
+            for index in np.flatnonzero(~np.isfinite(frames.columns[name])).tolist():
+                problem = f"has {QUANTITIES[name].symbol} = {frames.columns[name][index]} in the table"
+                found.append(Damage(frames.place_of(index), f"frame {index} {problem}"))
+        return tuple(found)
     if damages := files.damages():
         return tuple(damages)
     # A manifest may vouch for bytes that no reader takes.
     try:
-        found = [str(damage) for damage in header_damages(GeneratedDomain(folder))]
+        problems = [str(damage) for damage in picture_damages(GeneratedDomain(folder))]
     except (RuntimeError, ValueError) as error:
-        found = [str(error).partition(": run the same")[0]]
-    return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in found)
+        problems = [str(error).partition(": run the same")[0]]
+    return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in problems)
 
 
 def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:
@@ -226,57 +238,31 @@ def _distinct(numbers: np.ndarray) -> int:
 def label_notes(frames: LabelledFrames) -> list[str]:
     """Return what is unusual about labels, in sentences: NaN, and forces that pull the sensor."""
     notes = []
-    known = known_labels(frames.columns)
-    for names, what in (
-        ([name for name in known if name in FORCE_COLUMNS], "a force"),
-        ([name for name in known if name not in FORCE_COLUMNS], "a label other than force"),
-    ):
-        wrong = np.zeros(len(frames), bool)
-        for name in names:
-            wrong |= ~np.isfinite(frames.columns[name])
-        if wrong.any():
-            notes.append(f"{int(wrong.sum())} frames have {what} that is not a number")
+    not_finite = {name: ~np.isfinite(frames.columns[name]) for name in known_labels(frames.columns)}
+    for is_force, what in ((True, "a force"), (False, "a label other than force")):
+        wrong = [values for name, values in not_finite.items() if (name in FORCE_COLUMNS) == is_force]
+        if count := int(np.any(wrong, axis=0).sum()):
+            notes.append(f"{count} frames have {what} that is not a number")
     pulling = int((frames.columns.get("fz_n", np.zeros(0)) > 0).sum())
     if pulling:
         notes.append(f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one")
     return notes
 
 
-def header_damages(frames: StoredFrames) -> list[Damage]:
-    """Return the pictures that state another size than the reference, or are no pictures; none is decoded."""
+def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damage]:
+    """Return the pictures that state another size than the reference, are no pictures, or cannot be decoded."""
     found, (width, height) = [], frames.size_px
     for index in range(len(frames)):
         try:
-            size_px = stated_size_px(frames.encoded_picture(index))
-            if size_px == (width, height):
-                continue
-            problem = f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px"
+            data = frames.encoded_picture(index)
+            size_px = stated_size_px(data)
+            if size_px != (width, height):
+                raise ValueError(f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px")
+            if decode:
+                decode_picture(data)
         except (OSError, ValueError) as error:
-            problem = str(error)
-        found.append(Damage(frames.place_of(index), f"frame {index}: {problem}"))
+            found.append(Damage(frames.place_of(index), f"frame {index}: {error}"))
     return found
-
-
-def table_damages(frames: PictureFiles) -> Iterator[Damage]:
-    """Yield every picture that cannot be decoded to the reference's size, and every label that is NaN or infinite."""
-    headers = header_damages(frames)
-    wrong = {damage.file for damage in headers}
-    yield from headers
-    for index in range(len(frames)):
-        if frames.place_of(index) not in wrong:
-            try:
-                frames.picture(index)
-            except ValueError as error:
-                yield Damage(frames.place_of(index), str(error).partition("; `gelgap")[0])
-    for path in frames.reference_paths:
-        try:
-            frames.reference_picture(path)
-        except ValueError as error:
-            yield Damage(str(path.relative_to(frames.folder)), str(error))
-    for name in known_labels(frames.columns):
-        for index in np.flatnonzero(~np.isfinite(frames.columns[name])).tolist():
-            value, symbol = frames.columns[name][index], QUANTITIES[name].symbol
-            yield Damage(frames.place_of(index), f"frame {index} has {symbol} = {value} in the table")
 
 
 def write_overview(folder: Path | str, page: Path | str, other: Path | str | None = None) -> Path:
@@ -294,19 +280,7 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
     text = html_page(
         "overview.html",
         name=frames.name,
-        counts=[
-            ("frames", str(summary.frames)),
-            ("left out, not converged", str(summary.unconverged)),
-            ("contact points", str(summary.points)),
-            ("contact classes", str(summary.classes)),
-            ("picture", f"{summary.size_px[0]}×{summary.size_px[1]} px"),
-            ("on disk", f"{summary.bytes / 1e6:.1f} MB"),
-            (
-                f"{'forces' if summary.force_min_n else 'labels'} outside the declared range",
-                str(summary.outside_range),
-            ),
-        ],
-        notes=summary.notes,
+        summary=summary,
         label_histograms=_plot(_label_histograms, frames),
         label_quantiles=[
             (str(what), *(f"{value:.3f}" for value in row))
@@ -316,12 +290,10 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
         coverage=_plot(_coverage, frames),
         samples=_samples(frames),
         marker_flow=_marker_flow(frames),
-        unconverged=frames.unconverged,
         gap=None if base is None else {"base": base.name, "rows": gap_rows(frames, base)},
         folder=frames.folder,
         manifest=manifest,
         configuration=manifest and json.dumps(manifest["configuration"], indent=1, ensure_ascii=False),
-        hashes=manifest and [(name, entry["sha256"]) for name, entry in manifest["files"].items()],
         left_out=np.setdiff1d(np.arange(manifest["frames"]), frames.columns["frame_id"]).tolist()
         if manifest
         else [],

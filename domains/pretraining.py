@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field
 
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
@@ -28,7 +28,16 @@ RANDOM_FACTORS: tuple[str, ...] = get_args(RandomFactor)
 
 Share = Annotated[float, Field(ge=0, le=1)]
 _Positive = Annotated[float, Field(gt=0)]
-PositiveInterval = tuple[_Positive, _Positive]
+
+
+def _rises(interval: Interval) -> Interval:
+    if interval[1] < interval[0]:
+        raise ValueError("must be a lowest and a highest value, in this order")
+    return interval
+
+
+RisingInterval = Annotated[Interval, AfterValidator(_rises)]
+PositiveInterval = Annotated[tuple[_Positive, _Positive], AfterValidator(_rises)]
 # Contacts are interior wherever they lie in view, so that all of a press share its solves.
 _PAD_MM = (80.0, 80.0)
 # Contact points lie within this share of the view.
@@ -61,35 +70,23 @@ class PretrainingRanges(Settings):
     presses: int = Field(ge=1, le=10_000)
     depths: int = Field(ge=1, le=20)
     young_modulus_mpa: PositiveInterval
-    poisson_ratio: Interval
+    poisson_ratio: RisingInterval
     friction: PositiveInterval
     thickness_mm: PositiveInterval
     sphere_diameter_mm: PositiveInterval
     deepest_by_thickness: PositiveInterval
-    travel_by_depth: Interval
+    travel_by_depth: RisingInterval
     sensors: tuple[str, ...] = Field(min_length=1)
     illuminations: tuple[str, ...] = Field(min_length=1)
     variation: Variation
     brightness: PositiveInterval = Field(description="factor on the exposure")
     view_mm: PositiveInterval = Field(description="width that the picture shows")
-    point_spread_px: Interval
+    point_spread_px: RisingInterval
     full_well_electrons: PositiveInterval
     read_noise_electrons: PositiveInterval
     with_markers: Share = Field(description="share of the domains whose gel has dots")
     marker_pitch_mm: PositiveInterval
     force_range_n: tuple[Interval, Interval, Interval] = Field(description="declared by every domain")
-
-    @field_validator("*")
-    @classmethod
-    def _rises(cls, value: Any) -> Any:
-        if (
-            isinstance(value, tuple)
-            and len(value) == 2
-            and isinstance(value[0], float)
-            and value[1] < value[0]
-        ):
-            raise ValueError("must be a lowest and a highest value, in this order")
-        return value
 
     @classmethod
     def default(cls) -> Self:

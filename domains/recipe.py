@@ -5,7 +5,7 @@ Acquisition errors, off by default, are those of a misplaced rig and an inaccura
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -47,22 +47,25 @@ class AcquisitionError(Settings):
     """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
 
     point_offset_mm: float = Field(
-        0.0, ge=0, le=1, description="offset of all contact points along x and along y, mm, 0 to 1"
+        default=0.0, ge=0, le=1, description="offset of all contact points along x and along y, mm, 0 to 1"
     )
     depth_zero_mm: float = Field(
-        0.0, ge=0, le=0.5, description="error of the depth at which contact is taken to begin, mm, 0 to 0.5"
+        default=0.0,
+        ge=0,
+        le=0.5,
+        description="error of the depth at which contact is taken to begin, mm, 0 to 0.5",
     )
     tilt_deg: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         le=3,
         description="tilt of the pad about x and y, degrees, 0 to 3: depth changes with the point",
     )
     force_noise_n: float = Field(
-        0.0, ge=0, le=1, description="noise of the force sensor per frame and axis, N, 0 to 1"
+        default=0.0, ge=0, le=1, description="noise of the force sensor per frame and axis, N, 0 to 1"
     )
     force_bias_n: float = Field(
-        0.0, ge=0, le=1, description="bias of the force sensor along each axis, N, 0 to 1"
+        default=0.0, ge=0, le=1, description="bias of the force sensor along each axis, N, 0 to 1"
     )
 
 
@@ -215,6 +218,22 @@ class DomainRecipe(Settings):
         )
 
 
+def differences(one: Any, other: Any, field: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yield each field in which two configurations differ: its dotted name and both values, None where it is absent."""
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        one, other = dict(enumerate(one)), dict(enumerate(other))
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in one | other:
+            yield from differences(one.get(key), other.get(key), f"{field}.{key}" if field else str(key))
+    elif one != other:
+        yield field, one, other
+
+
+def differing_fields(one: Any, other: Any) -> list[str]:
+    """Return the dotted names of the fields in which two configurations differ."""
+    return [name for name, _, _ in differences(one, other)]
+
+
 def make_recipes(
     domains: Iterable[str | Domain],
     path: str | ContactPath | PosePath = "cpu",
@@ -340,6 +359,14 @@ class RecipeFile(Settings):
     domains: Annotated[tuple[RecipeEntry, ...], Field(min_length=1)]
 
 
+def read_with_path(file: Path | str) -> dict[str, Any]:
+    """Return the tables of a TOML file that names a contact path, which may not lead out of the working folder."""
+    values = read_toml(file)
+    if isinstance(path := values.get("path"), str) and not stays_inside(path):
+        raise ValueError(f"path = {path!r} must be a preset or a TOML file below the working folder")
+    return values
+
+
 def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ...]:
     """Read the recipes of a TOML file; settings are further fields of `DomainRecipe`.
 
@@ -350,10 +377,8 @@ def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ..
     ValueError
         If it is not valid TOML, a field is unknown or missing, a value is out of range, or two domains share a name.
     """
-    values = read_toml(file)
-    if isinstance(path := values.get("path"), str) and not stays_inside(path):
-        raise ValueError(f"{file}: path = {path!r} must be a preset or a TOML file below the working folder")
     with named_in_errors(file):
+        values = read_with_path(file)
         content = RecipeFile(**values)
         names = [entry.name for entry in content.domains]
         if len(set(names)) < len(names):

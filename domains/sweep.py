@@ -5,21 +5,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from gelgap.assets.checksums import with_checksum
-from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
-from gelgap.domains.recipe import DomainRecipe, make_recipes
+from gelgap.domains.generation.shard import renderer_of
+from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
 from gelgap.render import Variation, vary_illumination, vary_sensor
-
-if TYPE_CHECKING:
-    from gelgap.render import MembraneRenderer
 
 SWEEP_FILE = "sweep.json"
 Value = float | int | str | bool | None
@@ -80,13 +77,8 @@ class Sweep(Settings):
             If it is not valid TOML or a value is out of range.
         """
         file = Path(file)
-        values = {"name": file.stem} | read_toml(file)
-        if isinstance(path := values.get("path"), str) and not stays_inside(path):
-            raise ValueError(
-                f"{file}: path = {path!r} must be a preset or a TOML file below the working folder"
-            )
         with named_in_errors(file):
-            return cls(**values)
+            return cls(**{"name": file.stem} | read_with_path(file))
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -226,7 +218,7 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
     from gelgap.render import reference_gap
 
-    colours = reference_gap(_renderer(base), _renderer(other))
+    colours = reference_gap(renderer_of(base), renderer_of(other))
     changed = (other.markers, base.markers)
     return DomainGap(
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
@@ -235,22 +227,3 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
         markers={(True, False): "added", (False, True): "removed"}.get(changed, "equal"),
         fields=tuple(differing_fields(base.configuration(), other.configuration())),
     )
-
-
-def _renderer(recipe: DomainRecipe) -> "MembraneRenderer":
-    from gelgap.render import MembraneRenderer
-
-    return MembraneRenderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
-
-
-def differing_fields(one: Any, other: Any, field: str = "") -> list[str]:
-    """Return the dotted names of the fields in which two configurations differ."""
-    if isinstance(one, list) and isinstance(other, list):
-        one, other = dict(enumerate(one)), dict(enumerate(other))
-    if isinstance(one, dict) and isinstance(other, dict) and one.keys() == other.keys():
-        return [
-            name
-            for key in one
-            for name in differing_fields(one[key], other[key], f"{field}.{key}" if field else str(key))
-        ]
-    return [] if one == other else [field]

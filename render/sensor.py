@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import tomli_w
 from pydantic import Field
 
 from gelgap.assets import asset_path, load_preset
 from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import named_in_errors, read_toml, toml_text
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField
@@ -118,4 +119,4 @@ def save_sensor(sensor: Sensor, path: str | Path) -> None:
         if source.resolve() != beside:
             write_whole(beside, source.read_bytes())
         values["flat_field"]["file"] = source.name
-    write_whole(Path(path), toml_text(values).encode())
+    write_whole(Path(path), tomli_w.dumps(values).encode())

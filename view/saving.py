@@ -6,10 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import tomli_w
 import viser
 
 from gelgap.assets import list_presets
-from gelgap.assets.toml_file import toml_text
 from gelgap.render import Illumination, Sensor, save_sensor
 from gelgap.sim import Elastomer
 from gelgap.view.meshes import MESH_SUFFIXES, mesh_bytes
@@ -45,7 +45,7 @@ def _mesh_files(suffix: str, shown: Shown) -> Files:
 
 def settings_toml(settings: Elastomer | Illumination) -> bytes:
     """Return the file that `--elastomer` or `--illumination` takes."""
-    return toml_text(settings.model_dump(exclude_none=True)).encode()
+    return tomli_w.dumps(settings.model_dump(exclude_none=True)).encode()
 
 
 def sensor_files(sensor: Sensor, name: str = "sensor") -> dict[str, bytes]:
@@ -64,7 +64,7 @@ def recipe_toml(source: Configuration, target: Configuration, path: str = "cpu")
         If a sensor is no preset and has a flat field, which is a file of its own.
     """
     domains = [_entry("source", source), _entry("target", target)]
-    return toml_text({"path": path, "domains": domains}).encode()
+    return tomli_w.dumps({"path": path, "domains": domains}).encode()
 
 
 def _entry(name: str, configuration: Configuration) -> dict[str, Any]:

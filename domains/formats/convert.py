@@ -319,10 +319,10 @@ def _recorded_clip(table: Path) -> Clip:
         rows = read_table(tables[0]) if len(tables) == 1 else []
         if not rows or not {"picture", _TIME} <= rows[0].keys():
             raise ValueError(f"{source} must hold one table with the columns picture, {_TIME}")
-        names = [row["picture"] for row in rows]
-        if wrong := [name for name in names if not stays_inside(name) or not (source / name).is_file()]:
+        files = [row["picture"] for row in rows]
+        if wrong := [name for name in files if not stays_inside(name) or not (source / name).is_file()]:
             raise ValueError(f"{tables[0]} names the picture {wrong[0]!r}, which is not in {source}")
-        time_s, pictures = _numbers(rows, _TIME, tables[0]), partial(_folder_pictures, source, names)
+        time_s, pictures = _numbers(rows, _TIME, tables[0]), partial(_folder_pictures, source, files)
     else:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])

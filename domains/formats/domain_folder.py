@@ -118,17 +118,12 @@ class DomainFolder:
             return "has other bytes than the manifest states (SHA-256 differs)"
         return None
 
-    def clear(self) -> None:
-        """Remove what generation wrote here, and nothing else."""
-        for pattern in (MANIFEST, REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}", ".cache/*"):
+    def keep_only(self, names: set[str]) -> None:
+        """Remove the files of a generation that are not among these, and nothing else."""
+        for pattern in (MANIFEST, REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}"):
             for path in self.path.glob(pattern):
-                path.unlink()
-
-    def remove_leftovers(self, names: set[str]) -> None:
-        """Remove temporary files, and shards that the plan does not know."""
-        for path in [*self.path.glob(f".*{TEMPORARY_SUFFIX}"), *self.path.glob(SHARDS)]:
-            if path.name not in names:
-                path.unlink()
+                if path.name not in names:
+                    path.unlink()
 
     def damages(self) -> list[Damage]:
         """Return everything that differs from what the manifest states: missing, changed and unknown files."""

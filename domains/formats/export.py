@@ -6,7 +6,6 @@ import json
 import logging
 import os
 import tarfile
-import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -14,11 +13,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pyarrow as pa
 
-from gelgap.assets import asset_path, html_page
+from gelgap.assets import html_page
 from gelgap.assets.checksums import file_sha256
 from gelgap.domains.formats.domain_folder import check_is_new, new_folder
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
-from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION, ShardFile
+from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
 from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import (
     PUBLISHED_FORCES,
@@ -33,12 +32,12 @@ from gelgap.domains.inspection import domain_folders, inspect_domain
 
 LOG = logging.getLogger(__name__)
 _SAMPLES_PER_TAR = 1000
-_TITLE = "Synthetic GelSight pictures with force labels"
-_DESCRIPTION = (
-    "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the sensor's picture. "
-    "Nothing here was measured on a real sensor."
-)
-_LICENCE = "other"
+_ABOUT = {
+    "title": "Synthetic GelSight pictures with force labels",
+    "description": "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the "
+    "sensor's picture. Nothing here was measured on a real sensor.",
+    "licence": "other",
+}
 _CROISSANT_TYPES = {
     pa.int32(): "sc:Integer",
     pa.float64(): "sc:Float",
@@ -152,20 +151,22 @@ def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
     """`<domain>/<split>-00000.parquet`, references, a data card that `datasets` reads, and `croissant.json`."""
     import pyarrow.parquet as pq
 
-    for frames in domains:
-        if not isinstance(frames, GeneratedDomain):
-            raise ValueError(
-                f"data set {frames.name} is not in gelgap's format; only generated domains are exported so"
-            )
+    generated = [frames for frames in domains if isinstance(frames, GeneratedDomain)]
+    if others := [frames.name for frames in domains if frames not in generated]:
+        raise ValueError(
+            f"data set {others[0]} is not in gelgap's format; only generated domains are exported so"
+        )
+    for frames in generated:
         folder = out_dir / frames.name
         folder.mkdir()
         (folder / "reference.png").write_bytes(encode_png(frames.reference))
-        shards = [ShardFile(path) for path in frames.shard_paths]
         writers = {
-            part: pq.ParquetWriter(folder / f"{part}-00000.parquet", shards[0].schema, compression="zstd")
+            part: pq.ParquetWriter(
+                folder / f"{part}-00000.parquet", frames.shards[0].schema, compression="zstd"
+            )
             for part in _by_split(frames)
         }
-        for table in (shard.table() for shard in shards):
+        for table in (shard.table() for shard in frames.shards):
             for part, writer in writers.items():
                 rows = table.filter(
                     pa.compute.and_(table["converged"], pa.compute.equal(table["split"], part))
@@ -173,106 +174,51 @@ def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
                 writer.write_table(rows, row_group_size=100)
         for writer in writers.values():
             writer.close()
-    (out_dir / "README.md").write_text(_data_card(domains), encoding="utf-8")
-    metadata = json.dumps(_croissant(out_dir), indent=1, ensure_ascii=False)
-    (out_dir / "croissant.json").write_text(metadata + "\n", encoding="utf-8")
-
-
-def _data_card(domains: Sequence[GeneratedDomain]) -> str:
-    rows, used = [], set()
-    for frames in domains:
-        facts, recipe = inspect_domain(frames.folder), frames.recipe
-        spans = zip(facts.force_min_n, facts.force_max_n, strict=True)
-        used |= set(frames.optional_columns)
-        rows.append(
-            {
-                "name": frames.name,
-                "parts": list(_by_split(frames)),
-                "frames": facts.frames,
-                "unconverged": facts.unconverged,
-                "modulus": f"{recipe.elastomer.young_modulus_mpa:g}",
-                "illumination": recipe.illumination.name,
-                "markers": recipe.markers,
-                "forces": " / ".join(f"{low:.2f}…{high:.2f}" for low, high in spans),
-            }
-        )
-    # The height map's scale is in no other file of the export.
-    optional = [
-        f"{', '.join(f'`{column.name}`' for column in columns)}"
-        f"{f' ({columns[0].unit})' if columns[0].unit else ''}: {columns[0].meaning}"
-        for name, columns in OPTIONAL.items()
-        if name in used
-    ]
+    used = {name for frames in generated for name in frames.optional_columns}
     card = html_page(
         "data-card.md",
-        title=_TITLE,
-        description=_DESCRIPTION,
-        licence=_LICENCE,
-        domains=rows,
-        optional="; ".join(optional),
-        versions=", ".join(f"{name} {number}" for name, number in domains[0].manifest["versions"].items()),
+        **_ABOUT,
+        domains=[(frames, inspect_domain(frames.folder), list(_by_split(frames))) for frames in generated],
+        # The height map's scale is in no other file of the export.
+        optional=[columns for name, columns in OPTIONAL.items() if name in used],
+        versions=generated[0].manifest["versions"],
     )
-    return f"{card}\n"
+    (out_dir / "README.md").write_text(f"{card}\n", encoding="utf-8")
+    (out_dir / "croissant.json").write_text(_croissant(out_dir), encoding="utf-8")
 
 
-def _croissant(folder: Path) -> dict[str, Any]:
+def _croissant(folder: Path) -> str:
     """Return JSON-LD by which other tools find the export's files, columns, types and units.
 
     Format: https://docs.mlcommons.org/croissant/docs/croissant-spec.html, version 1.0.
     """
-    files = sorted(path for path in folder.glob("*/*") if path.suffix in _CROISSANT_FORMATS)
-    names = {path: path.relative_to(folder).as_posix() for path in files}
-    return {
-        "@context": tomllib.loads(asset_path("croissant.toml").read_text(encoding="utf-8")),
-        "@type": "sc:Dataset",
-        "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "name": _TITLE,
-        "description": _DESCRIPTION,
-        "license": _LICENCE,
-        "version": f"{SCHEMA_VERSION}.0.0",
-        "distribution": [
-            {
-                "@type": "cr:FileObject",
-                "@id": name,
-                "name": name,
-                "contentUrl": name,
-                "contentSize": f"{path.stat().st_size} B",
-                "encodingFormat": _CROISSANT_FORMATS[path.suffix],
-                "sha256": file_sha256(path),
-            }
-            for path, name in names.items()
-        ],
-        "recordSet": [_record_set(path, name) for path, name in names.items() if path.suffix == ".parquet"],
-    }
-
-
-def _record_set(path: Path, file: str) -> dict[str, Any]:
-    """Return the frames of one domain's part: `mb0i0/train` of the file `mb0i0/train-00000.parquet`."""
     import pyarrow.parquet as pq
 
-    part = path.stem.partition("-")[0]
-    name = f"{path.parent.name}/{part}"
-    fields = []
-    for column in (COLUMNS[column] for column in pq.read_schema(path).names):
-        source: dict[str, Any] = {"fileObject": {"@id": file}, "extract": {"column": column.name}}
-        if column.type == PICTURE:
-            source["transform"] = {"jsonPath": "bytes"}
-        field = {
-            "@type": "cr:Field",
-            "@id": f"{name}/{column.name}",
-            "name": column.name,
-            "description": f"{column.meaning}{f', {column.unit}' if column.unit else ''}",
-            "dataType": _CROISSANT_TYPES[column.type],
-            "source": source,
+    files = [
+        {
+            "name": path.relative_to(folder).as_posix(),
+            "domain": path.parent.name,
+            "part": path.stem.partition("-")[0],
+            "bytes": path.stat().st_size,
+            "format": _CROISSANT_FORMATS[path.suffix],
+            "sha256": file_sha256(path),
+            "columns": [COLUMNS[column] for column in pq.read_schema(path).names]
+            if path.suffix == ".parquet"
+            else [],
         }
-        fields.append(field | ({"repeated": True} if column.type == POINTS else {}))
-    return {
-        "@type": "cr:RecordSet",
-        "@id": name,
-        "name": name,
-        "description": f"The {part} frames of the domain {path.parent.name}.",
-        "field": fields,
-    }
+        for path in sorted(folder.glob("*/*"))
+        if path.suffix in _CROISSANT_FORMATS
+    ]
+    text = html_page(
+        "croissant.json",
+        **_ABOUT,
+        schema_version=SCHEMA_VERSION,
+        files=files,
+        types=_CROISSANT_TYPES,
+        picture=PICTURE,
+        points=POINTS,
+    )
+    return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
 FORMATS: dict[str, Callable[[list[StoredFrames], Path], None]] = {

@@ -66,6 +66,8 @@ class LabelledFrames(ABC):
         Sentences on what is unusual about the data set.
     unconverged
         How many frames were left out because the simulation did not converge.
+    reference_count
+        How many reference pictures there are.
     """
 
     name: str
@@ -75,6 +77,7 @@ class LabelledFrames(ABC):
     n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
+    reference_count: int = 1
 
     @property
     @abstractmethod
@@ -162,15 +165,12 @@ class LabelledFrames(ABC):
     @property
     def contact_class(self) -> np.ndarray:
         """Contact class (n,), 0 without contact, −1 where the data set does not say."""
-        return self._integers("contact_class")
+        return self.columns.get("contact_class", np.full(len(self), -1))
 
     @property
     def point_id(self) -> np.ndarray:
         """Contact point (n,), −1 where the data set does not say."""
-        return self._integers("point_id")
-
-    def _integers(self, column: str) -> np.ndarray:
-        return self.columns.get(column, np.full(len(self), -1))
+        return self.columns.get("point_id", np.full(len(self), -1))
 
     @property
     def has_classes(self) -> bool:
@@ -191,12 +191,9 @@ class LabelledFrames(ABC):
             frame, label = np.argwhere(wrong)[0]
             value, (symbol, unit) = values[frame, label], labels.quantities[label]
             what = "a force" if set(labels.names) <= set(FORCE_COLUMNS) else "a label"
-            how, advice = "that is not a number", "take such frames out"
-            if np.isfinite(value):
-                how, advice = (
-                    "outside the declared range",
-                    "labels are never clipped: give a wider one (--range)",
-                )
+            how, advice = "outside the declared range", "labels are never clipped: give a wider one (--range)"
+            if not np.isfinite(value):
+                how, advice = "that is not a number", "take such frames out"
             raise ValueError(
                 f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have {what} {how}; first: frame "
                 f"{frame}, {symbol} = {value:.4g} {unit}, allowed [{labels.low[label]:g}, {labels.high[label]:g}] "
@@ -233,11 +230,6 @@ class LabelledFrames(ABC):
     def reference_id(self) -> np.ndarray:
         """Which of `references_at` is a frame's own (n,)."""
         return self.columns.get("reference_id", np.zeros(len(self), np.int64))
-
-    @property
-    def reference_count(self) -> int:
-        """How many reference pictures there are."""
-        return 1
 
     def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         """Return all reference pictures (r, h, w, 3) uint8 as `images` returns pictures; r is 1 unless frames differ.
@@ -307,11 +299,8 @@ class ArrayFrames(LabelledFrames):
         self.name, self.n_classes = name, n_classes
         self.force_range_n = np.asarray(force_range_n, float)
         self._images, self._reference = images, reference
-        columns |= {
-            label: values
-            for label, values in (("contact_class", contact_class), ("point_id", point_id))
-            if values is not None
-        }
+        numbers = {"contact_class": contact_class, "point_id": point_id}
+        columns |= {label: values for label, values in numbers.items() if values is not None}
         if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
             raise ValueError(
                 f"domain {name}: images must be uint8 (n, h, w, 3), not {images.dtype} {images.shape}"
@@ -324,8 +313,7 @@ class ArrayFrames(LabelledFrames):
                 raise ValueError(f"domain {name}: {label} has shape {values.shape}; {n} images need {needed}")
         if not (np.diff(self.force_range_n) > 0).all():
             raise ValueError(f"domain {name}: force_range_n must be (3, 2) with lower < upper bounds")
-        forces = {} if force_n is None else dict(zip(FORCE_COLUMNS, force_n.T, strict=True))
-        self.columns = forces | columns
+        self.columns = ({} if force_n is None else dict(zip(FORCE_COLUMNS, force_n.T, strict=True))) | columns
         if not known_labels(self.columns):
             raise ValueError(f"domain {name} has no label; known labels: {', '.join(QUANTITIES)}")
 
@@ -366,7 +354,7 @@ class DerivedFrames(LabelledFrames):
         n_classes: int | None = None,
     ):
         self.whole, self._indices = whole, indices
-        self.name, self.notes = whole.name, whole.notes
+        self.name, self.notes, self.reference_count = whole.name, whole.notes, whole.reference_count
         self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
         self.n_classes, self.labels = n_classes or whole.n_classes, labels or whole.labels
         self._loaded: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
@@ -384,10 +372,6 @@ class DerivedFrames(LabelledFrames):
     @property
     def reference(self) -> np.ndarray:
         return self.whole.reference
-
-    @property
-    def reference_count(self) -> int:
-        return self.whole.reference_count
 
     def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         return self.whole.references_at(size_px, markers)
@@ -483,6 +467,7 @@ class JoinedFrames(LabelledFrames):
         self.declares_ranges = all(frames.declares_ranges for frames in domains)
         self.n_classes = max(frames.n_classes for frames in domains)
         self.unconverged = sum(frames.unconverged for frames in domains)
+        self.reference_count = sum(frames.reference_count for frames in domains)
         self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
 
     @property
@@ -492,10 +477,6 @@ class JoinedFrames(LabelledFrames):
     @property
     def reference(self) -> np.ndarray:
         return self._members[0].reference
-
-    @property
-    def reference_count(self) -> int:
-        return sum(frames.reference_count for frames in self._members)
 
     def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         size = self.image_size_px(size_px)

@@ -117,18 +117,15 @@ class PictureFiles(StoredFrames):
     ):
         self.folder, self.name, self.columns, self.notes = folder, name, columns, tuple(notes)
         self.picture_paths, self.reference_paths = picture_paths, reference_paths
-        self.further_files = further_files
+        self.further_files, self.reference_count = further_files, len(reference_paths)
         self._reduced: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
         if found_range_n is not None:
             self.force_range_n, self.declares_ranges = found_range_n, False
 
     @cached_property
     def reference(self) -> np.ndarray:
-        return self.decoded_file(self.reference_paths[0])
-
-    @property
-    def reference_count(self) -> int:
-        return len(self.reference_paths)
+        path = self.reference_paths[0]
+        return self.decoded(path.read_bytes(), f"the reference {path}", is_reference=True)
 
     def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
         size = self.image_size_px(size_px)
@@ -140,15 +137,8 @@ class PictureFiles(StoredFrames):
         return self._reduced[size, markers]
 
     def reference_picture(self, path: Path) -> np.ndarray:
-        """Return one of the rest pictures (h, w, 3), or raise a ValueError if it is of another size than the first."""
-        picture = self.decoded_file(path)
-        if picture.shape != self.reference.shape:
-            (height, width), (first_height, first_width) = picture.shape[:2], self.reference.shape[:2]
-            raise ValueError(
-                f"data set {self.name}: the rest picture {path} is {width}×{height} px, {self.reference_paths[0].name} "
-                f"{first_width}×{first_height} px; all pictures must have one size"
-            )
-        return picture
+        """Return a rest picture (h, w, 3); a ValueError if it is damaged or of another size than the first."""
+        return self.decoded(path.read_bytes(), f"the rest picture {path}")
 
     @cached_property
     def digest(self) -> str:

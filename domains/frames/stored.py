@@ -36,6 +36,7 @@ PICTURES = "images"
 _CHUNK = 256
 # Behind the array of a cache stands its SHA-256; NumPy maps the array alone.
 _MARK = b"SHA-256\0"
+_CHECKSUM_BYTES = len(_MARK) + hashlib.sha256().digest_size
 
 
 class StoredFrames(LabelledFrames):
@@ -51,28 +52,25 @@ class StoredFrames(LabelledFrames):
     def place_of(self, index: int) -> str:
         """Return the name of the file that holds one frame's picture."""
 
-    def decoded_file(self, path: Path) -> np.ndarray:
-        """Return the picture (h, w, 3) of a file of this data set, or raise ValueError with its name."""
-        try:
-            return as_colour(decode_picture(path.read_bytes()))
-        except ValueError as error:
-            raise ValueError(f"data set {self.name}: {path} is not readable: {error}") from None
-
     def picture(self, index: int) -> np.ndarray:
         return self._decoded(index, self.encoded_picture(index))
 
     def _decoded(self, index: int, data: bytes) -> np.ndarray:
+        return self.decoded(data, f"{self.place_of(index)}: frame {index}")
+
+    def decoded(self, data: bytes, what: str, *, is_reference: bool = False) -> np.ndarray:
+        """Return a picture (h, w, 3) of the reference's size; a ValueError names what it is."""
         try:
             picture = as_colour(decode_picture(data))
         except ValueError as error:
             raise ValueError(
-                f"data set {self.name}: the picture of frame {index} ({self.place_of(index)}) is not readable: "
-                f"{error}; `gelgap inspect {self.folder} --verify` names every such picture"
+                f"data set {self.name}: {what} is not readable: {error}; "
+                f"`gelgap inspect {self.folder} --verify` names every such picture"
             ) from None
-        if picture.shape != self.reference.shape:
+        if not is_reference and picture.shape != self.reference.shape:
+            (height, width), (width0, height0) = picture.shape[:2], self.size_px
             raise ValueError(
-                f"data set {self.name}: the picture of frame {index} is {picture.shape[1]}×{picture.shape[0]} px "
-                f"({self.place_of(index)}), the reference {self.reference.shape[1]}×{self.reference.shape[0]} px; "
+                f"data set {self.name}: {what} is {width}×{height} px, the reference {width0}×{height0} px; "
                 "all pictures must have one size"
             )
         return picture
@@ -125,10 +123,11 @@ class StoredFrames(LabelledFrames):
 
 def write_kept_pictures(path: Path, shape: tuple[int, ...], pieces: Iterable[bytes]) -> None:
     """Write uint8 pictures of this shape, given piece by piece, as one npy file with its checksum behind the array."""
-    digest = hashlib.sha256()
+    header, digest = io.BytesIO(), hashlib.sha256()
+    np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": shape})
     # Plain writes, not a memory map: a full disk is then an error and not a crash.
     with whole_file(path) as temporary, temporary.open("wb") as file:
-        for piece in itertools.chain([_npy_header(shape)], pieces):
+        for piece in itertools.chain([header.getvalue()], pieces):
             file.write(piece)
             digest.update(piece)
         file.write(_MARK + digest.digest())
@@ -137,36 +136,26 @@ def write_kept_pictures(path: Path, shape: tuple[int, ...], pieces: Iterable[byt
 def open_kept_pictures(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
     """Return the pictures, mapped so that changes never reach the file; None if there is no such file.
 
-    A damaged file is named and not used, nor is one that an older version wrote without a checksum; the caller writes
-    it again. A process checks a file once.
+    A damaged file is named and not used; the caller writes it again. A process checks a file once.
     """
-    header = _npy_header(shape)
     try:
-        if path.stat().st_size == len(header) + np.prod(shape, dtype=np.int64):
-            return None
-        intact = _is_intact(path, header, shape)
+        if _is_intact(path):
+            pictures = np.lib.format.open_memmap(path, mode="c")
+            if pictures.shape == shape and pictures.dtype == np.uint8:
+                return pictures
     except FileNotFoundError:
         return None
-    if not intact:
-        warn(f"{path} is damaged (its checksum does not match): made again")
-        return None
-    return np.memmap(path, np.uint8, mode="c", offset=len(header), shape=shape)
+    except ValueError:  # empty, or no npy file
+        pass
+    warn(f"{path} is damaged (its checksum does not match): made again")
+    return None
 
 
 @remembered
-def _is_intact(path: Path, header: bytes, shape: tuple[int, ...]) -> bool:
-    end = -len(_MARK) - hashlib.sha256().digest_size
-    if path.stat().st_size != len(header) + np.prod(shape, dtype=np.int64) - end:
-        return False
+def _is_intact(path: Path) -> bool:
     content = np.memmap(path, np.uint8, mode="r")
-    stated = _MARK + hashlib.sha256(content[:end]).digest()
-    return (content[: len(header)].tobytes(), content[end:].tobytes()) == (header, stated)
-
-
-def _npy_header(shape: tuple[int, ...]) -> bytes:
-    buffer = io.BytesIO()
-    np.lib.format.write_array_header_1_0(buffer, {"descr": "|u1", "fortran_order": False, "shape": shape})
-    return buffer.getvalue()
+    stated = _MARK + hashlib.sha256(content[:-_CHECKSUM_BYTES]).digest()
+    return bytes(content[-_CHECKSUM_BYTES:]) == stated
 
 
 def clear_picture_cache() -> int:
@@ -197,9 +186,9 @@ class GeneratedDomain(StoredFrames):
                 f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
             )
         self._check_bytes(files)
-        self._shards = [ShardFile(self.folder / name) for name in names]
-        tables = [shard.labels() for shard in self._shards]
-        for shard, table in zip(self._shards, tables, strict=True):
+        self.shards = [ShardFile(self.folder / name) for name in names]
+        tables = [shard.labels() for shard in self.shards]
+        for shard, table in zip(self.shards, tables, strict=True):
             if table.keys() != tables[0].keys():
                 raise damaged(shard.path, f"its columns are not those of {names[0]}")
         joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
@@ -226,14 +215,10 @@ class GeneratedDomain(StoredFrames):
                 if problem:
                     raise damaged(self.folder / name, problem)
 
-    @property
-    def shard_paths(self) -> list[Path]:
-        """The Parquet files that the manifest names, in order."""
-        return [shard.path for shard in self._shards]
-
     @cached_property
     def reference(self) -> np.ndarray:
-        return self.decoded_file(self.folder / REFERENCE)
+        path = self.folder / REFERENCE
+        return self.decoded(path.read_bytes(), str(path), is_reference=True)
 
     @cached_property
     def digest(self) -> str:
@@ -247,7 +232,7 @@ class GeneratedDomain(StoredFrames):
         return picture
 
     def place_of(self, index: int) -> str:
-        return self._shards[int(self._places[index][0])].path.name
+        return self.shards[int(self._places[index][0])].path.name
 
     def optional(self, column: str, index: int) -> np.ndarray:
         """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
@@ -295,4 +280,4 @@ class GeneratedDomain(StoredFrames):
 
     def _cell(self, index: int, column: str) -> Any:
         shard, row = (int(number) for number in self._places[index])
-        return self._shards[shard].cell(row, column)
+        return self.shards[shard].cell(row, column)

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import time
 from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -21,8 +20,6 @@ SYNCHRONOUS = "synchronous"
 # A worker that dies takes its task with it; the task is tried this many times again before it gets the blame.
 _RETRIES_AFTER_WORKER_DEATH = 5
 CONNECTION_TIMEOUT_S = 20
-_STEPS = "gelgap-load-steps"
-_SECONDS_BETWEEN_STEPS = 0.5
 
 
 def run(
@@ -48,8 +45,8 @@ def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Itera
     for batch in plan.batches:
         for key in batch.solve_keys:
             if key not in solutions:
-                solutions[key] = plan.solves[key].run(lambda done, _, key=key: progress.stepped(key, done))
-                progress.solved(key)
+                solutions[key] = plan.solves[key].run()
+                progress.solved()
         yield from render_batch(batch, {key: solutions[key] for key in batch.solve_keys})
         waiting.subtract(batch.solve_keys)
         solutions = {key: solution for key, solution in solutions.items() if waiting[key]}
@@ -62,10 +59,8 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
     from distributed.scheduler import KilledWorker
 
     try:
-        client.subscribe_topic(_STEPS, lambda event: progress.stepped(event[1]["solve"], event[1]["done"]))
         solving = {
-            key: client.submit(_solve_in_worker, problem, key=f"solve-{key}", pure=True)
-            for key, problem in plan.solves.items()
+            key: client.submit(solve.run, key=f"solve-{key}", pure=True) for key, solve in plan.solves.items()
         }
         rendering = [
             client.submit(
@@ -77,16 +72,16 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
             )
             for batch in plan.batches
         ]
-        solve_names = {future.key: key for key, future in solving.items()}
+        solves = {future.key for future in solving.values()}
         # Only batches are results: a solution stays where it was made, until no batch needs it.
         waiting = as_completed([*solving.values(), *rendering], loop=client.loop)
         solving.clear()
         rendering.clear()
         for future in waiting:
-            if future.key in solve_names:
+            if future.key in solves:
                 if future.status == "error":
                     future.result()
-                progress.solved(solve_names[future.key])
+                progress.solved()
             else:
                 shards = future.result()
                 future.release()
@@ -102,22 +97,6 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
             f"lost the Dask scheduler ({type(error).__name__}); "
             "what is written is safe: run the same command again to finish"
         ) from error
-
-
-def _solve_in_worker(solve: Any) -> Any:
-    """Run one solve and tell the client, now and then, how many of its load steps are done."""
-    from distributed import get_worker
-
-    worker, told_at = get_worker(), 0.0
-
-    def tell(done: int, total: int) -> None:
-        nonlocal told_at
-        now = time.monotonic()
-        if now - told_at >= _SECONDS_BETWEEN_STEPS or done == total:
-            told_at = now
-            worker.log_event(_STEPS, {"solve": solve.key, "done": done})
-
-    return solve.run(tell)
 
 
 def _render_in_worker(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:

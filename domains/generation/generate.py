@@ -4,6 +4,7 @@ import contextlib
 import json
 import logging
 import platform
+import shutil
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,15 +16,15 @@ from typing import Any
 import numpy as np
 
 from gelgap.assets.locks import sole_use
-from gelgap.assets.names import comma_list
+from gelgap.assets.names import comma_list, quoted
 from gelgap.domains.domain import Domain
-from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder
+from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import run
 from gelgap.domains.generation.plan import plan_generation, shard_bounds
 from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, reference_png
-from gelgap.domains.recipe import DomainRecipe, make_recipes
+from gelgap.domains.recipe import DomainRecipe, differences, make_recipes
 from gelgap.sim import ContactPath, PosePath
 
 LOG = logging.getLogger(__name__)
@@ -149,11 +150,11 @@ def generate_recipes(
         for writer in writers.values():
             writer.check(overwrite)
         for writer in writers.values():
-            writer.prepare(overwrite)
+            writer.prepare()
         skipped = tuple(name for name in names if writers[name].complete)
         plan = plan.without({name: writer.finished for name, writer in writers.items()})
         solves, written, unrenderable = len(plan.solves), 0, 0
-        progress.begin(solves, plan.frames, plan.workload())
+        progress.begin(solves, plan.frames)
         log = partial(_log_event, out_dir)
         log("begin", domains=names, solves=solves, frames=plan.frames, scheduler=scheduler)
         try:
@@ -164,7 +165,7 @@ def generate_recipes(
             local = plan.processes(workers) if scheduler is None else workers
             for shard in run(plan, progress, scheduler, local):
                 written += writers[shard.domain].write_shard(shard)
-                progress.written(shard.frames)
+                progress.written(shard.facts["frames"])
                 unrenderable += len(shard.unrenderable)
                 if shard.unrenderable:
                     log("not rendered", domain=shard.domain, frames=shard.unrenderable)
@@ -213,25 +214,28 @@ class DomainWriter:
             name: entry for name, entry in manifest["files"].items() if not self.folder.problem(name, entry)
         }
         self.complete = manifest["complete"] and len(intact) == len(manifest["files"])
-        differences = _differences(manifest["schema_version"], SCHEMA_VERSION, "schema_version")
-        differences += _differences(manifest["configuration"], self.recipe.configuration())
+        there, asked = manifest["configuration"], self.recipe.configuration()
+        there["schema_version"], asked["schema_version"] = manifest["schema_version"], SCHEMA_VERSION
         if not self.complete:
-            differences += _differences(manifest["versions"], package_versions(), "versions")
-        if differences:
+            there["versions"], asked["versions"] = manifest["versions"], package_versions()
+        changes = [
+            f"{name}: {quoted(old)} there, {quoted(new)} asked for"
+            for name, old, new in differences(there, asked)
+        ]
+        if changes:
             raise ValueError(
-                f"{self.folder.path} holds another configuration ({'; '.join(differences[:3])}"
-                f"{'; …' if len(differences) > 3 else ''}): use the same settings to resume it, --overwrite to "
+                f"{self.folder.path} holds another configuration ({'; '.join(changes[:3])}"
+                f"{'; …' if len(changes) > 3 else ''}): use the same settings to resume it, --overwrite to "
                 "replace it, or another output folder"
             )
         self.files = intact
 
-    def prepare(self, overwrite: bool) -> None:
+    def prepare(self) -> None:
         """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
-        if overwrite:
-            self.folder.clear()
-        self.folder.remove_leftovers(set(self.files))
+        self.folder.keep_only({MANIFEST, *self.files})
         if not self.complete:
+            shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
 
     def write_reference(self) -> None:
@@ -241,9 +245,7 @@ class DomainWriter:
 
     def write_shard(self, shard: Shard) -> int:
         """Write one shard and enter it in the manifest; return how many bytes it has."""
-        entry = self.folder.write_file(shard.file, shard.data)
-        counts = ("frames", "unconverged", "force_min_n", "force_max_n", "outside_range")
-        self.files[shard.file] = entry | {name: getattr(shard, name) for name in counts}
+        self.files[shard.file] = self.folder.write_file(shard.file, shard.data) | shard.facts
         self._write_manifest()
         return len(shard.data)
 
@@ -289,19 +291,6 @@ def package_versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
-
-
-def _differences(there: Any, asked: Any, field: str = "") -> list[str]:
-    if isinstance(there, dict) and isinstance(asked, dict):
-        return [
-            line
-            for key in sorted(there.keys() | asked.keys())
-            for line in _differences(there.get(key), asked.get(key), f"{field}.{key}" if field else key)
-        ]
-    if there == asked:
-        return []
-    texts = [text if len(text := str(value)) < 60 else "…" for value in (there, asked)]
-    return [f"{field}: {texts[0]} there, {texts[1]} asked for"]
 
 
 def _log_event(out_dir: Path, what: str, **values: Any) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.assets.names import comma_list
-from gelgap.domains.generation.progress import Workload
 from gelgap.domains.generation.shard import FrameBatch, picture_cells
 from gelgap.domains.recipe import DomainRecipe
 
@@ -51,25 +50,14 @@ class GenerationPlan:
         needed = dict.fromkeys(key for batch in batches for key in batch.solve_keys)
         return GenerationPlan(self.recipes, {key: self.solves[key] for key in needed}, tuple(batches))
 
-    def workload(self) -> Workload:
-        """Return what is to be done: load steps of solves that the cache lacks, and frames."""
-        from gelgap.sim import has_solution
-
-        steps = {key: solve.problem.load_steps for key, solve in self.solves.items() if not has_solution(key)}
-        step_s = max((_STEP_S[recipe.quality] for recipe in self.recipes), default=0.0)
-        pixels = max((recipe.size_px[0] * recipe.size_px[1] for recipe in self.recipes), default=0)
-        return Workload(steps, step_s, _FRAME_S + _FRAME_PIXEL_S * pixels)
-
 
 def shard_bounds(frames: int) -> list[tuple[int, int]]:
     """Return the first frame of each shard of a domain, and the one after its last."""
     return [(start, min(start + FRAMES_PER_SHARD, frames)) for start in range(0, frames, FRAMES_PER_SHARD)]
 
 
-def plan_generation(
-    recipes: Sequence[DomainRecipe], finished: Mapping[str, set[str]] | None = None
-) -> GenerationPlan:
-    """Plan the generation of domains, leaving out shards that are `finished` (by domain name).
+def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
+    """Plan the generation of domains.
 
     Work is shared by construction: solves are keyed by their physics, and domains with the same contacts, whatever
     their light and markers, are made by the same batches.
@@ -96,8 +84,7 @@ def plan_generation(
             solves |= {key: by_key[key] for key in keys}
             own = replace(physics, poses=physics.poses[start:stop], placements=physics.placements[start:stop])
             batches.append(FrameBatch(tuple(members), number, start, stop, own, keys))
-    plan = GenerationPlan(tuple(recipes), solves, tuple(batches))
-    return plan.without(finished) if finished else plan
+    return GenerationPlan(tuple(recipes), solves, tuple(batches))
 
 
 @dataclass(frozen=True)
@@ -139,16 +126,20 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     ValueError
         If workers is below 1, or a contact cannot be solved.
     """
+    from gelgap.sim import has_solution
+
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: must be 1 or more")
     LOG.info("planning and rendering a sample frame of %s", comma_list([recipe.name for recipe in recipes]))
     plan = plan_generation(recipes)
-    load, processes = plan.workload(), plan.processes(workers)
+    processes = plan.processes(workers)
     shards = sum(len(batch.recipes) for batch in plan.batches)
-    longest_s = load.step_s * max(load.load_steps.values(), default=0)
+    to_solve = {key: solve.problem for key, solve in plan.solves.items() if not has_solution(key)}
+    solve_s = [_STEP_S[problem.quality.name] * problem.load_steps for problem in to_solve.values()]
+    pixels = max(recipe.size_px[0] * recipe.size_px[1] for recipe in recipes)
     # One solve is not shared; frames are shared as shards.
-    solving_s = max(load.step_s * sum(load.load_steps.values()) / processes, longest_s)
-    rendering_s = load.frame_s * plan.frames / min(processes, shards or 1)
+    solving_s = max(sum(solve_s) / processes, *solve_s, 0.0)
+    rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, shards or 1)
     (sample,) = picture_cells(recipes[:1], 0, _dent())
     frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
     return Estimate(
@@ -159,7 +150,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
             {(r.elastomer, pose) for r in recipes for pose in r.solved_path().poses if pose.depth_mm > 0}
         ),
         solves=len(plan.solves),
-        solves_cached=len(plan.solves) - len(load.load_steps),
+        solves_cached=len(plan.solves) - len(to_solve),
         wall_s=_START_S + solving_s + rendering_s,
         disk_bytes=frame_bytes * plan.frames,
         workers=processes,

@@ -67,12 +67,8 @@ class Shard:
     domain: str
     file: str
     data: bytes
-    frames: int
-    unconverged: int
+    facts: dict[str, Any]
     unrenderable: dict[int, str]
-    force_min_n: tuple[float, ...] | None
-    force_max_n: tuple[float, ...] | None
-    outside_range: int
 
 
 def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
@@ -145,7 +141,7 @@ def picture_cells(
 ) -> list[dict[str, Any]]:
     """Return the picture columns of one contact for recipes that are one group of `group_by_picture`, rendered once."""
     first = recipes[0]
-    renderer = _renderer(first.sensor, first.illumination, first.size_px, first.render_quality)
+    renderer = renderer_of(first)
     view = View(renderer, first.sensor, state)
     picture = renderer.picture(
         *view.membrane,
@@ -167,9 +163,14 @@ def picture_cells(
 
 def reference_png(recipe: DomainRecipe) -> bytes:
     """Return a domain's picture without contact."""
-    renderer = _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
+    renderer = renderer_of(recipe)
     rng = random_stream(recipe.seed, recipe.picture_name, "reference noise")
     return encode_png(_as_shown(recipe, renderer.reference(markers=_shows_markers(recipe), rng=rng)))
+
+
+def renderer_of(recipe: DomainRecipe) -> "MembraneRenderer":
+    """Return what renders the pictures of a domain; it is kept for other domains of the same light and camera."""
+    return _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
 
 
 @lru_cache(maxsize=KEPT_RENDERERS)
@@ -231,14 +232,11 @@ def _shard(recipe: DomainRecipe, file: str, rows: list[Row], unrenderable: dict[
     forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in rows if row["converged"]])
     forces = forces.reshape(-1, 3)
     low, high = np.array(recipe.force_range_n).T
-    return Shard(
-        domain=recipe.name,
-        file=file,
-        data=encode_shard(rows, recipe.columns),
-        frames=len(rows),
-        unconverged=len(rows) - len(forces),
-        unrenderable=unrenderable,
-        force_min_n=tuple(forces.min(axis=0).tolist()) if len(forces) else None,
-        force_max_n=tuple(forces.max(axis=0).tolist()) if len(forces) else None,
-        outside_range=int(((forces < low) | (forces > high)).any(axis=1).sum()),
-    )
+    facts = {
+        "frames": len(rows),
+        "unconverged": len(rows) - len(forces),
+        "force_min_n": forces.min(axis=0).tolist() if len(forces) else None,
+        "force_max_n": forces.max(axis=0).tolist() if len(forces) else None,
+        "outside_range": int(((forces < low) | (forces > high)).any(axis=1).sum()),
+    }
+    return Shard(recipe.name, file, encode_shard(rows, recipe.columns), facts, unrenderable)

@@ -111,7 +111,7 @@ def test_an_undecodable_picture_is_named_with_its_data_set_frame_and_how_to_find
         "export": [str(files / "pictures")],
     }[command]
     _, line = refused([command, *arguments, "--out", str(files / "out")], capsys)
-    assert "data set pictures: the picture of frame 3 (3.png)" in line
+    assert "data set pictures: 3.png: frame 3 is not readable" in line
     assert "--verify" in line
 
 

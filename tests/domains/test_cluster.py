@@ -55,31 +55,6 @@ def test_a_cluster_at_an_address_makes_the_same_bytes_and_workers_stay_light(
     assert modules == ["gelgap.render.renderer"]
 
 
-def test_workers_tell_the_client_their_load_steps(
-    scheduler: str, make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    from gelgap.domains.generation.progress import GenerationProgress
-
-    class Listener(GenerationProgress):
-        def __init__(self):
-            self.begun, self.told, self.solves = {}, [], []
-
-        def begin(self, solves, frames, load=None):
-            self.begun = load.load_steps
-
-        def stepped(self, solve, done):
-            self.told.append((solve, done))
-
-        def solved(self, solve=""):
-            self.solves.append(solve)
-
-    listener = Listener()
-    monkeypatch.setattr("gelgap.sim.has_solution", lambda key: False)
-    make(tmp_path, ("mb1i0",), scheduler=scheduler, progress=listener)
-    assert list(listener.begun) == listener.solves
-    assert {solve for solve, _ in listener.told} <= set(listener.begun)
-
-
 def test_the_number_of_workers_is_the_clusters_own(scheduler: str, make, tmp_path: Path):
     with pytest.raises(ValueError, match="has its own; leave workers out"):
         make(tmp_path, scheduler=scheduler, workers=3)

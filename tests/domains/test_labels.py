@@ -125,7 +125,7 @@ def test_a_clip_has_the_rest_picture_of_its_name(tmp_path: Path):
     assert data.references_at(32)[data.reference_id][:, 0, 0, 0].tolist() == [50, 60, 50]
     assert data.columns["clip"].tolist() == ["golf 1", "foam", "golf 1"]
     write(folder / "references" / "foam.png", 60, (20, 32))
-    with pytest.raises(ValueError, match=r"foam.png is 20×32 px, golf 1.png 40×32 px"):
+    with pytest.raises(ValueError, match=r"foam.png is 20×32 px, the reference 40×32 px"):
         open_domain(folder).torch(32)
     assert "foam.png" in str(verify_domain(folder)[0])
     (folder / "references" / "foam.png").unlink()

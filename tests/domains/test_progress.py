@@ -2,7 +2,7 @@ import io
 
 from gelgap.domains import shown_progress
 from gelgap.domains.generation import progress as module
-from gelgap.domains.generation.progress import ShownProgress, Workload
+from gelgap.domains.generation.progress import ShownProgress
 
 
 def test_without_a_terminal_progress_is_plain_lines_and_starts_again_with_each_job():
@@ -23,33 +23,7 @@ def clock(monkeypatch) -> list[float]:
     return now
 
 
-def test_load_steps_are_counted_inside_solves_and_say_how_long_the_rest_takes(monkeypatch):
-    monkeypatch.setattr(module, "_SECONDS_BETWEEN_LINES", 0.0)
-    now, stream = clock(monkeypatch), io.StringIO()
-    progress = ShownProgress(stream)
-    progress.begin(2, 8, Workload({"a": 4, "b": 2}, step_s=1.0))
-    now[0] = 100.0
-    progress.stepped("a", 2)
-    progress.stepped("a", 1)  # events of a cluster may come late
-    progress.solved("b")
-    progress.solved("a")
-    progress.written(8)
-    lines = [line.split(": ", 1)[1] for line in stream.getvalue().splitlines()]
-    assert [line.partition("; ")[0] for line in lines] == [
-        "0/2 solves, 0/6 load steps, 0/8 frames",
-        "0/2 solves, 2/6 load steps, 0/8 frames",
-        "0/2 solves, 2/6 load steps, 0/8 frames",
-        "1/2 solves, 4/6 load steps, 0/8 frames",
-        "2/2 solves, 6/6 load steps, 0/8 frames",
-        "2/2 solves, 6/6 load steps, 8/8 frames",
-    ]
-    assert "left" not in lines[0]
-    assert lines[1].endswith("; about 3 min left")
-    assert lines[3].endswith("; about 53 s left")
-    assert "left" not in lines[-1]
-
-
-def test_frames_alone_say_how_long_the_rest_takes(monkeypatch):
+def test_written_frames_say_how_long_the_rest_takes(monkeypatch):
     now = clock(monkeypatch)
     progress = ShownProgress(io.StringIO())
     progress.begin(0, 1000)
@@ -66,8 +40,9 @@ class Terminal(io.StringIO):
 def test_on_a_terminal_the_time_left_stands_beside_the_bars(monkeypatch):
     now, stream = clock(monkeypatch), Terminal()
     with shown_progress(stream) as progress:
-        progress.begin(1, 4, Workload({"a": 4}, step_s=1.0))
+        progress.begin(1, 4)
         now[0] = 100.0
-        progress.stepped("a", 1)
-    assert "load steps" in stream.getvalue()
-    assert "min left" in stream.getvalue()
+        progress.solved()
+        progress.written(1)
+    assert "solves" in stream.getvalue()
+    assert "about 5 min left" in stream.getvalue()
