@@ -1,8 +1,9 @@
 """The benchmarks: name, what each measures, and where. Adding one is a file and a line here.
 
-A place is a module, or `module:NAME` of a thing in it, with `run(quick: bool, out_dir: Path) -> None`, which measures,
-prints tables and writes what it found below `out_dir`; one that `needs_data` also takes `data`, the folder of the
-user's clones. The parts of the adaptation benchmark are each a `Part`, which its report is made of.
+A place is a module, or `module:NAME` of a thing in it, with `run(quick: bool, out_dir: Path) -> None`, or is such a
+function itself. It measures, prints tables and writes what it found below `out_dir`; one that `needs_data` also takes
+`data`, the folder of the user's clones. The parts of the adaptation benchmark are each a `Part`, which its report is
+made of.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,8 @@ class Benchmark:
     def run(self, quick: bool, out_dir: Path, data: Path | None = None) -> None:
         """Measure."""
         given = {"data": data} if self.needs_data else {}
-        self.load().run(quick=quick, out_dir=out_dir, **given)
+        place = self.load()
+        getattr(place, "run", place)(quick=quick, out_dir=out_dir, **given)
 
 
 EXTRA, LONG, ANEW = "not by default", "no quick form", "does not resume"
@@ -74,7 +76,7 @@ _MEASURED = {
         (
             "sessions",
             "force from one session's light to another's, on real grasps",
-            "real.session_transfer",
+            "real.sessions",
             ANEW,
         ),
         ("networks", "the same with all methods of adaptation", "real.networks", EXTRA),
@@ -87,13 +89,13 @@ _MEASURED = {
         (
             "pretraining",
             "few labels, from scratch and pretrained on drawn domains",
-            "real.pretraining",
+            "real.few_labels:pretraining",
             EXTRA,
         ),
         (
             "randomisation",
             "what matters in the synthetic data, one factor of randomisation at a time",
-            "real.randomisation",
+            "real.few_labels:randomisation",
             EXTRA,
         ),
     ],

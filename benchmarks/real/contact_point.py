@@ -1,66 +1,222 @@
-"""The contact point of a ball, from synthetic presses to real ones: no labels and few, in drawn and in fitted light."""
+"""The contact point of a ball, from synthetic presses to real ones: no labels and few, in drawn and in fitted light.
 
+A draw deals the clips, twenty successive presses each, to two halves: labels and unlabelled pictures come from one, the
+other is tested. Draws come in pairs that exchange the halves, so that every clip is tested equally often. A network
+sees a window around what a press changes, and says how far from there the contact point is: one that sees the whole
+picture must tell a place to a hundredth of the view; in a window it is a tenth.
+"""
+
+import contextlib
+import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from gelgap.adapt import ForceModel, Profile, ResultTable
-from gelgap.benchmarks.adaptation.jobs import configuration_hash
-from gelgap.benchmarks.adaptation.tables import interval
-from gelgap.benchmarks.common.records import append_record, read_records
-from gelgap.benchmarks.common.tables import write_json
-from gelgap.benchmarks.real.ball_sensor import fit_quality, fitted_sensor
-from gelgap.benchmarks.real.point_networks import (
-    SCRATCH,
-    Predicted,
-    from_scratch,
-    methods_of,
-    point_profile,
-    trained,
-    transferred,
+from gelgap.adapt import (
+    ForceModel,
+    Profile,
+    ResultTable,
+    Stage1,
+    affine_correction,
+    fine_tune,
+    train_source,
+    with_statistics_of,
 )
-from gelgap.benchmarks.real.point_trials import (
-    DRAWS,
-    FEW,
-    NO_LABELS,
-    PLAIN_METHODS,
-    Errors,
-    PlainMethod,
-    PointRecord,
-    RealPresses,
-    errors_of,
-    record_of,
+from gelgap.assets.checksums import parse_json, with_checksum, without_checksum
+from gelgap.assets.whole_file import write_whole
+from gelgap.benchmarks.adaptation.study import configuration_of
+from gelgap.benchmarks.common import (
+    Results,
+    Setting,
+    bootstrap,
+    mean_of,
+    result_table,
+    run_missing,
+    write_json,
 )
-from gelgap.benchmarks.real.published_sets import BALL_CLONE, LAYOUTS, SERIES, ball_presses
-from gelgap.benchmarks.real.synthetic_presses import (
-    CALIBRATED,
-    DRAWN,
+from gelgap.benchmarks.real.ball_sensor import (
+    SYNTHETIC_PX,
+    VIEW_MM,
     Amount,
+    center_of_change_px,
     contact_points,
+    fit_quality,
+    fitted_sensor,
+    level_point_px,
     press_recipes,
     synthetic_presses,
 )
-from gelgap.domains import convert
+from gelgap.benchmarks.real.published_sets import BALL_CLONE, LAYOUTS, MM_PER_PX, SERIES, ball_presses
+from gelgap.benchmarks.real.sessions import clip_means, clip_table
+from gelgap.domains import ArrayFrames, LabelledFrames, Labels, convert, with_labels
 from gelgap.render import Sensor
 
-Key = tuple[str, int, int]
 NAME, RECORDS = "gelsight", "points.jsonl"
+DRAWN, CALIBRATED = "drawn", "calibrated"
+"""The light of synthetic presses."""
+SCRATCH = "network from scratch"
+AS_TRAINED, STATISTICS, CORRECTED, TUNED = "as trained", "statistics", "affine correction", "fine-tuned"
+DRAWS = tuple(range(4))
+NO_LABELS, FEW = 0, (5, 20, 100)
 TARGETS_MM = {NO_LABELS: 0.5, 20: 0.3}
 """The mean distance that a network should stay below, by the number of labelled presses."""
-_FITTED_SERIES = SERIES[1]
-_COLUMNS = (
-    "method",
-    "labels",
-    "mean, mm",
-    "95 % interval",
-    "centred, mm",
-    "mean error (x, y), mm",
-    "time, s",
-)
+WINDOW_PX = 64
+REACH_MM = 4.0
+"""A contact point lies no farther from the window's centre, along x and along y."""
+_LIGHT = " light, "
+_MM_PER_PX = VIEW_MM[0] / SYNTHETIC_PX[0]
+_WINDOW_LABELS = Labels.of({"x_mm": (-REACH_MM, REACH_MM), "y_mm": (-REACH_MM, REACH_MM)})
+_NO_CHANGE = 128
+_JITTER_MM = 1.5
+_COPIES = 2
+_LEVEL_RADIUS_PX = 16.0
+
+
+@dataclass(frozen=True)
+class Windows:
+    """What changes within windows, labelled with the contact point from their centres, and the centres (n, 2) in mm."""
+
+    frames: LabelledFrames
+    centers_mm: np.ndarray
+
+    @property
+    def has_point(self) -> np.ndarray:
+        """Whether the contact point is within reach of the window's centre (n,)."""
+        return np.abs(self.frames.label_values).max(axis=1) < REACH_MM
+
+    def take(self, rows: np.ndarray) -> "Windows":
+        """Return some of the windows."""
+        return Windows(self.frames.take(rows), self.centers_mm[rows])
+
+
+def windows_of(frames: LabelledFrames) -> Windows:
+    """Return a window around the centroid of each picture's change."""
+    changes = list(_changes(frames))
+    return _windows(frames, changes, _centroids_mm(changes))
+
+
+def training_windows(frames: LabelledFrames) -> LabelledFrames:
+    """Return two windows of each synthetic press, put beside the centroid at random, that have the contact point."""
+    rng = np.random.default_rng(0)
+    pressed = frames.take(np.flatnonzero(frames.columns["depth_mm"] > 0))
+    changes = list(_changes(pressed))
+    centers_mm = np.tile(_centroids_mm(changes), (_COPIES, 1))
+    centers_mm = centers_mm + rng.uniform(-_JITTER_MM, _JITTER_MM, centers_mm.shape)
+    twice = pressed.take(np.tile(np.arange(len(pressed)), _COPIES))
+    found = _windows(twice, changes * _COPIES, centers_mm)
+    return found.frames.take(np.flatnonzero(found.has_point))
+
+
+def _changes(frames: LabelledFrames) -> Iterator[np.ndarray]:
+    """Yield each picture less its reference (h, w, 3)."""
+    references = frames.references_at(SYNTHETIC_PX).astype(np.int16)
+    for picture, reference in zip(frames.images(SYNTHETIC_PX), frames.reference_id, strict=True):
+        yield picture - references[reference]
+
+
+def _centroids_mm(changes: list[np.ndarray]) -> np.ndarray:
+    """Return the centroids (n, 2) from the middle of the view."""
+    found_px = np.array([center_of_change_px(change) for change in changes])
+    return (found_px - (np.array(SYNTHETIC_PX) - 1) / 2) * _MM_PER_PX
+
+
+def _windows(frames: LabelledFrames, changes: list[np.ndarray], centers_mm: np.ndarray) -> Windows:
+    """Cut windows at whole pixels; beyond the picture nothing changes."""
+    middle_px = centers_mm / _MM_PER_PX + (np.array(SYNTHETIC_PX) - 1) / 2
+    first_px = np.round(middle_px - (WINDOW_PX - 1) / 2).astype(int)
+    centers_mm = (first_px + (WINDOW_PX - 1) / 2 - (np.array(SYNTHETIC_PX) - 1) / 2) * _MM_PER_PX
+    margin, cut = (WINDOW_PX, WINDOW_PX), []
+    for change, (x, y) in zip(changes, first_px + WINDOW_PX, strict=True):
+        padded = np.pad(change, (margin, margin, (0, 0)))
+        cut.append(padded[y : y + WINDOW_PX, x : x + WINDOW_PX].copy())
+    points_mm = np.stack([frames.columns[name] for name in _WINDOW_LABELS.names], axis=1)
+    off_mm = dict(zip(_WINDOW_LABELS.names, (points_mm - centers_mm).T, strict=True))
+    pictures = np.clip(_NO_CHANGE + np.array(cut), 0, 255).astype(np.uint8)
+    reference = np.full(pictures.shape[1:], _NO_CHANGE, np.uint8)
+    windows = ArrayFrames(frames.name, pictures, reference, None, **off_mm)
+    return Windows(with_labels(windows, _WINDOW_LABELS), centers_mm)
+
+
+@dataclass(frozen=True)
+class RealPresses:
+    """All marked presses, and where the rules without a network see them, (n, 2) mm."""
+
+    frames: LabelledFrames
+
+    @cached_property
+    def clip(self) -> np.ndarray:
+        """The clip of each press (n,)."""
+        return self.frames.columns["clip"].astype(str)
+
+    @cached_property
+    def windows(self) -> Windows:
+        """What networks see of them."""
+        return windows_of(self.frames)
+
+    @cached_property
+    def center_of_change_mm(self) -> np.ndarray:
+        """Centroids of the change."""
+        return self._seen(lambda picture, rest: center_of_change_px(picture.astype(np.int16) - rest))
+
+    @cached_property
+    def level_point_mm(self) -> np.ndarray:
+        """Where the change vanishes."""
+        return self._seen(lambda picture, rest: level_point_px(picture, rest, _LEVEL_RADIUS_PX))
+
+    def _seen(self, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+        references = self.frames.references_at()
+        pairs = ((self.frames.picture(k), references[r]) for k, r in enumerate(self.frames.reference_id))
+        found_px = np.array([rule(picture, reference) for picture, reference in pairs])
+        height, width = references.shape[1:3]
+        return (found_px - np.array([width - 1, height - 1]) / 2) * MM_PER_PX
+
+    def halves(self, draw: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the presses that a draw may learn from, and those that it is tested on."""
+        clips = np.random.default_rng(draw // 2).permutation(np.unique(self.clip))
+        tested = np.isin(self.clip, clips[draw % 2 :: 2])
+        return np.flatnonzero(~tested), np.flatnonzero(tested)
+
+    def labelled(self, draw: int, count: int) -> np.ndarray:
+        """Return the presses whose marks a draw may learn from."""
+        pool, _ = self.halves(draw)
+        return np.random.default_rng([draw, count]).choice(pool, min(count, len(pool)), replace=False)
+
+
+PLAIN_METHODS: dict[str, tuple[tuple[int, ...], Callable[[RealPresses], np.ndarray]]] = {
+    "constant mean": (FEW, lambda presses: np.empty((len(presses.frames), 0))),
+    "centroid of the change": ((NO_LABELS,), lambda presses: presses.center_of_change_mm),
+    "centroid, linear regression": (FEW, lambda presses: presses.center_of_change_mm),
+    "point of no change": ((NO_LABELS,), lambda presses: presses.level_point_mm),
+    "point of no change, linear regression": (FEW, lambda presses: presses.level_point_mm),
+}
+"""Methods without a network: numbers of labels, and what a rule sees; marks are regressed on that, linearly."""
+
+
+def plain_points(presses: RealPresses, method: str, draw: int, labels: int) -> np.ndarray:
+    """Return where a method without a network says that the tested presses of a draw are, (n, 2) mm."""
+    _, tested = presses.halves(draw)
+    seen_mm = PLAIN_METHODS[method][1](presses)
+    if labels == NO_LABELS:
+        return seen_mm[tested]
+    few, columns = presses.labelled(draw, labels), np.column_stack([np.ones(len(seen_mm)), seen_mm])
+    return columns[tested] @ np.linalg.lstsq(columns[few], presses.frames.label_values[few], rcond=None)[0]
+
+
+def point_profile(preset: str, epochs: int) -> Profile:
+    """Return a preset for contact points: shifted pictures would have other labels, and dots are to be seen."""
+    return Profile.preset(preset).replace(
+        name=f"{preset}-contact-point",
+        image_size_px=(WINDOW_PX, WINDOW_PX),
+        shift_px=0,
+        marker_hiding=0.0,
+        colour_mixing=0.0,
+        source_epochs=epochs,
+    )
 
 
 @dataclass(frozen=True)
@@ -74,80 +230,123 @@ class Plan:
     few: tuple[int, ...]
     steps_from_scratch: int
 
+    def settings(self) -> list[Setting]:
+        """Return all trials: a method with a number of labelled presses and a draw."""
+        plain = [
+            (name, count, draw)
+            for draw in self.draws
+            for name, (labels, _) in PLAIN_METHODS.items()
+            for count in (NO_LABELS, *self.few)
+            if count in labels
+        ]
+        ways = [(what, NO_LABELS) for what in (AS_TRAINED, STATISTICS)]
+        ways += [(what, count) for count in self.few for what in (CORRECTED, TUNED)]
+        methods = [(f"{light}{_LIGHT}{what}", count) for light in self.lights for what, count in ways]
+        methods += [(SCRATCH, count) for count in self.few]
+        networks = [(*method, draw) for draw in self.draws for method in methods]
+        return [dict(zip(("method", "labels", "draw"), one, strict=True)) for one in plain + networks]
+
 
 QUICK = Plan(point_profile("smoke", 2), Amount(2, 8, 1), (DRAWN,), DRAWS[:2], FEW[:1], 20)
 WHOLE = Plan(point_profile("cpu", 20), Amount(24, 64, 8), (DRAWN, CALIBRATED), DRAWS, FEW, 300)
 
 
-@dataclass(frozen=True)
 class Trials:
     """The trials of a plan; `folder` keeps what is finished, `clone` has the pictures that a light is fitted to."""
 
-    plan: Plan
-    presses: RealPresses
-    clone: Path
-    folder: Path
+    def __init__(self, plan: Plan, presses: RealPresses, clone: Path, folder: Path):
+        self._plan, self._presses, self._clone, self._folder = plan, presses, clone, folder
+        self._models: dict[tuple[str, int], ForceModel] = {}
 
-    @cached_property
-    def configuration(self) -> str:
-        """A hash of all that the trials have in common."""
-        synthetic = [recipe.key for recipe in press_recipes(self.plan.amount, None)]
-        return configuration_hash(
-            self.plan.profile,
-            synthetic,
-            self.plan.steps_from_scratch,
-            self.presses.frames.label_values.tolist(),
+    def records(self) -> pd.DataFrame:
+        """Do the trials that have no record yet, and return the records of all."""
+        synthetic = [recipe.key for recipe in press_recipes(self._plan.amount, None)]
+        marks = self._presses.frames.label_values.tolist()
+        steps = self._plan.steps_from_scratch
+        configuration = configuration_of(self._plan.profile, synthetic, steps, marks)
+        file = self._folder / RECORDS
+        name_settings(file)
+        return run_missing(
+            self.measure,
+            self._plan.settings(),
+            file,
+            workers=1,
+            fixed=lambda setting: {"configuration": configuration},
+            describe=lambda record: f"{np.mean(list(record['clip_mm'].values())):.3f} mm",
         )
 
-    def records(self) -> list[PointRecord]:
-        """Do the trials that have no record yet, and return the records of all."""
-        path = self.folder / RECORDS
-        kept = {r.key: r for r in read_records(path, PointRecord) if r.configuration == self.configuration}
-        wanted = []
-        for keys, work in self._pieces():
-            wanted += keys
-            if all(key in kept for key in keys):
-                continue
-            for found in work():
-                key = found.method, found.labels, keys[0][2]
-                kept[key] = record_of(self.presses, key, self.configuration, found.points_mm, found.seconds)
-                append_record(path, kept[key])
-                print(f"{found.method}, {found.labels} labels, draw {key[2]}", flush=True)
-        return [kept[key] for key in wanted]
+    def measure(self, trial: Setting) -> Results:
+        """Do one trial; the time is that of learning from labels and of predicting."""
+        method, labels, draw = trial["method"], trial["labels"], trial["draw"]
+        if method in PLAIN_METHODS:
+            start = time.perf_counter()
+            points_mm = plain_points(self._presses, method, draw, labels)
+        else:
+            windows = self._presses.windows.take(self._presses.halves(draw)[1])
+            learn = self._way_to_learn(method, labels, draw)
+            start = time.perf_counter()
+            points_mm = windows.centers_mm + learn().predict(windows.frames)
+        return results_of(self._presses, draw, points_mm, time.perf_counter() - start)
 
-    def _pieces(self) -> Iterator[tuple[list[Key], Callable[[], Iterable[Predicted]]]]:
-        """Yield which records a piece of work makes, and the work."""
-        few, profile, steps = self.plan.few, self.plan.profile, self.plan.steps_from_scratch
-        for draw in self.plan.draws:
-            for method in PLAIN_METHODS:
-                for count in sorted({NO_LABELS, *few} & set(method.labels)):
-                    yield [(method.name, count, draw)], partial(self._plain, method, draw, count)
-        for draw in self.plan.draws:
-            for light in self.plan.lights:
-                keys = [(name, count, draw) for name, count in methods_of(light, few)]
-                yield keys, partial(self._transferred, light, draw)
-            for count in few:
-                learn = partial(from_scratch, self.presses, profile, draw, count, steps)
-                yield [(SCRATCH, count, draw)], learn
+    def _way_to_learn(self, method: str, count: int, draw: int) -> Callable[[], ForceModel]:
+        """Return what learns from labels; what draws share is trained before."""
+        # Windows without the contact point teach nothing.
+        windows = self._presses.windows.take(self._presses.labelled(draw, count))
+        labelled, profile = windows.frames.take(np.flatnonzero(windows.has_point)), self._plan.profile
+        if method == SCRATCH:
+            epochs = self._plan.steps_from_scratch // max(1, len(labelled) // profile.batch_size)
+            return lambda: train_source(labelled, profile.replace(source_epochs=epochs), draw)
+        light, _, what = method.partition(_LIGHT)
+        model, pool = self._model(light, draw // 2), self._presses.halves(draw)[0]
+        return {
+            AS_TRAINED: lambda: model,
+            STATISTICS: lambda: with_statistics_of(model, self._presses.windows.frames.take(pool)),
+            CORRECTED: lambda: affine_correction(model, labelled),
+            TUNED: lambda: fine_tune(model, labelled),
+        }[what]
 
-    def _plain(self, method: PlainMethod, draw: int, count: int) -> Iterator[Predicted]:
-        start = time.perf_counter()
-        points_mm = method.predict(self.presses, draw, count)
-        yield Predicted(method.name, count, points_mm, time.perf_counter() - start)
-
-    def _transferred(self, light: str, draw: int) -> Iterator[Predicted]:
-        return transferred(light, self._model(light, draw), self.presses, draw, self.plan.few)
-
-    def _model(self, light: str, draw: int) -> ForceModel:
-        fitted = self._fitted() if light == CALIBRATED else None
-        synthetic = synthetic_presses(self.folder / light, self.plan.amount, fitted)
-        return trained(synthetic, self.plan.profile, draw // 2, self.folder / light)
+    def _model(self, light: str, seed: int) -> ForceModel:
+        """Return the network that learnt on synthetic presses, trained once."""
+        if (light, seed) not in self._models:
+            folder, fitted = self._folder / light, self._fitted() if light == CALIBRATED else None
+            windows = training_windows(synthetic_presses(folder, self._plan.amount, fitted))
+            self._models[light, seed] = Stage1(windows, self._plan.profile, seed, out=folder).model()[0]
+        return self._models[light, seed]
 
     def _fitted(self) -> Sensor:
-        path = self.folder / "ball-sensor.toml"
+        path = self._folder / "ball-sensor.toml"
         if not path.is_file():
-            print(fit_quality(fitted_sensor(ball_presses(self.clone, _FITTED_SERIES), path)))
+            print(fit_quality(fitted_sensor(ball_presses(self._clone, SERIES[1]), path)))
         return Sensor.load(path)
+
+
+def name_settings(file: Path) -> None:
+    """Give records in which an earlier gelgap left settings among the results today's form."""
+    found = file.read_bytes().splitlines() if file.is_file() else []
+    lines = list(found)
+    for number, line in enumerate(lines):
+        with contextlib.suppress(ValueError, KeyError):
+            record = without_checksum(parse_json(line))
+            setting = {name: record.pop(name) for name in ("method", "labels", "draw")}
+            lines[number] = json.dumps(with_checksum({"job": setting, **record})).encode()
+    if lines != found:
+        write_whole(file, b"\n".join([*lines, b""]))
+
+
+def results_of(presses: RealPresses, draw: int, predicted_mm: np.ndarray, seconds: float) -> Results:
+    """Return the mean distance of points (tested presses, 2) from the marks on each clip, mm.
+
+    As it is and without the mean error, `offset_mm` (x, y).
+    """
+    _, tested = presses.halves(draw)
+    error_mm = predicted_mm - presses.frames.label_values[tested]
+    offset_mm = error_mm.mean(axis=0)
+    return {
+        "clip_mm": clip_means(np.hypot(*error_mm.T), presses.clip[tested]),
+        "clip_centered_mm": clip_means(np.hypot(*(error_mm - offset_mm).T), presses.clip[tested]),
+        "offset_mm": np.round(offset_mm, 5).tolist(),
+        "seconds": round(seconds, 2),
+    }
 
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
@@ -165,50 +364,47 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     write_json(out_dir / "real-contact-point.json", table)
 
 
-def point_table(records: Sequence[PointRecord], presses: RealPresses) -> ResultTable:
+def point_table(records: pd.DataFrame, presses: RealPresses) -> ResultTable:
     """Show each method with each number of labels; a missed target stands first in the note."""
-    methods = list(dict.fromkeys((record.labels, record.method) for record in records))
-    found = [
-        errors_of([record for record in records if (record.labels, record.method) == one])
-        for one in sorted(methods, key=lambda one: one[0])
-    ]
-    draws = len({record.draw for record in records})
-    return ResultTable(
+    ordered, rows = records.sort_values("labels", kind="stable").assign(pair=records["draw"] // 2), []
+    for (labels, method), own in ordered.groupby(["labels", "method"], sort=False):
+        away_mm, centered_mm = (
+            clip_table(own, name, "pair").dropna(how="all").to_numpy()
+            for name in ("clip_mm", "clip_centered_mm")
+        )
+        offset_mm = np.mean(own["offset_mm"].tolist(), axis=0)
+        rows.append(
+            {
+                "method": method,
+                "labels": labels,
+                "mean, mm": float(mean_of(away_mm)),
+                "95 % interval": bootstrap(away_mm),
+                "centred, mm": float(mean_of(centered_mm)),
+                "mean error (x, y), mm": "{:+.2f}, {:+.2f}".format(*offset_mm),
+                "time, s": own["seconds"].median(),
+            }
+        )
+    found = pd.DataFrame(rows)
+    return result_table(
         "Contact point of real ball presses: distance from the mark on clips that were not learnt from",
-        list(_COLUMNS),
-        [
-            [
-                one.method,
-                one.labels,
-                f"{one.mean_mm:.3f}",
-                interval(one.interval_mm, ".3f"),
-                f"{np.nanmean(one.centered_mm):.3f}",
-                f"{one.offset_mm[0]:+.2f}, {one.offset_mm[1]:+.2f}",
-                f"{one.seconds:.1f}",
-            ]
-            for one in found
-        ],
+        found,
         f"{_targets(found)} {len(presses.frames)} presses in {len(np.unique(presses.clip))} clips of at most twenty; "
-        f"{draws} draws by clip, half of the clips tested in each; marks are whole pixels of 0.1 mm. Labels: marked "
-        "presses of the other half; networks with `statistics` see that half's pictures alone. Intervals: bootstrap "
-        "over clips and draws. Centred: without the mean of the errors over the tested presses, which takes labels to "
-        "know. Time: median, without the training that draws share.",
+        f"{records['draw'].nunique()} draws by clip, half of the clips tested in each; marks are whole pixels of "
+        "0.1 mm. Labels: marked presses of the other half; networks with `statistics` see that half's pictures alone. "
+        "Intervals: bootstrap over clips and draws. Centred: without the mean of the errors over the tested presses, "
+        "which takes labels to know. Time: median, without the training that draws share.",
+        {**dict.fromkeys(("mean, mm", "95 % interval", "centred, mm"), "{:.3f}"), "time, s": "{:.1f}"},
     )
 
 
-def _targets(found: Sequence[Errors]) -> str:
-    """Return for each target what the best network reaches."""
+def _targets(found: pd.DataFrame) -> str:
+    """Return for each target what the best network reaches; missed ones first."""
     said = []
     for labels, target_mm in TARGETS_MM.items():
-        networks = [one for one in found if one.labels == labels and " light, " in one.method]
-        if not networks:
-            continue
-        best = min(networks, key=lambda one: one.mean_mm)
-        verdict = "missed" if best.mean_mm > target_mm else "reached"
-        said.append(
-            (
-                verdict,
-                f"Target of {target_mm} mm with {labels} labels {verdict}: {best.method} has {best.mean_mm:.2f} mm.",
-            )
-        )
+        networks = found[(found["labels"] == labels) & found["method"].str.contains(_LIGHT)]
+        if len(networks):
+            best, best_mm = networks.loc[networks["mean, mm"].idxmin(), ["method", "mean, mm"]]
+            verdict = "missed" if best_mm > target_mm else "reached"
+            text = f"Target of {target_mm} mm with {labels} labels {verdict}: {best} has {best_mm:.2f} mm."
+            said.append((verdict, text))
     return " ".join(text for _, text in sorted(said))

@@ -4,160 +4,230 @@ The methods' settings are those of the profile, which were chosen on generated d
 tuned on real data.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS
-from gelgap.benchmarks.adaptation.jobs import Bench
+from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS, PLAIN, Changes
+from gelgap.benchmarks.adaptation.groups import methods_of
 from gelgap.benchmarks.adaptation.leaderboard import Entry, read_entries
-from gelgap.benchmarks.adaptation.running import run_missing
-from gelgap.benchmarks.adaptation.tables import interval, number
-from gelgap.benchmarks.common import bootstrap as bootstrap_interval
-from gelgap.benchmarks.common import mean_of
-from gelgap.benchmarks.common.tables import write_json
-from gelgap.benchmarks.real.clip_folds import FOLDS, SEEDS
-from gelgap.benchmarks.real.network_runs import (
-    RUNS,
-    FoldRecord,
-    adapt_fold,
+from gelgap.benchmarks.adaptation.study import control_of, grid, train_stages, versions_line
+from gelgap.benchmarks.common import Results, Setting, bootstrap, cell, mean_of, write_json
+from gelgap.benchmarks.real.sessions import (
+    FOLDS,
+    FZ_RANGE_N,
+    PLAIN_METHODS,
+    SEEDS,
+    SESSIONS,
+    Fold,
+    Session,
+    SessionStudy,
+    clip_folds,
+    clip_table,
+    compare,
     errors_by_clip,
-    fold_configuration,
-    fold_jobs,
+    frames_of_session,
+    key_of_session,
+    plain_errors,
+    read_sessions,
 )
-from gelgap.benchmarks.real.orders import order_agreement
-from gelgap.benchmarks.real.plain_methods import PLAIN_METHODS
-from gelgap.benchmarks.real.session_transfer import measure
-from gelgap.benchmarks.real.sessions import SESSIONS, Session, converted_sessions, session_named
 
+if TYPE_CHECKING:
+    from gelgap.domains import LabelledFrames
+
+RUNS = "runs.jsonl"
 DIRECTIONS = (SESSIONS, SESSIONS[::-1])
+CLASSES = 12
+"""Contact classes of equal size by Fz, for methods that need them."""
 QUICK_METHODS = ("source-only", "adabn", "no-transfer")
 QUICK_CHANGES = (("source_epochs", 3), ("adapt_epochs", 2))
 SYNTHETIC_RECORDS = Path("docs", "results", "records")
 """The leaderboard's records: errors of the methods on the nine synthetic groups."""
 ALIKE = tuple(group for group in GROUPS if all(domain.startswith("wmb") for domain in group))
 """The synthetic groups that are most like the real one: other light, other gain, no markers."""
-_START = "source-only"
+_RESAMPLES = 1000
+_FOLD = "fold-"
 
 
 @dataclass(frozen=True)
-class DirectionResults:
-    """Errors of the networks from one session to the other, on the clips that were tested."""
+class FoldFrames:
+    """The pictures in contact of a fold; the target's training labels are for the ceiling alone."""
 
-    source: Session
-    target: Session
-    records: Sequence[FoldRecord]
+    source_train: "LabelledFrames"
+    target_train: "LabelledFrames"
+    target_test: "LabelledFrames"
 
-    @property
-    def name(self) -> str:
-        """Source and target."""
-        return f"{self.source.name} → {self.target.name}"
 
-    @cached_property
-    def methods(self) -> list[str]:
-        """The methods that were run, in the order of the benchmark."""
-        return list(dict.fromkeys(record.job.method for record in sorted(self.records, key=_place)))
+class FoldStudy(SessionStudy):
+    """Runs from one session to the other; a fold is the data of a run."""
 
-    @cached_property
-    def clips(self) -> list[str]:
-        """The tested clips of the target."""
-        return sorted({clip for record in self.records for clip in record.clip_mae_n})
+    def fold_of(self, run: Setting) -> Fold:
+        """Return which pictures a run trains on and is tested on."""
+        sessions = read_sessions(self.data)
+        folds = clip_folds(sessions[run["source"]], sessions[run["target"]], run["seed"])
+        return list(folds)[int(run["data"].removeprefix(_FOLD))]
 
-    @cached_property
-    def seeds(self) -> list[int]:
-        """The seeds of the runs."""
-        return sorted({record.job.seed for record in self.records})
+    def frames_of(self, run: Setting) -> FoldFrames:
+        """Return the frames of a run, with Fz as their only label, and contact classes of the source's."""
+        from gelgap.domains import force_classes
 
-    @cached_property
-    def errors_n(self) -> np.ndarray:
-        """The MAE of Fz (methods, clips, seeds), N; NaN where a run is missing."""
-        return np.array(
-            [errors_by_clip(self.runs_of(method), self.clips, self.seeds) for method in self.methods]
+        fold = self.fold_of(run)
+        source, target, test = (
+            frames_of_session(self.data, own) for own in (fold.source, fold.target, fold.test)
         )
+        return FoldFrames(force_classes(source, CLASSES), target, test)
 
-    def of(self, method: str) -> np.ndarray:
-        """Return the errors (clips, seeds) of one method, N."""
-        return self.errors_n[self.methods.index(method)]
+    def stated_of(self, run: Setting) -> Results:
+        """Return what the record of a run states of its profile, the range, the classes, and both sessions' forces."""
+        forces = [key_of_session(read_sessions(self.data)[run[name]]) for name in ("source", "target")]
+        return self.stated(self.profile_of(run), run["method"], FZ_RANGE_N, CLASSES, forces)
 
-    def runs_of(self, method: str) -> list[FoldRecord]:
-        """Return the records of one method."""
-        return [record for record in self.records if record.job.method == method]
+
+def fold_runs(
+    directions: Iterable[tuple[str, str]],
+    methods: Sequence[str],
+    seeds: Iterable[int],
+    folds: Sequence[int],
+    changes: Changes = (),
+) -> list[Setting]:
+    """Return the runs of every fold with every seed, one seed after the other."""
+    cases = [(f"{_FOLD}{fold}", direction) for direction in directions for fold in folds]
+    return grid(cases, methods, seeds, changes)
+
+
+def adapt_fold(study: FoldStudy, run: Setting) -> Results:
+    """Do one run and return the MAE of Fz on each of the target's test clips, N, and what else its record needs.
+
+    A run that stopped with a problem counts with the errors of the source's mean force. `stage1_s` is 0 where another
+    run had trained the checkpoint.
+    """
+    frames = study.frames_of(run)
+    model, problem, stage1_s, stage2_s = train_stages(study, run, frames.source_train, frames.target_train)
+    test, constant = frames.target_test, frames.source_train.label_values.mean(axis=0)
+    return {
+        "versions": versions_line(),
+        "control": control_of(run["method"]),
+        "problem": problem,
+        "clip_mae_n": errors_by_clip(constant if model is None else model.predict(test), test),
+        "stage1_s": round(stage1_s, 2),
+        "stage2_s": round(stage2_s, 2),
+    }
 
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
     """Do the runs that have no record yet, print the tables, and write `real-networks.json` to `out_dir`."""
-    folder = converted_sessions(data, out_dir)
-    profile = "smoke" if quick else "cpu"
-    bench = Bench(folder, out_dir / "real" / profile, profile, workers=1 if quick else None)
+    study = FoldStudy.of(quick, out_dir, data)
     directions = DIRECTIONS[:1] if quick else DIRECTIONS
     if quick:
-        jobs = fold_jobs(directions, QUICK_METHODS, SEEDS[:1], (0,), QUICK_CHANGES)
+        runs = fold_runs(directions, QUICK_METHODS, SEEDS[:1], (0,), QUICK_CHANGES)
     else:
-        jobs = fold_jobs(directions, METHODS, SEEDS, range(FOLDS))
-    records = run_missing(bench, jobs, RUNS, adapt_fold, FoldRecord, fold_configuration)
-    found = [
-        DirectionResults(
-            *(session_named(folder, name) for name in group),
-            [record for record in records if record.job.group == group],
-        )
-        for group in directions
+        runs = fold_runs(directions, METHODS, SEEDS, range(FOLDS))
+    records, sessions = study.run(adapt_fold, runs, RUNS), read_sessions(study.data)
+    both = [
+        records[(records["source"] == source) & (records["target"] == target)]
+        for source, target in directions
     ]
-    tables = [direction_table(direction) for direction in found]
+    tables = [
+        direction_table(own, sessions[source], sessions[target])
+        for own, (source, target) in zip(both, directions, strict=True)
+    ]
     if not quick:
-        entries = read_entries(SYNTHETIC_RECORDS) if SYNTHETIC_RECORDS.is_dir() else []
-        tables.append(order_table(found, entries))
+        tables.append(
+            order_table(both, read_entries(SYNTHETIC_RECORDS) if SYNTHETIC_RECORDS.is_dir() else [])
+        )
     for table in tables:
         table.show()
     write_json(out_dir / "real-networks.json", tables)
 
 
-def direction_table(results: DirectionResults) -> ResultTable:
+def errors_of(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Return each method's MAE of Fz by tested clip and seed, N, in the board's order; NaN where a run is missing."""
+    of_all = clip_table(runs, "clip_mae_n", "seed").dropna(how="all")
+    return {
+        method: clip_table(runs[runs["method"] == method], "clip_mae_n", "seed").reindex_like(of_all)
+        for method in methods_of(runs)
+    }
+
+
+def direction_table(runs: pd.DataFrame, source: Session, target: Session) -> ResultTable:
     """Each method's error beside that of the plain ones, and what it brings against its own control."""
-    shown = [*_plain_rows(results), *(_network_row(results, method) for method in results.methods)]
-    collapsed = sum(record.problem is not None for record in results.records)
-    folds = len({record.job.data for record in results.records})
+    errors_n, rows = errors_of(runs), []
+    tested = next(iter(errors_n.values()))
+    for method, labels, predict in PLAIN_METHODS:
+        own, ms = plain_errors(source, target, predict, list(tested.columns))
+        rows.append([method, labels, *_error(own.loc[tested.index]), None, None, None, f"{ms / 1e3:.4f}"])
+    for method, own in errors_n.items():
+        of_method = runs[runs["method"] == method]
+        control, difference = of_method["control"].iloc[0], [None, None, None]
+        if control in errors_n:
+            difference = [control, *_error(own - errors_n[control], "{:+.2f}")]
+        seconds = cell(float(of_method["stage2_s"].median()), "{:.1f}")
+        rows.append([method, "both" if method == CEILING else "source", *_error(own), *difference, seconds])
+    stage1_s, stopped = runs["stage1_s"][runs["stage1_s"] > 0].median(), runs["problem"].notna().sum()
+    columns = ["method", "labels of", "MAE, N", "95 % interval"]
     return ResultTable(
-        f"Networks on real grasps, {results.name}: MAE of Fz on held-out target clips",
-        [
-            "method",
-            "labels of",
-            "MAE, N",
-            "95 % interval",
-            "control",
-            "difference, N",
-            "95 % interval",
-            "time, s",
-        ],
-        shown,
-        f"{len(results.clips)} clips, {folds} fold(s) by clip, {len(results.seeds)} seed(s), all crossed. "
+        f"Networks on real grasps, {_name(runs)}: MAE of Fz on held-out target clips",
+        [*columns, "control", "difference, N", "95 % interval", "time, s"],
+        rows,
+        f"{len(tested)} clips, {runs['data'].nunique()} fold(s) by clip, {tested.shape[1]} seed(s), all crossed. "
         "Intervals: bootstrap over clips and seeds. Differences: error less that of the control on the same clips, "
         "negative where the method is better. Time: median of stage 2, or of a fit; stage 1 took "
-        f"{number(_median([record.stage1_s for record in results.records if record.stage1_s]), '.1f')} s. "
-        f"{collapsed} of {len(results.records)} runs stopped and count with the constant mean's error."
-        f"{_closed(results)}",
+        f"{cell(float(stage1_s), '{:.1f}') or '–'} s. "
+        f"{stopped} of {len(runs)} runs stopped and count with the constant mean's error.{_closed(errors_n)}",
     )
 
 
-def order_table(directions: Sequence[DirectionResults], entries: Sequence[Entry]) -> ResultTable:
+def _name(runs: pd.DataFrame) -> str:
+    return f"{runs['source'].iloc[0]} → {runs['target'].iloc[0]}"
+
+
+def _error(errors_n: pd.DataFrame, form: str = "{:.2f}") -> tuple[str | None, str | None]:
+    values = errors_n.to_numpy()
+    return cell(_mean(values), form), cell(bootstrap(values), form)
+
+
+def _mean(values: np.ndarray) -> float:
+    """Return the mean over clips of the means over seeds."""
+    return float(mean_of(mean_of(values, axis=1)))
+
+
+def _closed(errors_n: Mapping[str, pd.DataFrame]) -> str:
+    """Say how far the best method without target labels comes; it is found by its errors, so that this is a bound."""
+    if not {PLAIN, CEILING} <= errors_n.keys():
+        return ""
+    means_n = {method: _mean(own.to_numpy()) for method, own in errors_n.items()}
+    start, end = means_n[PLAIN], means_n.pop(CEILING)
+    if not start > end:
+        return f" {PLAIN} is not worse than {CEILING}."
+    best = min(means_n, key=means_n.get)
+    share = (start - means_n[best]) / (start - end)
+    return f" {best}, the best in hindsight, closes {100 * share:.0f} % of the way from {PLAIN} to {CEILING}."
+
+
+def order_table(both: Sequence[pd.DataFrame], entries: Sequence[Entry]) -> ResultTable:
     """Kendall's τ between the orders of methods, both ways here, and with those of the leaderboard's records."""
-    first, second = directions
-    rows, notes = [_order_row(f"{first.name} and back", first, second.methods, second.errors_n)], []
+    here = {_name(runs): {method: own.to_numpy() for method, own in errors_of(runs).items()} for runs in both}
+    (first, ours), (_, back) = here.items()
+    compared, notes = [(f"{first} and back", ours, back)], []
     for design in DESIGNS:
-        own = [entry for entry in entries if entry.design == design]
+        own = {entry.method: entry.errors_n for entry in entries if entry.design == design}
         if not own:
             notes.append(f"No records of the nine groups with {design} contacts are in {SYNTHETIC_RECORDS}.")
             continue
-        methods, errors_n = [entry.method for entry in own], np.array([entry.errors_n for entry in own])
         for name, groups in (("nine groups", GROUPS), (f"{len(ALIKE)} groups without markers", ALIKE)):
-            chosen_n = errors_n[:, [GROUPS.index(group) for group in groups]]
-            rows += [
-                _order_row(f"{here.name} and {name}, {design}", here, methods, chosen_n)
-                for here in directions
-            ]
+            chosen = [GROUPS.index(group) for group in groups]
+            theirs = {method: errors_n[chosen] for method, errors_n in own.items()}
+            compared += [(f"{way} and {name}, {design}", errors_n, theirs) for way, errors_n in here.items()]
+    rows = []
+    for name, ours, theirs in compared:
+        common = [method for method in ours if method in theirs and method != CEILING]
+        tau, interval = order_agreement(*(np.array([errors[m] for m in common]) for errors in (ours, theirs)))
+        rows.append([name, str(len(common)), cell(tau, "{:+.2f}"), cell(interval, "{:+.2f}")])
     return ResultTable(
         "Do methods come in the same order? Kendall's τ",
         ["orders", "methods", "τ", "95 % interval"],
@@ -166,65 +236,15 @@ def order_table(directions: Sequence[DirectionResults], entries: Sequence[Entry]
     )
 
 
-def _place(record: FoldRecord) -> int:
-    return METHODS.index(record.job.method)
+def order_agreement(first: np.ndarray, second: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Return Kendall's τ between the orders of methods by errors (methods, cases, seeds), and its 95 % interval.
 
+    1 is the same order, −1 the reverse. NaN is a run that is not there.
+    """
+    from scipy.stats import kendalltau
 
-def _median(values: Sequence[float]) -> float:
-    return float(np.median(values)) if len(values) else np.nan
+    def tau(one: np.ndarray, other: np.ndarray) -> float:
+        means = [mean_of(mean_of(errors, axis=2), axis=1) for errors in (one, other)]
+        return float(kendalltau(*means).statistic)
 
-
-def _plain_rows(results: DirectionResults) -> list[list[str]]:
-    rows = []
-    for method in PLAIN_METHODS:
-        found = measure(results.source, results.target, method, tuple(results.seeds))
-        errors_n = found.mae_n[[found.clips.index(clip) for clip in results.clips]]
-        rows.append(
-            [
-                *(method.name, method.labels, *_error(errors_n)),
-                *("–", "–", "–", f"{found.ms_per_fold / 1e3:.4f}"),
-            ]
-        )
-    return rows
-
-
-def _network_row(results: DirectionResults, method: str) -> list[str]:
-    runs, own = results.runs_of(method), results.of(method)
-    control, difference = runs[0].control, ["–", "–", "–"]
-    if control in results.methods:
-        less = own - results.of(control)
-        difference = [control, number(_mean(less), "+.2f"), interval(bootstrap_interval(less), "+.2f")]
-    labels = "both" if method == CEILING else "source"
-    return [method, labels, *_error(own), *difference, number(_median([r.stage2_s for r in runs]), ".1f")]
-
-
-def _error(errors_n: np.ndarray) -> tuple[str, str]:
-    return number(_mean(errors_n), ".2f"), interval(bootstrap_interval(errors_n), ".2f")
-
-
-def _mean(values: np.ndarray) -> float:
-    """Return the mean over clips of the means over seeds."""
-    return float(mean_of(mean_of(values, axis=1)))
-
-
-def _closed(results: DirectionResults) -> str:
-    """Say how far the best method without target labels comes; it is found by its errors, so that this is a bound."""
-    if not {_START, CEILING} <= set(results.methods):
-        return ""
-    errors_n = {method: _mean(results.of(method)) for method in results.methods}
-    start, end = errors_n[_START], errors_n.pop(CEILING)
-    best = min(errors_n, key=errors_n.get)
-    if not start > end:
-        return f" {_START} is not worse than {CEILING}."
-    share = (start - errors_n[best]) / (start - end)
-    return (
-        f" {best}, the best in hindsight, closes {100 * share:.0f} % of the way from {_START} to {CEILING}."
-    )
-
-
-def _order_row(name: str, here: DirectionResults, methods: Sequence[str], errors: np.ndarray) -> list[str]:
-    common = [method for method in here.methods if method in methods and method != CEILING]
-    own = here.errors_n[[here.methods.index(method) for method in common]]
-    others = errors[[list(methods).index(method) for method in common]]
-    found = order_agreement(own, others)
-    return [name, str(len(common)), number(found.tau, "+.2f"), interval(found.interval, "+.2f")]
+    return compare(tau, first, second, is_paired=False, resamples=_RESAMPLES)

@@ -1,58 +1,56 @@
-"""Sessions of the GelSight Wedge's grasps, converted once from the clone as `gelgap convert` does, and read back."""
+"""Force from one session's light to another's: grasps of the same objects with a GelSight Wedge, both ways.
+
+Errors are those of held-out clips of the target. An interval is the bootstrap's over clips and seeds; pictures of a
+clip are never drawn one by one, because neighbours are nearly equal.
+"""
 
 import logging
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+import pandas as pd
 
+from gelgap.benchmarks.adaptation.study import Study
+from gelgap.benchmarks.common import Results, bootstrap, mean_of, show, write_json
 from gelgap.benchmarks.real.published_sets import LAYOUTS, WEDGE_CLONE
 from gelgap.domains import convert
 from gelgap.domains.formats.convert import CONTACT_N, TABLE
 from gelgap.domains.formats.pictures import decode_picture, resized
 from gelgap.domains.frames.folders import read_table
 
+if TYPE_CHECKING:
+    from gelgap.domains import LabelledFrames
+
 LOG = logging.getLogger(__name__)
 CLONE = "EstimateModulus"
 SESSIONS = ("2023-12-06", "2023-12-16")
 """The two sessions with objects in common."""
+FZ_RANGE_N = (-30.0, 0.0)
+"""By which both sessions' forces are normalised; stated beforehand, so that no label of the target moves it."""
+FOLDS = 3
+SEEDS = (0, 1, 2, 3, 4)
 _SIZE_PX = (80, 60)
+
+Session = pd.DataFrame
+"""The pictures in contact of one session, which has one light, numbered from 0: `session`, `clip`, `object`, `fz_n`,
+and `change`, the mean absolute difference of a picture from its clip's reference, in grey levels."""
 
 
 @dataclass(frozen=True)
-class Session:
-    """Pictures in contact of one session, which has one light: `clip` and `object` (n,) names, `fz_n` (n,).
+class Fold:
+    """What a method may train on, and the target's clips that it is tested on.
 
-    `change` (n,) is the mean absolute difference of a picture from its clip's reference, in grey levels.
+    The target's training clips come without labels unless a method says that it uses them.
     """
 
-    name: str
-    clip: np.ndarray
-    object: np.ndarray
-    fz_n: np.ndarray
-    change: np.ndarray
-
-    @property
-    def key(self) -> list[Any]:
-        """What a training on it depends on: its name, and the clip and the force of each picture."""
-        return [self.name, self.clip.tolist(), self.fz_n.tolist()]
-
-    def of(self, clips: Sequence[str]) -> "Session":
-        """Return the pictures of some clips."""
-        return self.take(np.isin(self.clip, clips))
-
-    def of_objects(self, objects: Sequence[str]) -> "Session":
-        """Return the pictures of some objects."""
-        return self.take(np.isin(self.object, objects))
-
-    def take(self, chosen: np.ndarray) -> "Session":
-        """Return some of the pictures, by a mask (n,) or by indices."""
-        return Session(
-            self.name, self.clip[chosen], self.object[chosen], self.fz_n[chosen], self.change[chosen]
-        )
+    source: Session
+    target: Session
+    test: Session
 
 
 def converted_sessions(data: Path, out_dir: Path) -> Path:
@@ -72,12 +70,13 @@ def converted_sessions(data: Path, out_dir: Path) -> Path:
         LOG.info("converting %s, once", clone)
         convert(clone, LAYOUTS["wedge"], converted)
     if missing := [name for name in SESSIONS if not (converted / name).is_dir()]:
-        raise ValueError(f"{clone} has no session {missing[0]}; it has {', '.join(_folders(converted))}")
+        there = sorted(path.name for path in converted.iterdir() if path.is_dir())
+        raise ValueError(f"{clone} has no session {missing[0]}; it has {', '.join(there)}")
     return converted
 
 
 @cache
-def read_sessions(folder: Path) -> tuple[Session, Session]:
+def read_sessions(folder: Path) -> dict[str, Session]:
     """Return the two sessions that are compared, of the objects that both have.
 
     Raises
@@ -85,34 +84,201 @@ def read_sessions(folder: Path) -> tuple[Session, Session]:
     ValueError
         If they have no object in common.
     """
-    first, second = (_read(folder / name) for name in SESSIONS)
-    shared = sorted(set(first.object) & set(second.object))
+    both = {name: _read(folder / name) for name in SESSIONS}
+    shared = set.intersection(*(set(session["object"]) for session in both.values()))
     if not shared:
         raise ValueError(f"the sessions {' and '.join(SESSIONS)} of {folder} have no object in common")
-    return first.of_objects(shared), second.of_objects(shared)
-
-
-def session_named(folder: Path, name: str) -> Session:
-    """Return one of the two sessions that are compared."""
-    return next(session for session in read_sessions(folder) if session.name == name)
-
-
-def _folders(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir() if path.is_dir())
+    return {name: session[session["object"].isin(shared)] for name, session in both.items()}
 
 
 def _read(folder: Path) -> Session:
-    rows = [row for row in read_table(folder / TABLE) if -float(row["fz_n"]) > CONTACT_N]
-    references = {name: _small(folder / name) for name in {row["reference"] for row in rows}}
-    change = [np.abs(_small(folder / row["picture"]) - references[row["reference"]]).mean() for row in rows]
-    return Session(
-        folder.name,
-        np.array([row["clip"] for row in rows]),
-        np.array([row["object"] for row in rows]),
-        np.array([float(row["fz_n"]) for row in rows]),
-        np.array(change),
-    )
+    rows = pd.DataFrame(read_table(folder / TABLE)).astype({"fz_n": float})
+    rows = rows[-rows["fz_n"] > CONTACT_N].reset_index(drop=True)
+    references = {name: _small(folder / name) for name in rows["reference"].unique()}
+    change = [
+        np.abs(_small(folder / picture) - references[reference]).mean()
+        for picture, reference in zip(rows["picture"], rows["reference"], strict=True)
+    ]
+    return rows[["session", "clip", "object", "fz_n"]].assign(session=folder.name, change=change)
 
 
 def _small(path: Path) -> np.ndarray:
     return resized(decode_picture(path.read_bytes()), _SIZE_PX).astype(float)
+
+
+def key_of_session(session: Session) -> list[Any]:
+    """Return what a training on a session depends on: its name, and the clip and the force of each picture."""
+    return [session["session"].iloc[0], session["clip"].tolist(), session["fz_n"].tolist()]
+
+
+def frames_of_session(folder: Path, session: Session) -> "LabelledFrames":
+    """Return pictures of a session, whose folder of all sessions is given, with Fz as their only label."""
+    return _in_contact(folder / session["session"].iloc[0]).take(session.index.to_numpy())
+
+
+@cache
+def _in_contact(folder: Path) -> "LabelledFrames":
+    from gelgap.domains import Labels, open_domain, with_labels
+
+    frames = open_domain(folder)
+    pressed = frames.take(np.flatnonzero(-frames.columns["fz_n"] > CONTACT_N))
+    return with_labels(pressed, Labels.of({"fz_n": FZ_RANGE_N}))
+
+
+class SessionStudy(Study):
+    """Runs on real sessions; the data are the folder of all converted ones."""
+
+    @classmethod
+    def of(cls, quick: bool, out_dir: Path, data: Path, kind: str = "") -> Self:
+        """Return the study of the cpu profile, or quickly of the smoke profile in this process."""
+        profile = "smoke" if quick else "cpu"
+        out = out_dir / "real" / f"{kind}{profile}"
+        return cls(converted_sessions(data, out_dir), out, profile, workers=1 if quick else None)
+
+    @staticmethod
+    def describe(record: Results) -> str:
+        """Return why a run stopped, or else its mean error over the tested clips."""
+        return record["problem"] or f"{np.mean(list(record['clip_mae_n'].values())):.3f} N"
+
+
+def clip_folds(source: Session, target: Session, seed: int) -> Iterator[Fold]:
+    """Yield the folds of a seed, which deals the clips of each object anew; the source's are dealt too.
+
+    Each clip is tested in one fold of a seed, each object in as many as it can be.
+    """
+    dealt = [
+        session["clip"].map(_deal(session, np.random.default_rng((seed, place))))
+        for place, session in enumerate((source, target))
+    ]
+    for number in range(FOLDS):
+        here = [fold == number for fold in dealt]
+        yield Fold(source[~here[0]], target[~here[1]], target[here[1]])
+
+
+def _deal(session: Session, rng: np.random.Generator) -> dict[str, int]:
+    """Return the fold of each clip: those of an object go round the folds, in random order from a random one."""
+    folds = {}
+    for _, own in session.groupby("object"):
+        clips = rng.permutation(sorted(own["clip"].unique()))
+        start = int(rng.integers(FOLDS))
+        folds |= {str(clip): (start + place) % FOLDS for place, clip in enumerate(clips)}
+    return folds
+
+
+def clip_means(errors: np.ndarray, clips: Sequence[str]) -> dict[str, float]:
+    """Return the mean absolute error of pictures on each of their clips, to five digits after the point."""
+    return pd.Series(np.abs(errors)).groupby(np.asarray(clips), sort=False).mean().round(5).to_dict()
+
+
+def errors_by_clip(predicted: np.ndarray, tested: "LabelledFrames") -> dict[str, float]:
+    """Return the MAE on each clip, N, of predictions (n, 1) of Fz, or of one for all."""
+    return clip_means((predicted - tested.label_values)[:, 0], tested.columns["clip"].astype(str))
+
+
+def clip_table(records: pd.DataFrame, results: str, columns: str) -> pd.DataFrame:
+    """Return what `clip_means` found in runs, by clip (rows) and seed or draw; NaN where no run tested a clip."""
+    found = records.filter(regex=f"^{results}[.]").rename(columns=lambda name: name.partition(".")[2])
+    return found.groupby(records[columns]).first().T.sort_index()
+
+
+def compare(
+    statistic: Callable[[np.ndarray, np.ndarray], float],
+    own: np.ndarray,
+    other: np.ndarray,
+    *,
+    is_paired: bool,
+    resamples: int,
+) -> tuple[float, tuple[float, float]]:
+    """Return a statistic of two tables of errors (…, clips, seeds) and its 95 % bootstrap interval.
+
+    Clips and seeds are drawn with replacement, the same for all methods of a table, because methods share what makes a
+    clip hard; paired tables are drawn alike.
+    """
+    rng, drawn = np.random.default_rng(0), []
+    for _ in range(resamples):
+        cells = _draw(rng, own)
+        drawn.append(statistic(own[..., *cells], other[..., *(cells if is_paired else _draw(rng, other))]))
+    low, high = np.nanpercentile(drawn, [2.5, 97.5])
+    return statistic(own, other), (float(low), float(high))
+
+
+def _draw(rng: np.random.Generator, errors: np.ndarray) -> tuple[np.ndarray, ...]:
+    return np.ix_(*(rng.integers(count, size=count) for count in errors.shape[-2:]))
+
+
+def _quadratic(change: pd.Series, labelled: Session, tested: pd.Series) -> np.ndarray:
+    fitted = np.polynomial.Polynomial.fit(change.to_numpy(), labelled["fz_n"].to_numpy(), 2)
+    return fitted(tested.to_numpy())
+
+
+def _standard(change: pd.Series, session: Session) -> pd.Series:
+    return (change - session["change"].mean()) / session["change"].std(ddof=0)
+
+
+def _constant_mean(fold: Fold) -> np.ndarray:
+    return np.full(len(fold.test), fold.source["fz_n"].mean())
+
+
+def _by_change(fold: Fold) -> np.ndarray:
+    return _quadratic(fold.source["change"], fold.source, fold.test["change"])
+
+
+def _by_standardised_change(fold: Fold) -> np.ndarray:
+    """Standardise each domain's change of pictures by the mean and deviation of its own training pictures."""
+    own = _standard(fold.source["change"], fold.source)
+    return _quadratic(own, fold.source, _standard(fold.test["change"], fold.target))
+
+
+def _by_targets_labels(fold: Fold) -> np.ndarray:
+    return _quadratic(fold.target["change"], fold.target, fold.test["change"])
+
+
+PLAIN_METHODS: tuple[tuple[str, str, Callable[[Fold], np.ndarray]], ...] = (
+    ("constant mean", "source", _constant_mean),
+    ("quadratic in the mean difference", "source", _by_change),
+    ("the same, standardised per domain", "source", _by_standardised_change),
+    ("quadratic in the mean difference", "target", _by_targets_labels),
+)
+"""Methods without a network: name, whose labels they take, and Fz (n,) in N of a fold's test pictures."""
+
+
+def plain_errors(
+    source: Session, target: Session, predict: Callable[[Fold], np.ndarray], seeds: Sequence[int]
+) -> tuple[pd.DataFrame, float]:
+    """Return a method's MAE of Fz on each clip of the target (rows) with each seed, N, and the time of a fold, ms."""
+    found, seconds = {}, 0.0
+    for seed in seeds:
+        errors_n = []
+        for fold in clip_folds(source, target, seed):
+            started = time.process_time()
+            predicted_n = predict(fold)
+            seconds += time.process_time() - started
+            errors_n.append((fold.test["fz_n"] - predicted_n).abs())
+        found[seed] = pd.concat(errors_n).groupby(target["clip"]).mean()
+    return pd.DataFrame(found), 1e3 * seconds / (len(seeds) * FOLDS)
+
+
+def run(quick: bool, out_dir: Path, data: Path) -> None:
+    """Measure both ways, print the table, and write `real-sessions.json` to `out_dir`."""
+    seeds = SEEDS[:1] if quick else SEEDS
+    both = read_sessions(converted_sessions(data, out_dir))
+    rows, found = [], []
+    for source, target in (SESSIONS, SESSIONS[::-1]):
+        for method, labels, predict in PLAIN_METHODS:
+            errors_n, ms = plain_errors(both[source], both[target], predict, seeds)
+            mae_n = errors_n.to_numpy()
+            of = {"source": source, "target": target, "method": method, "labels": labels}
+            found.append({**of, "clips": list(errors_n.index), "mae_n": mae_n, "ms_per_fold": ms})
+            rows.append([f"{source} → {target}", method, labels, float(mean_of(mae_n)), bootstrap(mae_n), ms])
+    amounts = [f"{len(own)} pictures of {own['clip'].nunique()} clips" for own in both.values()]
+    show(
+        "Force from one session to another, on real grasps: MAE of Fz on held-out target clips",
+        pd.DataFrame(
+            rows,
+            columns=["source → target", "method", "labels of", "MAE, N", "95 % interval", "ms a fold"],
+        ),
+        f"GelSight Wedge, {', '.join(sorted(set(both[SESSIONS[0]]['object'])))}: {' and '.join(amounts)}. "
+        f"Mean of clips; {FOLDS} folds by clip, {len(seeds)} seed(s), every seed with every fold.",
+        {"": "{:.2f}", "ms a fold": "{:.1f}"},
+    )
+    write_json(out_dir / "real-sessions.json", found)

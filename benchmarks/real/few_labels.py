@@ -1,0 +1,429 @@
+"""Few labels of a real session, from scratch and from what `gelgap pretrain` makes: does synthetic data pay?
+
+`randomisation` asks what matters in it: pretrained with one factor at a time undrawn. Whole clips are tested, and no
+picture of theirs is seen before. Learning rates are chosen for each start on the other session, whose clips are in no
+table.
+"""
+
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from gelgap.adapt import ResultTable
+from gelgap.benchmarks.adaptation.study import grid, versions_line
+from gelgap.benchmarks.common import Results, Setting, cell, mean_of, result_table, write_json
+from gelgap.benchmarks.real.sessions import (
+    FOLDS,
+    FZ_RANGE_N,
+    PLAIN_METHODS,
+    SESSIONS,
+    Fold,
+    Session,
+    SessionStudy,
+    clip_folds,
+    clip_table,
+    compare,
+    errors_by_clip,
+    frames_of_session,
+    key_of_session,
+    read_sessions,
+)
+from gelgap.domains import RANDOM_FACTORS
+
+if TYPE_CHECKING:
+    from gelgap.adapt import ForceModel, Profile
+    from gelgap.domains import LabelledFrames
+
+RUNS = "few-labels.jsonl"
+TUNED_ON, COMPARED_ON = SESSIONS
+SCRATCH, PRETRAINED, WITHOUT = "scratch", "pretrained", "without-"
+"""What training starts from: nothing, a checkpoint of `gelgap pretrain`, or one for which a factor was not drawn."""
+STEPS, QUICK_STEPS = 200, 5
+"""Of every training, whatever it starts from and however much is labelled."""
+RATE = "adapt_learning_rate"
+"""The field of the profile that holds the learning rate of either start."""
+PLAIN = PLAIN_METHODS[:2]
+WANTED_AT_ONE_CLIP, WANTED_WITH_OTHER_OBJECTS, ALLOWED = -25.0, -15.0, 5.0
+"""Targets of the relative difference, %: at one clip, with an object left out, and the worst at any budget."""
+_METHOD = "no-transfer"
+_DOMAINS, _FRAMES = 60, 60
+_QUICK_DOMAINS, _QUICK_FRAMES, _QUICK_EPOCHS = 2, 12, 1
+_RESAMPLES = 4000
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much is labelled: whole clips, or single frames of any clips; with `other_objects` none of the tested one."""
+
+    clips: int = 0
+    frames: int = 0
+    other_objects: bool = False
+
+    @property
+    def name(self) -> str:
+        """What it is in words."""
+        amount, what = (self.clips, "clip") if self.clips else (self.frames, "frame")
+        plural, others = "s" * (amount > 1), " of other objects" * self.other_objects
+        return f"{amount} {what}{plural}{others}"
+
+
+ONE_CLIP, OTHER_OBJECTS = Budget(clips=1), Budget(clips=4, other_objects=True)
+BUDGETS = (
+    *(Budget(clips=clips) for clips in (1, 2, 4, 8)),
+    *(Budget(frames=frames) for frames in (4, 8, 16, 64)),
+    OTHER_OBJECTS,
+)
+
+
+class FewLabels(NamedTuple):
+    """The pictures of a session that are `known`, without labels, of which some are `labelled`, and the `tested`."""
+
+    labelled: Session
+    known: Session
+    tested: Session
+
+
+def few_labels(session: Session, budget: Budget, draw: int) -> FewLabels:
+    """Return what a draw labels and tests; a smaller budget of the same kind labels a part of a larger one's.
+
+    A draw tests the clips of one fold, and three draws test each clip once; or all clips of one object, one after the
+    other.
+    """
+    if budget.other_objects:
+        objects = sorted(session["object"].unique())
+        is_tested = session["object"] == objects[draw % len(objects)]
+    else:
+        fold = list(clip_folds(session, session, draw // FOLDS))[draw % FOLDS]
+        is_tested = session["clip"].isin(fold.test["clip"])
+    known, rng = session[~is_tested], np.random.default_rng((draw, budget.other_objects))
+    if budget.frames:
+        labelled = known.loc[np.sort(rng.permutation(known.index)[: budget.frames])]
+    else:
+        labelled = known[known["clip"].isin(rng.permutation(sorted(known["clip"].unique()))[: budget.clips])]
+    return FewLabels(labelled, known, session[is_tested])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is trained: candidates of the learning rates on some draws, then every budget on others."""
+
+    rates: Mapping[str, Sequence[float]]
+    tuning_budgets: Sequence[Budget]
+    tuning_draws: Sequence[int]
+    budgets: Sequence[Budget]
+    draws: Sequence[int]
+
+
+FULL = Plan(
+    rates={SCRATCH: (0.006, 0.02, 0.06, 0.2), PRETRAINED: (0.001, 0.002, 0.004, 0.008)},
+    tuning_budgets=(ONE_CLIP, Budget(frames=16), OTHER_OBJECTS),
+    tuning_draws=range(2),
+    budgets=BUDGETS,
+    draws=range(12),
+)
+QUICK = Plan(
+    rates={SCRATCH: (0.02, 0.06), PRETRAINED: (0.002, 0.004)},
+    tuning_budgets=(ONE_CLIP,),
+    tuning_draws=range(1),
+    budgets=(ONE_CLIP, OTHER_OBJECTS),
+    draws=range(2),
+)
+FACTOR_BUDGETS, FACTOR_DRAWS = (Budget(frames=16), OTHER_OBJECTS), range(6)
+
+
+class FewLabelStudy(SessionStudy):
+    """Trainings on a few labels of a session, from a start: the source of a run; its data are a budget."""
+
+    def checkpoint_of(self, start: str) -> Path | None:
+        """Return the checkpoint of a start, None for the one from scratch."""
+        return None if start == SCRATCH else self.out / start / "pretrained.pt"
+
+    def stated_of(self, run: Setting) -> Results:
+        """Return what a record states of profile, range, steps, the session's forces, and of what a run starts from."""
+        from gelgap.assets.checksums import file_sha256
+
+        session, checkpoint = read_sessions(self.data)[run["target"]], self.checkpoint_of(run["source"])
+        start = None if checkpoint is None else file_sha256(checkpoint)
+        data = FZ_RANGE_N, STEPS, key_of_session(session), start
+        return self.stated(self.profile_of(run), run["method"], *data)
+
+    def stage1_of(self, run: Setting) -> None:
+        """Return that runs share no first stage."""
+
+
+def few_label_runs(
+    session: str, budgets: Iterable[Budget], rates: Mapping[str, Sequence[float]], draws: Iterable[int]
+) -> list[Setting]:
+    """Return the trainings of each start with each of its learning rates, one draw after the other."""
+    # The sensor has no markers that training could hide.
+    common = (("batch_statistics", "joint"), ("marker_hiding", 0.0))
+    return [
+        run
+        for draw in draws
+        for budget in budgets
+        for start, own in rates.items()
+        for rate in own
+        for run in grid([(budget.name, (start, session))], [_METHOD], [draw], (*common, (RATE, rate)))
+    ]
+
+
+def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
+    """Train on what a draw labels, and return the errors on what it tests; one that stops predicts the labels' mean."""
+    from gelgap.adapt import FeatureCollapse, TrainingDiverged
+
+    budget = next(budget for budget in BUDGETS if budget.name == run["data"])
+    drawn = few_labels(read_sessions(study.data)[run["target"]], budget, run["seed"])
+    labelled, known, tested = (frames_of_session(study.data, part) for part in drawn)
+    profile, checkpoint = profile_of(study, run, len(labelled)), study.checkpoint_of(run["source"])
+    for part in (labelled, known, tested):
+        part.images(profile.image_size_px)  # read before the clock starts
+    start = time.perf_counter()
+    try:
+        if checkpoint is None:
+            model = from_scratch(labelled, known, profile, run["seed"])
+        else:
+            model = from_checkpoint(checkpoint, labelled, known, profile, run["seed"])
+        predicted, problem = model.predict(tested), None
+    except (FeatureCollapse, TrainingDiverged) as trouble:
+        predicted, problem = labelled.label_values.mean(axis=0), str(trouble)
+    return {
+        "versions": versions_line(),
+        "control": None,
+        "problem": problem,
+        "clip_mae_n": errors_by_clip(predicted, tested),
+        "stage1_s": 0.0,
+        "stage2_s": round(time.perf_counter() - start, 2),
+    }
+
+
+def from_scratch(
+    labelled: "LabelledFrames", known: "LabelledFrames", profile: "Profile", seed: int
+) -> "ForceModel":
+    """Train a new network; batches are normalised together with unlabelled pictures, in the end by all of these."""
+    from gelgap.adapt import Stage1, adapt, with_statistics_of
+
+    model = adapt(Stage1(labelled, profile, seed).untrained(), labelled, known, _METHOD, profile, seed)
+    return with_statistics_of(model, known)
+
+
+def from_checkpoint(
+    checkpoint: Path, labelled: "LabelledFrames", known: "LabelledFrames", profile: "Profile", seed: int
+) -> "ForceModel":
+    """Fine-tune a network as `gelgap finetune` does: normalised by the unlabelled pictures, before and after."""
+    from gelgap.adapt import ForceModel, fine_tune, with_statistics_of
+    from gelgap.adapt.data import steps_per_epoch
+    from gelgap.adapt.few_labels import of_common_labels
+    from gelgap.domains import with_labels
+
+    model = with_statistics_of(of_common_labels(ForceModel.load(checkpoint), known), known)
+    few = with_labels(labelled, model.labels)
+    steps = profile.adapt_epochs * steps_per_epoch(len(few), profile.batch_size)
+    return fine_tune(model, few, steps=steps, learning_rate=profile.adapt_learning_rate, seed=seed)
+
+
+def profile_of(study: FewLabelStudy, run: Setting, labelled: int) -> "Profile":
+    """Return a run's profile with as many epochs as make the steps of every training."""
+    from gelgap.adapt.data import steps_per_epoch
+
+    profile = study.profile_of(run)
+    steps = QUICK_STEPS if study.is_quick else STEPS
+    return profile.replace(adapt_epochs=math.ceil(steps / steps_per_epoch(labelled, profile.batch_size)))
+
+
+def pretrain_once(study: FewLabelStudy, start: str) -> None:
+    """Generate the domains of a start and pretrain, unless the checkpoint is there."""
+    checkpoint = study.checkpoint_of(start)
+    if checkpoint.is_file():
+        return
+    from gelgap.adapt import Profile, console_progress, pretrain
+    from gelgap.domains import PretrainingRanges, generate_recipes, pretraining_recipes, shown_progress
+
+    ranges, profile = PretrainingRanges.default(), Profile.preset(study.profile)
+    domains, frames = _DOMAINS, _FRAMES
+    if study.is_quick:
+        ranges, profile = ranges.in_quick_form(), profile.replace(source_epochs=_QUICK_EPOCHS)
+        domains, frames = _QUICK_DOMAINS, _QUICK_FRAMES
+    undrawn = [start.removeprefix(WITHOUT)] if start.startswith(WITHOUT) else []
+    recipes = pretraining_recipes(domains, frames, ranges, without=undrawn)
+    folder = checkpoint.parent / "domains"
+    scheduler = "synchronous" if study.workers == 1 else None
+    with shown_progress() as progress:
+        generate_recipes(recipes, folder, scheduler=scheduler, workers=study.workers, progress=progress)
+    with console_progress() as progress:
+        folders = [folder / recipe.name for recipe in recipes]
+        print(pretrain(folders, checkpoint.parent, profile, progress=progress), flush=True)
+
+
+def tune(study: FewLabelStudy, plan: Plan, starts: Iterable[str]) -> pd.DataFrame:
+    """Train with every candidate of the learning rates, on the session that is in no table; return the records."""
+    rates = {start: plan.rates[start] for start in starts}
+    runs = few_label_runs(TUNED_ON, plan.tuning_budgets, rates, plan.tuning_draws)
+    return study.run(train_on_few_labels, runs, RUNS)
+
+
+def compare_starts(
+    study: FewLabelStudy, budgets: Sequence[Budget], rates: Mapping[str, float], draws: Iterable[int]
+) -> pd.DataFrame:
+    """Train each start with its learning rate, on the session that is compared; return the records."""
+    own = {start: (rate,) for start, rate in rates.items()}
+    return study.run(train_on_few_labels, few_label_runs(COMPARED_ON, budgets, own, draws), RUNS)
+
+
+def pretraining(quick: bool, out_dir: Path, data: Path) -> None:
+    """Pretrain, do the runs that have no record yet, print the tables, and write `real-pretraining.json`."""
+    study, plan = FewLabelStudy.of(quick, out_dir, data, "pretraining-"), QUICK if quick else FULL
+    pretrain_once(study, PRETRAINED)
+    tried = tune(study, plan, plan.rates)
+    errors_n = mean_by_rate(tried)
+    chosen = {start: errors_n[start].idxmin() for start in plan.rates}
+    records = compare_starts(study, plan.budgets, chosen, plan.draws)
+    session = read_sessions(study.data)[COMPARED_ON]
+    found = {budget: errors_of(session, budget, records) for budget in plan.budgets}
+    tables = [comparison_table(found, records), rate_table(tried)]
+    for table in tables:
+        table.show()
+    write_json(out_dir / "real-pretraining.json", tables)
+
+
+def randomisation(quick: bool, out_dir: Path, data: Path) -> None:
+    """Pretrain once for each factor, do the runs that have no record yet, print the table, and write it as JSON.
+
+    The learning rate is that which `pretraining` chooses for what is pretrained with all factors drawn.
+    """
+    study, plan = FewLabelStudy.of(quick, out_dir, data, "pretraining-"), QUICK if quick else FULL
+    factors, budgets, draws = RANDOM_FACTORS, FACTOR_BUDGETS, FACTOR_DRAWS
+    if quick:
+        factors, budgets, draws = RANDOM_FACTORS[:1], FACTOR_BUDGETS[:1], range(1)
+    starts = [PRETRAINED, *(f"{WITHOUT}{factor}" for factor in factors)]
+    for start in starts:
+        pretrain_once(study, start)
+    rate = mean_by_rate(tune(study, plan, [PRETRAINED]))[PRETRAINED].idxmin()
+    records = compare_starts(study, budgets, dict.fromkeys(starts, rate), draws)
+    session = read_sessions(study.data)[COMPARED_ON]
+    table = factor_table({budget: errors_of(session, budget, records) for budget in budgets}, starts)
+    table.show()
+    write_json(out_dir / "real-randomisation.json", table)
+
+
+Errors = Mapping[str, np.ndarray]
+"""Errors with one budget by start or plain method, (clips, draws) in N, NaN where a draw does not test a clip."""
+
+
+def errors_of(session: Session, budget: Budget, records: pd.DataFrame) -> Errors:
+    """Return the errors of networks and plain methods on the clips that each draw tests."""
+    own = records[records["data"] == budget.name]
+    clips, draws = sorted(session["clip"].unique()), sorted(own["seed"].unique())
+    found = {
+        start: clip_table(runs, "clip_mae_n", "seed") for start, runs in own.groupby("source", sort=False)
+    }
+    for name, _, predict in PLAIN:
+        errors_n = {}
+        for draw in draws:
+            labelled, _, tested = few_labels(session, budget, draw)
+            off_n = (tested["fz_n"] - predict(Fold(labelled, labelled, tested))).abs()
+            errors_n[draw] = off_n.groupby(tested["clip"]).mean()
+        found[name] = pd.DataFrame(errors_n)
+    return {name: table.reindex(index=clips, columns=draws).to_numpy() for name, table in found.items()}
+
+
+def relative_difference(own: np.ndarray, control: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """Return by how much errors (clips, draws) differ from a control's, % of its mean, and the 95 % interval."""
+
+    def percent(one: np.ndarray, other: np.ndarray) -> float:
+        return float(100 * (mean_of(one) / mean_of(other) - 1))
+
+    return compare(percent, own, control, is_paired=True, resamples=_RESAMPLES)
+
+
+def comparison_table(found: Mapping[Budget, Errors], records: pd.DataFrame) -> ResultTable:
+    """Each budget's errors, and the difference between the two starts."""
+    shown = (*(name for name, *_ in PLAIN), SCRATCH, PRETRAINED)
+    relative = {budget: relative_difference(own[PRETRAINED], own[SCRATCH]) for budget, own in found.items()}
+    rows = [
+        {
+            "labelled": budget.name,
+            **{name: float(mean_of(own[name])) for name in shown},
+            "difference": relative[budget][0],
+            "95 % interval": relative[budget][1],
+            "draws": own[SCRATCH].shape[1],
+        }
+        for budget, own in found.items()
+    ]
+    return result_table(
+        f"Few labels on real grasps, {COMPARED_ON}: MAE of Fz on clips that were not seen, N",
+        pd.DataFrame(rows),
+        f"{verdict(relative)} Difference: the pretrained network's error over that from scratch; intervals: bootstrap "
+        f"over clips and draws, paired. {FOLDS} draws test each clip once, or a draw tests all clips of one object. "
+        f"Both networks take {STEPS} steps, and see the pictures of all clips but the tested ones without labels, to "
+        "normalise by: from scratch in every batch, pretrained before the first one. A training took "
+        f"{records['stage2_s'].median():.1f} s. {records['problem'].notna().sum()} of {len(records)} stopped and count "
+        "with the constant's error.",
+        {"": "{:.2f}", "difference": "{:+.0f} %", "95 % interval": "{:+.0f}", "draws": "{:d}"},
+    )
+
+
+def verdict(relative: Mapping[Budget, tuple[float, tuple[float, float]]]) -> str:
+    """Say of which budgets the relative difference misses its target, then of which it meets it."""
+    missed, met = [], []
+    for budget, (percent, (low, high)) in relative.items():
+        wanted = ALLOWED
+        if budget == ONE_CLIP:
+            wanted = WANTED_AT_ONE_CLIP
+        elif budget.other_objects:
+            wanted = WANTED_WITH_OTHER_OBJECTS
+        is_met = percent <= wanted and (high < 0 or budget != ONE_CLIP)
+        text = f"{budget.name} {percent:+.0f} % ({low:+.0f}…{high:+.0f}; at most {wanted:+.0f})"
+        (met if is_met else missed).append(text)
+    parts = [("Missed", missed), ("Met", met)]
+    return " ".join(f"{word}: {'; '.join(texts)}." for word, texts in parts if texts)
+
+
+def mean_by_rate(tried: pd.DataFrame) -> pd.Series:
+    """Return the mean error over the runs of each start with each learning rate, N."""
+    error_n = tried.filter(like="clip_mae_n.").mean(axis=1)
+    return error_n.groupby(
+        [tried["source"], tried["changes"].map(lambda changes: dict(changes)[RATE])]
+    ).mean()
+
+
+def rate_table(tried: pd.DataFrame) -> ResultTable:
+    """The errors by which each start's learning rate was chosen."""
+    errors_n, rows = mean_by_rate(tried), []
+    for start in tried["source"].unique():
+        tested = ", ".join(f"{rate:g}: {error_n:.2f}" for rate, error_n in errors_n[start].items())
+        rows.append([start, tested, f"{errors_n[start].idxmin():g}"])
+    return ResultTable(
+        f"Learning rates, chosen on {TUNED_ON}: MAE of Fz, N",
+        ["start", "error at each rate", "chosen"],
+        rows,
+        f"Mean over {', '.join(tried['data'].unique())}, {tried['seed'].nunique()} draw(s) of each.",
+    )
+
+
+def factor_table(found: Mapping[Budget, Errors], starts: Sequence[str]) -> ResultTable:
+    """Each start's errors, and by how much they differ from those with all factors drawn."""
+    rows = [[start] for start in starts]
+    for errors_n in found.values():
+        for row, start in zip(rows, starts, strict=True):
+            row.append(cell(float(mean_of(errors_n[start])), "{:.2f}"))
+            if start == PRETRAINED:
+                row += [None, None]
+            else:
+                percent, interval = relative_difference(errors_n[start], errors_n[PRETRAINED])
+                row += [cell(percent, "{:+.0f} %"), cell(interval, "{:+.0f}")]
+    columns = [text for budget in found for text in (budget.name, "difference", "95 % interval")]
+    draws = next(iter(found.values()))[PRETRAINED].shape[1]
+    return ResultTable(
+        f"What is drawn for pretraining, {COMPARED_ON}: MAE of Fz on clips that were not seen, N",
+        ["pretrained", *columns],
+        rows,
+        "Differences: error over that with all factors drawn, above 0 where the factor helps; intervals: bootstrap "
+        f"over clips and draws, paired; {draws} draws. One pretraining each: what another seed of it would change is "
+        "not in them.",
+    )
