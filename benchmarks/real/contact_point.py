@@ -71,31 +71,15 @@ REACH_MM = 4.0
 _LIGHT = " light, "
 _MM_PER_PX = VIEW_MM[0] / SYNTHETIC_PX[0]
 _WINDOW_LABELS = Labels.of({"x_mm": (-REACH_MM, REACH_MM), "y_mm": (-REACH_MM, REACH_MM)})
+_CENTER = ("center_x_mm", "center_y_mm")
 _NO_CHANGE = 128
 _JITTER_MM = 1.5
 _COPIES = 2
 _LEVEL_RADIUS_PX = 16.0
 
 
-@dataclass(frozen=True)
-class Windows:
-    """What changes within windows, labelled with the contact point from their centres, and the centres (n, 2) in mm."""
-
-    frames: LabelledFrames
-    centers_mm: np.ndarray
-
-    @property
-    def has_point(self) -> np.ndarray:
-        """Whether the contact point is within reach of the window's centre (n,)."""
-        return np.abs(self.frames.label_values).max(axis=1) < REACH_MM
-
-    def take(self, rows: np.ndarray) -> "Windows":
-        """Return some of the windows."""
-        return Windows(self.frames.take(rows), self.centers_mm[rows])
-
-
-def windows_of(frames: LabelledFrames) -> Windows:
-    """Return a window around the centroid of each picture's change."""
+def windows_of(frames: LabelledFrames) -> LabelledFrames:
+    """Return a window around the centroid of each picture's change, labelled with the contact point from its centre."""
     changes = list(_changes(frames))
     return _windows(frames, changes, _centroids_mm(changes))
 
@@ -108,8 +92,17 @@ def training_windows(frames: LabelledFrames) -> LabelledFrames:
     centers_mm = np.tile(_centroids_mm(changes), (_COPIES, 1))
     centers_mm = centers_mm + rng.uniform(-_JITTER_MM, _JITTER_MM, centers_mm.shape)
     twice = pressed.take(np.tile(np.arange(len(pressed)), _COPIES))
-    found = _windows(twice, changes * _COPIES, centers_mm)
-    return found.frames.take(np.flatnonzero(found.has_point))
+    return with_point(_windows(twice, changes * _COPIES, centers_mm))
+
+
+def with_point(windows: LabelledFrames) -> LabelledFrames:
+    """Return the windows whose contact point is within reach of their centre."""
+    return windows.take(np.flatnonzero(np.abs(windows.label_values).max(axis=1) < REACH_MM))
+
+
+def centers_of(windows: LabelledFrames) -> np.ndarray:
+    """Return the centres of windows (n, 2) from the middle of the view, mm."""
+    return np.stack([windows.columns[name] for name in _CENTER], axis=1)
 
 
 def _changes(frames: LabelledFrames) -> Iterator[np.ndarray]:
@@ -125,7 +118,7 @@ def _centroids_mm(changes: list[np.ndarray]) -> np.ndarray:
     return (found_px - (np.array(SYNTHETIC_PX) - 1) / 2) * _MM_PER_PX
 
 
-def _windows(frames: LabelledFrames, changes: list[np.ndarray], centers_mm: np.ndarray) -> Windows:
+def _windows(frames: LabelledFrames, changes: list[np.ndarray], centers_mm: np.ndarray) -> LabelledFrames:
     """Cut windows at whole pixels; beyond the picture nothing changes."""
     middle_px = centers_mm / _MM_PER_PX + (np.array(SYNTHETIC_PX) - 1) / 2
     first_px = np.round(middle_px - (WINDOW_PX - 1) / 2).astype(int)
@@ -135,11 +128,11 @@ def _windows(frames: LabelledFrames, changes: list[np.ndarray], centers_mm: np.n
         padded = np.pad(change, (margin, margin, (0, 0)))
         cut.append(padded[y : y + WINDOW_PX, x : x + WINDOW_PX].copy())
     points_mm = np.stack([frames.columns[name] for name in _WINDOW_LABELS.names], axis=1)
-    off_mm = dict(zip(_WINDOW_LABELS.names, (points_mm - centers_mm).T, strict=True))
+    names = (*_WINDOW_LABELS.names, *_CENTER)
+    columns = dict(zip(names, (*(points_mm - centers_mm).T, *centers_mm.T), strict=True))
     pictures = np.clip(_NO_CHANGE + np.array(cut), 0, 255).astype(np.uint8)
     reference = np.full(pictures.shape[1:], _NO_CHANGE, np.uint8)
-    windows = ArrayFrames(frames.name, pictures, reference, None, **off_mm)
-    return Windows(with_labels(windows, _WINDOW_LABELS), centers_mm)
+    return with_labels(ArrayFrames(frames.name, pictures, reference, None, **columns), _WINDOW_LABELS)
 
 
 @dataclass(frozen=True)
@@ -154,7 +147,7 @@ class RealPresses:
         return self.frames.columns["clip"].astype(str)
 
     @cached_property
-    def windows(self) -> Windows:
+    def windows(self) -> LabelledFrames:
         """What networks see of them."""
         return windows_of(self.frames)
 
@@ -285,14 +278,14 @@ class Trials:
             windows = self._presses.windows.take(self._presses.halves(draw)[1])
             learn = self._way_to_learn(method, labels, draw)
             start = time.perf_counter()
-            points_mm = windows.centers_mm + learn().predict(windows.frames)
+            points_mm = centers_of(windows) + learn().predict(windows)
         return results_of(self._presses, draw, points_mm, time.perf_counter() - start)
 
     def _way_to_learn(self, method: str, count: int, draw: int) -> Callable[[], ForceModel]:
         """Return what learns from labels; what draws share is trained before."""
         # Windows without the contact point teach nothing.
-        windows = self._presses.windows.take(self._presses.labelled(draw, count))
-        labelled, profile = windows.frames.take(np.flatnonzero(windows.has_point)), self._plan.profile
+        labelled = with_point(self._presses.windows.take(self._presses.labelled(draw, count)))
+        profile = self._plan.profile
         if method == SCRATCH:
             epochs = self._plan.steps_from_scratch // max(1, len(labelled) // profile.batch_size)
             return lambda: train_source(labelled, profile.replace(source_epochs=epochs), draw)
@@ -300,7 +293,7 @@ class Trials:
         model, pool = self._model(light, draw // 2), self._presses.halves(draw)[0]
         return {
             AS_TRAINED: lambda: model,
-            STATISTICS: lambda: with_statistics_of(model, self._presses.windows.frames.take(pool)),
+            STATISTICS: lambda: with_statistics_of(model, self._presses.windows.take(pool)),
             CORRECTED: lambda: affine_correction(model, labelled),
             TUNED: lambda: fine_tune(model, labelled),
         }[what]

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -44,6 +44,8 @@ RUNS = "few-labels.jsonl"
 TUNED_ON, COMPARED_ON = SESSIONS
 SCRATCH, PRETRAINED, WITHOUT = "scratch", "pretrained", "without-"
 """What training starts from: nothing, a checkpoint of `gelgap pretrain`, or one for which a factor was not drawn."""
+RATES = {SCRATCH: (0.006, 0.02, 0.06, 0.2), PRETRAINED: (0.001, 0.002, 0.004, 0.008)}
+"""Candidates of the learning rates."""
 STEPS, QUICK_STEPS = 200, 5
 """Of every training, whatever it starts from and however much is labelled."""
 RATE = "adapt_learning_rate"
@@ -79,62 +81,29 @@ BUDGETS = (
     *(Budget(frames=frames) for frames in (4, 8, 16, 64)),
     OTHER_OBJECTS,
 )
+TUNING_BUDGETS, TUNING_DRAWS = (ONE_CLIP, Budget(frames=16), OTHER_OBJECTS), range(2)
+DRAWS = range(12)
+FACTOR_BUDGETS, FACTOR_DRAWS = (Budget(frames=16), OTHER_OBJECTS), range(6)
 
 
-class FewLabels(NamedTuple):
-    """The pictures of a session that are `known`, without labels, of which some are `labelled`, and the `tested`."""
-
-    labelled: Session
-    known: Session
-    tested: Session
-
-
-def few_labels(session: Session, budget: Budget, draw: int) -> FewLabels:
-    """Return what a draw labels and tests; a smaller budget of the same kind labels a part of a larger one's.
+def few_labels(session: Session, budget: Budget, draw: int) -> tuple[Session, Session, Session]:
+    """Return the pictures that a draw labels, those that are known without labels, these among them, and the tested.
 
     A draw tests the clips of one fold, and three draws test each clip once; or all clips of one object, one after the
-    other.
+    other. A smaller budget of the same kind labels a part of a larger one's.
     """
     if budget.other_objects:
         objects = sorted(session["object"].unique())
         is_tested = session["object"] == objects[draw % len(objects)]
     else:
         fold = list(clip_folds(session, session, draw // FOLDS))[draw % FOLDS]
-        is_tested = session["clip"].isin(fold.test["clip"])
+        is_tested = session["clip"].isin(fold.target_test["clip"])
     known, rng = session[~is_tested], np.random.default_rng((draw, budget.other_objects))
     if budget.frames:
         labelled = known.loc[np.sort(rng.permutation(known.index)[: budget.frames])]
     else:
         labelled = known[known["clip"].isin(rng.permutation(sorted(known["clip"].unique()))[: budget.clips])]
-    return FewLabels(labelled, known, session[is_tested])
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is trained: candidates of the learning rates on some draws, then every budget on others."""
-
-    rates: Mapping[str, Sequence[float]]
-    tuning_budgets: Sequence[Budget]
-    tuning_draws: Sequence[int]
-    budgets: Sequence[Budget]
-    draws: Sequence[int]
-
-
-FULL = Plan(
-    rates={SCRATCH: (0.006, 0.02, 0.06, 0.2), PRETRAINED: (0.001, 0.002, 0.004, 0.008)},
-    tuning_budgets=(ONE_CLIP, Budget(frames=16), OTHER_OBJECTS),
-    tuning_draws=range(2),
-    budgets=BUDGETS,
-    draws=range(12),
-)
-QUICK = Plan(
-    rates={SCRATCH: (0.02, 0.06), PRETRAINED: (0.002, 0.004)},
-    tuning_budgets=(ONE_CLIP,),
-    tuning_draws=range(1),
-    budgets=(ONE_CLIP, OTHER_OBJECTS),
-    draws=range(2),
-)
-FACTOR_BUDGETS, FACTOR_DRAWS = (Budget(frames=16), OTHER_OBJECTS), range(6)
+    return labelled, known, session[is_tested]
 
 
 class FewLabelStudy(SessionStudy):
@@ -183,13 +152,9 @@ def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
     profile, checkpoint = profile_of(study, run, len(labelled)), study.checkpoint_of(run["source"])
     for part in (labelled, known, tested):
         part.images(profile.image_size_px)  # read before the clock starts
-    start = time.perf_counter()
+    start, problem = time.perf_counter(), None
     try:
-        if checkpoint is None:
-            model = from_scratch(labelled, known, profile, run["seed"])
-        else:
-            model = from_checkpoint(checkpoint, labelled, known, profile, run["seed"])
-        predicted, problem = model.predict(tested), None
+        predicted = trained(checkpoint, labelled, known, profile, run["seed"]).predict(tested)
     except (FeatureCollapse, TrainingDiverged) as trouble:
         predicted, problem = labelled.label_values.mean(axis=0), str(trouble)
     return {
@@ -202,25 +167,26 @@ def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
     }
 
 
-def from_scratch(
-    labelled: "LabelledFrames", known: "LabelledFrames", profile: "Profile", seed: int
+def trained(
+    checkpoint: Path | None,
+    labelled: "LabelledFrames",
+    known: "LabelledFrames",
+    profile: "Profile",
+    seed: int,
 ) -> "ForceModel":
-    """Train a new network; batches are normalised together with unlabelled pictures, in the end by all of these."""
-    from gelgap.adapt import Stage1, adapt, with_statistics_of
+    """Train a new network, or fine-tune that of a checkpoint as `gelgap finetune` does.
 
-    model = adapt(Stage1(labelled, profile, seed).untrained(), labelled, known, _METHOD, profile, seed)
-    return with_statistics_of(model, known)
-
-
-def from_checkpoint(
-    checkpoint: Path, labelled: "LabelledFrames", known: "LabelledFrames", profile: "Profile", seed: int
-) -> "ForceModel":
-    """Fine-tune a network as `gelgap finetune` does: normalised by the unlabelled pictures, before and after."""
-    from gelgap.adapt import ForceModel, fine_tune, with_statistics_of
+    A new one's batches are normalised together with unlabelled pictures, in the end by all of these; a pretrained one
+    is normalised by the unlabelled pictures, before and after.
+    """
+    from gelgap.adapt import ForceModel, Stage1, adapt, fine_tune, with_statistics_of
     from gelgap.adapt.data import steps_per_epoch
     from gelgap.adapt.few_labels import of_common_labels
     from gelgap.domains import with_labels
 
+    if checkpoint is None:
+        untrained = Stage1(labelled, profile, seed).untrained()
+        return with_statistics_of(adapt(untrained, labelled, known, _METHOD, profile, seed), known)
     model = with_statistics_of(of_common_labels(ForceModel.load(checkpoint), known), known)
     few = with_labels(labelled, model.labels)
     steps = profile.adapt_epochs * steps_per_epoch(len(few), profile.batch_size)
@@ -260,32 +226,32 @@ def pretrain_once(study: FewLabelStudy, start: str) -> None:
         print(pretrain(folders, checkpoint.parent, profile, progress=progress), flush=True)
 
 
-def tune(study: FewLabelStudy, plan: Plan, starts: Iterable[str]) -> pd.DataFrame:
+def tune(study: FewLabelStudy, starts: Iterable[str]) -> pd.DataFrame:
     """Train with every candidate of the learning rates, on the session that is in no table; return the records."""
-    rates = {start: plan.rates[start] for start in starts}
-    runs = few_label_runs(TUNED_ON, plan.tuning_budgets, rates, plan.tuning_draws)
-    return study.run(train_on_few_labels, runs, RUNS)
+    rates, budgets, draws = {start: RATES[start] for start in starts}, TUNING_BUDGETS, TUNING_DRAWS
+    if study.is_quick:
+        rates, budgets, draws = {start: own[1:3] for start, own in rates.items()}, budgets[:1], draws[:1]
+    return study.run(train_on_few_labels, few_label_runs(TUNED_ON, budgets, rates, draws), RUNS)
 
 
 def compare_starts(
     study: FewLabelStudy, budgets: Sequence[Budget], rates: Mapping[str, float], draws: Iterable[int]
-) -> pd.DataFrame:
-    """Train each start with its learning rate, on the session that is compared; return the records."""
-    own = {start: (rate,) for start, rate in rates.items()}
-    return study.run(train_on_few_labels, few_label_runs(COMPARED_ON, budgets, own, draws), RUNS)
+) -> tuple[pd.DataFrame, dict[Budget, "Errors"]]:
+    """Train each start with its learning rate, on the session that is compared; return records and errors."""
+    runs = few_label_runs(COMPARED_ON, budgets, {start: (rate,) for start, rate in rates.items()}, draws)
+    records, session = study.run(train_on_few_labels, runs, RUNS), read_sessions(study.data)[COMPARED_ON]
+    return records, {budget: errors_of(session, budget, records) for budget in budgets}
 
 
 def pretraining(quick: bool, out_dir: Path, data: Path) -> None:
     """Pretrain, do the runs that have no record yet, print the tables, and write `real-pretraining.json`."""
-    study, plan = FewLabelStudy.of(quick, out_dir, data, "pretraining-"), QUICK if quick else FULL
+    study = FewLabelStudy.of(quick, out_dir, data, "pretraining-")
+    budgets, draws = ((ONE_CLIP, OTHER_OBJECTS), DRAWS[:2]) if quick else (BUDGETS, DRAWS)
     pretrain_once(study, PRETRAINED)
-    tried = tune(study, plan, plan.rates)
-    errors_n = mean_by_rate(tried)
-    chosen = {start: errors_n[start].idxmin() for start in plan.rates}
-    records = compare_starts(study, plan.budgets, chosen, plan.draws)
-    session = read_sessions(study.data)[COMPARED_ON]
-    found = {budget: errors_of(session, budget, records) for budget in plan.budgets}
-    tables = [comparison_table(found, records), rate_table(tried)]
+    tried = tune(study, RATES)
+    chosen = {start: mean_by_rate(tried)[start].idxmin() for start in RATES}
+    records, errors = compare_starts(study, budgets, chosen, draws)
+    tables = [comparison_table(errors, records), rate_table(tried)]
     for table in tables:
         table.show()
     write_json(out_dir / "real-pretraining.json", tables)
@@ -296,17 +262,16 @@ def randomisation(quick: bool, out_dir: Path, data: Path) -> None:
 
     The learning rate is that which `pretraining` chooses for what is pretrained with all factors drawn.
     """
-    study, plan = FewLabelStudy.of(quick, out_dir, data, "pretraining-"), QUICK if quick else FULL
+    study = FewLabelStudy.of(quick, out_dir, data, "pretraining-")
     factors, budgets, draws = RANDOM_FACTORS, FACTOR_BUDGETS, FACTOR_DRAWS
     if quick:
-        factors, budgets, draws = RANDOM_FACTORS[:1], FACTOR_BUDGETS[:1], range(1)
+        factors, budgets, draws = factors[:1], budgets[:1], draws[:1]
     starts = [PRETRAINED, *(f"{WITHOUT}{factor}" for factor in factors)]
     for start in starts:
         pretrain_once(study, start)
-    rate = mean_by_rate(tune(study, plan, [PRETRAINED]))[PRETRAINED].idxmin()
-    records = compare_starts(study, budgets, dict.fromkeys(starts, rate), draws)
-    session = read_sessions(study.data)[COMPARED_ON]
-    table = factor_table({budget: errors_of(session, budget, records) for budget in budgets}, starts)
+    rate = mean_by_rate(tune(study, [PRETRAINED]))[PRETRAINED].idxmin()
+    _, errors = compare_starts(study, budgets, dict.fromkeys(starts, rate), draws)
+    table = factor_table(errors, starts)
     table.show()
     write_json(out_dir / "real-randomisation.json", table)
 

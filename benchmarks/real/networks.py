@@ -5,9 +5,7 @@ tuned on real data.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -37,9 +35,6 @@ from gelgap.benchmarks.real.sessions import (
     read_sessions,
 )
 
-if TYPE_CHECKING:
-    from gelgap.domains import LabelledFrames
-
 RUNS = "runs.jsonl"
 DIRECTIONS = (SESSIONS, SESSIONS[::-1])
 CLASSES = 12
@@ -54,15 +49,6 @@ _RESAMPLES = 1000
 _FOLD = "fold-"
 
 
-@dataclass(frozen=True)
-class FoldFrames:
-    """The pictures in contact of a fold; the target's training labels are for the ceiling alone."""
-
-    source_train: "LabelledFrames"
-    target_train: "LabelledFrames"
-    target_test: "LabelledFrames"
-
-
 class FoldStudy(SessionStudy):
     """Runs from one session to the other; a fold is the data of a run."""
 
@@ -72,15 +58,15 @@ class FoldStudy(SessionStudy):
         folds = clip_folds(sessions[run["source"]], sessions[run["target"]], run["seed"])
         return list(folds)[int(run["data"].removeprefix(_FOLD))]
 
-    def frames_of(self, run: Setting) -> FoldFrames:
-        """Return the frames of a run, with Fz as their only label, and contact classes of the source's."""
+    def frames_of(self, run: Setting) -> Fold:
+        """Return the frames of a run, with Fz as their only label, and contact classes of the source's.
+
+        The target's training labels are for the ceiling alone.
+        """
         from gelgap.domains import force_classes
 
-        fold = self.fold_of(run)
-        source, target, test = (
-            frames_of_session(self.data, own) for own in (fold.source, fold.target, fold.test)
-        )
-        return FoldFrames(force_classes(source, CLASSES), target, test)
+        source, *target = (frames_of_session(self.data, own) for own in self.fold_of(run))
+        return Fold(force_classes(source, CLASSES), *target)
 
     def stated_of(self, run: Setting) -> Results:
         """Return what the record of a run states of its profile, the range, the classes, and both sessions' forces."""

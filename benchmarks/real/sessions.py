@@ -7,10 +7,9 @@ clip are never drawn one by one, because neighbours are nearly equal.
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
@@ -41,16 +40,15 @@ Session = pd.DataFrame
 and `change`, the mean absolute difference of a picture from its clip's reference, in grey levels."""
 
 
-@dataclass(frozen=True)
-class Fold:
-    """What a method may train on, and the target's clips that it is tested on.
+class Fold(NamedTuple):
+    """What a method may train on, and the target's clips that it is tested on: parts of sessions, or their frames.
 
     The target's training clips come without labels unless a method says that it uses them.
     """
 
-    source: Session
-    target: Session
-    test: Session
+    source_train: Any
+    target_train: Any
+    target_test: Any
 
 
 def converted_sessions(data: Path, out_dir: Path) -> Path:
@@ -144,25 +142,19 @@ class SessionStudy(Study):
 def clip_folds(source: Session, target: Session, seed: int) -> Iterator[Fold]:
     """Yield the folds of a seed, which deals the clips of each object anew; the source's are dealt too.
 
-    Each clip is tested in one fold of a seed, each object in as many as it can be.
+    Each clip is tested in one fold of a seed. Those of an object go round the folds, in random order from a random one.
     """
-    dealt = [
-        session["clip"].map(_deal(session, np.random.default_rng((seed, place))))
-        for place, session in enumerate((source, target))
-    ]
+    dealt = []
+    for place, session in enumerate((source, target)):
+        rng, folds = np.random.default_rng((seed, place)), {}
+        for _, own in session.groupby("object"):
+            clips = rng.permutation(sorted(own["clip"].unique()))
+            start = int(rng.integers(FOLDS))
+            folds |= {str(clip): (start + turn) % FOLDS for turn, clip in enumerate(clips)}
+        dealt.append(session["clip"].map(folds))
     for number in range(FOLDS):
-        here = [fold == number for fold in dealt]
-        yield Fold(source[~here[0]], target[~here[1]], target[here[1]])
-
-
-def _deal(session: Session, rng: np.random.Generator) -> dict[str, int]:
-    """Return the fold of each clip: those of an object go round the folds, in random order from a random one."""
-    folds = {}
-    for _, own in session.groupby("object"):
-        clips = rng.permutation(sorted(own["clip"].unique()))
-        start = int(rng.integers(FOLDS))
-        folds |= {str(clip): (start + place) % FOLDS for place, clip in enumerate(clips)}
-    return folds
+        left_out, tested = (folds == number for folds in dealt)
+        yield Fold(source[~left_out], target[~tested], target[tested])
 
 
 def clip_means(errors: np.ndarray, clips: Sequence[str]) -> dict[str, float]:
@@ -206,40 +198,29 @@ def _draw(rng: np.random.Generator, errors: np.ndarray) -> tuple[np.ndarray, ...
     return np.ix_(*(rng.integers(count, size=count) for count in errors.shape[-2:]))
 
 
-def _quadratic(change: pd.Series, labelled: Session, tested: pd.Series) -> np.ndarray:
-    fitted = np.polynomial.Polynomial.fit(change.to_numpy(), labelled["fz_n"].to_numpy(), 2)
+def fitted_fz_n(
+    fold: Fold, labels_of: str = "source", degree: int = 2, standardise: bool = False
+) -> np.ndarray:
+    """Return Fz (n,) in N of a fold's test pictures, by a polynomial in how much a picture differs from rest.
+
+    Standardised, each domain's change has the mean 0 and the deviation 1 of its own training pictures.
+    """
+    labelled = fold.source_train if labels_of == "source" else fold.target_train
+    change, tested = labelled["change"], fold.target_test["change"]
+    if standardise:
+        of_domains = (change, labelled["change"]), (tested, fold.target_train["change"])
+        change, tested = ((values - own.mean()) / own.std(ddof=0) for values, own in of_domains)
+    fitted = np.polynomial.Polynomial.fit(change.to_numpy(), labelled["fz_n"].to_numpy(), degree)
     return fitted(tested.to_numpy())
 
 
-def _standard(change: pd.Series, session: Session) -> pd.Series:
-    return (change - session["change"].mean()) / session["change"].std(ddof=0)
-
-
-def _constant_mean(fold: Fold) -> np.ndarray:
-    return np.full(len(fold.test), fold.source["fz_n"].mean())
-
-
-def _by_change(fold: Fold) -> np.ndarray:
-    return _quadratic(fold.source["change"], fold.source, fold.test["change"])
-
-
-def _by_standardised_change(fold: Fold) -> np.ndarray:
-    """Standardise each domain's change of pictures by the mean and deviation of its own training pictures."""
-    own = _standard(fold.source["change"], fold.source)
-    return _quadratic(own, fold.source, _standard(fold.test["change"], fold.target))
-
-
-def _by_targets_labels(fold: Fold) -> np.ndarray:
-    return _quadratic(fold.target["change"], fold.target, fold.test["change"])
-
-
 PLAIN_METHODS: tuple[tuple[str, str, Callable[[Fold], np.ndarray]], ...] = (
-    ("constant mean", "source", _constant_mean),
-    ("quadratic in the mean difference", "source", _by_change),
-    ("the same, standardised per domain", "source", _by_standardised_change),
-    ("quadratic in the mean difference", "target", _by_targets_labels),
+    ("constant mean", "source", partial(fitted_fz_n, degree=0)),
+    ("quadratic in the mean difference", "source", fitted_fz_n),
+    ("the same, standardised per domain", "source", partial(fitted_fz_n, standardise=True)),
+    ("quadratic in the mean difference", "target", partial(fitted_fz_n, labels_of="target")),
 )
-"""Methods without a network: name, whose labels they take, and Fz (n,) in N of a fold's test pictures."""
+"""Methods without a network: name, whose labels they take, and how they predict."""
 
 
 def plain_errors(
@@ -253,7 +234,7 @@ def plain_errors(
             started = time.process_time()
             predicted_n = predict(fold)
             seconds += time.process_time() - started
-            errors_n.append((fold.test["fz_n"] - predicted_n).abs())
+            errors_n.append((fold.target_test["fz_n"] - predicted_n).abs())
         found[seed] = pd.concat(errors_n).groupby(target["clip"]).mean()
     return pd.DataFrame(found), 1e3 * seconds / (len(seeds) * FOLDS)
 

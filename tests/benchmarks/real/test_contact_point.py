@@ -5,18 +5,37 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from real_clones import write_ball_clone
 
-from gelgap.benchmarks.common.records import read_records
+from gelgap.assets.checksums import with_checksum, without_checksum
+from gelgap.benchmarks.common import read_records
 from gelgap.benchmarks.real import ball_sensor, contact_point
-from gelgap.benchmarks.real.ball_sensor import fitted_sensor
-from gelgap.benchmarks.real.contact_point import QUICK, point_table
-from gelgap.benchmarks.real.plain_points import center_of_change_px, dots_of, level_point_px
-from gelgap.benchmarks.real.point_trials import NO_LABELS, PLAIN_METHODS, PointRecord, RealPresses, record_of
-from gelgap.benchmarks.real.press_windows import WINDOW_PX, windows_of
+from gelgap.benchmarks.real.ball_sensor import (
+    LABELS,
+    VIEW_MM,
+    Amount,
+    center_of_change_px,
+    contact_points,
+    dots_of,
+    fitted_sensor,
+    level_point_px,
+    press_recipes,
+)
+from gelgap.benchmarks.real.contact_point import (
+    NO_LABELS,
+    PLAIN_METHODS,
+    QUICK,
+    WINDOW_PX,
+    RealPresses,
+    centers_of,
+    point_table,
+    results_of,
+    windows_of,
+    with_point,
+)
 from gelgap.benchmarks.real.published_sets import LAYOUTS, SERIES, ball_presses
-from gelgap.benchmarks.real.synthetic_presses import LABELS, VIEW_MM, Amount, contact_points, press_recipes
 from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames, convert
 from gelgap.render import Sensor
@@ -79,18 +98,22 @@ def test_the_centroid_of_a_spot_is_where_it_was_marked(presses: RealPresses):
 def test_the_mean_error_is_shown_apart(presses: RealPresses):
     _, tested = presses.halves(0)
     marks_mm = presses.frames.label_values[tested]
-    record = record_of(presses, ("shifted", 0, 0), "c", marks_mm + np.array([0.3, -0.4]), 0.0)
-    assert list(record.clip_mm.values()) == pytest.approx([0.5] * len(record.clip_mm), abs=1e-4)
-    assert max(record.clip_centered_mm.values()) < 1e-4
-    assert record.offset_mm == pytest.approx((0.3, -0.4), abs=1e-4)
+    found = results_of(presses, 0, marks_mm + np.array([0.3, -0.4]), 0.0)
+    assert found["clip_mm"].keys() == set(presses.clip[tested])
+    assert list(found["clip_mm"].values()) == pytest.approx([0.5] * len(found["clip_mm"]), abs=1e-4)
+    assert max(found["clip_centered_mm"].values()) < 1e-4
+    assert found["offset_mm"] == pytest.approx((0.3, -0.4), abs=1e-4)
 
 
 def test_a_missed_target_stands_first(presses: RealPresses):
-    def of(labels: int, error_mm: float) -> PointRecord:
-        clips = dict.fromkeys(np.unique(presses.clip).tolist(), error_mm)
-        return PointRecord("drawn light, x", labels, 0, "c", clips, clips, (error_mm, 0.0), 1.0)
+    def of(labels: int, error_mm: float) -> dict:
+        names = [
+            f"{kind}.{clip}" for kind in ("clip_mm", "clip_centered_mm") for clip in np.unique(presses.clip)
+        ]
+        trial = {"method": "drawn light, x", "labels": labels, "draw": 0}
+        return {**trial, **dict.fromkeys(names, error_mm), "offset_mm": (error_mm, 0.0), "seconds": 1.0}
 
-    table = point_table([of(0, 0.2), of(20, 0.4)], presses)
+    table = point_table(pd.DataFrame([of(0, 0.2), of(20, 0.4)]), presses)
     assert table.note.startswith("Target of 0.3 mm with 20 labels missed: drawn light, x has 0.40 mm.")
     assert "Target of 0.5 mm with 0 labels reached" in table.note
     assert [row[1:3] for row in table.rows] == [[0, "0.200"], [20, "0.400"]]
@@ -100,9 +123,9 @@ def test_a_window_and_its_label_say_where_the_point_is_and_nothing_changes_beyon
     picture, rest = shaded_dent(25.0, 300.0)
     points_mm = {"x_mm": np.array([-9.45]), "y_mm": np.array([14.05])}
     windows = windows_of(ArrayFrames("corner", picture[None], rest, None, **points_mm))
-    assert (windows.centers_mm + windows.frames.label_values)[0] == pytest.approx([-9.45, 14.05])
-    assert windows.has_point[0]
-    seen = windows.frames.picture(0).astype(int) - windows.frames.reference
+    assert (centers_of(windows) + windows.label_values)[0] == pytest.approx([-9.45, 14.05])
+    assert len(with_point(windows)) == 1
+    seen = windows.picture(0).astype(int) - windows.reference
     assert seen.shape == (WINDOW_PX, WINDOW_PX, 3)
     assert not seen[:, :5].any()
     assert not seen[-5:].any()
@@ -142,7 +165,7 @@ def test_the_light_is_fitted_without_any_mark(clones: Path, tmp_path: Path, monk
     assert np.abs(centers - presses.centers_px).max() < 3
 
 
-def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(
+def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing_even_of_old_records(
     clones: Path, tmp_path: Path, capsys, monkeypatch
 ):
     command = ["benchmark", "real", "--what", "contact-point", "--quick"]
@@ -151,16 +174,18 @@ def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(
     printed = capsys.readouterr().out
     assert "Contact point of real ball presses" in printed
     (path,) = (tmp_path / "real/contact-point").glob("*/points.jsonl")
-    records = read_records(path, PointRecord)
-    plain = {method.name for method in PLAIN_METHODS}
-    assert plain < {record.method for record in records}
-    assert {record.draw for record in records} == set(QUICK.draws)
-    assert {record.labels for record in records} == {NO_LABELS, *QUICK.few}
-    assert all(0 < np.mean(list(record.clip_mm.values())) < 20 for record in records)
-    monkeypatch.setattr(contact_point, "append_record", lambda *_: pytest.fail("measured again"))
+    records = read_records(path)
+    assert set(PLAIN_METHODS) < set(records["method"])
+    assert set(records["draw"]) == set(QUICK.draws)
+    assert set(records["labels"]) == {NO_LABELS, *QUICK.few}
+    assert records.filter(like="clip_mm.").mean(axis=1).between(0, 20, inclusive="neither").all()
+    flat = [without_checksum(json.loads(line)) for line in path.read_text().splitlines()]
+    flat = [{**record.pop("job"), **record} for record in flat]
+    path.write_text("".join(f"{json.dumps(with_checksum(record))}\n" for record in flat))
+    monkeypatch.setattr(contact_point.Trials, "measure", lambda *_: pytest.fail("measured again"))
     main(command)
     table = json.loads((tmp_path / "real-contact-point.json").read_text())
-    assert len(table["rows"]) == len({(record.method, record.labels) for record in records})
+    assert len(table["rows"]) == len(records.groupby(["method", "labels"]))
 
 
 def test_a_missing_clone_comes_with_the_line_that_gets_it(tmp_path: Path, capsys):

@@ -4,13 +4,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from real_clones import write_wedge_clone
 
-from gelgap.benchmarks.real.clip_folds import FOLDS, clip_folds
-from gelgap.benchmarks.real.plain_methods import PLAIN_METHODS, ForceMethod
-from gelgap.benchmarks.real.session_transfer import measure
-from gelgap.benchmarks.real.sessions import Session
+from gelgap.benchmarks.common import bootstrap
+from gelgap.benchmarks.real.sessions import FOLDS, PLAIN_METHODS, Session, clip_folds, plain_errors
 from gelgap.cli.main import main
 
 
@@ -20,36 +19,41 @@ def session(name: str, gain: float = 1.0, offset: float = 0.0) -> Session:
     clips = [f"{thing}_{k}" for thing in ("ball", "foam") for k in range(3)]
     change = rng.uniform(1, 8, (6, 20))
     fz_n = -(0.2 * change**2 + change)
-    return Session(
-        name,
-        np.repeat(clips, 20),
-        np.repeat(["ball", "foam"], 60),
-        fz_n.ravel(),
-        (gain * change + offset).ravel(),
+    return pd.DataFrame(
+        {
+            "session": name,
+            "clip": np.repeat(clips, 20),
+            "object": np.repeat(["ball", "foam"], 60),
+            "fz_n": fz_n.ravel(),
+            "change": (gain * change + offset).ravel(),
+        }
     )
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_each_clip_is_tested_once_per_seed_and_never_trained_on_there(seed: int):
     folds = list(clip_folds(session("a"), session("b"), seed))
-    tested = [clip for fold in folds for clip in np.unique(fold.test.clip)]
-    assert sorted(tested) == sorted(np.unique(session("b").clip))
+    tested = [clip for fold in folds for clip in fold.target_test["clip"].unique()]
+    assert sorted(tested) == sorted(session("b")["clip"].unique())
     for fold in folds:
-        assert not set(fold.test.clip) & set(fold.target.clip)
-        assert {len(np.unique(part.clip)) for part in (fold.source, fold.target)} == {4}
-        assert set(fold.test.object) == {"ball", "foam"}
+        assert not set(fold.target_test["clip"]) & set(fold.target_train["clip"])
+        assert {part["clip"].nunique() for part in (fold.source_train, fold.target_train)} == {4}
+        assert set(fold.target_test["object"]) == {"ball", "foam"}
 
 
 def test_seeds_deal_clips_anew():
     dealt = {
-        tuple(tuple(np.unique(fold.test.clip)) for fold in clip_folds(session("a"), session("b"), seed))
+        tuple(
+            tuple(fold.target_test["clip"].unique()) for fold in clip_folds(session("a"), session("b"), seed)
+        )
         for seed in range(5)
     }
     assert len(dealt) > 1
 
 
 def errors_n(source: Session, target: Session) -> list[float]:
-    return [float(measure(source, target, method, (0, 1)).mae_n.mean()) for method in PLAIN_METHODS]
+    found = (plain_errors(source, target, predict, (0, 1))[0] for _, _, predict in PLAIN_METHODS)
+    return [float(mae_n.to_numpy().mean()) for mae_n in found]
 
 
 def test_the_quadratic_is_exact_without_a_gap_and_standardising_undoes_gain_and_offset():
@@ -64,14 +68,15 @@ def test_the_quadratic_is_exact_without_a_gap_and_standardising_undoes_gain_and_
 
 def test_errors_are_those_of_each_clip_and_seed():
     target = session("b")
-    off_n = {clip: number for number, clip in enumerate(np.unique(target.clip))}
+    off_n = {clip: number for number, clip in enumerate(target["clip"].unique())}
 
     def too_much(fold):
-        return fold.test.fz_n + np.array([off_n[clip] for clip in fold.test.clip])
+        return fold.target_test["fz_n"] + fold.target_test["clip"].map(off_n)
 
-    found = measure(session("a"), target, ForceMethod("too much", "test", too_much), (0, 1))
-    assert found.mae_n == pytest.approx(np.repeat(np.arange(6.0)[:, None], 2, axis=1))
-    assert found.interval_n[0] < found.mae_n.mean() < found.interval_n[1]
+    mae_n = plain_errors(session("a"), target, too_much, (0, 1))[0].to_numpy()
+    assert mae_n == pytest.approx(np.repeat(np.arange(6.0)[:, None], 2, axis=1))
+    low, high = bootstrap(mae_n)
+    assert low < mae_n.mean() < high
 
 
 def test_a_missing_clone_comes_with_the_line_that_gets_it(tmp_path: Path, capsys):
