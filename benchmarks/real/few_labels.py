@@ -16,8 +16,9 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ResultTable
+from gelgap.adapt.result_table import cell
 from gelgap.benchmarks.adaptation.study import grid, versions_line
-from gelgap.benchmarks.common import Results, Setting, cell, mean_of, result_table, write_json
+from gelgap.benchmarks.common import Results, Setting, mean_of, result_table, write_json
 from gelgap.benchmarks.real.sessions import (
     FOLDS,
     FZ_RANGE_N,

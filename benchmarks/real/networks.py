@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ResultTable
+from gelgap.adapt.result_table import cell
 from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS, PLAIN, Changes
 from gelgap.benchmarks.adaptation.groups import methods_of
 from gelgap.benchmarks.adaptation.leaderboard import Entry, read_entries
 from gelgap.benchmarks.adaptation.study import control_of, grid, train_stages, versions_line
-from gelgap.benchmarks.common import Results, Setting, bootstrap, cell, mean_of, write_json
+from gelgap.benchmarks.common import Results, Setting, bootstrap, mean_of, write_json
 from gelgap.benchmarks.real.sessions import (
     FOLDS,
     FZ_RANGE_N,
