@@ -13,7 +13,7 @@ import numpy as np
 
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.light import Bars, Light, bounded_flat
-from gelgap.render.calibration.pictures import FarField, PressPicture, check_presses
+from gelgap.render.calibration.pictures import PressPicture, check_presses
 from gelgap.render.calibration.poses import MARGIN_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
@@ -158,7 +158,10 @@ def calibrate_light(
     suspects = outliers = _suspects(fit)
     if len(suspects):
         others = task.fit(np.setdiff1d(everything, suspects))
-        outliers = _unexplained(others, placed.seen_from(others.distance_mm), suspects)
+        # Those that a light fitted without them leaves far out: one bad press can spoil others.
+        seen = placed.seen_from(others.distance_mm)
+        errors = np.array([others.refined(seen, int(press)).rms_against_picture() for press in suspects])
+        outliers = suspects[errors > _most_error(np.sqrt(others.press_errors()))]
         if len(outliers) == len(suspects):
             fit = others
         elif len(outliers):
@@ -169,7 +172,16 @@ def calibrate_light(
         without.append(other)
         seen = placed.seen_from(other.distance_mm)
         held_out += [_predicted(other, seen, int(press)) for press in used[fold::folds]]
-    _refuse_if_worse(held_out)
+    if held_out:
+        better, least = (
+            np.median([getattr(p, kind) for p in held_out], axis=0) for kind in ("refined", "unchanged")
+        )
+        if better.sum() <= least.sum():
+            raise ValueError(
+                "the fit predicts presses that it has not seen worse than the unchanged reference picture does (inside "
+                f"the contact {better[0]:.1f} against {least[0]:.1f} dB, around it {better[1]:.1f} against "
+                f"{least[1]:.1f} dB); check the LEDs' directions, the spheres' diameters and the camera's field of view"
+            )
     angles = led_angles(fit.light.bars)
     off = np.array([led_angles(other.light.bars) for other in without]).reshape(-1, *angles.shape) - angles
     off[:, 0] = (off[:, 0] + 180) % 360 - 180
@@ -226,20 +238,6 @@ def _most_error(errors: np.ndarray) -> float:
     return float(max(middle + 6 * np.median(np.abs(errors - middle)), 2.5 * middle))
 
 
-def _refuse_if_worse(held_out: list[HeldOut]) -> None:
-    if not held_out:
-        return
-    fitted, unchanged = (
-        np.median([getattr(press, kind) for press in held_out], axis=0) for kind in ("refined", "unchanged")
-    )
-    if fitted.sum() <= unchanged.sum():
-        raise ValueError(
-            "the fit predicts presses that it has not seen worse than the unchanged reference picture does (inside "
-            f"the contact {fitted[0]:.1f} against {unchanged[0]:.1f} dB, around it {fitted[1]:.1f} against "
-            f"{unchanged[1]:.1f} dB); check the LEDs' directions, the spheres' diameters and the camera's field of view"
-        )
-
-
 @dataclass(frozen=True)
 class LightTask:
     """What every fit has in common, of all presses or of a part of them."""
@@ -292,24 +290,25 @@ class LightTask:
         return self.sensor.model_copy(update=update)
 
     def result(self, fit: LightFit) -> dict[str, object]:
-        """Return what a `LightCalibration` holds of a fit alone."""
+        """Return what a `LightCalibration` holds of a fit alone.
+
+        The flat field is what the real reference is, in units of the rendered one.
+        """
         sensor, field = self.lit_sensor(fit), fit.field
+        renderer = MembraneRenderer(sensor, sensor.illumination, self.placed.size_px)
+        real = srgb_decode(self.placed.clean_reference / 255)
+        ratio = np.clip(real / bounded_flat(renderer.reference_linear(markers=False), real), *RATIO_BOUNDS)
+        loaded = None if field.loaded is None else np.clip(field.loaded, *LOADED_BOUNDS).astype(np.float32)
         profiles = [self.placed.profiles[k] for k in fit.which]
         volumes = [own.volume_mm3(pose[2]) for own, pose in zip(profiles, fit.presses, strict=True)]
         return {
             "sensor": sensor,
-            "maps": _flat_field_maps(sensor, self.placed, field),
+            "maps": FlatFieldMaps(ratio.astype(np.float32), loaded),
             "gain": tuple(map(tuple, field.gain.T.tolist())),
             "volume_mm3": float(np.median(volumes)),
             "poses_mm": fit.presses,
             "rms_code_values": fit.rms_code_values,
         }
-
-
-def _unexplained(fit: LightFit, seen: PlacedPresses, presses: np.ndarray) -> np.ndarray:
-    """Return those presses that a light fitted without them leaves far out: one bad press can spoil others."""
-    errors = [fit.refined(seen, int(press)).rms_against_picture() for press in presses]
-    return presses[np.array(errors) > _most_error(np.sqrt(fit.press_errors()))]
 
 
 def _predicted(fit: LightFit, seen: PlacedPresses, press: int) -> HeldOut:
@@ -335,15 +334,6 @@ def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.nd
     slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
     poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
     return poses
-
-
-def _flat_field_maps(sensor: Sensor, placed: PlacedPresses, field: FarField) -> FlatFieldMaps:
-    """Return what the real reference is, in units of the rendered one."""
-    renderer = MembraneRenderer(sensor, sensor.illumination, placed.size_px)
-    real = srgb_decode(placed.clean_reference / 255)
-    ratio = np.clip(real / bounded_flat(renderer.reference_linear(markers=False), real), *RATIO_BOUNDS)
-    loaded = None if field.loaded is None else np.clip(field.loaded, *LOADED_BOUNDS).astype(np.float32)
-    return FlatFieldMaps(ratio.astype(np.float32), loaded)
 
 
 def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:
