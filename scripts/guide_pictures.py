@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from gelgap.benchmarks.render import rivals, sensors
 from gelgap.benchmarks.render.scenes import OWN_LIT_SENSORS, STORED_SCENES, stored_reference
 from gelgap.domains import taxim_presses
-from gelgap.render import Illumination, MembraneRenderer, PressPicture, Sensor
-from gelgap.render.imaging import srgb_encode
+from gelgap.render import Illumination, MembraneRenderer, PressPicture, Sensor, difference_picture
+from gelgap.render.imaging import encode
 from gelgap.sim import Elastomer, MembraneState, Pose, QualityName, Sphere, solve_poses
 
 Picture = NDArray[np.uint8]
@@ -64,21 +64,20 @@ def draw_presses(folder: Path, quality: QualityName) -> None:
         renderer = MembraneRenderer(scene.sensor(), scene.light(), reference.shape[1::-1])
         ours = renderer.linear(*scene.membrane(), markers=False)
         label = f"{scene.name}: path tracer, standard, 10 x difference"
-        sheet.append(compared(label, 255 * srgb_encode(reference), [255 * srgb_encode(ours)], 10, SIZE_PX))
+        sheet.append(compared(label, encode(reference), [encode(ours)], 10, SIZE_PX))
     save(folder / "render-contact-sheet.jpg", sheet)
 
 
 def compared(
-    label: str, real: np.ndarray, predicted: Sequence[np.ndarray], contrast: float, size_px: tuple[int, int]
+    label: str, real: Picture, predicted: Sequence[Picture], contrast: float, size_px: tuple[int, int]
 ) -> list[Picture]:
     """Return a labelled picture, and what is predicted, each with 128 + so many times its difference beside it."""
     import cv2
 
     shown = [real]
     for picture in predicted:
-        shown += [picture, 128 + contrast * (picture.astype(float) - real)]
-    larger = [cv2.resize(each.astype(np.float32), size_px, interpolation=cv2.INTER_AREA) for each in shown]
-    row = [np.clip(each, 0, 255).astype(np.uint8) for each in larger]
+        shown += [picture, difference_picture(picture, real, contrast)]
+    row = [cv2.resize(each, size_px, interpolation=cv2.INTER_AREA) for each in shown]
     cv2.putText(row[0], label, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
     return row
 
@@ -91,13 +90,9 @@ def draw_real(path: Path) -> None:
     found = taxim_presses(sensors.SET)
     task = sensors.light_task(found, whole := sensors.VARIANTS[sensors.WHOLE])
     even, odd = range(0, len(found.presses), 2), range(1, len(found.presses), 2)
-    models = [
-        lambda fitted: (partial(sensors.FittedLight(task, whole, fitted).draw, "marked"), None),
-        *sensors.rival_models(found, task.placed.poses_mm[:, 2], (rivals.REFITTED,)).values(),
-    ]
-    pictures = [
-        [draw(press)() for press in odd] for draw, _ in (model(even) for model in (models[0], models[-1]))
-    ]
+    forms = sensors.rival_models(found, task.placed.poses_mm[:, 2], (rivals.REFITTED,))
+    light, (refitted, _) = sensors.FittedLight(task, whole, even), list(forms.values())[-1](even)
+    pictures = [[draw(press)() for press in odd] for draw in (partial(light.draw, "marked"), refitted)]
     presses = [found.presses[press] for press in odd]
     level = [sensors.scores(own, press)["within"] for own, press in zip(pictures[0], presses, strict=True)]
     best_first, rows = np.argsort(level)[::-1], []

@@ -11,7 +11,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from itertools import count
@@ -23,7 +23,6 @@ import pandas as pd
 from gelgap.benchmarks.common import (
     Results,
     Setting,
-    key_of,
     plot_frontier,
     psnr_db,
     run_missing,
@@ -127,20 +126,19 @@ def run(quick: bool, out_dir: Path) -> None:
 
 def path_traced(scenes: Iterable[RenderScene], folder: Path, seed: int = 0) -> dict[RenderScene, np.ndarray]:
     """Return scenes' path-traced pictures, read where all that they depend on is as it was, or traced anew."""
-    by_key = {}
-    for scene in scenes:
+    by_name, settings = {scene.name: scene for scene in scenes}, []
+    for name, scene in by_name.items():
         of = hashlib.sha256(f"{scene.sensor()!r} {scene.light()!r}".encode())
         of.update(b"".join(array.tobytes() for array in scene.membrane()))
-        setting = {"scene": scene.name, "samples": SAMPLES_PER_PIXEL, "seed": seed, "of": of.hexdigest()[:16]}
-        by_key[key_of(setting)] = scene, setting
-    settings = [setting for _, setting in by_key.values()]
-    work = partial(_path_traced, {key: scene for key, (scene, _) in by_key.items()})
-    found = run_missing(work, settings, folder / "path-traced.jsonl", workers=1)
-    return {by_key[key][0]: linear for key, linear in found["linear"].items()}
+        settings.append(
+            {"scene": name, "samples": SAMPLES_PER_PIXEL, "seed": seed, "of": of.hexdigest()[:16]}
+        )
 
+    def traced(setting: Setting) -> Results:
+        return {"linear": trace(by_name[setting["scene"]], SIZES_PX[0], setting["samples"], setting["seed"])}
 
-def _path_traced(scenes: Mapping[str, RenderScene], setting: Setting) -> Results:
-    return {"linear": trace(scenes[key_of(setting)], SIZES_PX[0], setting["samples"], setting["seed"])}
+    found = run_missing(traced, settings, folder / "path-traced.jsonl", workers=1)
+    return dict(zip(by_name.values(), found["linear"], strict=True))
 
 
 def picture_error(linear: np.ndarray, reference: np.ndarray) -> dict[str, float]:

@@ -116,15 +116,7 @@ class FittedLight:
         started = time.process_time()
         self.fit: LightFit = (task if variant.refines_fitted else held).fit(which)
         self.fit_s = time.process_time() - started
-        unknown = np.full((len(self.fit.light.bars.azimuth), 2), np.nan)
-        calibration = LightCalibration(
-            **task.result(self.fit),
-            names=(),
-            left_out=(),
-            held_out=(),
-            led_azimuths_deg=unknown,
-            led_elevations_deg=unknown,
-        )
+        calibration = LightCalibration(**task.result(self.fit))
         self.renderer = saved_renderer(calibration, placed.size_px, variant.flat_field)
         if not variant.shadows:
             drop_shadows(self.renderer)

@@ -6,7 +6,7 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -76,12 +76,13 @@ class LightCalibration:
     gain: tuple[tuple[float, ...], ...]
     volume_mm3: float
     poses_mm: np.ndarray  # (presses, 3): x, y, depth as refined
-    names: tuple[str, ...]
-    left_out: tuple[str, ...]
     rms_code_values: float
-    held_out: tuple[HeldOut, ...]
-    led_azimuths_deg: np.ndarray  # (leds, 2): value, standard error (NaN without held-out fits)
-    led_elevations_deg: np.ndarray
+    names: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    held_out: tuple[HeldOut, ...] = ()
+    # (leds, 2): value, standard error (NaN without held-out fits)
+    led_azimuths_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    led_elevations_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     sphere_size: SphereSize | None = None  # of an unknown sphere
     nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
 
@@ -254,7 +255,7 @@ class LightTask:
         """Fit the presses of the indices `which`."""
         placed, camera = self.placed, self.sensor.camera
         at_mm = placed.poses_mm[which, :2]
-        field = placed.far_field(which) if self.far else placed.untouched
+        far = placed.far_field(which) if self.far else placed.untouched
         (x0, y0), (x1, y1) = at_mm.min(0) - MARGIN_MM, at_mm.max(0) + MARGIN_MM
         bars = Bars.of(self.sensor.illumination.leds, 1.05 * placed.half_view_mm)
         where = placed.scale_mm, (x0, x1, y0, y1)
@@ -264,7 +265,7 @@ class LightTask:
         nearness_range = (
             None if self.keep_camera else (1 / camera.farthest_mm(placed.size_px), 1 / nearest_mm)
         )
-        fit = LightFit(placed, which, field, light, camera.position_mm, nearness_range)
+        fit = LightFit(placed, which, far, light, camera.position_mm, nearness_range)
         fit.run(rounds)
         return fit
 
@@ -294,17 +295,17 @@ class LightTask:
 
         The flat field is what the real reference is, in units of the rendered one.
         """
-        sensor, field = self.lit_sensor(fit), fit.field
+        sensor, far = self.lit_sensor(fit), fit.field
         renderer = MembraneRenderer(sensor, sensor.illumination, self.placed.size_px)
         real = srgb_decode(self.placed.clean_reference / 255)
         ratio = np.clip(real / bounded_flat(renderer.reference_linear(markers=False), real), *RATIO_BOUNDS)
-        loaded = None if field.loaded is None else np.clip(field.loaded, *LOADED_BOUNDS).astype(np.float32)
+        loaded = None if far.loaded is None else np.clip(far.loaded, *LOADED_BOUNDS).astype(np.float32)
         profiles = [self.placed.profiles[k] for k in fit.which]
         volumes = [own.volume_mm3(pose[2]) for own, pose in zip(profiles, fit.presses, strict=True)]
         return {
             "sensor": sensor,
             "maps": FlatFieldMaps(ratio.astype(np.float32), loaded),
-            "gain": tuple(map(tuple, field.gain.T.tolist())),
+            "gain": tuple(map(tuple, far.gain.T.tolist())),
             "volume_mm3": float(np.median(volumes)),
             "poses_mm": fit.presses,
             "rms_code_values": fit.rms_code_values,
