@@ -268,29 +268,25 @@ class Trial:
         """Fit the disturbed presses and predict the others."""
         case, best = self.disturbances[setting["disturbance"]], self.best
 
-        def disturbed(presses: Presses, membranes: Sequence[Membrane]) -> tuple[PressPicture | None, ...]:
-            pairs = list(zip(presses, membranes, strict=True))
-            return tuple(
-                map(case.mark, (replace(p, picture=case.picture(p.picture, own)) for p, own in pairs))
-            )
-
         x, y, displacement = best.membranes[0]
         reference = case.picture(self.found.reference, (x, y, np.zeros_like(displacement)))
-        fitted = tuple(filter(None, disturbed(self.fitted, self.fitted_membranes)))
-        shown = [replace(p, picture=own) for p, own in zip(self.predicted, best.pictures(), strict=True)]
-        pairs = zip(self.predicted, shown, strict=True)
-        if case.everywhere:
-            pairs = zip(
-                *(disturbed(presses, best.membranes) for presses in (self.predicted, shown)), strict=True
-            )
-        predicted, expected = zip(*((real, own) for real, own in pairs if real is not None), strict=True)
+        pairs = zip(self.fitted, self.fitted_membranes, strict=True)
+        marked = [case.mark(replace(press, picture=case.picture(press.picture, own))) for press, own in pairs]
+        fitted, predicted, expected = tuple(filter(None, marked)), [], []
+        for press, ideal, own in zip(self.predicted, best.pictures(), best.membranes, strict=True):
+            real = press.picture
+            if case.everywhere:
+                real, ideal = (case.picture(picture, own) for picture in (real, ideal))
+            if (moved := case.mark(replace(press, picture=real))) is not None:
+                predicted.append(moved)
+                expected.append(ideal)
 
-        results = {"undisturbed": levels([press.picture for press in expected], predicted)}
+        results = {"undisturbed": levels(expected, predicted)}
         found = PressSet(reference, case.fitted(fitted), case.start(self.found.start))
         try:
-            own = best if setting["disturbance"] == UNDISTURBED else self.fit(found, predicted)
+            own = best if setting["disturbance"] == UNDISTURBED else self.fit(found, tuple(predicted))
         except ValueError as refusal:
-            return results | {"own": levels([], ()), "fit, s": 0.0, "note": f"refused: {refusal}"}
+            return results | {"own": levels([], []), "fit, s": 0.0, "note": f"refused: {refusal}"}
         note = ", ".join(own.calibration.left_out)
         if case.spoils:
             note = f"{note or 'none'} named; it was {self.fitted[SPOILT].name}"
@@ -302,7 +298,7 @@ class Trial:
         return results | {"own": levels(pictures, predicted), "fit, s": own.fit_s, "note": note}
 
 
-def levels(pictures: Sequence[np.ndarray], presses: Presses) -> dict[str, list[float]]:
+def levels(pictures: Sequence[np.ndarray], presses: Sequence[PressPicture]) -> dict[str, list[float]]:
     """Return PSNR in dB inside the contact, and from one to two radii, of each press."""
     found = [scores(picture, press) for picture, press in zip(pictures, presses, strict=bool(pictures))]
     return {region: [own[region] for own in found] for region in ("inside", "ring")}
