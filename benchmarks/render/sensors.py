@@ -232,23 +232,14 @@ def run(quick: bool, out_dir: Path) -> None:
         task = (lambda: whole) if name == WHOLE else partial(light_task, found, VARIANTS[name])
         corrected = ("corrected",) if name in (WHOLE, AT_STANDARD) else ()
         models |= light_models(name, task, VARIANTS[name], ("marked", *corrected, "refined"))
-    split = {"some odd presses": (range(0, count, 2), range(1, count, 8))}
-    if not quick:
-        split = {"odd presses": (range(0, count, 2), range(1, count, 2))}
+    even, odd = range(0, count, 2), range(1, count, 8 if quick else 2)
     kept = out_dir / "sensors.jsonl"
-    predictions = Study(found.presses, models, split).records(kept)
-    number = len(predictions["inside"].iloc[0])
-    without = (
-        ""
-        if not rivals.missing_packages()
-        else (f" Taxim's own pipeline is left out; install it: {rivals.INSTALL}.")
-    )
-    show_scores(
-        f"{SET}: even presses fitted, {number} odd ones predicted; PSNR in dB, median (worst)",
-        predictions,
-        ("model", "press", "fit, s", "ms per frame"),
-        f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame.{without}",
-    )
+    predictions = Study(found.presses, models, {f"{len(odd)} odd presses": (even, odd)}).records(kept)
+    note = f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame."
+    if rivals.missing_packages():
+        note += f" Taxim's own pipeline is left out; install it: {rivals.INSTALL}."
+    title = f"{SET}: even presses fitted, {len(odd)} odd ones predicted; PSNR in dB, median (worst)"
+    show_scores(title, predictions, ("model", "press", "fit, s", "ms per frame"), note)
     others = pd.DataFrame() if quick else other_presses(found, whole, kept)
     write_json(out_dir / "sensors.json", {"predictions": predictions, "other_presses": others})
     kept.unlink()
@@ -289,13 +280,12 @@ def median_and_worst(levels: Sequence[float]) -> str:
 
 def show_scores(title: str, records: pd.DataFrame, columns: Sequence[str], note: str = "") -> None:
     """Print records: the given columns, the metrics of several presses, and times where they are among the columns."""
-    cells = dict.fromkeys([name for name in LEVELS if name in records], median_and_worst)
+    cells = dict.fromkeys(LEVELS, median_and_worst)
     cells |= {"SSIM": lambda values: f"{np.median(values):.3f}", "mean abs": lambda v: f"{np.median(v):.2f}"}
-    table = records.assign(
-        **{name: records[name].map(cell) for name, cell in cells.items() if name in records}
-    )
+    cells = {name: cell for name, cell in cells.items() if name in records}
+    table = records.assign(**{name: records[name].map(cell) for name, cell in cells.items()})
     times = [name for name in columns if name in ("fit, s", "ms per frame")]
-    names = [*(name for name in columns if name not in times), *(n for n in cells if n in records), *times]
+    names = [*(name for name in columns if name not in times), *cells, *times]
     show(title, table[names].reset_index(drop=True), note, dict.fromkeys(times, "{:.1f}"))
 
 
