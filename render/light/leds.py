@@ -168,7 +168,7 @@ class Illumination(Settings):
         """Return every LED as the emitter that a path tracer needs, in linear camera RGB of `camera`."""
         radiance = self.led_to_camera(camera) if led_to_camera is None else led_to_camera
         return tuple(
-            Emitter(led.kind, np.array(led.position_mm), led.normal, *led.half_axes_mm(), rgb)
+            Emitter(led.kind, np.array(led.position_mm), led.normal, *led.half_axes_mm(), radiance_rgb=rgb)
             for led, rgb in zip(self.leds, radiance, strict=True)
         )
 
