@@ -52,7 +52,7 @@ _MEASURED = {
             "render.unknown_ball",
             EXTRA,
         ),
-        ("robustness", "what a fit to disturbed pictures still predicts", "render.sensor_robustness", EXTRA),
+        ("robustness", "what a fit to disturbed pictures still predicts", "render.robustness", EXTRA),
     ],
     "stability": [
         ("physics", "solves at the corners of what is allowed", "physics.stability", ANEW),

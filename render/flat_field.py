@@ -160,11 +160,9 @@ def load_maps(flat_field: FlatField) -> FlatFieldMaps:
 
 def save_maps(maps: FlatFieldMaps, path: Path) -> str:
     """Write the maps in half precision, which is finer than a picture's 8 bits; return the file's SHA-256."""
-    parts = {"ratio": np.clip(maps.ratio, *RATIO_BOUNDS)}
-    if maps.loaded is not None:
-        parts["loaded"] = np.clip(maps.loaded, *LOADED_BOUNDS)
+    parts = {name: part.astype(np.float16) for name, part in vars(maps).items() if part is not None}
     buffer = BytesIO()
-    np.savez_compressed(buffer, **{name: part.astype(np.float16) for name, part in parts.items()})
+    np.savez_compressed(buffer, **parts)
     write_whole(path, buffer.getvalue())
     return hashlib.sha256(buffer.getvalue()).hexdigest()
 
@@ -186,13 +184,6 @@ def _dent(positions, changed):
     return volume, x / volume, y / volume
 
 
-def press_gain(flat_field: FlatField, volume: float, x_mm: float, y_mm: float) -> np.ndarray:
-    """Return (3,): the picture's level for a dent at a place, `volume` times as large as the calibration's."""
-    terms = places(x_mm, y_mm, flat_field.span_mm, flat_field.scale_mm, 2)
-    levels = [1 + volume * (terms @ np.array(row) if row else 0.0) for row in flat_field.gain]
-    return np.clip(levels, 0.25, 4.0)
-
-
 class FlatFieldFilter:
     """A flat field prepared for one size of picture."""
 
@@ -209,7 +200,9 @@ class FlatFieldFilter:
         volume, x_mm, y_mm = _dent(surface.positions_mm, surface.changed)
         volume_mm3 = volume * float(surface.grid.spacing_mm) ** 2
         volume = min(volume_mm3 / self._settings.volume_mm3, LARGEST_VOLUME)
-        gain = press_gain(self._settings, volume, x_mm, y_mm).astype(np.float32)
+        terms = places(x_mm, y_mm, self._settings.span_mm, self._settings.scale_mm, 2)
+        levels = [1 + volume * (terms @ np.array(row) if row else 0.0) for row in self._settings.gain]
+        gain = np.clip(levels, 0.25, 4.0).astype(np.float32)
         share = np.float32(min(volume, 1.0) if self._has_loaded else 0.0)
         _multiply(linear, self._ratio, self._excess, share, gain)
 

@@ -44,14 +44,6 @@ def _library(name: str) -> ctypes.CDLL | None:
         return None
 
 
-def _initialised_platform() -> str | None:
-    """Return the platform that this process has already fixed by importing OpenGL, or None."""
-    module = sys.modules.get("OpenGL.platform")
-    if module is None:
-        return None
-    return type(module.PLATFORM).__name__.removesuffix("Platform").lower()
-
-
 def choose_platform() -> str:
     """Return "osmesa" or "egl": what this process already uses, else what PYOPENGL_PLATFORM asks for, else what works.
 
@@ -60,8 +52,8 @@ def choose_platform() -> str:
     RuntimeError
         If the process has initialised another OpenGL platform, or neither library is installed.
     """
-    initialised = _initialised_platform()
-    if initialised is not None:
+    if (module := sys.modules.get("OpenGL.platform")) is not None:
+        initialised = type(module.PLATFORM).__name__.removesuffix("Platform").lower()
         if initialised not in PLATFORMS:
             raise RuntimeError(
                 f"OpenGL was already initialised for the platform {initialised!r} in this process, and rendering needs "
@@ -78,9 +70,7 @@ def choose_platform() -> str:
     for platform, library in (("osmesa", "OSMesa"), ("egl", "EGL")):
         if requested in (None, platform) and _library(library) is not None:
             return platform
-    wanted = (
-        "neither OSMesa nor EGL" if requested is None else f"no library for PYOPENGL_PLATFORM={requested}"
-    )
+    wanted = f"no library for PYOPENGL_PLATFORM={requested}" if requested else "neither OSMesa nor EGL"
     raise RuntimeError(f"{wanted} was found, so nothing can be rendered; {INSTALL_HINT}")
 
 

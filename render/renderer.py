@@ -27,7 +27,6 @@ Quality = Literal["draft", "standard", "fine"]
 LOG = logging.getLogger(__name__)
 FIRST_USE = "numba compiles the renderer, which takes a minute the first time on a machine"
 
-
 # By quality level the spacing of the shaded grid in mm, and how finely shadows are sampled.
 QUALITIES: dict[str, tuple[float, ShadowDetail]] = {
     "draft": (0.2, ShadowDetail(strip_width_mm=3.0, fewest_strips=2, march_step_mm=0.5)),

@@ -19,8 +19,7 @@ TAPER_MM = 3.0
 UNIFORM_TOLERANCE_MM = 1e-4
 UNIFORM_STRETCH = 1e-6
 # Below these a vertex counts as undeformed: the picture then differs by less than one code value.
-CHANGED_MM = 8e-3
-CHANGED_SLOPE = 8e-4
+CHANGED_MM, CHANGED_SLOPE = np.float32(8e-3), np.float32(8e-4)
 # A triangle is folded if its area, in cells and seen from the camera, is below minus this.
 FOLDED_AREA = 0.05
 
@@ -228,13 +227,9 @@ class Surface(NamedTuple):
     changed: np.ndarray  # (rows, columns) bool: moved or tilted, so lit otherwise than undeformed
     grid: Grid
 
-    def all_changed(self) -> "Surface":
-        """Return the surface with every vertex marked as changed, so that all light is computed."""
-        return self._replace(changed=np.ones_like(self.changed))
-
 
 @numba.njit(cache=True, error_model="numpy")
-def _normals_and_changed(positions, columns_mm, rows_mm, changed_mm, changed_slope, normals, changed):
+def _normals_and_changed(positions, columns_mm, rows_mm, normals, changed):
     rows, columns, _ = positions.shape
     for j in range(rows):
         up, down = max(j - 1, 0), min(j + 1, rows - 1)
@@ -259,7 +254,7 @@ def _normals_and_changed(positions, columns_mm, rows_mm, changed_mm, changed_slo
                 abs(positions[j, i, 2]),
             )
             slope = max(abs(nx * scale), abs(ny * scale))
-            changed[j, i] = moved > changed_mm or slope > changed_slope
+            changed[j, i] = moved > CHANGED_MM or slope > CHANGED_SLOPE
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -329,13 +324,7 @@ def shared_surface(lattice: Lattice, displacement_mm: np.ndarray, name: str) -> 
     return surface
 
 
-def deformed_surface(
-    lattice: Lattice,
-    displacement_mm: np.ndarray,
-    name: str,
-    changed_mm: float = CHANGED_MM,
-    changed_slope: float = CHANGED_SLOPE,
-) -> Surface:
+def deformed_surface(lattice: Lattice, displacement_mm: np.ndarray, name: str) -> Surface:
     """Return the surface of a displacement on the lattice.
 
     Raises
@@ -354,9 +343,7 @@ def deformed_surface(
     positions[..., 1] = displacement_mm[..., 1] + lattice.y_mm[:, None]
     height = np.empty((lattice.rows, lattice.columns), np.float32)
     normals, changed = np.empty_like(positions), np.empty(height.shape, bool)
-    _normals_and_changed(
-        positions, columns_mm, rows_mm, np.float32(changed_mm), np.float32(changed_slope), normals, changed
-    )
+    _normals_and_changed(positions, columns_mm, rows_mm, normals, changed)
     folded = _world_heights(positions, changed, lattice.grid, height)
     if folded:
         raise ValueError(

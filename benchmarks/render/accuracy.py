@@ -1,171 +1,340 @@
 """Pictures: error against a path tracer, and run time per frame, for every quality level and for the baselines.
 
 Errors are in linear light without a fitted gain (mean error) and in sRGB (PSNR, SSIM); stock pyrender alone has its
-gain fitted, since its light has no unit.
+gain fitted, since its light has no unit. Times are medians of processor time in one thread, from a displacement to the
+8-bit picture; wall time stands beside them. Processor time equals wall time on an idle core, and other jobs on the
+machine disturb it least.
 """
 
 import hashlib
 import statistics
+import subprocess
+import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from gelgap.benchmarks.common.kept_results import kept_result
-from gelgap.benchmarks.common.tables import Point, plot_frontier, print_table, write_json
-from gelgap.benchmarks.render.baselines import StockPyrender, without_shadows
-from gelgap.benchmarks.render.path_tracer import stored_reference, trace
-from gelgap.benchmarks.render.scenes import ALL_SCENES, STORED_SCENES, RenderScene
-from gelgap.benchmarks.render.speed import baseline_times, inpainting, speed
-from gelgap.render import MembraneRenderer
+from gelgap.benchmarks.common import (
+    Results,
+    Setting,
+    plot_frontier,
+    psnr_db,
+    run_missing,
+    show,
+    write_json,
+)
+from gelgap.benchmarks.render.scenes import (
+    ALL_SCENES,
+    OWN_LIT_SENSORS,
+    PAPER_LIGHTS,
+    STORED_SCENES,
+    Membrane,
+    RenderScene,
+    sphere_dent,
+    stored_reference,
+    trace,
+    triangle_mesh,
+)
+from gelgap.render import (
+    Illumination,
+    MembraneRenderer,
+    Sensor,
+    detect_markers,
+    imaging,
+    inpaint_biharmonic,
+    inpaint_telea,
+)
 from gelgap.render.imaging import srgb_encode
+from gelgap.render.light.irradiance import direct_light
 from gelgap.render.renderer import QUALITIES
+from gelgap.render.surface import Membrane as RestMembrane
+from gelgap.render.surface import deformed_surface
 
-SIZE_PX = (320, 240)
-SAMPLES_PER_PIXEL = 256
-
-
-@dataclass(frozen=True)
-class PictureError:
-    """Mean error in linear light relative to the mean, PSNR in dB and SSIM in sRGB."""
-
-    mean: float
-    psnr_db: float
-    ssim: float
-
-
-def picture_error(linear: np.ndarray, reference: np.ndarray) -> PictureError:
-    """Compare two linear pictures."""
-    from skimage.metrics import structural_similarity
-
-    picture, truth = srgb_encode(linear), srgb_encode(reference)
-    return PictureError(
-        mean=float(np.abs(linear - reference).mean() / reference.mean()),
-        psnr_db=-10 * np.log10(max(float(np.mean((picture - truth) ** 2)), 1e-12)),
-        ssim=float(structural_similarity(picture, truth, channel_axis=2, data_range=1)),
-    )
-
-
-def path_traced(scene: RenderScene, seed: int, folder: Path) -> np.ndarray:
-    """Return a scene's path-traced picture from a file named by all that it depends on, or trace it anew."""
-    text = f"{scene.sensor()!r} {scene.light()!r} {SIZE_PX} {SAMPLES_PER_PIXEL} {seed}".encode()
-    key = hashlib.sha256(text + b"".join(array.tobytes() for array in scene.membrane())).hexdigest()[:16]
-
-    def make() -> np.ndarray:
-        picture = trace(scene, SIZE_PX, SAMPLES_PER_PIXEL, seed)
-        print(f"  path-traced {scene.name}", flush=True)
-        return picture
-
-    return kept_result(folder / f"{key}.result", make)
-
-
-def scene_errors(scene: RenderScene, reference: np.ndarray) -> tuple[dict[str, PictureError], np.ndarray]:
-    """Return the error of every quality and baseline on a scene, and the linear picture at standard quality."""
-    size_px, membrane = (reference.shape[1], reference.shape[0]), scene.membrane()
-    renderers = {
-        quality: MembraneRenderer(scene.sensor(), scene.light(), size_px, quality) for quality in QUALITIES
-    }
-    pictures = {name: renderer.linear(*membrane, markers=False) for name, renderer in renderers.items()}
-    if scene.matt:
-        pictures["no shadows"] = without_shadows(renderers["standard"], membrane)
-        stock = StockPyrender(scene, size_px)
-        pictures["stock pyrender, gain fitted"] = stock.fitted_linear(reference)
-        stock.close()
-    errors = {way: picture_error(picture, reference) for way, picture in pictures.items()}
-    return errors, pictures["standard"]
-
-
-def accuracy(truth: dict[RenderScene, np.ndarray], out_dir: Path) -> dict[str, dict[str, PictureError]]:
-    """Print every quality's and baseline's error on every scene, and draw the contact sheet."""
-    errors, sheet = {}, []
-    for scene, reference in truth.items():
-        errors[scene.name], picture = scene_errors(scene, reference)
-        sheet.append((scene.name, reference, picture))
-    print_table(
-        "Error against the path tracer, linear light without a fitted gain",
-        ["scene", "way", "PSNR dB", "SSIM", "mean error %"],
-        [
-            [name, way, error.psnr_db, error.ssim, 100 * error.mean]
-            for name, found in errors.items()
-            for way, error in found.items()
-        ],
-        note="targets at standard: matt 44 dB, 0.98, 2 %; glossy 38 dB",
-    )
-    draw_contact_sheet(out_dir / "render-contact-sheet.png", sheet)
-    return errors
-
-
-def draw_contact_sheet(path: Path, sheet: list[tuple[str, np.ndarray, np.ndarray]]) -> None:
-    """Draw reference, ours and ten times the difference of each scene."""
-    import cv2
-
-    rows = []
-    for name, reference, picture in sheet:
-        truth, ours = srgb_encode(reference), srgb_encode(picture)
-        row = np.hstack([truth, ours, np.clip(0.5 + 10 * (ours - truth), 0, 1)])
-        row = cv2.resize(np.ascontiguousarray(row, np.float32), (960, 240), interpolation=cv2.INTER_NEAREST)
-        row = np.ascontiguousarray((255 * row[..., ::-1]).astype(np.uint8))
-        label = f"{name}: path tracer, standard, 10 x difference"
-        cv2.putText(row, label, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (255, 255, 255), 1, cv2.LINE_AA)
-        rows.append(row)
-    cv2.imwrite(str(path), np.vstack(rows))
-
-
-def path_tracer_at_fewest_samples(scene: RenderScene, truth: np.ndarray) -> tuple[float, PictureError]:
-    """Return ms and error of the path tracer with the fewest samples that it takes: 4 per pixel."""
-    started = time.perf_counter()
-    picture = trace(scene, SIZE_PX, 4, seed=9)
-    return 1e3 * (time.perf_counter() - started), picture_error(picture, truth)
+SIZES_PX = ((320, 240), (640, 480))
+SAMPLES_PER_PIXEL, FEWEST_SAMPLES = 256, 4
+STOCK, SHADOWLESS = "stock pyrender, gain fitted", "no shadows"
+START_UP = """
+import time
+from gelgap.render.rasterizer import import_pyrender
+import_pyrender()
+started = time.process_time()
+from gelgap.benchmarks.render.scenes import sphere_dent
+from gelgap.render import Illumination, MembraneRenderer, Sensor
+MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0")).picture(*sphere_dent(0.6))
+print(time.process_time() - started)
+"""
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Measure errors and run times, print the tables and write JSON, a plot and a contact sheet to `out_dir`.
+    """Measure errors and run times, print the tables and write JSON and a plot to `out_dir`.
 
     `quick` compares with the stored path-traced pictures; otherwise all scenes are traced, and kept for a rerun.
     """
-    out_dir.mkdir(parents=True, exist_ok=True)
-    traced = out_dir / "path-traced"
-    if quick:
-        truth = {scene: stored_reference(scene) for scene in STORED_SCENES}
-    else:
-        truth = {scene: path_traced(scene, 0, traced) for scene in ALL_SCENES}
-    errors = accuracy(truth, out_dir)
+    stored = {scene: stored_reference(scene) for scene in STORED_SCENES}
+    truth = stored if quick else path_traced(ALL_SCENES, out_dir)
+    errors = pd.concat([scene_errors(scene, reference) for scene, reference in truth.items()])
+    note = "targets at standard: matt 44 dB, 0.98, 2 %; glossy 38 dB"
+    show("Error against the path tracer, linear light without a fitted gain", errors, note)
     repeats = 3 if quick else 31
-    times, baselines = speed(repeats), baseline_times(repeats)
-    results = {
-        "errors": errors,
-        "times_ms": times,
-        "baseline_times_ms": baselines,
-        "inpainting": inpainting(repeats),
-    }
-    matt = [found for found in errors.values() if "no shadows" in found]
-    summary = {}
-    for way, ms in ({name: times[f"320×240 {name} i0"]["typical"] for name in QUALITIES} | baselines).items():
-        psnr_db = [found[way].psnr_db for found in matt]
-        mean_percent = 100 * statistics.median(found[way].mean for found in matt)
-        summary[way] = (ms, statistics.median(psnr_db), min(psnr_db), mean_percent)
+    tables = {"errors": errors, "times": frame_times(repeats), "more": extra_times(repeats)}
+    tables["inpainting"] = inpainting(repeats)
+    typical_ms = tables["times"].set_index("ms per frame")["typical"]
+    ms = pd.Series({name: typical_ms[f"320×240 {name} i0"] for name in QUALITIES} | baseline_times(repeats))
+    matt = errors[errors["scene"].isin([scene.name for scene in truth if scene.matt])].groupby("way")
+    summary = pd.DataFrame(
+        {
+            "ms per frame": ms,
+            "PSNR dB median": matt["PSNR dB"].median(),
+            "PSNR dB worst": matt["PSNR dB"].min(),
+            "mean error %": matt["mean error %"].median(),
+        },
+        index=ms.index.rename("way"),
+    )
     if not quick:
         scene = ALL_SCENES[0]
-        noise = results["reference_noise"] = picture_error(path_traced(scene, 5, traced), truth[scene])
-        ms, error = path_tracer_at_fewest_samples(scene, truth[scene])
-        summary["path tracer, 4 samples"] = (ms, error.psnr_db, error.psnr_db, 100 * error.mean)
-        print(f"two path-traced pictures: {noise.psnr_db:.1f} dB, SSIM {noise.ssim:.4f}")
-    print_table(
-        "Error against time, matt scenes, 320×240, i0's time",
-        ["way", "ms per frame", "PSNR dB median", "PSNR dB worst", "mean error %"],
-        [[way, *values] for way, values in summary.items()],
-    )
+        (again,) = path_traced([scene], out_dir, seed=5).values()
+        noise = tables["reference noise"] = picture_error(again, truth[scene])
+        started = time.perf_counter()
+        few = picture_error(trace(scene, SIZES_PX[0], FEWEST_SAMPLES, seed=9), truth[scene])
+        few_ms = 1e3 * (time.perf_counter() - started)
+        row = [few_ms, few["PSNR dB"], few["PSNR dB"], few["mean error %"]]
+        summary.loc[f"path tracer, {FEWEST_SAMPLES} samples"] = row
+        print(f"two path-traced pictures: {noise['PSNR dB']:.1f} dB, SSIM {noise['SSIM']:.4f}")
+    show("Error against time, matt scenes, 320×240, i0's time", summary)
+    tables["summary"] = points = summary.reset_index()
+    points = points.rename(columns={"way": "name", "mean error %": "error"})
     plot_frontier(
         out_dir / "render.png",
-        [
-            Point("gelgap" if way in QUALITIES else way, way, ms / 1e3, percent)
-            for way, (ms, _, _, percent) in summary.items()
-        ],
+        points.assign(
+            series=points["name"].map(lambda way: "gelgap" if way in QUALITIES else way),
+            seconds=points["ms per frame"] / 1e3,
+        ),
         title="Rendering a matt membrane at 320×240: error against time",
         error_label="mean error in linear light, %",
         time_label="run time per frame, s",
         targets=(2.0,),
     )
-    write_json(out_dir / "render.json", results | {"summary": summary})
-    print(f"wrote {out_dir}/render.json, render.png and render-contact-sheet.png")
+    write_json(out_dir / "render.json", tables)
+    print(f"wrote {out_dir}/render.json and render.png")
+
+
+def path_traced(scenes: Iterable[RenderScene], folder: Path, seed: int = 0) -> dict[RenderScene, np.ndarray]:
+    """Return scenes' path-traced pictures, read where all that they depend on is as it was, or traced anew."""
+    by_name, settings = {scene.name: scene for scene in scenes}, []
+    for name, scene in by_name.items():
+        of = hashlib.sha256(f"{scene.sensor()!r} {scene.light()!r}".encode())
+        of.update(b"".join(array.tobytes() for array in scene.membrane()))
+        settings.append(
+            {"scene": name, "samples": SAMPLES_PER_PIXEL, "seed": seed, "of": of.hexdigest()[:16]}
+        )
+
+    def traced(setting: Setting) -> Results:
+        return {"linear": trace(by_name[setting["scene"]], SIZES_PX[0], setting["samples"], setting["seed"])}
+
+    found = run_missing(traced, settings, folder / "path-traced.jsonl", workers=1)
+    return dict(zip(by_name.values(), found["linear"], strict=True))
+
+
+def picture_error(linear: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    """Compare two linear pictures: PSNR in dB and SSIM in sRGB, and mean error in linear light relative to the mean."""
+    from skimage.metrics import structural_similarity
+
+    picture, truth = srgb_encode(linear), srgb_encode(reference)
+    return {
+        "PSNR dB": psnr_db(picture, truth, peak=1.0),
+        "SSIM": float(structural_similarity(picture, truth, channel_axis=2, data_range=1)),
+        "mean error %": 100 * float(np.abs(linear - reference).mean() / reference.mean()),
+    }
+
+
+def scene_errors(scene: RenderScene, reference: np.ndarray) -> pd.DataFrame:
+    """Return the error of every quality on a scene, and of every baseline if it is matt."""
+    size_px, membrane = (reference.shape[1], reference.shape[0]), scene.membrane()
+    renderers = {name: MembraneRenderer(scene.sensor(), scene.light(), size_px, name) for name in QUALITIES}
+    pictures = {name: renderer.linear(*membrane, markers=False) for name, renderer in renderers.items()}
+    if scene.matt:
+        pictures[SHADOWLESS] = without_shadows(renderers["standard"], membrane)
+        with stock_pyrender(scene, size_px) as draw:
+            linear = (draw() / 255.0) ** 2.2
+        gain = (linear * reference).sum((0, 1)) / np.maximum((linear**2).sum((0, 1)), 1e-9)
+        pictures[STOCK] = linear * gain
+    rows = [
+        {"scene": scene.name, "way": way} | picture_error(own, reference) for way, own in pictures.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def without_shadows(renderer: MembraneRenderer, membrane: Membrane) -> np.ndarray:
+    """Render with the LEDs' area and cosines but as if nothing stood in their way."""
+    surface = renderer._surface(RestMembrane(*membrane))
+    level = surface._replace(height_mm=np.zeros_like(surface.height_mm))
+    light = direct_light(level, renderer._leds, renderer._shadows, None).irradiance
+    return renderer._gather(renderer._geometry(surface), light @ renderer._lambert_to_linear)
+
+
+@contextmanager
+def stock_pyrender(scene: RenderScene, size_px: tuple[int, int]) -> Iterator[Callable[[], np.ndarray]]:
+    """Yield what draws the uint8 picture with pyrender as it comes: its shader, a point light for each of four LEDs."""
+    from gelgap.render.rasterizer import import_pyrender
+
+    pyrender, _ = import_pyrender()
+    import trimesh
+
+    points, faces = triangle_mesh(scene.membrane())
+    material = pyrender.MetallicRoughnessMaterial(
+        baseColorFactor=(0.5, 0.5, 0.5, 1), metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True
+    )
+    mesh = trimesh.Trimesh(points.reshape(-1, 3), faces, process=False)
+    stage = pyrender.Scene(ambient_light=np.zeros(3))
+    stage.add(pyrender.Mesh.from_trimesh(mesh, material=material))
+    camera, pose = scene.sensor().camera, np.diag([1.0, -1.0, -1.0, 1.0])
+    pose[:3, 3] = camera.position_mm
+    focal_px, center_px = camera.focal_length_px(size_px[0]), np.divide(size_px, 2)
+    lens = pyrender.IntrinsicsCamera(focal_px, focal_px, *center_px, znear=1, zfar=100)
+    stage.add(lens, pose=pose)
+    for emitter in scene.light().emitters(camera):
+        area_mm2 = 4 * np.linalg.norm(emitter.half_u_mm) * np.linalg.norm(emitter.half_v_mm)
+        power, pose = emitter.radiance_rgb * area_mm2, np.eye(4)
+        pose[:3, 3] = emitter.center_mm
+        light = pyrender.PointLight(color=power / power.max(), intensity=float(power.max()))
+        stage.add(light, pose=pose)
+    renderer = pyrender.OffscreenRenderer(*size_px)
+    try:
+        yield lambda: renderer.render(stage)[0]
+    finally:
+        renderer.delete()
+
+
+def median_ms(
+    work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.thread_time
+) -> float:
+    """Return the median time of some work, after one run to warm up."""
+    work()
+    times = []
+    for _ in range(repeats):
+        started = clock()
+        work()
+        times.append(clock() - started)
+    return 1e3 * statistics.median(times)
+
+
+def frames_ms(
+    renderers: list[MembraneRenderer], membrane: Membrane, repeats: int, clock=time.thread_time, **options
+) -> float:
+    """Return the median ms from a displacement never seen before to its 8-bit pictures through all renderers."""
+    x, y, displacement = membrane
+    number = count(1)
+
+    def work() -> None:
+        unseen = displacement * (1 - 1e-6 * next(number))
+        for renderer in renderers:
+            renderer.picture(x, y, unseen, **options)
+
+    return median_ms(work, repeats, clock)
+
+
+def stages_ms(renderer: MembraneRenderer, membrane: Membrane, repeats: int) -> dict[str, float]:
+    """Return the median ms of each stage of a frame."""
+    on_lattice = RestMembrane(*membrane).displacement_on(renderer.lattice)
+    surface = deformed_surface(renderer.lattice, on_lattice, "membrane")
+    raster, rng = renderer._rasterizer(), np.random.default_rng(0)
+    geometry, radiance = renderer._geometry(surface), renderer._radiance(surface)
+    linear = renderer._gather(geometry, radiance)
+
+    def draw() -> None:
+        raster.forget()
+        renderer._geometry(surface)
+
+    work = {
+        "surface": lambda: deformed_surface(renderer.lattice, on_lattice, "membrane"),
+        "raster": draw,
+        "light": lambda: renderer._radiance(surface),
+        "gather": lambda: renderer._gather(geometry, radiance),
+        "markers": lambda: renderer._paint_markers(geometry, linear),
+        "noise": lambda: imaging.sensor_noise(linear, renderer.sensor.camera, rng),
+        "encode": lambda: imaging.encode(linear),
+    }
+    return {name: median_ms(job, repeats) for name, job in work.items()}
+
+
+def frame_times(repeats: int) -> pd.DataFrame:
+    """Print the run times of a frame and of its stages, for every quality, paper light and sensor."""
+    typical, worst = sphere_dent(0.6), sphere_dent(1.0, (0.5, 0.2), (1.0, -0.5))
+    sensor, lights = Sensor.preset("paper"), [Illumination.preset(name) for name in PAPER_LIGHTS]
+    cases = [(quality, sensor, lights[0]) for quality in QUALITIES if quality != "standard"]
+    cases += [("standard", sensor, light) for light in lights]
+    cases += [("standard", own, own.illumination) for own in map(Sensor.preset, OWN_LIT_SENSORS)]
+    rows = []
+    for width, height in SIZES_PX:
+        for quality, seen_through, light in cases:
+            renderer = MembraneRenderer(seen_through, light, (width, height), quality)
+            times = {
+                "typical": frames_ms([renderer], typical, repeats),
+                "worst": frames_ms([renderer], worst, repeats),
+                "typical, wall": frames_ms([renderer], typical, repeats, time.perf_counter),
+                "with noise": frames_ms([renderer], typical, repeats, rng=np.random.default_rng(0)),
+            }
+            name = {"ms per frame": f"{width}×{height} {quality} {light.name}"}
+            rows.append(name | times | stages_ms(renderer, typical, repeats))
+    note = (
+        "targets at standard: 10 typical and 20 worst at 320×240, 20 and 40 at 640×480; typical: 0.6 mm, worst: "
+        "1.0 mm, dragged 0.54 mm, off centre; stages of the typical frame"
+    )
+    show("Processor time in one thread, medians, with markers", table := pd.DataFrame(rows), note)
+    return table
+
+
+def extra_times(repeats: int) -> pd.DataFrame:
+    """Print what another light on the same membrane, markers and the first picture cost."""
+    sensor, typical = Sensor.preset("paper"), sphere_dent(0.6)
+    renderers = [MembraneRenderer(sensor, Illumination.preset(name)) for name in PAPER_LIGHTS]
+    one, three = (frames_ms(renderers[:lit], typical, repeats) for lit in (1, 3))
+    unmarked = frames_ms(renderers[:1], typical, repeats, markers=False)
+    rows = [
+        ("under another illumination", (three - one) / 2, 4.0),
+        ("markers on instead of off", one - unmarked, 2.0),
+    ]
+    start = [sys.executable, "-c", START_UP]
+    starts_s = [float(subprocess.run(start, capture_output=True, check=True).stdout) for _ in range(3)]
+    start_s = statistics.median(starts_s)
+    note = (
+        f"start-up from pyrender's import to the first picture: {start_s:.2f} s of processor time (aim 0.5)"
+    )
+    table = pd.DataFrame(rows, columns=["what", "ms more", "target"])
+    show("The same membrane again, 320×240, standard", table, note)
+    table.loc[len(table)] = ["start-up", 1e3 * start_s, 500.0]
+    return table
+
+
+def baseline_times(repeats: int) -> dict[str, float]:
+    """Return ms per frame at 320×240 of what others would do: stock pyrender, and ours without shadows."""
+    scene = RenderScene("i0", 0.6)
+    renderer, membrane = MembraneRenderer(scene.sensor(), scene.light()), scene.membrane()
+    with stock_pyrender(scene, SIZES_PX[0]) as draw:
+        stock_ms = median_ms(draw, max(repeats // 4, 3))
+    own_ms = median_ms(lambda: imaging.encode(without_shadows(renderer, membrane)), repeats)
+    return {STOCK: stock_ms, SHADOWLESS: own_ms}
+
+
+def inpainting(repeats: int) -> pd.DataFrame:
+    """Print the error of both inpainting methods against the truly unmarked rendering."""
+    rows = []
+    for light in PAPER_LIGHTS:
+        renderer = MembraneRenderer(Sensor.preset("paper"), Illumination.preset(light))
+        membrane = sphere_dent(0.6, (0.3, 0.1))
+        marked, plain = (renderer.picture(*membrane, markers=markers) for markers in (True, False))
+        mask = detect_markers(marked)
+        row = {"light": light, "detect ms": median_ms(partial(detect_markers, marked), repeats)}
+        for name, fill in {"Telea": inpaint_telea, "biharmonic": inpaint_biharmonic}.items():
+            row[f"{name} dB"] = psnr_db(fill(marked, mask), plain)
+            row[f"{name} ms"] = median_ms(partial(fill, marked, mask), repeats)
+        rows.append(row)
+    title = "Inpainted 88 dots against the unmarked rendering, mask found in the picture, 320×240"
+    show(title, table := pd.DataFrame(rows))
+    return table

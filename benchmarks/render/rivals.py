@@ -1,65 +1,117 @@
-"""What else predicts a real sensor's presses: tables without physics, and Taxim's own pipeline."""
+"""What else predicts a real sensor's presses: nothing, tables without physics, and Taxim's own pipeline.
 
+Si and Yuan, "Taxim: An Example-Based Simulation Model for GelSight Tactile Sensors", RA-L 2022: colour change is looked
+up by the normal of the pressed surface, as a quadratic of the pixel's place; a second table attaches shadows. Here the
+installed package renders, its table as shipped or filled anew from chosen presses.
+"""
+
+import shutil
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.render.plain_table import PlainTable
-from gelgap.benchmarks.render.predictions import Prediction
-from gelgap.benchmarks.render.taxim_rival import TaximRenderer, fit_table
 from gelgap.domains import PressSet
+from gelgap.render import PressPicture
+from gelgap.render.light.scattered import monomials
+
+Draw = Callable[[int], Callable[[], np.ndarray]]
+"""Gives by a press's index what draws its predicted uint8 picture; the drawing alone is a frame's time."""
+Fitted = tuple[Draw, float | None]
+"""How a model predicts presses, and the processor time of its fit in s (None: it has none)."""
+INSTALL = 'pip install "taxim[jax-cpu]==1.4.1"'
+REACH = 4.0  # contact radii
+RADII, DIRECTIONS = 80, 72
+RIDGE = 0.003
+BINS = 125
+KEPT_SHARE, BLUR_PX = 0.85, 50.0  # Taxim's background: this much of the reference, the rest of it blurred
+
+
+def unchanged(found: PressSet, fitted: Sequence[int]) -> Fitted:
+    """Predict that nothing happens."""
+    return lambda press: lambda: found.reference, None
+
+
+def plain_table(found: PressSet, degree: int, fitted: Sequence[int]) -> Fitted:
+    """Predict by the mean change in code values by distance and direction from the press: a table without physics.
+
+    Inside the contact this place is the ball's normal, so it is the table of gradients that GelSights are calibrated
+    with; outside it holds what this ball's dent looks like. With `degree` 2 each entry is a quadratic of the press's
+    place. Of a predicted press the marked centre is used.
+    """
+    started = time.process_time()
+    reference, presses = found.reference.astype(float), [found.presses[k] for k in fitted]
+    height, width, _ = reference.shape
+    rows, columns = np.indices((height, width))
+    reach_px = REACH * float(np.median([press.radius_px for press in presses]))
+
+    def entry_of_pixels(press: PressPicture) -> np.ndarray:
+        x, y = columns - press.center_px[0], rows - press.center_px[1]
+        ring = (np.hypot(x, y) / reach_px * RADII).astype(int)
+        turn = ((np.arctan2(y, x) / (2 * np.pi) % 1) * DIRECTIONS).astype(int) % DIRECTIONS
+        return np.where(ring < RADII, ring * DIRECTIONS + turn, RADII * DIRECTIONS)  # the last: beyond reach
+
+    def terms_of(press: PressPicture) -> np.ndarray:
+        x, y = press.center_px
+        return np.array(monomials(2 * x / width - 1, 2 * y / height - 1, degree))
+
+    normal, right = 0.0, 0.0
+    for press in presses:
+        bins, terms = entry_of_pixels(press).ravel(), terms_of(press)
+        change = (press.picture - reference).reshape(-1, 3).T
+        count, *sums = (
+            np.bincount(bins, weights, RADII * DIRECTIONS + 1)[:-1] for weights in (None, *change)
+        )
+        mean = np.column_stack(sums) / np.maximum(count, 1)[:, None]
+        normal = normal + (count > 0)[:, None, None] * np.outer(terms, terms)
+        right = right + terms[:, None] * mean[:, None]
+    penalty = len(presses) * np.diag([1e-6] + [RIDGE] * (len(terms) - 1))
+    coefficients = np.linalg.solve(normal + penalty, right)
+    fit_s = time.process_time() - started
+
+    def picture(press: PressPicture) -> np.ndarray:
+        change = np.vstack([np.einsum("t,btc->bc", terms_of(press), coefficients), np.zeros(3)])
+        return np.clip(np.round(reference + change[entry_of_pixels(press)]), 0, 255).astype(np.uint8)
+
+    return lambda press: partial(picture, found.presses[press]), fit_s
 
 
 @dataclass(frozen=True)
 class TaximForm:
     """How Taxim's pipeline is used; by default its table is filled from the fitted presses and its gel is flat."""
 
-    name: str
     refitted: bool = True
     domed: bool = False
-    deep: bool = (
-        False  # the ball as deep as gelgap's solves say, not as deep as its cap cuts the marked circle
-    )
+    deep: bool = False  # the ball as deep as gelgap's solves say; otherwise as its cap cuts the marked circle
     on_reference: bool = False  # its change from its own untouched gel is added to the real reference
 
 
-AS_SHIPPED = TaximForm("Taxim, table as shipped (all presses)", refitted=False)
-REFITTED = TaximForm("Taxim, refitted")
-DEEP = TaximForm("Taxim, refitted, the ball as deep as in gelgap", deep=True)
-TAXIM_FORMS = (
-    AS_SHIPPED,
-    REFITTED,
-    TaximForm("Taxim, refitted, its own domed gel", domed=True),
-    DEEP,
-    TaximForm("the same, its change added to the reference", deep=True, on_reference=True),
-)
+REFITTED, DEEP = "Taxim, refitted", "Taxim, refitted, the ball as deep as in gelgap"
+TAXIM_FORMS = {
+    "Taxim, table as shipped (all presses)": TaximForm(refitted=False),
+    REFITTED: TaximForm(),
+    "Taxim, refitted, its own domed gel": TaximForm(domed=True),
+    DEEP: TaximForm(deep=True),
+    "the same, its change added to the reference": TaximForm(deep=True, on_reference=True),
+}
 
 
-def unchanged(found: PressSet, predicted: np.ndarray) -> Prediction:
-    """Predict that nothing happens."""
-    return Prediction("the reference, unchanged", "", [found.reference] * len(predicted))
-
-
-def plain_table(found: PressSet, degree: int, fitted: np.ndarray, predicted: np.ndarray) -> Prediction:
-    """Predict by a table without physics, constant (`degree` 0) or quadratic (2) in the press's place."""
-    started = time.process_time()
-    table = PlainTable(found.reference, [found.presses[k] for k in fitted], degree)
-    fit_s = time.process_time() - started
-    name = "table without physics" + (", quadratic in the place" if degree else "")
-    return _timed(name, lambda k: table.picture(found.presses[k]), predicted, fit_s)
+def missing_packages() -> tuple[str, ...]:
+    """Return what of the package and the backend of its renderer is not installed."""
+    return tuple(name for name in ("taxim", "jax") if find_spec(name) is None)
 
 
 def taxim(
-    found: PressSet,
-    calibration: str,
-    depths_mm: np.ndarray,
-    form: TaximForm,
-    fitted: np.ndarray,
-    predicted: np.ndarray,
-) -> Prediction:
+    found: PressSet, calibration: str, depths_mm: np.ndarray, form: TaximForm, fitted: Sequence[int]
+) -> Fitted:
     """Predict by Taxim's renderer with the shipped `calibration`; `depths_mm` (presses,) are gelgap's."""
+    import taxim
+
     height, width, _ = found.reference.shape
     table, fit_s = None, None
     if form.refitted:
@@ -67,25 +119,69 @@ def taxim(
         mm_per_px = found.start.camera.footprint_mm((width, height))[0] / width
         table = fit_table(found.reference, [found.presses[k] for k in fitted], mm_per_px)
         fit_s = time.process_time() - started
-    renderer = TaximRenderer(calibration, table, form.domed)
-    untouched = renderer.untouched()
+    with tempfile.TemporaryDirectory() as folder:
+        shutil.copytree(Path(taxim.__file__).parent / "calib" / calibration, folder, dirs_exist_ok=True)
+        if table is not None:
+            # The package calls the first channel of its pictures, which is blue, red.
+            channels = dict(zip(("grad_b", "grad_g", "grad_r"), np.moveaxis(table, 3, 0), strict=True))
+            np.savez(Path(folder) / "polycalib.npz", bins=BINS, **channels)
+        gel = np.load(Path(folder) / "gelmap.npy")
+        if not form.domed:
+            gel = np.zeros_like(gel)
+            np.save(Path(folder) / "gelmap.npy", gel)
+        simulator = taxim.Taxim(Path(folder), backend="jax", device="cpu")
+    mm_per_px = simulator.sensor_params.pixmm
+    gel_mm = (gel - gel.max()) * mm_per_px
+    rows, columns = np.indices(gel_mm.shape)
 
-    def picture(press: int) -> np.ndarray:
-        rendered = renderer.picture(found.presses[press], depths_mm[press] if form.deep else None)
+    def rendered(height_mm: np.ndarray) -> np.ndarray:
+        picture = simulator.render(height_mm.astype(np.float32), with_shadow=True)
+        return np.clip(np.round(255 * np.asarray(picture)), 0, 255).astype(np.uint8)
+
+    untouched = rendered(np.ones_like(gel_mm))  # tinted by the table
+
+    def picture(index: int) -> np.ndarray:
+        press = found.presses[index]
+        radius_mm, (x, y) = press.sphere_diameter_mm / 2, press.center_px
+        square = mm_per_px**2 * ((columns - x) ** 2 + (rows - y) ** 2)
+        contact_mm = min(press.radius_px * mm_per_px, radius_mm)
+        cap_mm = radius_mm - np.sqrt(radius_mm**2 - contact_mm**2)
+        depth_mm = depths_mm[index] if form.deep else cap_mm
+        ball = radius_mm - np.sqrt(np.maximum(radius_mm**2 - square, 0))
+        pressed = rendered(ball - depth_mm + gel_mm[round(y), round(x)])
         if not form.on_reference:
-            return rendered
-        change = rendered.astype(int) - untouched
-        return np.clip(found.reference + change, 0, 255).astype(np.uint8)
+            return pressed
+        return np.clip(found.reference + (pressed.astype(int) - untouched), 0, 255).astype(np.uint8)
 
-    return _timed(form.name, picture, predicted, fit_s)
+    return lambda press: partial(picture, press), fit_s
 
 
-def _timed(
-    name: str, picture: Callable[[int], np.ndarray], predicted: np.ndarray, fit_s: float | None
-) -> Prediction:
-    pictures, times = [], []
-    for press in predicted:
-        started = time.process_time()
-        pictures.append(picture(press))
-        times.append(time.process_time() - started)
-    return Prediction(name, "marked", pictures, fit_s, 1e3 * float(np.median(times)))
+def fit_table(reference: np.ndarray, presses: Sequence[PressPicture], mm_per_px: float) -> np.ndarray:
+    """Return (BINS, BINS, 6, 3): by inclination and direction of the normal, RGB change as a quadratic of the place."""
+    from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+    plain = reference.astype(float)
+    background = np.trunc(
+        KEPT_SHARE * plain + (1 - KEPT_SHARE) * gaussian_filter(plain, (BLUR_PX, BLUR_PX, 0))
+    )
+    rows, columns = np.indices(reference.shape[:2])
+
+    def bin_of(angle: np.ndarray, largest: float) -> np.ndarray:
+        return (angle / (largest / (BINS - 1))).astype(int)
+
+    filled = []
+    for press in presses:
+        x, y = np.trunc(press.center_px)
+        distance = np.hypot(columns - x, rows - y)
+        inside = distance < min(press.radius_px, press.sphere_diameter_mm / 2 / mm_per_px)
+        inclination = np.arcsin(distance[inside] * mm_per_px * 2 / press.sphere_diameter_mm)
+        direction = np.arctan2(y - rows[inside], x - columns[inside])
+        table = np.full((BINS, BINS, 5), np.nan)
+        change = press.picture[inside] - background[inside]
+        entries = np.column_stack([change, columns[inside], rows[inside]])
+        table[bin_of(inclination, np.pi / 2), bin_of(direction + np.pi, 2 * np.pi)] = entries
+        nearest = distance_transform_edt(np.isnan(table[..., 0]), return_distances=False, return_indices=True)
+        filled.append(table[tuple(nearest)])
+    changes, (x, y) = np.array(filled)[..., :3], np.moveaxis(np.array(filled)[..., 3:], (0, 3), (3, 0))
+    terms = np.stack([x * x, y * y, x * y, x, y, np.ones_like(x)], axis=-1)
+    return np.linalg.pinv(terms) @ np.moveaxis(changes, 0, 2)

@@ -1,12 +1,21 @@
-"""Scenes for judging pictures: a closed-form dent, so that no solver is needed to see the renderer's error."""
+"""Scenes for judging pictures, and their true pictures by Mitsuba 3: the same membrane, emitters, coat and camera.
+
+A scene is a dent in closed form, so that no solver is needed to see the renderer's error. The path tracer comes with
+`pip install gelgap[benchmark]`; `python -m gelgap.benchmarks.render.scenes` renders the small pictures of
+`assets/reference/render` anew.
+"""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from gelgap.render import Coating, Illumination, Sensor, Variation, vary_illumination, vary_sensor
+from gelgap.assets import asset_path
+from gelgap.render import Coating, Emitter, Illumination, Sensor, Variation, vary_illumination, vary_sensor
 
 Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]
+STORED_SAMPLES, STORED_SIZE_PX = 1024, (128, 96)
+_DRAWS = Variation(led_position_mm=0.8, led_angle_deg=8.0, led_drive=0.2, albedo=0.2, yellowing=0.3)
 
 
 def sphere_dent(
@@ -57,16 +66,15 @@ class RenderScene:
     @property
     def name(self) -> str:
         """The scene in words; also the name of its stored picture."""
-        words = [self.sensor_name if self.illumination == "own" else self.illumination, f"d {self.depth_mm}"]
-        if any(self.shear_mm):
-            words.append(f"shear {np.hypot(*self.shear_mm):.1f}")
-        if any(self.point_mm):
-            words.append(f"at {self.point_mm[0]:.1f} {self.point_mm[1]:.1f}")
-        if self.roughness is not None:
-            words.append(f"gloss {self.roughness}")
-        if self.drawn is not None:
-            words.append(f"drawn {self.drawn}")
-        return " ".join(words)
+        words = {
+            "d": self.depth_mm,
+            "shear": f"{np.hypot(*self.shear_mm):.1f}" if any(self.shear_mm) else None,
+            "at": "{:.1f} {:.1f}".format(*self.point_mm) if any(self.point_mm) else None,
+            "gloss": self.roughness,
+            "drawn": self.drawn,
+        }
+        light = self.sensor_name if self.illumination == "own" else self.illumination
+        return " ".join([light, *(f"{word} {value}" for word, value in words.items() if value is not None)])
 
     @property
     def matt(self) -> bool:
@@ -87,17 +95,14 @@ class RenderScene:
 
     def sensor(self) -> Sensor:
         sensor = Sensor.preset(self.sensor_name)
-        sensor = sensor.model_copy(update={"camera": sensor.camera.model_copy(update=_NO_LENS_ERRORS)})
+        perfect = {"radial_distortion": (0.0, 0.0), "vignetting": 0.0, "point_spread_px": 0.0}
+        sensor = sensor.model_copy(update={"camera": sensor.camera.model_copy(update=perfect)})
         if self.drawn is not None:
             sensor = vary_sensor(sensor, _DRAWS, np.random.default_rng(self.drawn + 1000))
         if self.roughness is None:
             return sensor
         coating = Coating(albedo=sensor.coating.albedo, specular=1.0, roughness=self.roughness)
         return sensor.model_copy(update={"coating": coating})
-
-
-_NO_LENS_ERRORS = {"radial_distortion": (0.0, 0.0), "vignetting": 0.0, "point_spread_px": 0.0}
-_DRAWS = Variation(led_position_mm=0.8, led_angle_deg=8.0, led_drive=0.2, albedo=0.2, yellowing=0.3)
 
 
 def drawn_scene(seed: int) -> RenderScene:
@@ -115,23 +120,21 @@ def drawn_scene(seed: int) -> RenderScene:
     )
 
 
+PAPER_LIGHTS = ("i0", "i1", "i2")
 OWN_LIT_SENSORS = ("gelsight-mini-like", "digit-like", "gelsight-2014-like")
 GLOSSY_SCENE = RenderScene("i1", 1.0, (0.4, 0.0), roughness=0.3)
 ALL_SCENES = (
     *(
         RenderScene(light, depth, shear)
-        for light in ("i0", "i1", "i2")
+        for light in PAPER_LIGHTS
         for depth in (0.2, 0.6, 1.0)
         for shear in ((0.0, 0.0), (0.5 * depth, 0.2 * depth))
     ),
     RenderScene("i0", 0.6, roughness=0.2),
     GLOSSY_SCENE,
     RenderScene("i2", 0.6, roughness=0.4),
-    *(drawn_scene(seed) for seed in range(9)),
-    *(
-        RenderScene("own", 0.7, (0.3, 0.1), point_mm=(1.5, -1.0), sensor_name=name)
-        for name in OWN_LIT_SENSORS
-    ),
+    *map(drawn_scene, range(9)),
+    *(RenderScene("own", 0.7, (0.3, 0.1), None, (1.5, -1.0), sensor_name=name) for name in OWN_LIT_SENSORS),
 )
 # Kept as small pictures in assets/reference/render, so that a check needs no path tracer.
 STORED_SCENES = (
@@ -143,3 +146,98 @@ STORED_SCENES = (
     RenderScene("i2", 1.0, (0.5, 0.2)),
     GLOSSY_SCENE,
 )
+
+
+def trace(scene: RenderScene, size_px: tuple[int, int], samples_per_pixel: int, seed: int = 0) -> np.ndarray:
+    """Return the float32 (h, w, 3) linear picture of a scene, with interreflection.
+
+    Raises
+    ------
+    RuntimeError
+        If Mitsuba is not installed.
+    """
+    try:
+        import mitsuba as mi
+    except ImportError as error:
+        raise RuntimeError(
+            "the path tracer needs Mitsuba 3; install it with: pip install 'gelgap[benchmark]'"
+        ) from error
+    mi.set_variant("scalar_rgb")
+    camera, (width, height) = scene.sensor().camera, size_px
+    x, y, _ = camera.position_mm
+    view = mi.ScalarTransform4f().look_at(origin=list(camera.position_mm), target=[x, y, 0], up=[0, -1, 0])
+    film = {"rfilter": {"type": "box"}, "pixel_format": "rgb", "component_format": "float32"}
+    description = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "membrane": _mesh(mi, scene),
+        "sensor": {
+            "type": "perspective",
+            "fov": camera.horizontal_field_of_view_deg,
+            "fov_axis": "x",
+            "near_clip": 1.0,
+            "far_clip": 500.0,
+            "to_world": view,
+            "film": {"type": "hdrfilm", "width": width, "height": height, **film},
+            "sampler": {"type": "multijitter", "sample_count": samples_per_pixel, "seed": seed},
+        },
+    }
+    for index, emitter in enumerate(scene.light().emitters(camera)):
+        description[f"led_{index}"] = _emitter(mi, emitter)
+    return np.array(mi.render(mi.load_dict(description), spp=samples_per_pixel, seed=seed))
+
+
+def _mesh(mi, scene: RenderScene):
+    points, faces = triangle_mesh(scene.membrane())
+    normals = -np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    coating = scene.sensor().coating
+    albedo = {"type": "rgb", "value": list(coating.albedo)}
+    matt = {"type": "diffuse", "reflectance": albedo}
+    gloss = {"type": "roughplastic", "distribution": "beckmann", "alpha": coating.roughness}
+    glossy = gloss | {"diffuse_reflectance": albedo}
+    mixed = {"type": "blendbsdf", "weight": coating.specular, "matt": matt, "glossy": glossy}
+    coat = {0.0: matt, 1.0: glossy}.get(coating.specular, mixed)
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict({"type": "twosided", "coat": coat})
+    mesh = mi.Mesh("membrane", points[..., 0].size, len(faces), has_vertex_normals=True, props=properties)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = points.reshape(-1).astype(np.float32)
+    parameters["vertex_normals"] = normals.reshape(-1).astype(np.float32)
+    parameters["faces"] = faces.reshape(-1).astype(np.uint32)
+    parameters.update()
+    return mesh
+
+
+def _emitter(mi, emitter: Emitter) -> dict:
+    radiance = {"type": "rgb", "value": emitter.radiance_rgb.tolist()}
+    if emitter.kind == "point":
+        return {"type": "point", "position": emitter.center_mm.tolist(), "intensity": radiance}
+    to_world = np.eye(4)
+    to_world[:3, :3] = np.stack([emitter.half_u_mm, emitter.half_v_mm, emitter.normal], axis=1)
+    to_world[:3, 3] = emitter.center_mm
+    if np.linalg.det(to_world) < 0:
+        to_world[:3, 0] *= -1
+    return {
+        "type": {"bar": "rectangle", "disc": "disk"}[emitter.kind],
+        "to_world": mi.ScalarTransform4f(to_world),
+        "black": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}},
+        "light": {"type": "area", "radiance": radiance},
+    }
+
+
+def stored_reference(scene: RenderScene) -> np.ndarray:
+    """Return the float32 (h, w, 3) linear picture of a scene that ships with the package."""
+    with np.load(_stored_file(scene)) as file:
+        return file["linear"].astype(np.float32)
+
+
+def _stored_file(scene: RenderScene) -> Path:
+    return asset_path("reference", "render", scene.name.replace(" ", "_") + ".npz")
+
+
+if __name__ == "__main__":
+    for stored in STORED_SCENES:
+        linear = trace(stored, STORED_SIZE_PX, STORED_SAMPLES)
+        np.savez_compressed(_stored_file(stored), linear=linear.astype(np.float16))
+        print(f"wrote {_stored_file(stored)}")

@@ -1,41 +1,54 @@
-"""A real sensor predicted: even presses of a published calibration set fitted, odd ones rendered and compared.
+"""A real sensor predicted: some presses of a published calibration set fitted, the others rendered and compared.
 
 gelgap's predictions are its own renderer's pictures. `marked` takes a press where it was marked by hand, `corrected`
 moves it as the marks of the fitted presses were moved on average; both use nothing of its picture. `refined` moves its
-centre and depth in its own picture. Beside them: what else predicts (`rivals`), and presses unlike the fitted ones
-(`other_presses`).
+centre and depth in its own picture. Beside them: what else predicts (`rivals`), and presses unlike the fitted ones.
 """
 
 import tempfile
 import time
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from gelgap.benchmarks.common.tables import print_table, write_json
+from gelgap.benchmarks.common import Results, Setting, psnr_db, run_missing, show, write_json
 from gelgap.benchmarks.render import rivals
-from gelgap.benchmarks.render.contact_sheet import draw_contact_sheet
-from gelgap.benchmarks.render.other_presses import Model, measure_other_presses
-from gelgap.benchmarks.render.predictions import METRICS, Prediction, score_presses, table_row
-from gelgap.benchmarks.render.taxim_rival import INSTALL, missing_packages
+from gelgap.benchmarks.render.rivals import Fitted
 from gelgap.domains import CALIBRATION_GEL, PressSet, sphere_profiles, taxim_presses
-from gelgap.render import LightCalibration, MembraneRenderer, Sensor, save_calibration
-from gelgap.render.calibration.calibrator import FEWEST_FOR_ORDER_3, LightTask, corrected_poses
+from gelgap.render import (
+    LightCalibration,
+    MembraneRenderer,
+    PressPicture,
+    PressProfiles,
+    Sensor,
+    save_calibration,
+)
+from gelgap.render.calibration.calibrator import (
+    FEWEST_FOR_ORDER_3,
+    LightTask,
+    corrected_poses,
+)
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.poses import place_presses
 
 SET = "gelsight"
+LEVELS = ("contact", "inside", "ring", "within", "whole")  # regions, in each of which PSNR is taken
 EXTENT_MM = (10.5, 8.2)
 HELD_SIGMA_MM = 1e-4  # so little does a fit move a press that is held where it was marked
+FEW = 6
+WHOLE, AT_STANDARD = "whole: + flat field of pressed pictures", "whole, membrane at standard"
+Model = Callable[[tuple[int, ...]], Fitted]
+"""Fits the presses of some indices."""
 
 
 @dataclass(frozen=True)
 class Variant:
     """One form of the model: what of it is there."""
 
-    name: str
     order: int = 3
     degree: int = 2
     far: bool = True
@@ -46,41 +59,42 @@ class Variant:
     quality: str = "draft"
 
 
-WHOLE = Variant("whole: + flat field of pressed pictures")
-VARIANTS = (
-    Variant("LEDs alone, camera kept at 25 mm", order=0, degree=0, far=False, keep_camera=True),
-    Variant("+ scattered light, order 2 × (1, x, y)", order=2, degree=1, far=False, keep_camera=True),
-    Variant("+ camera's distance fitted", order=2, degree=1, far=False),
-    Variant("+ order 3 × quadratics, flat field from the reference alone", far=False),
-    Variant("the same, without shadows", far=False, shadows=False),
-    WHOLE,
-    Variant("whole without scattered light", order=0, degree=0),
-    Variant("whole without shadows", shadows=False),
-    Variant("whole without flat field, as rendered", flat_field=False),
-    Variant("whole, fitted presses as marked", refines_fitted=False),
-    Variant("whole, membrane at standard", quality="standard"),
-)
+VARIANTS = {
+    "LEDs alone, camera kept at 25 mm": Variant(order=0, degree=0, far=False, keep_camera=True),
+    "+ scattered light, order 2 × (1, x, y)": Variant(order=2, degree=1, far=False, keep_camera=True),
+    "+ camera's distance fitted": Variant(order=2, degree=1, far=False),
+    "+ order 3 × quadratics, flat field from the reference alone": Variant(far=False),
+    "the same, without shadows": Variant(far=False, shadows=False),
+    WHOLE: Variant(),
+    "whole without scattered light": Variant(order=0, degree=0),
+    "whole without shadows": Variant(shadows=False),
+    "whole without flat field, as rendered": Variant(flat_field=False),
+    "whole, fitted presses as marked": Variant(refines_fitted=False),
+    AT_STANDARD: Variant(quality="standard"),
+}
 
 
-CORRECTED = (WHOLE, VARIANTS[-1])
+def light_task(
+    found: PressSet, variant: Variant, profiles: Mapping[float, PressProfiles] | None = None
+) -> LightTask:
+    """Return what a form of the model is fitted with; the membranes around the balls are solved if not given."""
+    if profiles is None:
+        diameters = {press.sphere_diameter_mm for press in found.presses}
+        profiles = sphere_profiles(diameters, None, variant.quality, CALIBRATION_GEL)
+    placed = place_presses(found.start.camera, found.reference, found.presses, profiles)
+    form = variant.order, variant.degree, variant.far, variant.shadows, variant.keep_camera
+    return LightTask(found.start, placed, *form)
 
 
-def fitted_renderer(task: LightTask, fit: LightFit, flat_field: bool) -> MembraneRenderer:
-    """Return gelgap's renderer of a fit, through the files that a user would have."""
-    unknown = np.full((len(fit.light.bars.azimuth), 2), np.nan)
-    calibration = LightCalibration(
-        **task.result(fit),
-        names=(),
-        left_out=(),
-        held_out=(),
-        led_azimuths_deg=unknown,
-        led_elevations_deg=unknown,
-    )
+def saved_renderer(
+    calibration: LightCalibration, size_px: tuple[int, int], flat_field=True
+) -> MembraneRenderer:
+    """Return gelgap's renderer of a calibration, through the files that a user would have."""
     with tempfile.TemporaryDirectory() as folder:
         save_calibration(calibration, Path(folder) / "fitted.toml")
         sensor = Sensor.load(Path(folder) / "fitted.toml")
         kept = sensor if flat_field else sensor.model_copy(update={"flat_field": None})
-        return MembraneRenderer(kept, sensor.illumination, task.placed.size_px)
+        return MembraneRenderer(kept, sensor.illumination, size_px)
 
 
 def drop_shadows(renderer: MembraneRenderer) -> None:
@@ -91,68 +105,165 @@ def drop_shadows(renderer: MembraneRenderer) -> None:
     )
 
 
-def fitting_task(found: PressSet, variant: Variant) -> LightTask:
-    """Return what a form of the model is fitted with."""
-    sensor = found.start
-    diameters = {press.sphere_diameter_mm for press in found.presses}
-    profiles = sphere_profiles(diameters, None, variant.quality, CALIBRATION_GEL)
-    placed = place_presses(sensor.camera, found.reference, found.presses, profiles)
-    return LightTask(
-        sensor, placed, variant.order, variant.degree, variant.far, variant.shadows, variant.keep_camera
-    )
+class FittedLight:
+    """A form of the model, or its small form where presses are few, fitted to the presses of some indices."""
+
+    def __init__(self, task: LightTask, variant: Variant, fitted: Sequence[int]) -> None:
+        placed, which = task.placed, np.array(fitted)
+        if len(which) < FEWEST_FOR_ORDER_3:
+            task = replace(task, order=min(task.order, 2), degree=min(task.degree, 1))
+        held = replace(task, placed=replace(placed, sigma_mm=np.full_like(placed.sigma_mm, HELD_SIGMA_MM)))
+        started = time.process_time()
+        self.fit: LightFit = (task if variant.refines_fitted else held).fit(which)
+        self.fit_s = time.process_time() - started
+        calibration = LightCalibration(**task.result(self.fit))
+        self.renderer = saved_renderer(calibration, placed.size_px, variant.flat_field)
+        if not variant.shadows:
+            drop_shadows(self.renderer)
+        self.placed = placed.seen_from(self.fit.distance_mm)
+        self.corrected_mm = corrected_poses(self.placed.poses_mm, which, self.fit.presses)
+
+    def pose_mm(self, way: str, press: int) -> np.ndarray:
+        """Return x, y and depth of a press: marked, corrected or refined."""
+        if way == "refined":
+            return self.fit.refined(self.placed, press).presses[0]
+        return {"marked": self.placed.poses_mm, "corrected": self.corrected_mm}[way][press]
+
+    def draw(self, way: str, press: int) -> Callable[[], np.ndarray]:
+        """Return what draws a press's picture; the membrane is there already."""
+        pose = self.pose_mm(way, press)
+        membrane = self.placed.profiles[press].membrane(pose[:2], pose[2], EXTENT_MM)
+        return partial(self.renderer.picture, *membrane, markers=False)
 
 
-def predict(
-    task: LightTask,
-    variant: Variant,
-    fitted: np.ndarray,
-    predicted: np.ndarray,
-    ways: tuple[str, ...] = ("marked", "refined"),
-) -> list[Prediction]:
-    """Fit presses and render others, for each way of placing these: marked, corrected, refined."""
-    placed = task.placed
-    held = replace(task, placed=replace(placed, sigma_mm=np.full_like(placed.sigma_mm, HELD_SIGMA_MM)))
-    started = time.process_time()
-    fit = (task if variant.refines_fitted else held).fit(fitted)
-    fit_s = time.process_time() - started
-    renderer = fitted_renderer(task, fit, variant.flat_field)
-    placed = task.placed.seen_from(fit.distance_mm)
-    if not variant.shadows:
-        drop_shadows(renderer)
-    corrected_mm = corrected_poses(placed.poses_mm, fitted, fit.presses)
-    pose_of = {
-        "marked": lambda press: placed.poses_mm[press],
-        "corrected": lambda press: corrected_mm[press],
-        "refined": lambda press: fit.refined(placed, int(press)).presses[0],
+def light_models(
+    name: str, task: Callable[[], LightTask], variant: Variant, ways: Iterable[str] = ("marked", "refined")
+) -> dict[tuple[str, str], Model]:
+    """Return models by name and the way in which predicted presses are placed; all have one fit in common."""
+    fitted_light = lru_cache(1)(lambda fitted: FittedLight(task(), variant, fitted))
+
+    def model(way: str, fitted: tuple[int, ...]) -> Fitted:
+        light = fitted_light(fitted)
+        return partial(light.draw, way), light.fit_s
+
+    return {(name, way): partial(model, way) for way in ways}
+
+
+def rival_models(
+    found: PressSet, depths_mm: np.ndarray, forms: Iterable[str]
+) -> dict[tuple[str, str], Model]:
+    """Return the tables without physics, and Taxim's forms if it is installed."""
+    plain = "table without physics"
+    models = {
+        (plain, "marked"): partial(rivals.plain_table, found, 0),
+        (f"{plain}, quadratic in the place", "marked"): partial(rivals.plain_table, found, 2),
     }
-    predictions = []
-    for way in ways:
-        pictures, times = [], []
-        for press in predicted:
-            pose = pose_of[way](press)
-            membrane = placed.profiles[press].membrane(pose[:2], pose[2], EXTENT_MM)
+    if not rivals.missing_packages():
+        own = {form: rivals.TAXIM_FORMS[form] for form in forms}
+        models |= {(n, "marked"): partial(rivals.taxim, found, SET, depths_mm, f) for n, f in own.items()}
+    return models
+
+
+def scores(picture: np.ndarray, press: PressPicture, contact: PressPicture | None = None) -> dict[str, float]:
+    """Return the metrics of one picture, PSNR in dB by region; `contact` marks where the ball really touches."""
+    from skimage.metrics import structural_similarity
+
+    rows, columns = np.indices(press.picture.shape[:2])
+
+    def radii_from(mark: PressPicture) -> np.ndarray:
+        return np.hypot(columns - mark.center_px[0], rows - mark.center_px[1]) / mark.radius_px
+
+    share = radii_from(press)
+    regions = {} if contact is None else {"contact": radii_from(contact) < 1}
+    regions |= {
+        "inside": share < 1,
+        "ring": (share >= 1) & (share < 2),
+        "within": share < 2,
+        "whole": share >= 0,
+    }
+    return {
+        **{name: psnr_db(picture, press.picture, where) for name, where in regions.items()},
+        "SSIM": float(structural_similarity(picture, press.picture, channel_axis=2)),
+        "mean abs": float(np.abs(picture.astype(float) - press.picture).mean()),
+    }
+
+
+@dataclass(frozen=True)
+class Study:
+    """Presses, models by name and way of placing, and by name which presses are fitted and which are predicted."""
+
+    presses: Sequence[PressPicture]
+    models: Mapping[tuple[str, str], Model]
+    splits: Mapping[str, tuple[Sequence[int], Sequence[int]]]
+    contacts: Mapping[int, PressPicture] | None = None
+
+    def measure(self, setting: Setting) -> Results:
+        """Fit a model, predict the presses that were not fitted, and return each metric of all of them."""
+        fitted, predicted = self.splits[setting["predicted"]]
+        draw, fit_s = self.models[setting["model"], setting["press"]](tuple(map(int, fitted)))
+        found, times = [], []
+        for press in map(int, predicted):
+            frame = draw(press)
             started = time.process_time()
-            pictures.append(renderer.picture(*membrane, markers=False))
+            picture = frame()
             times.append(time.process_time() - started)
-        predictions.append(Prediction(variant.name, way, pictures, fit_s, 1e3 * float(np.median(times))))
-    return predictions
+            found.append(scores(picture, self.presses[press], self.contacts and self.contacts[press]))
+        frame_ms = 1e3 * float(np.median(times))
+        return pd.DataFrame(found).to_dict("list") | {"fit, s": fit_s, "ms per frame": frame_ms}
+
+    def records(self, file: Path) -> pd.DataFrame:
+        """Return the records of all models on all splits; what a stopped benchmark has measured is read."""
+        settings = [
+            {"predicted": split, "model": model, "press": press}
+            for split in self.splits
+            for model, press in self.models
+        ]
+        return run_missing(self.measure, settings, file, workers=1)
 
 
-def predict_unseen(task: LightTask, way: str, fitted: np.ndarray, predicted: np.ndarray) -> Prediction:
-    """Fit the whole model, or its small form where presses are few, and predict others."""
-    few = len(fitted) < FEWEST_FOR_ORDER_3
-    task = replace(task, order=2, degree=1) if few else task
-    return predict(task, replace(WHOLE, name=f"gelgap, {way}"), fitted, predicted, (way,))[0]
+def run(quick: bool, out_dir: Path) -> None:
+    """Print how presses are predicted; write JSON to `out_dir`. Quick: fewer presses and models."""
+    found = taxim_presses(SET)
+    whole = light_task(found, VARIANTS[WHOLE])
+    depths_mm, count = whole.placed.poses_mm[:, 2], len(found.presses)
+    models = {("the reference, unchanged", ""): partial(rivals.unchanged, found)}
+    models |= rival_models(found, depths_mm, (rivals.REFITTED,) if quick else rivals.TAXIM_FORMS)
+    for name in (WHOLE,) if quick else VARIANTS:
+        task = (lambda: whole) if name == WHOLE else partial(light_task, found, VARIANTS[name])
+        corrected = ("corrected",) if name in (WHOLE, AT_STANDARD) else ()
+        models |= light_models(name, task, VARIANTS[name], ("marked", *corrected, "refined"))
+    even, odd = range(0, count, 2), range(1, count, 8 if quick else 2)
+    kept = out_dir / "sensors.jsonl"
+    predictions = Study(found.presses, models, {f"{len(odd)} odd presses": (even, odd)}).records(kept)
+    note = f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame."
+    if rivals.missing_packages():
+        note += f" Taxim's own pipeline is left out; install it: {rivals.INSTALL}."
+    title = f"{SET}: even presses fitted, {len(odd)} odd ones predicted; PSNR in dB, median (worst)"
+    show_scores(title, predictions, ("model", "press", "fit, s", "ms per frame"), note)
+    others = pd.DataFrame() if quick else other_presses(found, whole, kept)
+    write_json(out_dir / "sensors.json", {"predictions": predictions, "other_presses": others})
+    kept.unlink()
+
+
+def other_presses(found: PressSet, whole: LightTask, kept: Path) -> pd.DataFrame:
+    """Print how gelgap and its rivals predict presses unlike those that they were fitted to; return the records."""
+    fit = whole.fit(np.arange(len(found.presses)))
+    models = light_models("", lambda: whole, VARIANTS[WHOLE], ("marked", "corrected"))
+    models = {(f"gelgap, {way}", way): model for (_, way), model in models.items()}
+    models |= rival_models(found, whole.placed.poses_mm[:, 2], (rivals.DEEP,))
+    records = Study(found.presses, models, other_splits(fit.presses)).records(kept)
+    shallow, deep = np.percentile(fit.presses[:, 2], (0, 100))
+    note = f"depths by a fit of all presses: {shallow:.2f} to {deep:.2f} mm"
+    title = "presses unlike the fitted ones; PSNR in dB, median (worst)"
+    show_scores(title, records, ("predicted", "model"), note)
+    return records
 
 
 def plain_frame_ms(found: PressSet) -> float:
     """Return the time of a frame under the same LEDs without what real sensors need."""
-    sensor = found.start
-    renderer = MembraneRenderer(
-        sensor, sensor.illumination, (found.reference.shape[1], found.reference.shape[0])
-    )
-    profiles = sphere_profiles({found.presses[0].sphere_diameter_mm}, None, "draft")
-    own = next(iter(profiles.values()))
+    height, width, _ = found.reference.shape
+    renderer = MembraneRenderer(found.start, found.start.illumination, (width, height))
+    (own,) = sphere_profiles({found.presses[0].sphere_diameter_mm}, None, "draft").values()
     times = []
     for depth in np.linspace(1.6, 1.7, 24):
         membrane = own.membrane((0.0, 0.0), float(depth), EXTENT_MM)
@@ -162,53 +273,33 @@ def plain_frame_ms(found: PressSet) -> float:
     return 1e3 * float(np.median(times))
 
 
-def rival_models(found: PressSet, depths_mm: np.ndarray, forms: tuple[rivals.TaximForm, ...]) -> list[Model]:
-    """Return the tables without physics, and Taxim's forms if it is installed."""
-    tables = [partial(rivals.plain_table, found, degree) for degree in (0, 2)]
-    if missing_packages():
-        return tables
-    return tables + [partial(rivals.taxim, found, SET, depths_mm, form) for form in forms]
+def median_and_worst(levels: Sequence[float]) -> str:
+    """Return levels of several presses in words; none are an empty text."""
+    return f"{np.median(levels):.1f} ({np.min(levels):.1f})" if len(levels) else ""
 
 
-def run(quick: bool, out_dir: Path) -> None:
-    """Print how presses are predicted; write JSON and a contact sheet. Quick: fewer presses and models."""
-    found = taxim_presses(SET)
-    even, predicted = np.arange(0, len(found.presses), 2), np.arange(1, len(found.presses), 8 if quick else 2)
-    presses = [found.presses[k] for k in predicted]
-    whole = fitting_task(found, WHOLE)
-    depths_mm = whole.placed.poses_mm[:, 2]
-    reference = rivals.unchanged(found, predicted)
-    unchanged = score_presses(reference, presses)
-    rows, of_rivals, of_variants, shown = [table_row(reference, unchanged)], [], [], {}
-    for model in rival_models(found, depths_mm, (rivals.REFITTED,) if quick else rivals.TAXIM_FORMS):
-        prediction = model(even, predicted)
-        values = score_presses(prediction, presses)
-        rows.append(table_row(prediction, values))
-        of_rivals.append({**asdict(replace(prediction, pictures=[])), "scores": values})
-        if prediction.name == rivals.REFITTED.name:
-            shown["Taxim, refitted"] = prediction
-    for variant in (WHOLE,) if quick else VARIANTS:
-        task = whole if variant is WHOLE else fitting_task(found, variant)
-        ways = ("marked", "corrected", "refined") if variant in CORRECTED else ("marked", "refined")
-        placed_ways = predict(task, variant, even, predicted, ways)
-        metrics = {prediction.pose: score_presses(prediction, presses) for prediction in placed_ways}
-        rows += [table_row(prediction, metrics[prediction.pose]) for prediction in placed_ways]
-        times = {"fit_s": placed_ways[0].fit_s, "frame_ms": placed_ways[0].frame_ms}
-        of_variants.append({"variant": variant, **times, "scores": metrics})
-        if variant is WHOLE:
-            shown = {"gelgap": placed_ways[0], **shown}
-    without = f" Taxim's own pipeline is left out; install it: {INSTALL}." if missing_packages() else ""
-    print_table(
-        f"{SET}: even presses fitted, {len(predicted)} odd ones predicted; PSNR in dB, median (worst)",
-        ["model", "press", *METRICS, "fit, s", "ms per frame"],
-        rows,
-        note=f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame.{without}",
-    )
-    draw_contact_sheet(out_dir / "sensors.jpg", presses, shown)
-    models = [partial(predict_unseen, whole, way) for way in ("marked", "corrected")]
-    models += rival_models(found, depths_mm, (rivals.DEEP,))
-    others = {} if quick else measure_other_presses(whole, found.presses, models)
-    write_json(
-        out_dir / "sensors.json",
-        {"unchanged": unchanged, "variants": of_variants, "rivals": of_rivals, "other_presses": others},
-    )
+def show_scores(title: str, records: pd.DataFrame, columns: Sequence[str], note: str = "") -> None:
+    """Print records: the given columns, the metrics of several presses, and times where they are among the columns."""
+    cells = dict.fromkeys(LEVELS, median_and_worst)
+    cells |= {"SSIM": lambda values: f"{np.median(values):.3f}", "mean abs": lambda v: f"{np.median(v):.2f}"}
+    cells = {name: cell for name, cell in cells.items() if name in records}
+    table = records.assign(**{name: records[name].map(cell) for name, cell in cells.items()})
+    times = [name for name in columns if name in ("fit, s", "ms per frame")]
+    names = [*(name for name in columns if name not in times), *cells, *times]
+    show(title, table[names].reset_index(drop=True), note, dict.fromkeys(times, "{:.1f}"))
+
+
+def other_splits(poses_mm: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return fitted and predicted indices of presses (n, 3) at x, y and depth: the predicted are unlike the fitted."""
+    x, y, depth = poses_mm.T
+    every = np.arange(len(poses_mm))
+    splits = {"odd presses after six": (every[:: -(-len(every) // FEW)], every[1::2])}
+    for name, order in (
+        ("right half after the left", x),
+        ("outer half after the inner", np.hypot(x - x.mean(), y - y.mean())),
+        ("deeper half after the shallower", depth),
+        ("shallower half after the deeper", -depth),
+    ):
+        fitted, predicted = np.array_split(np.argsort(order, kind="stable"), 2)
+        splits[name] = np.sort(fitted), np.sort(predicted)
+    return splits

@@ -6,14 +6,14 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.light import Bars, Light, bounded_flat
-from gelgap.render.calibration.pictures import FarField, PressPicture, check_presses
+from gelgap.render.calibration.pictures import PressPicture, check_presses
 from gelgap.render.calibration.poses import MARGIN_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
@@ -76,12 +76,13 @@ class LightCalibration:
     gain: tuple[tuple[float, ...], ...]
     volume_mm3: float
     poses_mm: np.ndarray  # (presses, 3): x, y, depth as refined
-    names: tuple[str, ...]
-    left_out: tuple[str, ...]
     rms_code_values: float
-    held_out: tuple[HeldOut, ...]
-    led_azimuths_deg: np.ndarray  # (leds, 2): value, standard error (NaN without held-out fits)
-    led_elevations_deg: np.ndarray
+    names: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    held_out: tuple[HeldOut, ...] = ()
+    # (leds, 2): value, standard error (NaN without held-out fits)
+    led_azimuths_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    led_elevations_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     sphere_size: SphereSize | None = None  # of an unknown sphere
     nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
 
@@ -158,7 +159,10 @@ def calibrate_light(
     suspects = outliers = _suspects(fit)
     if len(suspects):
         others = task.fit(np.setdiff1d(everything, suspects))
-        outliers = _unexplained(others, placed.seen_from(others.distance_mm), suspects)
+        # Those that a light fitted without them leaves far out: one bad press can spoil others.
+        seen = placed.seen_from(others.distance_mm)
+        errors = np.array([others.refined(seen, int(press)).rms_against_picture() for press in suspects])
+        outliers = suspects[errors > _most_error(np.sqrt(others.press_errors()))]
         if len(outliers) == len(suspects):
             fit = others
         elif len(outliers):
@@ -169,7 +173,16 @@ def calibrate_light(
         without.append(other)
         seen = placed.seen_from(other.distance_mm)
         held_out += [_predicted(other, seen, int(press)) for press in used[fold::folds]]
-    _refuse_if_worse(held_out)
+    if held_out:
+        better, least = (
+            np.median([getattr(p, kind) for p in held_out], axis=0) for kind in ("refined", "unchanged")
+        )
+        if better.sum() <= least.sum():
+            raise ValueError(
+                "the fit predicts presses that it has not seen worse than the unchanged reference picture does (inside "
+                f"the contact {better[0]:.1f} against {least[0]:.1f} dB, around it {better[1]:.1f} against "
+                f"{least[1]:.1f} dB); check the LEDs' directions, the spheres' diameters and the camera's field of view"
+            )
     angles = led_angles(fit.light.bars)
     off = np.array([led_angles(other.light.bars) for other in without]).reshape(-1, *angles.shape) - angles
     off[:, 0] = (off[:, 0] + 180) % 360 - 180
@@ -226,20 +239,6 @@ def _most_error(errors: np.ndarray) -> float:
     return float(max(middle + 6 * np.median(np.abs(errors - middle)), 2.5 * middle))
 
 
-def _refuse_if_worse(held_out: list[HeldOut]) -> None:
-    if not held_out:
-        return
-    fitted, unchanged = (
-        np.median([getattr(press, kind) for press in held_out], axis=0) for kind in ("refined", "unchanged")
-    )
-    if fitted.sum() <= unchanged.sum():
-        raise ValueError(
-            "the fit predicts presses that it has not seen worse than the unchanged reference picture does (inside "
-            f"the contact {fitted[0]:.1f} against {unchanged[0]:.1f} dB, around it {fitted[1]:.1f} against "
-            f"{unchanged[1]:.1f} dB); check the LEDs' directions, the spheres' diameters and the camera's field of view"
-        )
-
-
 @dataclass(frozen=True)
 class LightTask:
     """What every fit has in common, of all presses or of a part of them."""
@@ -256,7 +255,7 @@ class LightTask:
         """Fit the presses of the indices `which`."""
         placed, camera = self.placed, self.sensor.camera
         at_mm = placed.poses_mm[which, :2]
-        field = placed.far_field(which) if self.far else placed.untouched
+        far = placed.far_field(which) if self.far else placed.untouched
         (x0, y0), (x1, y1) = at_mm.min(0) - MARGIN_MM, at_mm.max(0) + MARGIN_MM
         bars = Bars.of(self.sensor.illumination.leds, 1.05 * placed.half_view_mm)
         where = placed.scale_mm, (x0, x1, y0, y1)
@@ -266,7 +265,7 @@ class LightTask:
         nearness_range = (
             None if self.keep_camera else (1 / camera.farthest_mm(placed.size_px), 1 / nearest_mm)
         )
-        fit = LightFit(placed, which, field, light, camera.position_mm, nearness_range)
+        fit = LightFit(placed, which, far, light, camera.position_mm, nearness_range)
         fit.run(rounds)
         return fit
 
@@ -292,24 +291,25 @@ class LightTask:
         return self.sensor.model_copy(update=update)
 
     def result(self, fit: LightFit) -> dict[str, object]:
-        """Return what a `LightCalibration` holds of a fit alone."""
-        sensor, field = self.lit_sensor(fit), fit.field
+        """Return what a `LightCalibration` holds of a fit alone.
+
+        The flat field is what the real reference is, in units of the rendered one.
+        """
+        sensor, far = self.lit_sensor(fit), fit.field
+        renderer = MembraneRenderer(sensor, sensor.illumination, self.placed.size_px)
+        real = srgb_decode(self.placed.clean_reference / 255)
+        ratio = np.clip(real / bounded_flat(renderer.reference_linear(markers=False), real), *RATIO_BOUNDS)
+        loaded = None if far.loaded is None else np.clip(far.loaded, *LOADED_BOUNDS).astype(np.float32)
         profiles = [self.placed.profiles[k] for k in fit.which]
         volumes = [own.volume_mm3(pose[2]) for own, pose in zip(profiles, fit.presses, strict=True)]
         return {
             "sensor": sensor,
-            "maps": _flat_field_maps(sensor, self.placed, field),
-            "gain": tuple(map(tuple, field.gain.T.tolist())),
+            "maps": FlatFieldMaps(ratio.astype(np.float32), loaded),
+            "gain": tuple(map(tuple, far.gain.T.tolist())),
             "volume_mm3": float(np.median(volumes)),
             "poses_mm": fit.presses,
             "rms_code_values": fit.rms_code_values,
         }
-
-
-def _unexplained(fit: LightFit, seen: PlacedPresses, presses: np.ndarray) -> np.ndarray:
-    """Return those presses that a light fitted without them leaves far out: one bad press can spoil others."""
-    errors = [fit.refined(seen, int(press)).rms_against_picture() for press in presses]
-    return presses[np.array(errors) > _most_error(np.sqrt(fit.press_errors()))]
 
 
 def _predicted(fit: LightFit, seen: PlacedPresses, press: int) -> HeldOut:
@@ -335,15 +335,6 @@ def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.nd
     slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
     poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
     return poses
-
-
-def _flat_field_maps(sensor: Sensor, placed: PlacedPresses, field: FarField) -> FlatFieldMaps:
-    """Return what the real reference is, in units of the rendered one."""
-    renderer = MembraneRenderer(sensor, sensor.illumination, placed.size_px)
-    real = srgb_decode(placed.clean_reference / 255)
-    ratio = np.clip(real / bounded_flat(renderer.reference_linear(markers=False), real), *RATIO_BOUNDS)
-    loaded = None if field.loaded is None else np.clip(field.loaded, *LOADED_BOUNDS).astype(np.float32)
-    return FlatFieldMaps(ratio.astype(np.float32), loaded)
 
 
 def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:

@@ -54,7 +54,7 @@ def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> Non
 
     That is a picture of another size, a depth, radius or sphere that cannot be, a reference that is dark or saturated.
     """
-    share = (reference >= SATURATED).mean(axis=(0, 1))
+    share, shape = (reference >= SATURATED).mean(axis=(0, 1)), reference.shape
     if share.max() > _MOST_SATURATED:
         channel = ("red", "green", "blue")[int(share.argmax())]
         raise ValueError(
@@ -63,30 +63,31 @@ def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> Non
     if (reference > DARK).mean() < LEAST_USABLE:
         raise ValueError("the reference is dark; expose it more")
     for name, press in zip(press_names(presses), presses, strict=True):
-        wrong = _problem(press, reference.shape)
-        if wrong:
-            raise ValueError(name + wrong)
-
-
-def _problem(press: PressPicture, shape: tuple[int, int, int]) -> str:
-    """Return what is wrong with a press, to be said after its name."""
-    (height, width, _), depth_mm, diameter_mm = press.picture.shape, press.depth_mm, press.sphere_diameter_mm
-    if press.picture.shape != shape:
-        return (
-            f" is a picture of {width}×{height} px, and the reference of {shape[1]}×{shape[0]} px; they must come from "
-            "the same camera"
+        (height, width, _), depth_mm, diameter_mm = (
+            press.picture.shape,
+            press.depth_mm,
+            press.sphere_diameter_mm,
         )
-    if (depth_mm is None) == (press.radius_px is None):
-        return " must have either depth_mm or radius_px"
-    if diameter_mm is not None and diameter_mm <= 0:
-        return f": sphere_diameter_mm is {diameter_mm}; it must be greater than 0"
-    if depth_mm is not None and diameter_mm is not None and not 0 < depth_mm < diameter_mm / 2:
-        return f": depth_mm is {depth_mm}; it must lie between 0 and the sphere's radius, {diameter_mm / 2}"
-    if press.radius_px is not None and not 2 <= press.radius_px <= max(shape):
-        return f": radius_px is {press.radius_px}; it must lie in 2…{max(shape)}"
-    if not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
-        return f": marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
-    return ""
+        if press.picture.shape != shape:
+            wrong = (
+                f" is a picture of {width}×{height} px, and the reference of {shape[1]}×{shape[0]} px; they must come "
+                "from the same camera"
+            )
+        elif (depth_mm is None) == (press.radius_px is None):
+            wrong = " must have either depth_mm or radius_px"
+        elif diameter_mm is not None and diameter_mm <= 0:
+            wrong = f": sphere_diameter_mm is {diameter_mm}; it must be greater than 0"
+        elif depth_mm is not None and diameter_mm is not None and not 0 < depth_mm < diameter_mm / 2:
+            wrong = (
+                f": depth_mm is {depth_mm}; it must lie between 0 and the sphere's radius, {diameter_mm / 2}"
+            )
+        elif press.radius_px is not None and not 2 <= press.radius_px <= max(shape):
+            wrong = f": radius_px is {press.radius_px}; it must lie in 2…{max(shape)}"
+        elif not 0 < press.marks_off_px <= LARGEST_MARKS_OFF_PX:
+            wrong = f": marks_off_px is {press.marks_off_px}; it must lie in 0…{LARGEST_MARKS_OFF_PX:g}"
+        else:
+            continue
+        raise ValueError(name + wrong)
 
 
 def find_contact_mm(picture: np.ndarray, reference: np.ndarray, camera: Camera) -> tuple[float, float]:

@@ -75,7 +75,11 @@ class PressProfiles:
         z = np.where(inside, sphere, np.minimum(solved, 0.1 * self.sphere_radius_mm))
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
         if self.softness_mm > 0:
-            z = _blurred(z, r, self.softness_mm)
+            # Blurred in the plane, by Gauss–Hermite quadrature.
+            nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+            x, y = (self.softness_mm * axis.ravel() for axis in np.meshgrid(nodes, nodes))
+            weights = np.outer(weights, weights).ravel() / (2 * np.pi)
+            z = np.interp(np.hypot(r[:, None] + x, y), r, z) @ weights
             return z, np.gradient(z, STEP_MM)
         of_sphere = r / np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
         return z, np.where(inside, of_sphere, np.gradient(z, STEP_MM))
@@ -146,14 +150,6 @@ class PressProfiles:
 def _sphere(radius_mm: float, depth_mm: float, r: np.ndarray) -> np.ndarray:
     """Return the z of a sphere that is pressed down to a depth, at distances from its axis."""
     return -depth_mm + radius_mm - np.sqrt(np.maximum(radius_mm**2 - r**2, 1e-9))
-
-
-def _blurred(z: np.ndarray, r: np.ndarray, sigma_mm: float) -> np.ndarray:
-    """Return the axially symmetric z(r) blurred in the plane, by Gauss–Hermite quadrature."""
-    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
-    x, y = (sigma_mm * axis.ravel() for axis in np.meshgrid(nodes, nodes))
-    weights = np.outer(weights, weights).ravel() / (2 * np.pi)
-    return np.interp(np.hypot(r[:, None] + x, y), r, z) @ weights
 
 
 def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, reach_mm: float):

@@ -344,7 +344,7 @@ def gloss(
     taken from `reference`.
     """
     if reference is None:
-        surface = surface.all_changed()
+        surface = surface._replace(changed=np.ones_like(surface.changed))
         out = np.zeros((*light.irradiance.shape, 2), np.float32)
     else:
         out = reference.copy()

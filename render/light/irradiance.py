@@ -213,7 +213,7 @@ def direct_light(
     membrane) is taken; without a reference every vertex is computed.
     """
     if reference is None:
-        surface = surface.all_changed()
+        surface = surface._replace(changed=np.ones_like(surface.changed))
         irradiance = np.zeros((*surface.changed.shape, len(leds.is_point)), np.float32)
         stride = 0
     else:

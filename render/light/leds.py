@@ -32,9 +32,7 @@ def _slices(kind: LedKind, count: int) -> np.ndarray:
         case "bar":  # at the nodes of Gauss' rule
             nodes, weights = np.polynomial.legendre.leggauss(count)
             return np.column_stack([nodes, weights, np.ones(count)])
-        case (
-            "disc"
-        ):  # at Chebyshev's nodes, whose rule includes the chord √(1 − s²): the area comes out exactly
+        case "disc":  # at Chebyshev's nodes, whose rule includes the chord √(1 − s²): the area is exact
             angles = np.arange(1, count + 1) * np.pi / (count + 1)
             chords = np.sin(angles)
             return np.column_stack([np.cos(angles), np.pi / (count + 1) * chords, chords])
@@ -115,10 +113,8 @@ class Led(Settings):
         if np.linalg.norm(level) < 1e-9:
             # It faces straight down: the axis across is radial, so that shadows are sampled along it.
             radial = np.array([*self.position_mm[:2], 0.0])
-            radial = (
-                radial / np.linalg.norm(radial) if np.linalg.norm(radial) > 1e-9 else np.array([1.0, 0, 0])
-            )
-            level = np.cross(radial, normal)
+            distance = np.linalg.norm(radial)
+            level = np.cross(radial / distance if distance > 1e-9 else (1.0, 0.0, 0.0), normal)
         level /= np.linalg.norm(level)
         across = np.cross(normal, level)
         if across[2] > 0:
@@ -133,11 +129,6 @@ class Led(Settings):
     def highest_z_mm(self) -> float:
         """Return the z of the face's edge that is nearest to the membrane."""
         return self.position_mm[2] + self.half_extent_z_mm()
-
-    def emitter(self, radiance_rgb: np.ndarray) -> Emitter:
-        """Return the LED as an emitter of a radiance, (3,) in linear camera RGB."""
-        half_u_mm, half_v_mm = self.half_axes_mm()
-        return Emitter(self.kind, np.array(self.position_mm), self.normal, half_u_mm, half_v_mm, radiance_rgb)
 
 
 class Illumination(Settings):
@@ -176,7 +167,10 @@ class Illumination(Settings):
     def emitters(self, camera: Camera, led_to_camera: np.ndarray | None = None) -> tuple[Emitter, ...]:
         """Return every LED as the emitter that a path tracer needs, in linear camera RGB of `camera`."""
         radiance = self.led_to_camera(camera) if led_to_camera is None else led_to_camera
-        return tuple(led.emitter(rgb) for led, rgb in zip(self.leds, radiance, strict=True))
+        return tuple(
+            Emitter(led.kind, np.array(led.position_mm), led.normal, *led.half_axes_mm(), radiance_rgb=rgb)
+            for led, rgb in zip(self.leds, radiance, strict=True)
+        )
 
 
 @dataclass(frozen=True)
@@ -229,12 +223,15 @@ class LedSamples(NamedTuple):
 def led_samples(emitters: tuple[Emitter, ...], detail: ShadowDetail) -> LedSamples:
     """Return the strips, nodes and outlines of emitters."""
     strips = [_strips(emitter, detail) for emitter in emitters]
+    left = [(led.center_mm - led.half_u_mm)[:2] for led in emitters]
+    right = [(led.center_mm + led.half_u_mm)[:2] for led in emitters]
+    lowest = [-led.center_mm[2] - abs(led.half_u_mm[2]) - abs(led.half_v_mm[2]) for led in emitters]
     return LedSamples(
         is_point=np.array([emitter.kind == "point" for emitter in emitters]),
         strips=np.concatenate(strips),
         first_strip=np.cumsum([0] + [len(own) for own in strips]).astype(np.int32),
         nodes=_nodes(emitters),
-        outlines=_outlines(emitters),
+        outlines=Outlines(*(np.array(values, np.float32) for values in (left, right, lowest))),
     )
 
 
@@ -262,14 +259,3 @@ def _nodes(emitters: tuple[Emitter, ...]) -> Nodes:
             positions[led, :, node] += place * emitter.half_u_mm + v * half
             areas[led, node] = weight * np.linalg.norm(emitter.half_u_mm) * v_weight * np.linalg.norm(half)
     return Nodes(*(values.astype(np.float32) for values in (positions, normals, areas)))
-
-
-def _outlines(emitters: tuple[Emitter, ...]) -> Outlines:
-    return Outlines(
-        left_mm=np.array([(led.center_mm - led.half_u_mm)[:2] for led in emitters], np.float32),
-        right_mm=np.array([(led.center_mm + led.half_u_mm)[:2] for led in emitters], np.float32),
-        lowest_mm=np.array(
-            [-led.center_mm[2] - abs(led.half_u_mm[2]) - abs(led.half_v_mm[2]) for led in emitters],
-            np.float32,
-        ),
-    )

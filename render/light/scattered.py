@@ -129,15 +129,8 @@ class ScatteredTable:
 
     def add_to(self, linear: np.ndarray, surface: Surface) -> None:
         """Add the scattered light of a surface to (rows, columns, 3) linear light, which stays at 0 or above."""
-        _add(
-            surface.positions_mm,
-            surface.normals,
-            surface.changed,
-            surface.grid,
-            self._by_harmonic,
-            self._ambient,
-            linear,
-        )
+        positions, normals, _, changed, grid = surface
+        _add(positions, normals, changed, grid, self._by_harmonic, self._ambient, linear)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)

@@ -142,7 +142,9 @@ def cached_camera_rgb(
     """
     if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
         return camera_rgb(spectra, sensitivity, white_balance_cct_k)
-    key = _key(spectra, sensitivity, white_balance_cct_k)
+    content = [[type(spectrum).__name__, spectrum.model_dump()] for spectrum in spectra]
+    text = json.dumps([content, sensitivity, white_balance_cct_k, version("colour-science"), _MODEL])
+    key = hashlib.sha256(text.encode()).hexdigest()
     path = cache_folder() / f"{key}.led"
     if (found := _kept(path, len(spectra))) is None:
         with key_lock(cache_folder(), key):
@@ -173,9 +175,3 @@ def _kept(path: Path, count: int) -> tuple[Rgb, ...] | None:
         set_aside(path, f"is damaged ({error})")
         return None
     return found
-
-
-def _key(spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None) -> str:
-    content = [[type(spectrum).__name__, spectrum.model_dump()] for spectrum in spectra]
-    text = json.dumps([content, sensitivity, white_balance_cct_k, version("colour-science"), _MODEL])
-    return hashlib.sha256(text.encode()).hexdigest()

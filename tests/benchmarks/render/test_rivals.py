@@ -1,6 +1,7 @@
 """Tables without physics and Taxim's table on pictures whose change is known; Taxim's renderer is played."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 
@@ -8,10 +9,8 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.render import rivals
-from gelgap.benchmarks.render.contact_sheet import SIDE_PX, draw_contact_sheet
-from gelgap.benchmarks.render.other_presses import splits
-from gelgap.benchmarks.render.predictions import Prediction
-from gelgap.benchmarks.render.taxim_rival import BINS, fit_table
+from gelgap.benchmarks.render.rivals import BINS, fit_table
+from gelgap.benchmarks.render.sensors import other_splits
 from gelgap.domains import PressSet
 from gelgap.domains.calibration_presses import MM_PER_PX, start_sensor
 from gelgap.render import PressPicture
@@ -39,28 +38,23 @@ def pressed_set(strength=lambda x: 1.0, count=16):
     return PressSet(REFERENCE, presses, start_sensor(SIZE_PX[0], np.zeros(3)))
 
 
-def errors(prediction, found, predicted):
-    return [
-        np.abs(picture.astype(float) - found.presses[k].picture).mean()
-        for picture, k in zip(prediction.pictures, predicted, strict=True)
-    ]
+def errors(model, found):
+    """Errors of odd presses where the even ones are fitted."""
+    draw, _ = model(range(0, 16, 2))
+    return [np.abs(draw(k)().astype(float) - found.presses[k].picture).mean() for k in range(1, 16, 2)]
 
 
 @pytest.mark.parametrize("degree", [0, 2])
 def test_a_plain_table_predicts_what_depends_on_the_offset_alone(degree):
-    found, fitted, predicted = pressed_set(), np.arange(0, 16, 2), np.arange(1, 16, 2)
-    prediction = rivals.plain_table(found, degree, fitted, predicted)
-    unchanged = rivals.unchanged(found, predicted)
-    assert max(errors(prediction, found, predicted)) < 0.2 * min(errors(unchanged, found, predicted))
-    assert prediction.pose == "marked"
+    found = pressed_set()
+    predicted = errors(partial(rivals.plain_table, found, degree), found)
+    assert max(predicted) < 0.2 * min(errors(partial(rivals.unchanged, found), found))
 
 
 def test_only_the_quadratic_table_follows_a_change_that_grows_with_the_place():
     found = pressed_set(lambda x: x / 80)
-    fitted, predicted = np.arange(0, 16, 2), np.arange(1, 16, 2)
     constant, quadratic = (
-        np.mean(errors(rivals.plain_table(found, degree, fitted, predicted), found, predicted))
-        for degree in (0, 2)
+        np.mean(errors(partial(rivals.plain_table, found, degree), found)) for degree in (0, 2)
     )
     assert quadratic < 0.6 * constant
 
@@ -112,10 +106,10 @@ def test_taxims_ball_touches_in_the_marked_circle_of_a_flat_gel(played_taxim):
     found = pressed_set()
     before = Path(played_taxim / "polycalib.npz").read_bytes()
     depths = np.full(len(found.presses), 0.5)
-    prediction = rivals.taxim(found, "gelsight", depths, rivals.REFITTED, np.arange(8), np.array([9]))
+    draw, _ = rivals.taxim(found, "gelsight", depths, rivals.TAXIM_FORMS[rivals.REFITTED], range(8))
     x, y = found.presses[9].center_px
     rows, columns = np.indices(REFERENCE.shape[:2])
-    touched = prediction.pictures[0][..., 0] == 0
+    touched = draw(9)()[..., 0] == 0
     assert np.abs(np.sqrt(touched.sum() / np.pi) - RADIUS_PX) < 0.5
     assert np.hypot(columns[touched] - x, rows[touched] - y).max() < RADIUS_PX + 0.01
     own = PlayedTaxim.last
@@ -126,41 +120,27 @@ def test_taxims_ball_touches_in_the_marked_circle_of_a_flat_gel(played_taxim):
     assert Path(played_taxim / "polycalib.npz").read_bytes() == before
 
 
-@pytest.mark.parametrize("form", rivals.TAXIM_FORMS, ids=lambda form: form.name)
+@pytest.mark.parametrize("form", rivals.TAXIM_FORMS.values(), ids=rivals.TAXIM_FORMS)
 def test_taxims_forms_differ_in_table_gel_depth_and_background(played_taxim, form):
     found = pressed_set()
     depths = np.full(len(found.presses), 0.3)
-    prediction = rivals.taxim(found, "gelsight", depths, form, np.arange(8), np.array([9]))
+    draw, fit_s = rivals.taxim(found, "gelsight", depths, form, range(8))
+    picture = draw(9)()
     own = PlayedTaxim.last
     assert (own.table["grad_r"].ndim == 4 - 1) == form.refitted
-    assert (prediction.fit_s is None) != form.refitted
+    assert (fit_s is None) != form.refitted
     assert own.gel.any() == form.domed
     x, y = (int(at) for at in found.presses[9].center_px)
     gel_mm = (own.gel - own.gel.max()) * MM_PER_PX
     cap_mm = DIAMETER_MM / 2 - np.sqrt((DIAMETER_MM / 2) ** 2 - (RADIUS_PX * MM_PER_PX) ** 2)
     depth = 0.3 if form.deep else cap_mm
     assert own.heights[-1][y, x] == pytest.approx(gel_mm[y, x] - depth, abs=1e-3)
-    assert prediction.pictures[0][0, 0, 0] == (100 if form.on_reference else 128)
-
-
-def test_the_sheet_shows_best_median_and_worst(tmp_path):
-    import cv2
-
-    found = pressed_set()
-    right = Prediction("right", "marked", [press.picture for press in found.presses])
-    wrong = Prediction("wrong", "marked", [found.reference] * len(found.presses))
-    draw_contact_sheet(tmp_path / "sheet.jpg", found.presses, {"right": right, "wrong": wrong})
-    sheet = cv2.imread(str(tmp_path / "sheet.jpg"))
-    assert sheet.shape[1] == 5 * SIDE_PX
-    median = sheet[-SIDE_PX - 150 : -SIDE_PX - 50].astype(int)
-    of_right, of_wrong = (median[:, k * SIDE_PX + 50 : k * SIDE_PX + 150] - 128 for k in (2, 4))
-    assert np.abs(of_right).max() < 4
-    assert np.abs(of_wrong).max() > 40
+    assert picture[0, 0, 0] == (100 if form.on_reference else 128)
 
 
 def test_splits_divide_presses_by_place_and_depth():
     poses = np.random.default_rng(1).normal(size=(48, 3))
-    parts = splits(poses)
+    parts = other_splits(poses)
     for fitted, predicted in parts.values():
         assert not set(fitted) & set(predicted)
     few, odd = parts["odd presses after six"]

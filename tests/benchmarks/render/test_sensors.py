@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.render import sensors
-from gelgap.benchmarks.render.other_presses import measure_other_presses
+from gelgap.benchmarks.render import rivals, sensors
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import PressSet
 from gelgap.domains.calibration_presses import start_sensor
@@ -46,7 +45,7 @@ def found(monkeypatch):
     found = rendered_set()
     monkeypatch.setattr(sensors, "taxim_presses", lambda name: found)
     monkeypatch.setattr(sensors, "sphere_profiles", profiles)
-    monkeypatch.setattr(sensors, "missing_packages", lambda: ("jax",))
+    monkeypatch.setattr(rivals, "missing_packages", lambda: ("jax",))
     return found
 
 
@@ -56,23 +55,41 @@ def test_odd_presses_are_predicted_better_than_by_the_reference(found, tmp_path,
     assert "even presses fitted, 2 odd ones predicted" in shown
     assert 'Taxim\'s own pipeline is left out; install it: pip install "taxim[jax-cpu]==1.4.1"' in shown
     results = json.loads((tmp_path / "sensors.json").read_text())
-    predicted = np.median(results["variants"][0]["scores"]["marked"], axis=0)
-    unchanged = np.median(results["unchanged"], axis=0)
-    assert (predicted[:4] > unchanged[:4] + 8).all()
-    assert [rival["name"] for rival in results["rivals"]] == [
+    level = {(row["model"], row["press"]): np.median(row["inside"]) for row in results["predictions"]}
+    assert level[sensors.WHOLE, "marked"] > level["the reference, unchanged", ""] + 8
+    assert {model for model, _ in level} == {
+        "the reference, unchanged",
         "table without physics",
         "table without physics, quadratic in the place",
-    ]
-    assert results["other_presses"] == {}
-    assert (tmp_path / "sensors.jpg").stat().st_size > 10_000
+        sensors.WHOLE,
+    }
+    assert results["other_presses"] == []
+    assert not (tmp_path / "sensors.jsonl").exists()
+
+
+def test_a_benchmark_that_was_stopped_goes_on(found, tmp_path, monkeypatch):
+    measured = []
+
+    def measure(study, setting):
+        measured.append((setting["model"], setting["press"]))
+        if len(measured) == 4:
+            raise KeyboardInterrupt
+        names = ("inside", "ring", "within", "whole", "SSIM", "mean abs")
+        return {name: [30.0, 40.0] for name in names} | {"fit, s": 1.0, "ms per frame": 2.0}
+
+    monkeypatch.setattr(sensors.Study, "measure", measure)
+    with pytest.raises(KeyboardInterrupt):
+        sensors.run(quick=True, out_dir=tmp_path)
+    sensors.run(quick=True, out_dir=tmp_path)
+    assert measured.count((sensors.WHOLE, "marked")) == 2
+    assert len(measured) == 1 + len(set(measured)) == 7
 
 
 def test_parts_can_be_left_out(found):
-    variant = sensors.Variant("LEDs alone", order=0, degree=0, far=False, shadows=False)
-    task = sensors.fitting_task(found, variant)
-    fitted, predicted = np.arange(0, 14, 2), np.array([1])
+    variant = sensors.Variant(order=0, degree=0, far=False, shadows=False)
+    task = sensors.light_task(found, variant)
     whole, held, bare = (
-        sensors.predict(task, form, fitted, predicted, ("marked",))[0].pictures[0].astype(float)
+        sensors.FittedLight(task, form, range(0, 14, 2)).draw("marked", 1)().astype(float)
         for form in (
             variant,
             replace(variant, refines_fitted=False),
@@ -100,12 +117,12 @@ def test_marks_are_corrected_as_the_fitted_presses_were():
     assert (corrected_poses(same_depth, np.arange(2), same_depth[:2] + 0.1)[:, 2] == 1.6).all()
 
 
-def test_presses_unlike_the_fitted_ones_are_predicted_by_every_model(found, capsys):
-    task = sensors.fitting_task(found, sensors.Variant("small", order=0, degree=0, far=False))
-    models = sensors.rival_models(found, task.placed.poses_mm[:, 2], ())
-    metrics = measure_other_presses(task, found.presses, models)
-    assert len(metrics) == 5
-    assert all(np.isfinite(values).all() for by_model in metrics.values() for values in by_model.values())
+def test_presses_unlike_the_fitted_ones_are_predicted_by_every_model(found, tmp_path, capsys):
+    task = sensors.light_task(found, sensors.Variant(order=0, degree=0, far=False))
+    records = sensors.other_presses(found, task, tmp_path / "sensors.jsonl")
+    assert records["predicted"].nunique() == 5
+    assert records["model"].nunique() == 4
+    assert all(np.isfinite(levels).all() for levels in records["inside"])
     assert "right half after the left" in " ".join(capsys.readouterr().out.split())
 
 

@@ -1,9 +1,11 @@
 """The benchmark of a set with an unknown ball, in parts, on membranes that need no solve."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from gelgap.benchmarks.render.predictions import Prediction
-from gelgap.benchmarks.render.unknown_ball import contact_levels, sharp
+from gelgap.benchmarks.render.sensors import scores
+from gelgap.benchmarks.render.unknown_ball import sharp
 from gelgap.domains import PressSet
 from gelgap.domains.calibration_presses import start_sensor
 from gelgap.render import PressPicture
@@ -14,10 +16,10 @@ def test_contacts_are_scored_by_what_lies_inside() -> None:
     predicted = real.copy()
     predicted[20, 30] = 10
     predicted[2, 2] = 200
-    press = PressPicture(real, 1.4, radius_px=4.0, center_px=(30.0, 20.0))
-    (level,) = contact_levels(Prediction("", "refined", [predicted]), [press])
+    marked = PressPicture(real, 1.4, radius_px=10.0, center_px=(30.0, 20.0))
+    levels = scores(predicted, marked, replace(marked, radius_px=4.0))
     pixels = (np.hypot(*(np.indices((9, 9)) - 4)) < 4).sum()
-    assert np.isclose(level, 10 * np.log10(255**2 * pixels / 10**2))
+    assert np.isclose(levels["contact"], 10 * np.log10(255**2 * pixels / 10**2))
 
 
 def test_a_sharp_camera_differs_in_nothing_else() -> None:
