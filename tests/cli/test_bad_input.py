@@ -126,7 +126,7 @@ WORK = {
     "domains.generation.generate": "run",
     "domains.formats.export": "_paper",
     "domains.formats.convert": "_write_clip",
-    "domains.generation.plan": "_frame_costs",
+    "domains.generation.plan": "picture_cells",
     "adapt.runs": "Stage1.model",
     "adapt.trainer": "Trainer.train",
     "adapt.report": "load_runs",
@@ -135,7 +135,7 @@ WORK = {
     "render.calibration.fit": "LightFit.run",
     "benchmarks.registry": "Benchmark.run",
     "cli.workflows.demo": "force_curve",
-    "view.server": "viser.ViserServer",
+    "view.page": "viser.ViserServer",
 }
 """Where work starts, by module."""
 
