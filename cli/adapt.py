@@ -5,9 +5,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from gelgap.cli.arguments import load_profile, optional
-from gelgap.cli.label_rules import LabelRanges, label_names, parsed_range
-from gelgap.cli.rules import SEED, DataSet, InputFile, OneOf, OutputFolder, Preset
+from gelgap.assets.names import quoted, unknown_name
+from gelgap.cli.options import (
+    Command,
+    Seed,
+    data_sets,
+    input_file,
+    named,
+    optional,
+    output_folder,
+    preset_or_file,
+)
 
 if TYPE_CHECKING:
     from gelgap.adapt import Evaluation, Run
@@ -15,20 +23,46 @@ if TYPE_CHECKING:
 CONSTANT_MEAN = "constant-mean"
 
 
+def check_methods(names: tuple[str, ...]) -> None:
+    """Check names of methods, one at least; what is wrong with a class of one's own shows when it is loaded."""
+    from gelgap.adapt import method_names
+
+    if not names:
+        raise ValueError(f"name at least one; known: {', '.join(method_names())}")
+    for name in names:
+        if ":" not in name and name not in method_names():
+            raise ValueError(unknown_name("method", name, method_names()))
+
+
+def check_labels(names: tuple[str, ...]) -> None:
+    """Check names of labels, each once and one at least."""
+    from gelgap.domains.frames.labels import check_names
+
+    check_names(names)
+
+
+def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
+    """Return ranges by label, of texts such as `fz_n=-30:0`; a ValueError says what is wrong with one."""
+    from gelgap.domains.frames.labels import Labels
+
+    ranges = {}
+    for text in texts:
+        name, _, bounds = text.partition("=")
+        try:
+            low, high = map(float, bounds.split(":"))
+        except ValueError:
+            raise ValueError(
+                f"{quoted(text)} must be a label, its lower and its upper bound, as fz_n=-30:0"
+            ) from None
+        if name in ranges:
+            raise ValueError(f"label {name} stands twice")
+        ranges[name] = low, high
+    Labels.of(ranges)  # refuses unknown names, and bounds in the wrong order
+    return ranges
+
+
 @dataclass(frozen=True)
-class MethodNames:
-    """Names of methods, one at least; what is wrong with a class of one's own shows when it is loaded."""
-
-    def problem(self, value: tuple[str, ...]) -> str | None:
-        """Return what is wrong with the names."""
-        from gelgap.adapt import method_names
-
-        known = [name for name in value if ":" not in name]
-        return OneOf(method_names, several=True).problem(tuple(known)) if known or not value else None
-
-
-@dataclass(frozen=True)
-class Adapt:
+class Adapt(Command):
     """Learn force on the source domain, adapt to the target's pictures without its labels, evaluate on held-out frames.
 
     Stage 1 (source only) is shared by all methods with the same source, profile and seed. A finished run is not
@@ -41,22 +75,22 @@ class Adapt:
 
     when_stopped: ClassVar[str] = "finished runs and epochs are kept, run the same command again to go on"
 
-    source: Annotated[tuple[Path, ...], DataSet()]
+    source: Annotated[tuple[Path, ...], data_sets]
     """Folder of the source domain, or several that are trained on together."""
-    target: Annotated[Path, DataSet()]
+    target: Annotated[Path, data_sets]
     """Folder of the target domain."""
-    method: Annotated[tuple[str, ...], MethodNames()] = ("source-only", "dsan")
+    method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
-    profile: Annotated[str, Preset("profiles")] = "smoke"
+    profile: Annotated[str, preset_or_file("profiles")] = "smoke"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
     labels: Annotated[
         tuple[str, ...] | None,
         optional("NAME ...", "the axes of the force that both domains have"),
-        OneOf(label_names, several=True),
+        check_labels,
     ] = None
     """What is predicted: fx_n fy_n fz_n, mx_nmm my_nmm mz_nmm, x_mm y_mm, depth_mm."""
     range: Annotated[
-        tuple[str, ...] | None, optional("NAME=LOW:HIGH ...", "as the data declare it"), LabelRanges()
+        tuple[str, ...] | None, optional("NAME=LOW:HIGH ...", "as the data declare it"), label_ranges
     ] = None
     """Ranges by which labels of both domains are normalised, as fz_n=-30:0."""
     split_by: Annotated[str | None, optional("COLUMN", "the profile's")] = None
@@ -67,20 +101,21 @@ class Adapt:
         tuple[Literal["from-force"], int] | None, optional("from-force COUNT", "the source's own")
     ] = None
     """Contact classes of the source for methods that need them: this many of equal size, by Fz."""
-    seed: Annotated[int, SEED] = 0
+    seed: Seed = 0
     """Seed of weights, splits and batches."""
-    weights: Annotated[Path | None, optional("PATH", "from scratch"), InputFile("a checkpoint")] = None
+    weights: Annotated[Path | None, optional("PATH", "from scratch"), input_file("a checkpoint")] = None
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
-    out: Annotated[Path, OutputFolder()] = Path("runs")
+    out: Annotated[Path, output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
 
     def run(self, started: float) -> None:
         """Train, adapt, print one line per method."""
-        profile = load_profile(self.profile)
-        changes = {"split_by": self.split_by, "stratify_by": self.stratify}
-        profile = profile.replace(**{name: value for name, value in changes.items() if value is not None})
-        from gelgap.adapt import adapt_folders, console_progress
+        from gelgap.adapt import Profile, adapt_folders, console_progress
 
+        changes = {"split_by": self.split_by, "stratify_by": self.stratify}
+        profile = named(Profile, self.profile).replace(
+            **{name: value for name, value in changes.items() if value is not None}
+        )
         with console_progress() as progress:
             runs = adapt_folders(
                 self.source,
@@ -89,7 +124,7 @@ class Adapt:
                 profile=profile,
                 seed=self.seed,
                 labels=self.labels,
-                ranges=None if self.range is None else dict(map(parsed_range, self.range)),
+                ranges=None if self.range is None else label_ranges(self.range),
                 classes_from_force=None if self.classes is None else self.classes[1],
                 weights=self.weights,
                 out_dir=self.out,

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from gelgap.cli.arguments import Flag
+from gelgap.cli.options import Command, Flag
 
 if TYPE_CHECKING:
     from gelgap.sim import CacheEntry
 
 
 @dataclass(frozen=True)
-class Cache:
+class Cache(Command):
     """List the solved physics that is kept on disk, or clear it.
 
     The folder is $GELGAP_CACHE, else gelgap in $XDG_CACHE_HOME, else ~/.cache/gelgap.

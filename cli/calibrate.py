@@ -1,33 +1,55 @@
 """`gelgap calibrate`: fit a sensor's light to pictures of a real one."""
 
-import math
 import sys
 from dataclasses import dataclass, replace
+from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from statistics import median
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
-from gelgap.cli.arguments import Flag, load_sensor, optional
-from gelgap.cli.rules import Between, InputFile, OutputFile, OutputFolder, Preset, TaximPackage
+from gelgap.cli.options import (
+    Command,
+    Flag,
+    Quality,
+    between,
+    input_file,
+    named,
+    optional,
+    output_file,
+    output_folder,
+    preset_or_file,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     import numpy as np
 
-    from gelgap.render import HeldOut, LightCalibration, PressPicture, Sensor, SphereSize
+    from gelgap.render import HeldOut, LightCalibration, PressPicture, Sensor
 
 NUMBERS = ("sphere_diameter_mm", "depth_mm", "radius_px", "marks_off_px")
-PLACES = ("point_mm", "center_px")
+POINTS = ("point_mm", "center_px")
+PREDICTED = {
+    "marked": "press as marked",
+    "corrected": "marks corrected",
+    "refined": "press refined",
+}
 # A fit from a right start leaves 1 to 2 code values, camera noise included; one from a wrong start ten times as much.
 DOUBTFUL_RMS_CODE_VALUES = 5.0
 DIFFERENCE_GAIN = 4
 NEARLY_PARALLEL_MM = 200
 
 
+def taxim_package(name: str) -> None:
+    """Check presses of the package taxim, by name, or a folder with such a file."""
+    if name not in ("gelsight", "gelsight_mini") and not (Path(name) / "dataPack.npz").is_file():
+        raise ValueError("must be gelsight, gelsight_mini, or a folder with a dataPack.npz")
+
+
 @dataclass(frozen=True)
-class Calibrate:
+class Calibrate(Command):
     """Fit LEDs, scattered light and flat field to a reference picture and pictures of pressed spheres.
 
     PRESSES is a TOML file with one table per picture; give six presses or more, better 24, spread over the view:
@@ -39,8 +61,7 @@ class Calibrate:
       point_mm = [1.5, -0.8]         # or center_px = [200, 110]; optional: found in the picture otherwise
       marks_off_px = 20              # how far radius_px and center_px may be off; 3 if left out
 
-    A sphere whose diameter no press has is fitted, if the pictures hold it. LEDs are fitted with all else: what was
-    --leds-only is this command without it.
+    A sphere whose diameter no press has is fitted, if the pictures hold it. LEDs are fitted together with all else.
     Prints how presses that a fit has not seen are predicted; one that is worse than the unchanged reference is refused.
 
     For example:
@@ -49,29 +70,29 @@ class Calibrate:
 
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), OutputFile((".toml",))]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), output_file(".toml")]
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
-    presses: Annotated[tyro.conf.Positional[Path | None], optional("PRESSES"), InputFile("a TOML file")] = (
+    presses: Annotated[tyro.conf.Positional[Path | None], optional("PRESSES"), input_file("a TOML file")] = (
         None
     )
     """TOML file that lists the pictures of pressed spheres."""
-    reference: Annotated[Path | None, optional("PATH"), InputFile("a picture")] = None
+    reference: Annotated[Path | None, optional("PATH"), input_file("a picture")] = None
     """Picture without contact."""
-    sensor: Annotated[str | None, optional("NAME"), Preset("sensors")] = None
+    sensor: Annotated[str | None, optional("NAME"), preset_or_file("sensors")] = None
     """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 30° of its direction."""
-    from_taxim: Annotated[str | None, optional("NAME"), TaximPackage()] = None
+    from_taxim: Annotated[str | None, optional("NAME"), taxim_package] = None
     """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
-    mm_per_px: Annotated[float | None, optional("MM"), Between(0.001, 1)] = None
+    mm_per_px: Annotated[float | None, optional("MM"), between(0.001, 1)] = None
     """With --from-taxim: how much of the gel a pixel shows; 0.0295 if left out, as those packages say."""
-    sphere_diameter_mm: Annotated[float | None, optional("MM"), Between(0.5, 50)] = None
+    sphere_diameter_mm: Annotated[float | None, optional("MM"), between(0.5, 50)] = None
     """The sphere's diameter in all presses, whatever the list or the package says."""
-    pictures: Annotated[Path | None, optional("FOLDER"), OutputFolder()] = None
+    pictures: Annotated[Path | None, optional("FOLDER"), output_folder] = None
     """Where the held-out presses are shown: real, predicted, four times their difference; default: NAME-held-out."""
-    held_out_parts: Annotated[int, Between(0, 24)] = 3
+    held_out_parts: Annotated[int, between(0, 24)] = 3
     """Into how many parts the presses are divided, each predicted by a fit without it; 0: none is held out."""
     keep_camera: Flag = False
     """Leave the camera where the sensor has it; otherwise its distance is fitted, as far as seems parallel."""
-    membrane_quality: Literal["draft", "standard", "fine"] = "draft"
+    membrane_quality: Quality = "draft"
     """How finely the membrane around the spheres is solved."""
 
     def run(self, started: float) -> None:
@@ -105,26 +126,25 @@ class Calibrate:
             write_comparisons(fit, presses, folder)
 
     def _inputs(self) -> "tuple[Sensor, np.ndarray, tuple[PressPicture, ...]]":
-        if self.from_taxim is not None:
-            from gelgap.domains import taxim_presses
+        from gelgap.domains import taxim_presses
+        from gelgap.render import Sensor
 
+        if self.from_taxim is not None:
             if self.presses or self.reference:
                 raise ValueError(
                     "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
                 )
             found = taxim_presses(self.from_taxim, self.mm_per_px)
-            start = load_sensor(self.sensor) if self.sensor else found.start
-            return start, found.reference, self._with_sphere(found.presses)
-        if not (self.presses and self.reference and self.sensor):
+            start = named(Sensor, self.sensor) if self.sensor else found.start
+            reference, presses = found.reference, found.presses
+        elif self.presses and self.reference and self.sensor:
+            start, reference = named(Sensor, self.sensor), read_picture(self.reference)
+            presses = read_presses(self.presses)
+        else:
             raise ValueError("calibrate needs PRESSES, --reference and --sensor, or --from-taxim instead")
-        presses = self._with_sphere(read_presses(self.presses))
-        return load_sensor(self.sensor), read_picture(self.reference), presses
-
-    def _with_sphere(self, presses: "tuple[PressPicture, ...]") -> "tuple[PressPicture, ...]":
-        """Return the presses with the sphere that was given for all, if one was."""
-        if self.sphere_diameter_mm is None:
-            return presses
-        return tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
+        if self.sphere_diameter_mm is not None:
+            presses = tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
+        return start, reference, presses
 
 
 def read_presses(path: Path) -> "tuple[PressPicture, ...]":
@@ -137,58 +157,46 @@ def read_presses(path: Path) -> "tuple[PressPicture, ...]":
     ValueError
         If the list is not valid TOML, or a table lacks a field or has an unknown one.
     """
-    from gelgap.assets.names import stays_inside
     from gelgap.assets.toml_file import read_toml
+
+    tables = read_toml(path).get("presses", [])
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ValueError(f"{path}: presses must be tables [[presses]]")
+    return tuple(
+        _press(table, path.parent, number, f"{path}, press {number}")
+        for number, table in enumerate(tables, start=1)
+    )
+
+
+def _press(table: dict[str, Any], folder: Path, number: int, where: str) -> "PressPicture":
+    from gelgap.assets.names import stays_inside
     from gelgap.render import PressPicture
 
-    presses = []
-    tables = read_toml(path).get("presses", [])
-    if not isinstance(tables, list):
-        raise ValueError(f"{path}: presses must be tables [[presses]]")
-    for number, table in enumerate(tables, start=1):
-        if not isinstance(table, dict):
-            raise ValueError(f"{path}, press {number}: must be a table [[presses]]")
-        needed = {"picture"} | (set() if "radius_px" in table else {"depth_mm", "sphere_diameter_mm"})
-        wrong = (needed - table.keys()) | (table.keys() - {"picture", *NUMBERS, *PLACES})
-        if wrong:
-            raise ValueError(
-                f"{path}, press {number}: {', '.join(sorted(wrong))} missing or unknown; a press has picture, "
-                "sphere_diameter_mm, depth_mm or radius_px and, if known, point_mm or center_px and marks_off_px"
-            )
-        picture = table.pop("picture")
-        if not isinstance(picture, str) or not stays_inside(picture):
-            raise ValueError(
-                f"{path}, press {number}: picture = {picture!r} must lie in the folder of the list"
-            )
-        values = {"sphere_diameter_mm": None}
-        for field, value in table.items():
-            count = 2 if field in PLACES else 1
-            values[field] = _numbers(f"{path}, press {number}: {field}", value, count)
-        name = f"press {number} ({picture})"
-        presses.append(PressPicture(read_picture(path.parent / picture), name=name, **values))
-    return tuple(presses)
-
-
-def _numbers(what: str, value: object, count: int) -> float | tuple[float, ...]:
-    values = value if isinstance(value, list) else [value]
-    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e6 for v in values)
-    if not numbers or len(values) != count or isinstance(value, list) != (count > 1):
+    needed = {"picture"} | (set() if "radius_px" in table else {"depth_mm", "sphere_diameter_mm"})
+    wrong = (needed - table.keys()) | (table.keys() - {"picture", *NUMBERS, *POINTS})
+    if wrong:
         raise ValueError(
-            f"{what} is {value!r}; it must be {'a finite number' if count == 1 else 'two finite numbers'}"
+            f"{where}: {', '.join(sorted(wrong))} missing or unknown; a press has picture, sphere_diameter_mm, "
+            "depth_mm or radius_px and, if known, point_mm or center_px and marks_off_px"
         )
-    return tuple(values) if count > 1 else value
+    picture = table.pop("picture")
+    if not isinstance(picture, str) or not stays_inside(picture):
+        raise ValueError(f"{where}: picture = {picture!r} must lie in the folder of the list")
+    for field, value in table.items():
+        numbers = value if field in POINTS and isinstance(value, list) else [value]
+        finite = all(type(number) in (int, float) and abs(number) < 1e6 for number in numbers)
+        if not finite or len(numbers) != (2 if field in POINTS else 1):
+            raise ValueError(
+                f"{where}: {field} is {value!r}; it must be "
+                f"{'two finite numbers' if field in POINTS else 'a finite number'}"
+            )
+    values = {field: tuple(value) if field in POINTS else value for field, value in table.items()}
+    name = f"press {number} ({picture})"
+    return PressPicture(read_picture(folder / picture), **{"sphere_diameter_mm": None, "name": name} | values)
 
 
 def read_picture(path: Path) -> "np.ndarray":
-    """Return a picture as uint8 (h, w, 3) RGB.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is not a picture.
-    """
+    """Return a picture as uint8 (h, w, 3) RGB; a FileNotFoundError or ValueError if there is none."""
     import cv2
 
     if not path.is_file():
@@ -202,8 +210,13 @@ def read_picture(path: Path) -> "np.ndarray":
 def print_calibration(fit: "LightCalibration") -> None:
     """Print how well the fit predicts presses that it has not seen, and what it found."""
     print(f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses")
-    if fit.sphere_size is not None:
-        print(_sphere_line(fit.sphere_size))
+    if size := fit.sphere_size:
+        tried = zip(size.tried_mm, size.rms_code_values, strict=True)
+        print(
+            f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
+            "code values rms by diameter: "
+            + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
+        )
     if fit.left_out:
         print(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
     if fit.held_out:
@@ -211,9 +224,8 @@ def print_calibration(fit: "LightCalibration") -> None:
             f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
         )
         print(f"  {'unchanged reference':32s} {_scores(fit.held_out, 'unchanged')}")
-        print(f"  {'predicted, press as marked':32s} {_scores(fit.held_out, 'marked')}")
-        print(f"  {'predicted, marks corrected':32s} {_scores(fit.held_out, 'corrected')}")
-        print(f"  {'predicted, press refined':32s} {_scores(fit.held_out, 'refined')}")
+        for kind, what in PREDICTED.items():
+            print(f"  {f'predicted, {what}':32s} {_scores(fit.held_out, kind)}")
     print("\n".join(_found(fit)))
 
 
@@ -249,20 +261,10 @@ def _found(fit: "LightCalibration") -> list[str]:
 
 
 def _with_error(value: float, error: float) -> str:
-    return f"{value:.0f}" if math.isnan(error) else f"{value:.0f} ± {error:.0f}"
-
-
-def _sphere_line(size: "SphereSize") -> str:
-    tried = zip(size.tried_mm, size.rms_code_values, strict=True)
-    return (
-        f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
-        "code values rms by diameter: " + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
-    )
+    return f"{value:.0f}" if isnan(error) else f"{value:.0f} ± {error:.0f}"
 
 
 def _scores(held_out: "Sequence[HeldOut]", kind: str) -> str:
-    from statistics import median
-
     values = zip(*(getattr(press, kind) for press in held_out), strict=True)
     inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in values)
     return f"inside the contact {inside}, from one to two radii {ring}"

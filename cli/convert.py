@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.rules import Between, InputFolder, OutputFolder
+from gelgap.cli.options import Command, between, input_folder, output_folder
 
 if TYPE_CHECKING:
     from gelgap.domains import ConvertedClip
 
 
 @dataclass(frozen=True)
-class Convert:
+class Convert(Command):
     """Write recordings of a real sensor as folders of pictures with a table, which the other commands read.
 
     Layouts:
@@ -33,15 +33,15 @@ class Convert:
 
     folder: Annotated[
         tyro.conf.Positional[Path],
-        InputFolder("a clone (gelgap convert --help says how to get one), or a folder of recordings,"),
+        input_folder("a clone (gelgap convert --help says how to get one), or a folder of recordings,"),
     ]
     """Folder of the clone, or of your recordings."""
     layout: Literal["wedge", "ball-presses", "recordings"]
     """What the folder holds."""
-    out: Annotated[Path, OutputFolder()]
+    out: Annotated[Path, output_folder]
     """New folder that gets a folder for each domain."""
-    every: Annotated[int, Between(1, 1000)] = 1
-    """Of the pictures in contact, write each so-many-th."""
+    every: Annotated[int, between(1, 1000)] = 1
+    """Of the pictures in contact, write every n-th."""
 
     def run(self, started: float) -> None:
         """Convert, print what became of each clip, and name what was written."""

@@ -1,16 +1,43 @@
-"""`gelgap demo`: the whole chain on two small domains."""
+"""`gelgap demo`: the whole chain at its smallest, on two domains, from presses to a report."""
 
+import csv
+import threading
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-from gelgap.cli.arguments import optional
-from gelgap.cli.rules import PICTURE_SIDES, OutputFolder, Preset, Scheduler
+from gelgap.assets import asset_path, load_preset
+from gelgap.cli.options import (
+    Command,
+    PictureSize,
+    Quality,
+    optional,
+    output_folder,
+    preset_or_file,
+    scheduler_address,
+)
+
+if TYPE_CHECKING:
+    from gelgap.cli.demo_page import DemoResult, ForceCurve, Stage
+    from gelgap.sim import ContactPath
+
+METHODS = ("source-only", "adabn", "dsan")
+SEED = 0
+# The contact whose force is compared with theory and the reference tables (assets/reference).
+CURVE_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
+_MEMORY_PERIOD_S = 0.2
+
+
+def training_profile(name: str) -> None:
+    """Check the name of a preset of training profiles."""
+    load_preset("profiles", name)
 
 
 @dataclass(frozen=True)
-class Demo:
+class Demo(Command):
     """Generate two small domains, learn force on one, adapt to the other, and write a report; minutes on 2 cores.
 
     Everything is real: MuJoCo's contacts, rendered pictures, trained networks. Run again, it reuses finished domains.
@@ -22,35 +49,33 @@ class Demo:
     when_stopped: ClassVar[str] = (
         "finished shards, solves, runs and epochs are kept, run the same command again to go on"
     )
+    fills_cache: ClassVar[bool] = True
 
-    out: Annotated[Path, OutputFolder()] = Path("demo")
+    out: Annotated[Path, output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    path: Annotated[str, Preset("paths")] = "smoke"
+    path: Annotated[str, preset_or_file("paths")] = "smoke"
     """Contact path of both domains (see: gelgap presets paths)."""
-    profile: Annotated[str, Preset("profiles", or_file=False)] = "smoke"
+    profile: Annotated[str, training_profile] = "smoke"
     """Training profile (see: gelgap presets profiles)."""
-    quality: Literal["draft", "standard", "fine"] = "draft"
+    quality: Quality = "draft"
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
-    size: Annotated[tuple[int, int], PICTURE_SIDES] = (320, 240)
+    size: PictureSize = (320, 240)
     """Width and height of the pictures in pixels."""
-    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster on all cores"), Scheduler()] = None
+    scheduler: Annotated[
+        str | None, optional("ADDRESS", "a local cluster on all cores"), scheduler_address
+    ] = None
     """Address of a Dask scheduler; `synchronous` runs in this process."""
 
     def run(self, started: float) -> None:
-        """Run the demo and print its table."""
-        from gelgap.cli.workflows.demo import run_demo
-        from gelgap.domains import shown_progress
-
-        with shown_progress() as progress:
-            result = run_demo(
-                self.out,
-                path=self.path,
-                profile_name=self.profile,
-                quality=self.quality,
-                size_px=self.size,
-                scheduler=self.scheduler,
-                progress=progress,
-            )
+        """Run the demo and print its tables."""
+        result = run_demo(
+            self.out,
+            path=self.path,
+            profile_name=self.profile,
+            quality=self.quality,
+            size_px=self.size,
+            scheduler=self.scheduler,
+        )
         print(f"\n{result.headline}\n")
         print(f"{'predictor':<14} {'domain':<8} {'Fx':>7} {'Fy':>7} {'Fz':>7} {'mean':>7}  MAE in N")
         for row in result.rows:
@@ -60,3 +85,132 @@ class Demo:
         for stage in result.stages:
             print(f"{stage.name:<20} {stage.wall_s:7.1f} {stage.peak_memory_mib:7.0f}")
         print(f"\n{time.perf_counter() - started:.0f} s in all; report: {self.out / 'report.html'}")
+
+
+def run_demo(
+    out_dir: Path,
+    *,
+    path: "str | ContactPath" = "smoke",
+    profile_name: str = "smoke",
+    quality: str = "standard",
+    size_px: tuple[int, int] = (320, 240),
+    scheduler: str | None = None,
+    say: Callable[[str], None] = print,
+) -> "DemoResult":
+    """Generate source and target, train, adapt, evaluate on held-out frames, and write `report.html`.
+
+    Generation resumes: domains that are finished in `out_dir` are kept.
+    """
+    from gelgap.adapt import adapt_folders, console_progress, load_predictions
+    from gelgap.cli.demo_page import SOURCE, TARGET, DemoResult, Row, write_page
+    from gelgap.domains import generate, shown_progress
+
+    stages: list = []
+    say(f"1/4  force against depth, compared with theory and reference ({quality})")
+    with timed("force curve", stages):
+        curve = force_curve(quality)
+
+    say(f"2/4  generating {SOURCE} and {TARGET} on the path {path if isinstance(path, str) else path.name!r}")
+    with timed("generate", stages), shown_progress() as progress:
+        report = generate(
+            (SOURCE, TARGET),
+            path,
+            out_dir / "data",
+            quality=quality,
+            seed=SEED,
+            scheduler=scheduler,
+            size_px=size_px,
+            columns=("height_map",),
+            progress=progress,
+        )
+    say(str(report))
+
+    say(f"3/4  training on {SOURCE}, adapting to {TARGET} without its labels (profile {profile_name!r})")
+    runs = {}
+    with console_progress() as progress:
+        for method in METHODS:
+            with timed(f"train {method}", stages):
+                (runs[method],) = adapt_folders(
+                    out_dir / "data" / SOURCE,
+                    out_dir / "data" / TARGET,
+                    (method,),
+                    profile=profile_name,
+                    seed=SEED,
+                    out_dir=out_dir / "runs",
+                    progress=progress,
+                )
+    plain = runs["source-only"]
+    predictions = {method: load_predictions(run) for method, run in runs.items()}
+    result = DemoResult(
+        rows=(
+            Row("constant mean", SOURCE, plain.source_constant_mean),
+            Row("source-only", SOURCE, plain.source_held_out),
+            Row("constant mean", TARGET, plain.target_constant_mean),
+            *(Row(method, TARGET, run.target_test) for method, run in runs.items()),
+        ),
+        stages=tuple(stages),
+        true_n=predictions["source-only"]["target_true_n"],
+        predicted_n={method: arrays["target_predicted_n"] for method, arrays in predictions.items()},
+        curve=curve,
+    )
+    say("4/4  writing the report")
+    write_page(result, out_dir, out_dir / "report.html")
+    return result
+
+
+def force_curve(quality: str) -> "ForceCurve":
+    """Press at `CURVE_DEPTHS_MM` and compare with Hertz, the bonded layer and the FEM table."""
+    import numpy as np
+
+    from gelgap.benchmarks.fem.theory import bonded_layer_force_n, hertz_force_n
+    from gelgap.cli.demo_page import ForceCurve
+    from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
+
+    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
+    modulus_mpa, radius_mm, depth_mm = gel.young_modulus_mpa, Sphere().radius_mm, np.array(CURVE_DEPTHS_MM)
+    started = time.perf_counter()
+    states = solve_poses(gel, Sphere(), tuple(Pose(depth_mm=depth) for depth in CURVE_DEPTHS_MM), quality)
+    seconds = (time.perf_counter() - started) / len(depth_mm)
+    with asset_path("reference", "force_depth.csv").open(newline="", encoding="utf-8") as file:
+        lines = [line for line in csv.DictReader(file) if line["case"] == "nh49_no_slip"]
+    reference_n = {float(line["depth_mm"]): -float(line["fz_n"]) for line in lines}
+    return ForceCurve(
+        depth_mm=depth_mm,
+        force_n=np.array([-state.force_n[2] for state in states]),
+        hertz_n=hertz_force_n(modulus_mpa, gel.poisson_ratio, radius_mm, depth_mm),
+        bonded_layer_n=bonded_layer_force_n(modulus_mpa, radius_mm, gel.thickness_mm, depth_mm),
+        reference_n=np.array([reference_n[depth] for depth in CURVE_DEPTHS_MM]),
+        seconds_per_pose=seconds,
+    )
+
+
+@contextmanager
+def timed(name: str, stages: "list[Stage]") -> Iterator[None]:
+    """Time what happens inside, sample the memory of this process and its children, and append both to the stages."""
+    import psutil
+
+    from gelgap.cli.demo_page import Stage
+
+    peak_bytes, ended = 0, threading.Event()
+
+    def sample() -> None:
+        nonlocal peak_bytes
+        own = psutil.Process()
+        while True:
+            together = 0
+            for process in (own, *own.children(recursive=True)):
+                with suppress(psutil.NoSuchProcess):
+                    together += process.memory_info().rss
+            peak_bytes = max(peak_bytes, together)
+            if ended.wait(_MEMORY_PERIOD_S):
+                return
+
+    sampler = threading.Thread(target=sample, daemon=True)
+    started = time.perf_counter()
+    sampler.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        sampler.join()
+        stages.append(Stage(name, time.perf_counter() - started, peak_bytes / 1024**2))

@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.rules import DataSet, OutputFolder
+from gelgap.cli.options import Command, domains_inside, output_folder
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(Command):
     """Write domains in another format: the paper's folder layout, WebDataset tars, or a Hugging Face folder.
 
     For example:
@@ -19,9 +19,9 @@ class Export:
 
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], DataSet(several=True)]
+    folder: Annotated[tyro.conf.Positional[Path], domains_inside]
     """Folder of one domain, or of several."""
-    out: Annotated[Path, OutputFolder()]
+    out: Annotated[Path, output_folder]
     """New folder for the export."""
     format_name: Annotated[Literal["paper", "webdataset", "huggingface"], tyro.conf.arg(name="format")] = (
         "paper"

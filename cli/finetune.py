@@ -6,12 +6,11 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.arguments import optional
-from gelgap.cli.rules import SEED, Between, DataSet, InputFile, OutputFile
+from gelgap.cli.options import Command, Seed, between, data_sets, input_file, optional, output_file
 
 
 @dataclass(frozen=True)
-class Finetune:
+class Finetune(Command):
     """Fine-tune a checkpoint on a few labelled frames or clips, and say its error on others before and after.
 
     Labels that the data have and the network predicts are learnt, in the ranges of the network. All pictures of --on,
@@ -23,19 +22,19 @@ class Finetune:
 
     when_stopped: ClassVar[str] = "nothing is kept, run the same command again to start over"
 
-    checkpoint: Annotated[tyro.conf.Positional[Path], InputFile("a checkpoint")]
+    checkpoint: Annotated[tyro.conf.Positional[Path], input_file("a checkpoint")]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
-    on: Annotated[Path, DataSet()]
+    on: Annotated[Path, data_sets]
     """Folder of the data set of which some frames are learnt."""
-    test: Annotated[Path, DataSet()]
+    test: Annotated[Path, data_sets]
     """Folder of the data set to judge by; if it is the same, by the frames that are not learnt."""
-    frames: Annotated[int | None, optional("K"), Between(1, 10_000_000)] = None
+    frames: Annotated[int | None, optional("K"), between(1, 10_000_000)] = None
     """Number of frames to learn, spread over the commanded depths where these are known."""
-    clips: Annotated[int | None, optional("K"), Between(1, 10_000_000)] = None
+    clips: Annotated[int | None, optional("K"), between(1, 10_000_000)] = None
     """Or number of clips to learn whole, told apart by the column `clip`."""
-    seed: Annotated[int, SEED] = 0
+    seed: Seed = 0
     """Seed of the draw and of the training."""
-    out: Annotated[Path | None, optional("PATH"), OutputFile((".pt",))] = None
+    out: Annotated[Path | None, optional("PATH"), output_file(".pt")] = None
     """Write the fine-tuned checkpoint here."""
 
     def run(self, started: float) -> None:

@@ -1,28 +1,26 @@
 """`gelgap generate`: labelled domains on disk."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.arguments import (
+from gelgap.assets import load_preset
+from gelgap.cli.options import (
+    Command,
     Flag,
+    GenerationOptions,
+    PictureSize,
+    Quality,
+    Seed,
     SensorName,
-    load_elastomer,
-    load_illumination,
-    load_sensor,
+    between,
+    input_file,
+    named,
     optional,
-)
-from gelgap.cli.rules import (
-    PICTURE_SIDES,
-    SEED,
-    WORKERS,
-    Between,
-    InputFile,
-    OutputFolder,
-    Preset,
-    Scheduler,
+    output_folder,
+    preset_or_file,
 )
 
 if TYPE_CHECKING:
@@ -32,8 +30,13 @@ if TYPE_CHECKING:
 OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
 
 
+def data_set(name: str) -> None:
+    """Check the name of a preset of a whole data set."""
+    load_preset("datasets", name)
+
+
 @dataclass(frozen=True)
-class Generate:
+class Generate(Command):
     """Generate domains: press, render, label and write them; run it again to resume or to check that all is there.
 
     A domain is elastomer × illumination × markers: mb0i0 has markers, elastomer b0, illumination i0; wmb1i1 is without
@@ -47,36 +50,39 @@ class Generate:
     """
 
     when_stopped: ClassVar[str] = "finished shards and solves are kept, run the same command again to go on"
+    fills_cache: ClassVar[bool] = True
 
     domains: Annotated[tyro.conf.Positional[tuple[str, ...]], optional("[DOMAIN ...]")] = ()
     """Names of domains; or leave them out and give --preset or --sweep."""
     out: Annotated[
-        Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(required)"), OutputFolder()
+        Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(required)"), output_folder
     ] = None
     """Folder that gets one folder per domain."""
-    preset: Annotated[str | None, optional("NAME"), Preset("datasets", or_file=False)] = None
+    preset: Annotated[str | None, optional("NAME"), data_set] = None
     """A whole data set (see: gelgap presets datasets)."""
-    sweep: Annotated[Path | None, optional("TOML"), InputFile("a TOML file")] = None
+    sweep: Annotated[Path | None, optional("TOML"), input_file("a TOML file")] = None
     """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
-    recipe: Annotated[Path | None, optional("TOML"), InputFile("a TOML file")] = None
+    recipe: Annotated[Path | None, optional("TOML"), input_file("a TOML file")] = None
     """A TOML file of whole domains, with path, gels, lights and sensors, as `gelgap view` saves it."""
-    elastomer: Annotated[str | None, optional("NAME", "the domain's"), Preset("elastomers")] = None
+    elastomer: Annotated[str | None, optional("NAME", "the domain's"), preset_or_file("elastomers")] = None
     """Another elastomer than the named domain's: a preset or a TOML file; needs --name."""
-    illumination: Annotated[str | None, optional("NAME", "the domain's"), Preset("illuminations")] = None
+    illumination: Annotated[str | None, optional("NAME", "the domain's"), preset_or_file("illuminations")] = (
+        None
+    )
     """Another illumination than the named domain's: a preset or a TOML file; needs --name."""
     name: Annotated[str | None, optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
-    indenter_diameter_mm: Annotated[float, Between(0.5, 50, "mm")] = 3.0
+    indenter_diameter_mm: Annotated[float, between(0.5, 50, "mm")] = 3.0
     """Diameter of the sphere that is pressed, in mm; large ones may need a wider declared range of forces."""
-    path: Annotated[str, Preset("paths")] = "cpu"
+    path: Annotated[str, preset_or_file("paths")] = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
-    quality: Literal["draft", "standard", "fine"] = "standard"
+    quality: Quality = "standard"
     """Quality of the physics."""
-    seed: Annotated[int, SEED] = 0
+    seed: Seed = 0
     """Seed of sensor noise and acquisition errors."""
     sensor: SensorName = "paper"
     """Sensor preset or TOML file."""
-    size: Annotated[tuple[int, int], PICTURE_SIDES] = (320, 240)
+    size: PictureSize = (320, 240)
     """Width and height of the pictures in pixels."""
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Optional columns to write as well; `diagnostics`: how each pose was solved."""
@@ -84,34 +90,20 @@ class Generate:
     """The same poses in every domain, or a draw of its own for each domain."""
     rendered_without_markers: Flag = False
     """Render wmb0i0 without markers instead of inpainting the markers of mb0i0 (the paper's way)."""
-    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster"), Scheduler()] = None
-    """Address of a Dask scheduler, such as tcp://host:8786; `synchronous` runs in this process."""
-    workers: Annotated[int | None, optional("N", "one per core"), WORKERS] = None
-    """Processes of the local cluster."""
-    dry_run: Flag = False
-    """Only say what would be done: solves, frames, estimated time and disk."""
-    overwrite: Flag = False
-    """Replace domains under --out that hold another configuration."""
+    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=GenerationOptions
+    )
 
     def run(self, started: float) -> None:
         """Plan and run the generation."""
         self._check_choices()
-        from gelgap.domains import estimate, generate_recipes, shown_progress, write_sweep
+        from gelgap.domains import estimate, write_sweep
 
         recipes, variants = self._recipes()
-        if self.dry_run:
-            print(estimate(recipes, self.workers))
+        if self.generation.dry_run:
+            print(estimate(recipes, self.generation.workers))
             return
-        with shown_progress() as progress:
-            report = generate_recipes(
-                recipes,
-                self.out,
-                scheduler=self.scheduler,
-                workers=self.workers,
-                overwrite=self.overwrite,
-                progress=progress,
-            )
-        print(report)
+        self.generation.generate(recipes, self.out)
         if variants:
             print(f"gaps to the base: {write_sweep(variants, self.out)}")
 
@@ -138,26 +130,17 @@ class Generate:
                 f"--name = {self.name!r}: names one domain; give it with one domain or none, "
                 "not with --preset, --sweep or --recipe"
             )
-        if self.workers is not None and self.scheduler is not None:
-            raise ValueError(
-                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
-            )
+        self.generation.check()
 
     def _recipes(self) -> "tuple[tuple[DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
-        from gelgap.domains import (
-            Sweep,
-            load_recipes,
-            make_recipes,
-            own_recipe,
-            preset_recipes,
-            sweep_variants,
-        )
-        from gelgap.sim import Sphere
+        from gelgap import domains
+        from gelgap.render import Illumination, Sensor
+        from gelgap.sim import Elastomer, Sphere
 
         settings = {
             "indenter": Sphere(diameter_mm=self.indenter_diameter_mm),
-            "sensor": load_sensor(self.sensor),
+            "sensor": named(Sensor, self.sensor),
             "columns": self.columns,
             "quality": self.quality,
             "seed": self.seed,
@@ -167,17 +150,15 @@ class Generate:
         if self.rendered_without_markers:
             settings["inpainted"] = ()
         if self.sweep:
-            variants = sweep_variants(Sweep.load(self.sweep), **settings)
+            variants = domains.sweep_variants(domains.Sweep.load(self.sweep), **settings)
             return tuple(variant.recipe for variant in variants), variants
         if self.recipe:
-            return load_recipes(self.recipe, **settings), ()
+            return domains.load_recipes(self.recipe, **settings), ()
         if self.preset:
-            return preset_recipes(self.preset, **settings), ()
+            return domains.preset_recipes(self.preset, **settings), ()
         if self.name is not None:
-            parts = {
-                "elastomer": load_elastomer(self.elastomer) if self.elastomer else None,
-                "illumination": load_illumination(self.illumination) if self.illumination else None,
-            }
+            settings["elastomer"] = named(Elastomer, self.elastomer) if self.elastomer else None
+            settings["illumination"] = named(Illumination, self.illumination) if self.illumination else None
             base = self.domains[0] if self.domains else "mb0i0"
-            return (own_recipe(self.name, self.path, base=base, **parts, **settings),), ()
-        return make_recipes(self.domains, self.path, **settings), ()
+            return (domains.own_recipe(self.name, self.path, base=base, **settings),), ()
+        return domains.make_recipes(self.domains, self.path, **settings), ()

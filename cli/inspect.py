@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.arguments import Flag, optional
-from gelgap.cli.rules import DataSet, OutputFile
+from gelgap.cli.options import Command, Flag, data_sets, domains_inside, optional, output_file
 
 if TYPE_CHECKING:
     from gelgap.domains import Damage
 
 
 @dataclass(frozen=True)
-class Inspect:
+class Inspect(Command):
     """Say what a domain holds: frames, forces, contacts, what did not converge; check its files; draw a page.
 
     For example:
@@ -24,13 +23,13 @@ class Inspect:
 
     when_stopped: ClassVar[str] = "nothing was changed; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], DataSet(several=True)]
+    folder: Annotated[tyro.conf.Positional[Path], domains_inside]
     """Folder of one domain, or of several."""
     verify: Flag = False
     """Compare every byte with the manifest, or decode every picture of real data; exit code 1 if one is damaged."""
-    html: Annotated[Path | None, optional("PATH"), OutputFile()] = None
+    html: Annotated[Path | None, optional("PATH"), output_file()] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
-    gap_to: Annotated[Path | None, optional("PATH"), DataSet()] = None
+    gap_to: Annotated[Path | None, optional("PATH"), data_sets] = None
     """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""
 
     def run(self, started: float) -> None:

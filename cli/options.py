@@ -1,100 +1,219 @@
-"""The options of a command as its dataclass defines them: names, types and rules."""
+"""What the options of several commands share: types with their checks, how --help shows them, and settings by name."""
 
-from dataclasses import dataclass, fields
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
+from gelgap.assets import load_preset
 from gelgap.assets.names import quoted
-from gelgap.cli.rules import Rule
 
-_POSITIONAL = get_args(tyro.conf.Positional[int])[1]
+if TYPE_CHECKING:
+    from gelgap.domains import DomainRecipe
+    from gelgap.render import Illumination, Sensor
+
+Check = Callable[[Any], object]
+"""Raises ValueError or OSError for a value that cannot be used: what is wrong, and what would be right.
+
+It stands in the annotation of an option, and runs before anything starts. Checks that a room makes before its work
+need none here.
+"""
+
+
+class Command:
+    """What the command line parses to: a frozen dataclass whose fields are its options."""
+
+    doing: ClassVar[str | None] = None
+    """What is said of it while nothing else is known and it takes long; by default that it reads and prepares."""
+    when_stopped: ClassVar[str] = (
+        "nothing is kept but solved physics; run the same command again to start over"
+    )
+    """What is left of it after Ctrl-C, and what to do."""
+    fills_cache: ClassVar[bool] = False
+
+    def run(self, started: float) -> None:
+        """Do it and print what came out; `started` is when the process began, by `time.perf_counter`."""
+        raise NotImplementedError
+
+
+def optional(metavar: str, default: str = "", aliases: tuple[str, ...] = (), help: str | None = None) -> Any:
+    """Return the annotation of an option that may be left out, with what happens then as --help shows it."""
+    hint = f"(default: {default})" if default else ""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint, aliases=aliases, help=help)
+
+
+def between(low: float, high: float, unit: str = "") -> Check:
+    """Return the check of a number in [low, high], or of several."""
+
+    def check(value: float | tuple[float, ...]) -> None:
+        if not all(low <= number <= high for number in (value if isinstance(value, tuple) else (value,))):
+            raise ValueError(f"must lie in [{low}, {high}] {unit}".rstrip())
+
+    return check
+
+
+def preset_or_file(kind: str) -> Check:
+    """Return the check of a preset's name, or of a TOML file."""
+
+    def check(value: str) -> None:
+        if value.endswith(".toml"):
+            input_file("a TOML file")(Path(value))
+            return
+        try:
+            load_preset(kind, value)
+        except ValueError as error:
+            raise ValueError(f"{error}; or name a file that ends in .toml") from None
+
+    return check
+
+
+def input_file(what: str) -> Check:
+    """Return the check of a file that can be read."""
+    return lambda path: _check_readable(path, what, is_folder=False)
+
+
+def input_folder(what: str) -> Check:
+    """Return the check of a folder that can be read."""
+    return lambda path: _check_readable(path, what, is_folder=True)
+
+
+def _check_readable(path: Path, what: str, is_folder: bool) -> None:
+    if not path.exists():
+        problem = "does not exist"
+    elif not (path.is_dir() if is_folder else path.is_file()):
+        problem = "is a file" if is_folder else "is a folder"
+    elif not os.access(path, os.R_OK):
+        problem = "cannot be read"
+    else:
+        return
+    raise ValueError(f"{problem}; {what} is needed")
+
+
+@cache
+def output_file(*suffixes: str) -> Check:
+    """Return the check of a file that can be written, in a folder that is there."""
+
+    def check(path: Path) -> None:
+        if suffixes and path.suffix.lower() not in suffixes:
+            raise ValueError(f"the name must end in {', '.join(suffixes)}")
+        if path.is_dir():
+            raise ValueError("is a folder; name a file")
+        if not path.parent.is_dir():
+            raise ValueError(f"the folder {path.parent} does not exist; create it first")
+        if path.exists() and not os.access(path, os.W_OK):
+            raise ValueError("cannot be written to; name another file")
+        _check_takes_files(path.parent)
+
+    return check
+
+
+def output_folder(path: Path) -> None:
+    """Check a folder that can be written to, or can be made."""
+    there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+    if not there.is_dir():
+        raise ValueError(
+            "is a file; name a folder" if there == path else f"{there} is a file; name another folder"
+        )
+    _check_takes_files(there)
+
+
+def _check_takes_files(folder: Path) -> None:
+    """Raise ValueError if no file can be made in a folder; for root, permissions alone do not tell."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"the folder {folder} cannot be written to ({error.strerror}); name another"
+        ) from None
+
+
+def data_sets(value: Path | tuple[Path, ...]) -> None:
+    """Check folders in a layout that is known: of one domain each."""
+    from gelgap.domains import layout_problem
+
+    paths = value if isinstance(value, tuple) else (value,)
+    if not paths:
+        raise ValueError("name one folder, or several")
+    for path in paths:
+        if problem := layout_problem(path):
+            raise ValueError(problem if len(paths) == 1 else f"{quoted(str(path))} {problem}")
+
+
+def domains_inside(folder: Path) -> None:
+    """Check the folder of one domain, or of several."""
+    from gelgap.domains import domain_folders
+
+    data_sets(domain_folders(folder))
+
+
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
+"""A switch that is off unless it is given."""
+Quality = Literal["draft", "standard", "fine"]
+Seed = Annotated[int, between(0, 2**63 - 1)]
+PictureSize = Annotated[tuple[int, int], between(16, 4096, "px")]
+SensorName = Annotated[str, preset_or_file("sensors")]
+"""A sensor by its preset's name or its TOML file."""
+LightName = Annotated[
+    str | None, optional("NAME", "the sensor's own, or i0"), preset_or_file("illuminations")
+]
+
+
+def scheduler_address(address: str) -> None:
+    """Check `synchronous`, or an address with a port."""
+    from gelgap.domains.generation.cluster import check_scheduler
+
+    check_scheduler(address)
 
 
 @dataclass(frozen=True)
-class Option:
-    """One option, or one value without a name (`positional`)."""
+class GenerationOptions:
+    """Where and how domains are generated."""
 
-    field: str
-    names: tuple[str, ...]
-    type: Any
-    positional: bool
-    rules: tuple[Rule, ...]
+    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster"), scheduler_address] = None
+    """Address of a Dask scheduler, such as tcp://host:8786; `synchronous` runs in this process."""
+    workers: Annotated[int | None, optional("N", "one per core"), between(1, 4096)] = None
+    """Processes of the local cluster."""
+    dry_run: Flag = False
+    """Only say what would be done: solves, frames, estimated time and disk."""
+    overwrite: Flag = False
+    """Replace domains under --out that hold another configuration."""
 
-    @property
-    def name(self) -> str:
-        """The name by which messages call it."""
-        return self.field if self.positional else self.names[0]
+    def check(self) -> None:
+        """Raise ValueError if options exclude each other."""
+        if self.workers is not None and self.scheduler is not None:
+            raise ValueError(
+                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
+            )
 
-    @property
-    def is_switch(self) -> bool:
-        """Whether it takes no value."""
-        return self.type is bool
+    def generate(self, recipes: "Sequence[DomainRecipe]", out: Path) -> None:
+        """Generate domains with a progress bar, and print the report."""
+        from gelgap.domains import generate_recipes, shown_progress
 
-    def needs(self) -> str:
-        """Return what a value must be, in words."""
-        return _needs(self.type)
-
-
-def options_of(command: type) -> tuple[Option, ...]:
-    """Return the options of a command's dataclass, in their order."""
-    hints = get_type_hints(command, include_extras=True)
-    return tuple(_option(field.name, hints[field.name]) for field in fields(command))
-
-
-def check_values(command: Any) -> None:
-    """Check a parsed command against the rules of its options.
-
-    Raises
-    ------
-    ValueError
-        If values break some; the message names each option, its value, and what is allowed.
-    """
-    problems = [
-        f"{option.name} = {_as_given(value)}: {problem}"
-        for option in options_of(type(command))
-        if (value := getattr(command, option.field)) is not None
-        for rule in option.rules
-        if (problem := rule.problem(value))
-    ]
-    if problems:
-        raise ValueError("; ".join(problems))
+        with shown_progress() as progress:
+            report = generate_recipes(
+                recipes,
+                out,
+                scheduler=self.scheduler,
+                workers=self.workers,
+                overwrite=self.overwrite,
+                progress=progress,
+            )
+        print(report)
 
 
-def _as_given(value: Any) -> str:
-    """Return a value as it was typed."""
-    return quoted(" ".join(map(str, value)) if isinstance(value, tuple) else str(value))
+def named(kind: Any, name: str) -> Any:
+    """Return settings by a preset's name or from a TOML file, as `named(Sensor, "paper")`."""
+    return kind.load(name) if name.endswith(".toml") else kind.preset(name)
 
 
-def _option(field: str, hint: Any) -> Option:
-    metadata: tuple = ()
-    while get_origin(hint) is Annotated:
-        metadata += hint.__metadata__
-        hint = hint.__origin__
-    if get_origin(hint) in (Union, UnionType):
-        (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
-    settings = [item for item in metadata if hasattr(item, "aliases")]
-    name = next((item.name for item in settings if item.name), field)
-    aliases = [alias for item in settings for alias in item.aliases or ()]
-    return Option(
-        field,
-        (f"--{name.replace('_', '-')}", *aliases),
-        hint,
-        _POSITIONAL in metadata,
-        tuple(item for item in metadata if isinstance(item, Rule)),
-    )
+def light_in(sensor: "Sensor", name: str | None) -> "Illumination":
+    """Return a named illumination; without a name the sensor's own, or i0."""
+    from gelgap.render import Illumination
 
-
-def _needs(kind: Any) -> str:
-    match get_origin(kind):
-        case value if value is Literal:
-            return f"one of {', '.join(get_args(kind))}"
-        case value if value is tuple and get_args(kind)[-1] is Ellipsis:
-            return f"{_needs(get_args(kind)[0])}, or several"
-        case value if value is tuple and len(set(get_args(kind))) > 1:
-            return " and ".join(map(_needs, get_args(kind)))
-        case value if value is tuple:
-            return f"{len(get_args(kind))} {_needs(get_args(kind)[0]).removeprefix('a ')}s"
-    return {int: "a whole number", float: "a number", Path: "a path", str: "a name"}[kind]
+    return named(Illumination, name) if name else sensor.illumination or Illumination.preset("i0")

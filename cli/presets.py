@@ -5,13 +5,12 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gelgap.assets import PRESET_KINDS
-from gelgap.cli.arguments import optional
-from gelgap.cli.rules import OneOf
+from gelgap.assets import PRESET_KINDS, list_presets, load_preset
+from gelgap.cli.options import Command, optional
 
 
 @dataclass(frozen=True)
-class Presets:
+class Presets(Command):
     """List the presets of one kind, or of every kind.
 
     For example:
@@ -20,17 +19,12 @@ class Presets:
 
     when_stopped: ClassVar[str] = "nothing was changed; run the same command again"
 
-    kind: Annotated[
-        tyro.conf.Positional[str | None], optional("[KIND]", "all"), OneOf(lambda: PRESET_KINDS)
-    ] = None
+    kind: Annotated[tyro.conf.Positional[str | None], optional("[KIND]", "all"), list_presets] = None
     """One of elastomers, paths, illuminations, sensors, datasets and profiles."""
 
     def run(self, started: float) -> None:
         """Print one line per preset: its name and its description."""
-        from gelgap.assets import list_presets, load_preset
-
         for kind in [self.kind] if self.kind else PRESET_KINDS:
-            names = list_presets(kind)
             print(f"{kind}:")
-            for name in names:
+            for name in list_presets(kind):
                 print(f"  {name:<16} {load_preset(kind, name).get('description', '')}")

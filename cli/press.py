@@ -4,10 +4,9 @@ import json
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from gelgap.cli.arguments import Flag, load_elastomer, optional
-from gelgap.cli.rules import Between, OutputFile, Preset
+from gelgap.cli.options import Command, Flag, Quality, between, named, optional, output_file, preset_or_file
 
 if TYPE_CHECKING:
     from gelgap.sim import Pose, SolvedPose, Sphere
@@ -27,7 +26,7 @@ OVERRIDES = (
 
 
 @dataclass(frozen=True)
-class Press:
+class Press(Command):
     """Press a sphere straight down at one point, then drag it sideways, and report force and membrane.
 
     Force is what the indenter exerts on the sensor, in N: Fz < 0 under compression, dragging towards +x gives Fx > 0.
@@ -37,7 +36,9 @@ class Press:
       gelgap press --elastomer b1 --force-n 0.5 --save state.npz
     """
 
-    elastomer: Annotated[str | None, optional("NAME"), Preset("elastomers")] = None
+    fills_cache: ClassVar[bool] = True
+
+    elastomer: Annotated[str | None, optional("NAME"), preset_or_file("elastomers")] = None
     """Elastomer preset or TOML file to start from (see: gelgap presets elastomers); the values below override it."""
     young_modulus_mpa: Annotated[float | None, optional("MPA", "0.3, or the preset's")] = None
     """Young's modulus in MPa."""
@@ -56,30 +57,30 @@ class Press:
         optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
     ] = None
     """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
-    indenter_diameter_mm: Annotated[float, Between(0.5, 50, "mm")] = 3.0
+    indenter_diameter_mm: Annotated[float, between(0.5, 50, "mm")] = 3.0
     """Diameter of the sphere in mm."""
     depth_mm: Annotated[float | None, optional("MM", "0.6, or what --force-n needs")] = None
     """Commanded depth below first contact in mm, at least 0."""
     normal_force_n: Annotated[
-        float | None, optional("N", aliases=("--force-n",)), Between(1e-6, 1e4, "N")
+        float | None, optional("N", aliases=("--force-n",)), between(1e-6, 1e4, "N")
     ] = None
     """Load control: press to this normal force in N (positive) instead of to a depth, then drag at that depth."""
-    shear_x_mm: Annotated[float, Between(-50, 50, "mm")] = 0.0
+    shear_x_mm: Annotated[float, between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along x after the press, in mm."""
-    shear_y_mm: Annotated[float, Between(-50, 50, "mm")] = 0.0
+    shear_y_mm: Annotated[float, between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along y (down in the image) after the press, in mm."""
     point_x_mm: float = 0.0
     """Contact point along x in mm; 0 is the centre of the pad."""
     point_y_mm: float = 0.0
     """Contact point along y in mm."""
-    quality: Literal["draft", "standard", "fine"] = "standard"
+    quality: Quality = "standard"
     """How finely MuJoCo's mesh and load steps resolve the contact."""
     json: Flag = False
     """Print one JSON object instead of a table."""
-    save: Annotated[Path | None, optional("PATH"), OutputFile()] = None
+    save: Annotated[Path | None, optional("PATH"), output_file()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
 
-    mesh: Annotated[Path | None, optional("PATH"), OutputFile((".glb", ".ply"))] = None
+    mesh: Annotated[Path | None, optional("PATH"), output_file(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the sphere as a mesh."""
 
     def run(self, started: float) -> None:
@@ -88,7 +89,7 @@ class Press:
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
-        base = load_elastomer(self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
+        base = named(Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
         given = {name: value for name in OVERRIDES if (value := getattr(self, name)) is not None}
         elastomer = Elastomer(**base | given)
         indenter = Sphere(diameter_mm=self.indenter_diameter_mm)

@@ -1,21 +1,24 @@
 """`gelgap pretrain`: drawn domains, and a network trained on all of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.arguments import Flag, load_profile, optional
-from gelgap.cli.rules import (
-    PICTURE_SIDES,
-    SEED,
-    WORKERS,
-    Between,
-    InputFile,
-    OutputFolder,
-    Preset,
-    Scheduler,
+from gelgap.cli.options import (
+    Command,
+    Flag,
+    GenerationOptions,
+    PictureSize,
+    Quality,
+    Seed,
+    between,
+    input_file,
+    named,
+    optional,
+    output_folder,
+    preset_or_file,
 )
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
@@ -24,7 +27,7 @@ QUICK_DOMAINS, QUICK_FRAMES, QUICK_EPOCHS = 2, 12, 2
 
 
 @dataclass(frozen=True)
-class Pretrain:
+class Pretrain(Command):
     """Make domains with drawn gels, spheres, lights and cameras, and train one network on all of them to start from.
 
     The checkpoint is out/pretrained.pt, for `gelgap adapt --weights` with the same profile. The last tenth of the
@@ -38,46 +41,39 @@ class Pretrain:
     when_stopped: ClassVar[str] = (
         "finished shards, solves and epochs are kept, run the same command again to go on"
     )
+    fills_cache: ClassVar[bool] = True
 
-    out: Annotated[Path, OutputFolder()]
+    out: Annotated[Path, output_folder]
     """Folder for the domains and the checkpoint."""
-    domains: Annotated[int, Between(2, 9999)] = 60
+    domains: Annotated[int, between(2, 9999)] = 60
     """How many domains are drawn."""
-    frames_per_domain: Annotated[int, Between(2, 100_000)] = 60
+    frames_per_domain: Annotated[int, between(2, 100_000)] = 60
     """Frames of each: one without contact, then every depth of its press, straight and dragged, at drawn places."""
     without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """What is not drawn but the same in every domain, to see what drawing it matters."""
-    ranges: Annotated[Path | None, optional("TOML", "gelgap's own"), InputFile("a TOML file")] = None
+    ranges: Annotated[Path | None, optional("TOML", "gelgap's own"), input_file("a TOML file")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
-    profile: Annotated[str, Preset("profiles")] = "cpu"
+    profile: Annotated[str, preset_or_file("profiles")] = "cpu"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
-    quality: Literal["draft", "standard", "fine"] = "draft"
+    quality: Quality = "draft"
     """Quality of physics and pictures."""
-    size: Annotated[tuple[int, int], PICTURE_SIDES] = (160, 120)
+    size: PictureSize = (160, 120)
     """Width and height of the pictures in pixels."""
-    seed: Annotated[int, SEED] = 0
+    seed: Seed = 0
     """Seed of all draws and of the training."""
-    scheduler: Annotated[str | None, optional("ADDRESS", "a local cluster"), Scheduler()] = None
-    """Address of a Dask scheduler; `synchronous` runs in this process."""
-    workers: Annotated[int | None, optional("N", "one per core"), WORKERS] = None
-    """Processes of the local cluster."""
     quick: Flag = False
     """Two domains of twelve frames and two epochs: to see that all works, not to learn."""
-    dry_run: Flag = False
-    """Only say what would be generated: solves, frames, estimated time and disk."""
-    overwrite: Flag = False
-    """Replace domains under --out that hold another configuration."""
+    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=GenerationOptions
+    )
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
-        if self.workers is not None and self.scheduler is not None:
-            raise ValueError(
-                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
-            )
-        from gelgap.domains import PretrainingRanges, estimate, generate_recipes, pretraining_recipes
-        from gelgap.domains import shown_progress as shown_generation
+        self.generation.check()
+        from gelgap.adapt import Profile
+        from gelgap.domains import PretrainingRanges, estimate, pretraining_recipes
 
-        profile = load_profile(self.profile)
+        profile = named(Profile, self.profile)
         ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
         domains, frames, size_px = self.domains, self.frames_per_domain, self.size
         if self.quick:
@@ -99,23 +95,13 @@ class Pretrain:
             size_px=size_px,
             quality=self.quality,
         )
-        print(estimate(recipes, self.workers))
+        print(estimate(recipes, self.generation.workers))
         print(f"training {profile.source_epochs} epochs of at most {domains * frames} frames", flush=True)
-        if self.dry_run:
+        if self.generation.dry_run:
             return
-        folder = self.out / "domains"
-        with shown_generation() as generating:
-            report = generate_recipes(
-                recipes,
-                folder,
-                scheduler=self.scheduler,
-                workers=self.workers,
-                overwrite=self.overwrite,
-                progress=generating,
-            )
-        print(report)
+        self.generation.generate(recipes, self.out / "domains")
         from gelgap.adapt import console_progress, pretrain
 
         with console_progress() as progress:
-            folders = [folder / recipe.name for recipe in recipes]
+            folders = [self.out / "domains" / recipe.name for recipe in recipes]
             print(pretrain(folders, self.out, profile, self.seed, progress=progress))

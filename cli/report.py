@@ -7,14 +7,20 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.arguments import optional
-from gelgap.cli.rules import FinishedRuns, OutputFolder
+from gelgap.cli.options import Command, input_folder, optional, output_folder
 
 LOG = logging.getLogger(__name__)
 
 
+def finished_runs(folder: Path) -> None:
+    """Check a folder with finished runs of `gelgap adapt` or of the benchmark, at any depth."""
+    input_folder("a folder with runs of gelgap adapt")(folder)
+    if not any(folder.rglob("run.json")) and not any(folder.glob("*.jsonl")):
+        raise ValueError(f"holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one")
+
+
 @dataclass(frozen=True)
-class Report:
+class Report(Command):
     """Write tables and figures of the runs that `gelgap adapt` and `gelgap benchmark adaptation` left in a folder.
 
     A folder with the benchmark's records gets the benchmark's report: the groups beside the paper, oracles, tests,
@@ -28,9 +34,9 @@ class Report:
         "files of an older report may stand beside new ones; run the same command again to write all of them"
     )
 
-    runs: Annotated[tyro.conf.Positional[Path], FinishedRuns()]
+    runs: Annotated[tyro.conf.Positional[Path], finished_runs]
     """Folder with finished runs, at any depth."""
-    out: Annotated[Path | None, optional("PATH", "the folder of the runs"), OutputFolder()] = None
+    out: Annotated[Path | None, optional("PATH", "the folder of the runs"), output_folder] = None
     """Folder for the report."""
 
     def run(self, started: float) -> None:
@@ -39,10 +45,6 @@ class Report:
         from gelgap.assets.locks import sole_use
         from gelgap.benchmarks.adaptation.study import is_benchmark, write_benchmark_report
 
-        if not self.runs.is_dir():
-            raise FileNotFoundError(
-                f"{self.runs} does not exist; name a folder that `gelgap adapt --out` wrote"
-            )
         write = write_benchmark_report if is_benchmark(self.runs) else write_report
         LOG.info("drawing the report of %s", self.runs)
         with sole_use(self.out or self.runs):

@@ -4,21 +4,13 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Annotated, ClassVar
 
-from gelgap.cli.arguments import (
-    Flag,
-    SensorName,
-    load_elastomer,
-    load_illumination,
-    load_sensor,
-    optional,
-)
-from gelgap.cli.rules import Between, Preset
+from gelgap.cli.options import Command, Flag, LightName, SensorName, between, light_in, named, preset_or_file
 
 INSTALL = "pip install 'gelgap[view]'"
 
 
 @dataclass(frozen=True)
-class View:
+class View(Command):
     """Open a page in the browser: turn gel, contact and light, and see picture and force change at once.
 
     Only this machine can open the page, unless --host says otherwise. Ctrl-C ends it.
@@ -31,16 +23,15 @@ class View:
     when_stopped: ClassVar[str] = "the page was not open yet; run the same command again"
     # An open page is not work that takes long.
     doing: ClassVar[str] = ""
+    fills_cache: ClassVar[bool] = True
 
-    elastomer: Annotated[str, Preset("elastomers")] = "e04"
+    elastomer: Annotated[str, preset_or_file("elastomers")] = "e04"
     """Elastomer preset or TOML file to begin with."""
-    illumination: Annotated[
-        str | None, optional("NAME", "the sensor's own, or i0"), Preset("illuminations")
-    ] = None
+    illumination: LightName = None
     """Illumination preset or TOML file to begin with."""
     sensor: SensorName = "paper"
     """Sensor preset or TOML file to begin with."""
-    port: Annotated[int, Between(0, 65535)] = 8080
+    port: Annotated[int, between(0, 65535)] = 8080
     """Port of the page; 0 takes any free one."""
     host: str = "127.0.0.1"
     """Address that the page is served at; 0.0.0.0 lets the whole network turn the knobs."""
@@ -53,15 +44,14 @@ class View:
             raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
         import webbrowser
 
-        from gelgap.render import Illumination
+        from gelgap.render import Sensor
+        from gelgap.sim import Elastomer
         from gelgap.view import Configuration, open_page
 
-        sensor = load_sensor(self.sensor)
-        if self.illumination is None:
-            illumination = sensor.illumination or Illumination.preset("i0")
-        else:
-            illumination = load_illumination(self.illumination)
-        configuration = Configuration(load_elastomer(self.elastomer), sensor, illumination)
+        sensor = named(Sensor, self.sensor)
+        configuration = Configuration(
+            named(Elastomer, self.elastomer), sensor, light_in(sensor, self.illumination)
+        )
         page = open_page(configuration, self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)

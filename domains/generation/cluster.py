@@ -2,11 +2,13 @@
 
 import contextlib
 import os
+import re
 from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from gelgap.assets.locks import defer_signals
+from gelgap.assets.names import quoted
 from gelgap.domains.generation.plan import GenerationPlan
 from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import FrameBatch, Shard, render_batch
@@ -20,6 +22,16 @@ SYNCHRONOUS = "synchronous"
 # A worker that dies takes its task with it; the task is tried this many times again before it gets the blame.
 _RETRIES_AFTER_WORKER_DEATH = 5
 CONNECTION_TIMEOUT_S = 20
+_ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^\s/]+:\d{1,5}/?|inproc://\S+")
+
+
+def check_scheduler(scheduler: str | None) -> None:
+    """Raise ValueError unless this is None (a local cluster), `synchronous`, or an address with a port."""
+    if scheduler not in (None, SYNCHRONOUS) and not _ADDRESS.fullmatch(scheduler):
+        raise ValueError(
+            f"scheduler {quoted(scheduler)} must be {SYNCHRONOUS} (this process) or the address of a Dask scheduler "
+            "such as tcp://host:8786"
+        )
 
 
 def run(

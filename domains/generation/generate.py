@@ -20,7 +20,7 @@ from gelgap.assets.names import comma_list, quoted
 from gelgap.domains.domain import Domain
 from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
-from gelgap.domains.generation.cluster import run
+from gelgap.domains.generation.cluster import check_scheduler, run
 from gelgap.domains.generation.plan import plan_generation, shard_bounds
 from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, reference_png
@@ -130,14 +130,15 @@ def generate_recipes(
     Raises
     ------
     ValueError
-        If a domain's folder holds another configuration, two recipes have one name, a contact cannot be solved, or
-        workers is below 1.
+        If a domain's folder holds another configuration, two recipes have one name, a contact cannot be solved,
+        workers is below 1, or the scheduler is no address.
     RuntimeError
         If another process writes to the folder, the disk is full, or the cluster is lost; finished shards are kept.
     """
     start = time.monotonic()
     out_dir, progress = Path(out_dir), progress or GenerationProgress()
     names = tuple(recipe.name for recipe in recipes)
+    check_scheduler(scheduler)
     if workers is not None and workers < 1:
         raise ValueError(f"workers = {workers}: must be 1 or more")
     if len(set(names)) < len(names):

@@ -15,8 +15,8 @@ import pytest
 from gelgap.adapt import Profile
 from gelgap.adapt.trainer import untrained
 from gelgap.cli.main import COMMANDS, main
-from gelgap.cli.options import Option, options_of
-from gelgap.cli.rules import OutputFile, OutputFolder, Rule
+from gelgap.cli.options import Check, output_file, output_folder
+from gelgap.cli.parser import Option, options_of
 from gelgap.domains import open_domain
 from gelgap.sim import MembraneState
 
@@ -104,12 +104,12 @@ WRONG: dict[Any, dict[str, str]] = {
 SAME_NUMBER = {"1e308": ("1e+308",), "-1e9": ("-1e+09", "-1000000000.0")}
 
 ANY_NAME = "a domain may have any name that can be a folder's"
-ALLOWED: dict[tuple[str | Rule, str], str] = {
-    (OutputFolder(), "not there"): "an output folder is made",
-    (OutputFolder(), "folder"): "an output folder may be there",
-    (OutputFolder(), "unicode"): "a folder may have such a name",
-    (OutputFile(), "file"): "an output file is replaced",
-    (OutputFile(), "unicode"): "a file may have such a name",
+ALLOWED: dict[tuple[str | Check, str], str] = {
+    (output_folder, "not there"): "an output folder is made",
+    (output_folder, "folder"): "an output folder may be there",
+    (output_folder, "unicode"): "a folder may have such a name",
+    (output_file(), "file"): "an output file is replaced",
+    (output_file(), "unicode"): "a file may have such a name",
     ("benchmark --data", "folder"): "which clones are missing is told when they are needed",
     ("generate --columns", "missing"): "no optional columns",
     ("pretrain --without", "missing"): "all is drawn",
@@ -118,7 +118,7 @@ ALLOWED: dict[tuple[str | Rule, str], str] = {
     ("generate --name", "folder"): ANY_NAME,
     ("generate --name", "file"): ANY_NAME,
 }
-"""Values of the table above that are right after all, by option or by rule, and why."""
+"""Values of the table above that are right after all, by option or by check, and why."""
 
 
 WORK = {
@@ -134,7 +134,7 @@ WORK = {
     "render.renderer": "MembraneRenderer.linear",
     "render.calibration.fit": "LightFit.run",
     "benchmarks.registry": "Benchmark.run",
-    "cli.workflows.demo": "force_curve",
+    "cli.demo": "force_curve",
     "view.page": "viser.ViserServer",
 }
 """Where work starts, by module."""
@@ -288,7 +288,7 @@ def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
 def excuse(command: str, option: Option, what: str) -> str | None:
     """Return why a value is right after all."""
     return next(
-        (reason for of in (f"{command} {option.name}", *option.rules) if (reason := ALLOWED.get((of, what)))),
+        (reason for of in (f"{command} {option.name}", *option.checks) if (reason := ALLOWED.get((of, what)))),
         None,
     )
 
@@ -306,7 +306,7 @@ def test_every_excuse_is_needed() -> None:
         (of, what)
         for command, definition in COMMANDS.items()
         for option in options_of(definition)
-        for of in (f"{command} {option.name}", *option.rules)
+        for of in (f"{command} {option.name}", *option.checks)
         for what, *_ in wrong_values(option)
     }
     assert ALLOWED.keys() - tried == set()

@@ -1,1 +1,0 @@
-"""What commands run from end to end."""
