@@ -6,19 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from gelgap.assets.names import quoted, unknown_name
-from gelgap.cli.options import (
-    Command,
-    Seed,
-    data_sets,
-    input_file,
-    named,
-    optional,
-    output_folder,
-    preset_or_file,
-)
+from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from gelgap.adapt import Evaluation, Run
+    from gelgap.adapt import Run
 
 CONSTANT_MEAN = "constant-mean"
 
@@ -62,7 +53,7 @@ def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
 
 
 @dataclass(frozen=True)
-class Adapt(Command):
+class Adapt(opt.Command):
     """Learn force on the source domain, adapt to the target's pictures without its labels, evaluate on held-out frames.
 
     Stage 1 (source only) is shared by all methods with the same source, profile and seed. A finished run is not
@@ -75,37 +66,39 @@ class Adapt(Command):
 
     when_stopped: ClassVar[str] = "finished runs and epochs are kept, run the same command again to go on"
 
-    source: Annotated[tuple[Path, ...], data_sets]
+    source: Annotated[tuple[Path, ...], opt.data_sets]
     """Folder of the source domain, or several that are trained on together."""
-    target: Annotated[Path, data_sets]
+    target: Annotated[Path, opt.data_sets]
     """Folder of the target domain."""
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
-    profile: Annotated[str, preset_or_file("profiles")] = "smoke"
+    profile: Annotated[str, opt.preset_or_file("profiles")] = "smoke"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
     labels: Annotated[
         tuple[str, ...] | None,
-        optional("NAME ...", "the axes of the force that both domains have"),
+        opt.optional("NAME ...", "the axes of the force that both domains have"),
         check_labels,
     ] = None
     """What is predicted: fx_n fy_n fz_n, mx_nmm my_nmm mz_nmm, x_mm y_mm, depth_mm."""
     range: Annotated[
-        tuple[str, ...] | None, optional("NAME=LOW:HIGH ...", "as the data declare it"), label_ranges
+        tuple[str, ...] | None, opt.optional("NAME=LOW:HIGH ...", "as the data declare it"), label_ranges
     ] = None
     """Ranges by which labels of both domains are normalised, as fz_n=-30:0."""
-    split_by: Annotated[str | None, optional("COLUMN", "the profile's")] = None
+    split_by: Annotated[str | None, opt.optional("COLUMN", "the profile's")] = None
     """Split both domains at random, by contact point, as given, or by a column such as clip: whole groups."""
-    stratify: Annotated[str | None, optional("COLUMN")] = None
+    stratify: Annotated[str | None, opt.optional("COLUMN")] = None
     """Give every part of the split its share of each value of a column, such as object."""
     classes: Annotated[
-        tuple[Literal["from-force"], int] | None, optional("from-force COUNT", "the source's own")
+        tuple[Literal["from-force"], int] | None, opt.optional("from-force COUNT", "the source's own")
     ] = None
     """Contact classes of the source for methods that need them: this many of equal size, by Fz."""
-    seed: Seed = 0
+    seed: opt.Seed = 0
     """Seed of weights, splits and batches."""
-    weights: Annotated[Path | None, optional("PATH", "from scratch"), input_file("a checkpoint")] = None
+    weights: Annotated[Path | None, opt.optional("PATH", "from scratch"), opt.input_file("a checkpoint")] = (
+        None
+    )
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
-    out: Annotated[Path, output_folder] = Path("runs")
+    out: Annotated[Path, opt.output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
 
     def run(self, started: float) -> None:
@@ -113,7 +106,7 @@ class Adapt(Command):
         from gelgap.adapt import Profile, adapt_folders, console_progress
 
         changes = {"split_by": self.split_by, "stratify_by": self.stratify}
-        profile = named(Profile, self.profile).replace(
+        profile = opt.named(Profile, self.profile).replace(
             **{name: value for name, value in changes.items() if value is not None}
         )
         with console_progress() as progress:
@@ -137,31 +130,28 @@ class Adapt(Command):
 
 def _table(runs: "Sequence[Run]") -> str:
     """Return the error of each run that did not fail beside that of the constant mean, and what went wrong."""
-    lines = [f"{runs[0].group}, target test frames", _header(runs[0].target_test)]
-    constant = ("constant mean", runs[0].target_constant_mean)
-    methods = [
-        (run.method, run.target_test) for run in runs if run.method != CONSTANT_MEAN and not run.problem
+    import pandas as pd
+
+    from gelgap.domains import QUANTITIES
+
+    done = [run for run in runs if run.method != CONSTANT_MEAN and not run.problem]
+    errors = {"constant mean": runs[0].target_constant_mean} | {run.method: run.target_test for run in done}
+    labels = [QUANTITIES[name] for name in runs[0].labels]
+    table = {}
+    for name, error in errors.items():
+        mae = {
+            f"MAE {label.symbol}/{label.unit}": value for label, value in zip(labels, error.mae, strict=True)
+        }
+        mean = {} if error.mean_mae is None else {"mean": error.mean_mae}
+        r2 = {f"R² {label.symbol}": f"{value:.2f}" for label, value in zip(labels, error.r2, strict=True)}
+        table[name] = mae | mean | r2
+    lines = [
+        f"{runs[0].group}, target test frames",
+        pd.DataFrame.from_dict(table, "index").to_string(float_format="{:.4f}".format),
     ]
-    for name, error in [constant, *methods]:
-        mean = () if error.mean_mae is None else (error.mean_mae,)
-        errors = " ".join(f"{value:7.4f}" for value in (*error.mae, *mean))
-        lines.append(f"{name:<16} {errors}   " + " ".join(f"{value:6.2f}" for value in error.r2))
     for run in runs:
         if run.problem:
             lines.append(f"{run.method}: {run.problem}")
         if run.skipped_steps:
             lines.append(f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite")
     return "\n".join(lines)
-
-
-def _header(error: "Evaluation") -> str:
-    """Return the names of the columns; labels of several units name theirs and have no mean."""
-    from gelgap.domains import QUANTITIES
-
-    known = [QUANTITIES[name] for name in error.labels]
-    first, *rest = [f"{what.symbol:>6}" for what in known]
-    r2 = " ".join([f"{'R² ' + first.strip():>6}", *rest])
-    if error.unit is None:
-        return f"{'MAE':<16} " + " ".join(f"{f'{what.symbol}/{what.unit}':>7}" for what in known) + f"   {r2}"
-    columns = [*(what.symbol for what in known), "mean"]
-    return f"{f'MAE in {error.unit}':<16} " + " ".join(f"{name:>7}" for name in columns) + f"   {r2}"

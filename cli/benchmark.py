@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import tyro
 
 from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, subjects
-from gelgap.cli.options import Command, Flag, input_folder, optional, output_folder
+from gelgap.cli import options as opt
 
 LOG = logging.getLogger(__name__)
 _PARTS = tuple(dict.fromkeys(benchmark.part for benchmark in BENCHMARKS if benchmark.part))
@@ -32,7 +32,7 @@ def _help_on_parts() -> str:
 
 
 @dataclass(frozen=True)
-class Benchmark(Command):
+class Benchmark(opt.Command):
     """Measure run time and error in one table, with a baseline in the same run; results also as JSON and plots.
 
     Example: gelgap benchmark physics --quick
@@ -41,12 +41,14 @@ class Benchmark(Command):
     fills_cache: ClassVar[bool] = True
 
     subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
-    what: Annotated[Literal[*_PARTS] | None, optional("PART", help=_help_on_parts())] = None
-    quick: Flag = False
+    what: Annotated[Literal[*_PARTS] | None, opt.optional("PART", help=_help_on_parts())] = None
+    quick: opt.Flag = False
     """A short form: a small case or two of each table; a minute or two, for adaptation more."""
-    data: Annotated[Path | None, optional("PATH"), input_folder("a folder with clones of real data")] = None
+    data: Annotated[
+        Path | None, opt.optional("PATH"), opt.input_folder("a folder with clones of real data")
+    ] = None
     """Of real: the folder that holds the clones; of a missing one the benchmark says the line that gets it."""
-    out: Annotated[Path, output_folder] = Path("benchmark-results")
+    out: Annotated[Path, opt.output_folder] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 
     def run(self, started: float) -> None:

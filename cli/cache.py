@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from gelgap.cli.options import Command, Flag
+from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
     from gelgap.sim import CacheEntry
 
 
 @dataclass(frozen=True)
-class Cache(Command):
+class Cache(opt.Command):
     """List the solved physics that is kept on disk, or clear it.
 
     The folder is $GELGAP_CACHE, else gelgap in $XDG_CACHE_HOME, else ~/.cache/gelgap.
@@ -22,7 +22,7 @@ class Cache(Command):
 
     when_stopped: ClassVar[str] = "what was deleted is gone, the rest is kept; run the same command again"
 
-    clear: Flag = False
+    clear: opt.Flag = False
     """Delete every cached solution, the colours of LEDs, and shrunken pictures that do not lie beside their data."""
 
     def run(self, started: float) -> None:

@@ -5,22 +5,11 @@ from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.options import (
-    Command,
-    Flag,
-    Quality,
-    between,
-    input_file,
-    named,
-    optional,
-    output_file,
-    output_folder,
-    preset_or_file,
-)
+from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,8 +18,6 @@ if TYPE_CHECKING:
 
     from gelgap.render import HeldOut, LightCalibration, PressPicture, Sensor
 
-NUMBERS = ("sphere_diameter_mm", "depth_mm", "radius_px", "marks_off_px")
-POINTS = ("point_mm", "center_px")
 PREDICTED = {
     "marked": "press as marked",
     "corrected": "marks corrected",
@@ -49,7 +36,7 @@ def taxim_package(name: str) -> None:
 
 
 @dataclass(frozen=True)
-class Calibrate(Command):
+class Calibrate(opt.Command):
     """Fit LEDs, scattered light and flat field to a reference picture and pictures of pressed spheres.
 
     PRESSES is a TOML file with one table per picture; give six presses or more, better 24, spread over the view:
@@ -70,29 +57,29 @@ class Calibrate(Command):
 
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), output_file(".toml")]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
-    presses: Annotated[tyro.conf.Positional[Path | None], optional("PRESSES"), input_file("a TOML file")] = (
-        None
-    )
+    presses: Annotated[
+        tyro.conf.Positional[Path | None], opt.optional("PRESSES"), opt.input_file("a TOML file")
+    ] = None
     """TOML file that lists the pictures of pressed spheres."""
-    reference: Annotated[Path | None, optional("PATH"), input_file("a picture")] = None
+    reference: Annotated[Path | None, opt.optional("PATH"), opt.input_file("a picture")] = None
     """Picture without contact."""
-    sensor: Annotated[str | None, optional("NAME"), preset_or_file("sensors")] = None
+    sensor: Annotated[str | None, opt.optional("NAME"), opt.preset_or_file("sensors")] = None
     """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 30° of its direction."""
-    from_taxim: Annotated[str | None, optional("NAME"), taxim_package] = None
+    from_taxim: Annotated[str | None, opt.optional("NAME"), taxim_package] = None
     """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
-    mm_per_px: Annotated[float | None, optional("MM"), between(0.001, 1)] = None
+    mm_per_px: Annotated[float | None, opt.optional("MM"), opt.between(0.001, 1)] = None
     """With --from-taxim: how much of the gel a pixel shows; 0.0295 if left out, as those packages say."""
-    sphere_diameter_mm: Annotated[float | None, optional("MM"), between(0.5, 50)] = None
+    sphere_diameter_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
     """The sphere's diameter in all presses, whatever the list or the package says."""
-    pictures: Annotated[Path | None, optional("FOLDER"), output_folder] = None
+    pictures: Annotated[Path | None, opt.optional("FOLDER"), opt.output_folder] = None
     """Where the held-out presses are shown: real, predicted, four times their difference; default: NAME-held-out."""
-    held_out_parts: Annotated[int, between(0, 24)] = 3
+    held_out_parts: Annotated[int, opt.between(0, 24)] = 3
     """Into how many parts the presses are divided, each predicted by a fit without it; 0: none is held out."""
-    keep_camera: Flag = False
+    keep_camera: opt.Flag = False
     """Leave the camera where the sensor has it; otherwise its distance is fitted, as far as seems parallel."""
-    membrane_quality: Quality = "draft"
+    membrane_quality: opt.Quality = "draft"
     """How finely the membrane around the spheres is solved."""
 
     def run(self, started: float) -> None:
@@ -128,6 +115,7 @@ class Calibrate(Command):
     def _inputs(self) -> "tuple[Sensor, np.ndarray, tuple[PressPicture, ...]]":
         from gelgap.domains import taxim_presses
         from gelgap.render import Sensor
+        from gelgap.render.calibration.pictures import read_picture, read_presses
 
         if self.from_taxim is not None:
             if self.presses or self.reference:
@@ -135,76 +123,16 @@ class Calibrate(Command):
                     "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
                 )
             found = taxim_presses(self.from_taxim, self.mm_per_px)
-            start = named(Sensor, self.sensor) if self.sensor else found.start
+            start = opt.named(Sensor, self.sensor) if self.sensor else found.start
             reference, presses = found.reference, found.presses
         elif self.presses and self.reference and self.sensor:
-            start, reference = named(Sensor, self.sensor), read_picture(self.reference)
+            start, reference = opt.named(Sensor, self.sensor), read_picture(self.reference)
             presses = read_presses(self.presses)
         else:
             raise ValueError("calibrate needs PRESSES, --reference and --sensor, or --from-taxim instead")
         if self.sphere_diameter_mm is not None:
             presses = tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
         return start, reference, presses
-
-
-def read_presses(path: Path) -> "tuple[PressPicture, ...]":
-    """Read the list of presses and their pictures.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the list or a picture does not exist.
-    ValueError
-        If the list is not valid TOML, or a table lacks a field or has an unknown one.
-    """
-    from gelgap.assets.toml_file import read_toml
-
-    tables = read_toml(path).get("presses", [])
-    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
-        raise ValueError(f"{path}: presses must be tables [[presses]]")
-    return tuple(
-        _press(table, path.parent, number, f"{path}, press {number}")
-        for number, table in enumerate(tables, start=1)
-    )
-
-
-def _press(table: dict[str, Any], folder: Path, number: int, where: str) -> "PressPicture":
-    from gelgap.assets.names import stays_inside
-    from gelgap.render import PressPicture
-
-    needed = {"picture"} | (set() if "radius_px" in table else {"depth_mm", "sphere_diameter_mm"})
-    wrong = (needed - table.keys()) | (table.keys() - {"picture", *NUMBERS, *POINTS})
-    if wrong:
-        raise ValueError(
-            f"{where}: {', '.join(sorted(wrong))} missing or unknown; a press has picture, sphere_diameter_mm, "
-            "depth_mm or radius_px and, if known, point_mm or center_px and marks_off_px"
-        )
-    picture = table.pop("picture")
-    if not isinstance(picture, str) or not stays_inside(picture):
-        raise ValueError(f"{where}: picture = {picture!r} must lie in the folder of the list")
-    for field, value in table.items():
-        numbers = value if field in POINTS and isinstance(value, list) else [value]
-        finite = all(type(number) in (int, float) and abs(number) < 1e6 for number in numbers)
-        if not finite or len(numbers) != (2 if field in POINTS else 1):
-            raise ValueError(
-                f"{where}: {field} is {value!r}; it must be "
-                f"{'two finite numbers' if field in POINTS else 'a finite number'}"
-            )
-    values = {field: tuple(value) if field in POINTS else value for field, value in table.items()}
-    name = f"press {number} ({picture})"
-    return PressPicture(read_picture(folder / picture), **{"sphere_diameter_mm": None, "name": name} | values)
-
-
-def read_picture(path: Path) -> "np.ndarray":
-    """Return a picture as uint8 (h, w, 3) RGB; a FileNotFoundError or ValueError if there is none."""
-    import cv2
-
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist or is not a file; a picture is needed")
-    picture = cv2.imread(str(path))
-    if picture is None:
-        raise ValueError(f"{path} is not a picture that OpenCV can read")
-    return picture[..., ::-1].copy()
 
 
 def print_calibration(fit: "LightCalibration") -> None:

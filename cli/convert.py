@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.options import Command, between, input_folder, output_folder
+from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
     from gelgap.domains import ConvertedClip
 
 
 @dataclass(frozen=True)
-class Convert(Command):
+class Convert(opt.Command):
     """Write recordings of a real sensor as folders of pictures with a table, which the other commands read.
 
     Layouts:
@@ -33,14 +33,14 @@ class Convert(Command):
 
     folder: Annotated[
         tyro.conf.Positional[Path],
-        input_folder("a clone (gelgap convert --help says how to get one), or a folder of recordings,"),
+        opt.input_folder("a clone (gelgap convert --help says how to get one), or a folder of recordings,"),
     ]
     """Folder of the clone, or of your recordings."""
     layout: Literal["wedge", "ball-presses", "recordings"]
     """What the folder holds."""
-    out: Annotated[Path, output_folder]
+    out: Annotated[Path, opt.output_folder]
     """New folder that gets a folder for each domain."""
-    every: Annotated[int, between(1, 1000)] = 1
+    every: Annotated[int, opt.between(1, 1000)] = 1
     """Of the pictures in contact, write every n-th."""
 
     def run(self, started: float) -> None:
@@ -55,18 +55,25 @@ class Convert(Command):
 
 
 def _table(clips: "Sequence[ConvertedClip]") -> str:
-    """Return a line for each clip, a sum for each session, and what the lags say."""
-    name_width = max(len(clip.name) for clip in clips)
+    """Return a table of the clips of each session with all of them together, and what the lags say."""
+    import pandas as pd
+
+    means = dict.fromkeys(("R at rest", "G", "B"), "mean")
+    sums = dict.fromkeys(("pictures", "in contact", "dropped", "written"), "sum")
+    formats = dict.fromkeys(means, "{:.1f}".format) | dict.fromkeys(("r", "r at 0"), "{:.3f}".format)
+    formats["lag"] = "{:.0f}".format
     lines = []
     for session in dict.fromkeys(clip.session for clip in clips):
         own = [clip for clip in clips if clip.session == session]
-        lines += [
-            f"{session:<{name_width}} {'pictures':>8} {'in contact':>10} {'dropped':>7} {'written':>7} "
-            f"{'lag':>4} {'r':>6} {'at 0':>6}   RGB at rest"
+        counts = [(clip.pictures, clip.in_contact, clip.dropped, clip.written) for clip in own]
+        lags = [(clip.lag, clip.correlation, clip.correlation_at_0) for clip in own]
+        values = [
+            (*count, *lag, *clip.reference_rgb) for count, lag, clip in zip(counts, lags, own, strict=True)
         ]
-        if own[0].name != session:
-            lines += [_line(clip.name, [clip], name_width) for clip in own]
-        lines += [_line("together", own, name_width), ""]
+        table = pd.DataFrame(values, [clip.name for clip in own], [*sums, "lag", "r", "r at 0", *means])
+        together = table.agg(sums | means).to_frame("together").T.astype(dict.fromkeys(sums, int))
+        shown = pd.concat([table, together]) if own[0].name != session else together
+        lines += [f"{session}:", shown.to_string(formatters=formats, na_rep=""), ""]
     if any(clip.lag is not None for clip in clips):
         lines.append(
             "lag: by how many pictures the forces trail, by the clip itself; r: how the two correlate there and at 0"
@@ -79,18 +86,3 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         if names := [f"{clip.session}/{clip.name}" for clip in clips if getattr(clip, field)]:
             lines.append(f"{what}: {', '.join(names)}")
     return "\n".join(lines)
-
-
-def _line(name: str, clips: "Sequence[ConvertedClip]", name_width: int) -> str:
-    pictures, in_contact, dropped, written = (
-        sum(getattr(clip, count) for clip in clips)
-        for count in ("pictures", "in_contact", "dropped", "written")
-    )
-    colours = zip(*(clip.reference_rgb for clip in clips), strict=True)
-    rgb = " ".join(f"{sum(channel) / len(clips):5.1f}" for channel in colours)
-    aligned = " " * 18
-    if len(clips) == 1 and clips[0].lag is not None:
-        clip = clips[0]
-        aligned = f"{clip.lag:4} {clip.correlation:6.3f} {clip.correlation_at_0:6.3f}"
-    counts = f"{pictures:8} {in_contact:10} {dropped:7} {written:7}"
-    return f"{name:<{name_width}} {counts} {aligned}   {rgb}"

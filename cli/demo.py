@@ -10,15 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from gelgap.assets import asset_path, load_preset
-from gelgap.cli.options import (
-    Command,
-    PictureSize,
-    Quality,
-    optional,
-    output_folder,
-    preset_or_file,
-    scheduler_address,
-)
+from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
     from gelgap.cli.demo_page import DemoResult, ForceCurve, Stage
@@ -37,7 +29,7 @@ def training_profile(name: str) -> None:
 
 
 @dataclass(frozen=True)
-class Demo(Command):
+class Demo(opt.Command):
     """Generate two small domains, learn force on one, adapt to the other, and write a report; minutes on 2 cores.
 
     Everything is real: MuJoCo's contacts, rendered pictures, trained networks. Run again, it reuses finished domains.
@@ -51,18 +43,18 @@ class Demo(Command):
     )
     fills_cache: ClassVar[bool] = True
 
-    out: Annotated[Path, output_folder] = Path("demo")
+    out: Annotated[Path, opt.output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    path: Annotated[str, preset_or_file("paths")] = "smoke"
+    path: Annotated[str, opt.preset_or_file("paths")] = "smoke"
     """Contact path of both domains (see: gelgap presets paths)."""
     profile: Annotated[str, training_profile] = "smoke"
     """Training profile (see: gelgap presets profiles)."""
-    quality: Quality = "draft"
+    quality: opt.Quality = "draft"
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
-    size: PictureSize = (320, 240)
+    size: opt.PictureSize = (320, 240)
     """Width and height of the pictures in pixels."""
     scheduler: Annotated[
-        str | None, optional("ADDRESS", "a local cluster on all cores"), scheduler_address
+        str | None, opt.optional("ADDRESS", "a local cluster on all cores"), opt.scheduler_address
     ] = None
     """Address of a Dask scheduler; `synchronous` runs in this process."""
 

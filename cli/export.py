@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.options import Command, domains_inside, output_folder
+from gelgap.cli import options as opt
 
 
 @dataclass(frozen=True)
-class Export(Command):
+class Export(opt.Command):
     """Write domains in another format: the paper's folder layout, WebDataset tars, or a Hugging Face folder.
 
     For example:
@@ -19,9 +19,9 @@ class Export(Command):
 
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], domains_inside]
+    folder: Annotated[tyro.conf.Positional[Path], opt.domains_inside]
     """Folder of one domain, or of several."""
-    out: Annotated[Path, output_folder]
+    out: Annotated[Path, opt.output_folder]
     """New folder for the export."""
     format_name: Annotated[Literal["paper", "webdataset", "huggingface"], tyro.conf.arg(name="format")] = (
         "paper"

@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.options import Command, Seed, between, data_sets, input_file, optional, output_file
+from gelgap.cli import options as opt
 
 
 @dataclass(frozen=True)
-class Finetune(Command):
+class Finetune(opt.Command):
     """Fine-tune a checkpoint on a few labelled frames or clips, and say its error on others before and after.
 
     Labels that the data have and the network predicts are learnt, in the ranges of the network. All pictures of --on,
@@ -22,19 +22,19 @@ class Finetune(Command):
 
     when_stopped: ClassVar[str] = "nothing is kept, run the same command again to start over"
 
-    checkpoint: Annotated[tyro.conf.Positional[Path], input_file("a checkpoint")]
+    checkpoint: Annotated[tyro.conf.Positional[Path], opt.input_file("a checkpoint")]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
-    on: Annotated[Path, data_sets]
+    on: Annotated[Path, opt.data_sets]
     """Folder of the data set of which some frames are learnt."""
-    test: Annotated[Path, data_sets]
+    test: Annotated[Path, opt.data_sets]
     """Folder of the data set to judge by; if it is the same, by the frames that are not learnt."""
-    frames: Annotated[int | None, optional("K"), between(1, 10_000_000)] = None
+    frames: Annotated[int | None, opt.optional("K"), opt.between(1, 10_000_000)] = None
     """Number of frames to learn, spread over the commanded depths where these are known."""
-    clips: Annotated[int | None, optional("K"), between(1, 10_000_000)] = None
+    clips: Annotated[int | None, opt.optional("K"), opt.between(1, 10_000_000)] = None
     """Or number of clips to learn whole, told apart by the column `clip`."""
-    seed: Seed = 0
+    seed: opt.Seed = 0
     """Seed of the draw and of the training."""
-    out: Annotated[Path | None, optional("PATH"), output_file(".pt")] = None
+    out: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".pt")] = None
     """Write the fine-tuned checkpoint here."""
 
     def run(self, started: float) -> None:

@@ -7,21 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from gelgap.assets import load_preset
-from gelgap.cli.options import (
-    Command,
-    Flag,
-    GenerationOptions,
-    PictureSize,
-    Quality,
-    Seed,
-    SensorName,
-    between,
-    input_file,
-    named,
-    optional,
-    output_folder,
-    preset_or_file,
-)
+from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
@@ -36,7 +22,7 @@ def data_set(name: str) -> None:
 
 
 @dataclass(frozen=True)
-class Generate(Command):
+class Generate(opt.Command):
     """Generate domains: press, render, label and write them; run it again to resume or to check that all is there.
 
     A domain is elastomer × illumination × markers: mb0i0 has markers, elastomer b0, illumination i0; wmb1i1 is without
@@ -52,46 +38,48 @@ class Generate(Command):
     when_stopped: ClassVar[str] = "finished shards and solves are kept, run the same command again to go on"
     fills_cache: ClassVar[bool] = True
 
-    domains: Annotated[tyro.conf.Positional[tuple[str, ...]], optional("[DOMAIN ...]")] = ()
+    domains: Annotated[tyro.conf.Positional[tuple[str, ...]], opt.optional("[DOMAIN ...]")] = ()
     """Names of domains; or leave them out and give --preset or --sweep."""
     out: Annotated[
-        Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(required)"), output_folder
+        Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(required)"), opt.output_folder
     ] = None
     """Folder that gets one folder per domain."""
-    preset: Annotated[str | None, optional("NAME"), data_set] = None
+    preset: Annotated[str | None, opt.optional("NAME"), data_set] = None
     """A whole data set (see: gelgap presets datasets)."""
-    sweep: Annotated[Path | None, optional("TOML"), input_file("a TOML file")] = None
+    sweep: Annotated[Path | None, opt.optional("TOML"), opt.input_file("a TOML file")] = None
     """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
-    recipe: Annotated[Path | None, optional("TOML"), input_file("a TOML file")] = None
+    recipe: Annotated[Path | None, opt.optional("TOML"), opt.input_file("a TOML file")] = None
     """A TOML file of whole domains, with path, gels, lights and sensors, as `gelgap view` saves it."""
-    elastomer: Annotated[str | None, optional("NAME", "the domain's"), preset_or_file("elastomers")] = None
+    elastomer: Annotated[
+        str | None, opt.optional("NAME", "the domain's"), opt.preset_or_file("elastomers")
+    ] = None
     """Another elastomer than the named domain's: a preset or a TOML file; needs --name."""
-    illumination: Annotated[str | None, optional("NAME", "the domain's"), preset_or_file("illuminations")] = (
-        None
-    )
+    illumination: Annotated[
+        str | None, opt.optional("NAME", "the domain's"), opt.preset_or_file("illuminations")
+    ] = None
     """Another illumination than the named domain's: a preset or a TOML file; needs --name."""
-    name: Annotated[str | None, optional("NAME")] = None
+    name: Annotated[str | None, opt.optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
-    indenter_diameter_mm: Annotated[float, between(0.5, 50, "mm")] = 3.0
+    indenter_diameter_mm: Annotated[float, opt.between(0.5, 50, "mm")] = 3.0
     """Diameter of the sphere that is pressed, in mm; large ones may need a wider declared range of forces."""
-    path: Annotated[str, preset_or_file("paths")] = "cpu"
+    path: Annotated[str, opt.preset_or_file("paths")] = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
-    quality: Quality = "standard"
+    quality: opt.Quality = "standard"
     """Quality of the physics."""
-    seed: Seed = 0
+    seed: opt.Seed = 0
     """Seed of sensor noise and acquisition errors."""
-    sensor: SensorName = "paper"
+    sensor: opt.SensorName = "paper"
     """Sensor preset or TOML file."""
-    size: PictureSize = (320, 240)
+    size: opt.PictureSize = (320, 240)
     """Width and height of the pictures in pixels."""
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Optional columns to write as well; `diagnostics`: how each pose was solved."""
     contacts: Literal["paired", "independent"] = "paired"
     """The same poses in every domain, or a draw of its own for each domain."""
-    rendered_without_markers: Flag = False
+    rendered_without_markers: opt.Flag = False
     """Render wmb0i0 without markers instead of inpainting the markers of mb0i0 (the paper's way)."""
-    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=GenerationOptions
+    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=opt.GenerationOptions
     )
 
     def run(self, started: float) -> None:
@@ -140,7 +128,7 @@ class Generate(Command):
 
         settings = {
             "indenter": Sphere(diameter_mm=self.indenter_diameter_mm),
-            "sensor": named(Sensor, self.sensor),
+            "sensor": opt.named(Sensor, self.sensor),
             "columns": self.columns,
             "quality": self.quality,
             "seed": self.seed,
@@ -157,8 +145,10 @@ class Generate(Command):
         if self.preset:
             return domains.preset_recipes(self.preset, **settings), ()
         if self.name is not None:
-            settings["elastomer"] = named(Elastomer, self.elastomer) if self.elastomer else None
-            settings["illumination"] = named(Illumination, self.illumination) if self.illumination else None
+            settings["elastomer"] = opt.named(Elastomer, self.elastomer) if self.elastomer else None
+            settings["illumination"] = (
+                opt.named(Illumination, self.illumination) if self.illumination else None
+            )
             base = self.domains[0] if self.domains else "mb0i0"
             return (domains.own_recipe(self.name, self.path, base=base, **settings),), ()
         return domains.make_recipes(self.domains, self.path, **settings), ()

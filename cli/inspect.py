@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.options import Command, Flag, data_sets, domains_inside, optional, output_file
+from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
     from gelgap.domains import Damage
 
 
 @dataclass(frozen=True)
-class Inspect(Command):
+class Inspect(opt.Command):
     """Say what a domain holds: frames, forces, contacts, what did not converge; check its files; draw a page.
 
     For example:
@@ -23,13 +23,13 @@ class Inspect(Command):
 
     when_stopped: ClassVar[str] = "nothing was changed; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], domains_inside]
+    folder: Annotated[tyro.conf.Positional[Path], opt.domains_inside]
     """Folder of one domain, or of several."""
-    verify: Flag = False
+    verify: opt.Flag = False
     """Compare every byte with the manifest, or decode every picture of real data; exit code 1 if one is damaged."""
-    html: Annotated[Path | None, optional("PATH"), output_file()] = None
+    html: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
-    gap_to: Annotated[Path | None, optional("PATH"), data_sets] = None
+    gap_to: Annotated[Path | None, opt.optional("PATH"), opt.data_sets] = None
     """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""
 
     def run(self, started: float) -> None:

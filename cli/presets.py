@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar
 import tyro
 
 from gelgap.assets import PRESET_KINDS, list_presets, load_preset
-from gelgap.cli.options import Command, optional
+from gelgap.cli import options as opt
 
 
 @dataclass(frozen=True)
-class Presets(Command):
+class Presets(opt.Command):
     """List the presets of one kind, or of every kind.
 
     For example:
@@ -19,7 +19,7 @@ class Presets(Command):
 
     when_stopped: ClassVar[str] = "nothing was changed; run the same command again"
 
-    kind: Annotated[tyro.conf.Positional[str | None], optional("[KIND]", "all"), list_presets] = None
+    kind: Annotated[tyro.conf.Positional[str | None], opt.optional("[KIND]", "all"), list_presets] = None
     """One of elastomers, paths, illuminations, sensors, datasets and profiles."""
 
     def run(self, started: float) -> None:

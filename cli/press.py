@@ -4,29 +4,17 @@ import json
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from gelgap.cli.options import Command, Flag, Quality, between, named, optional, output_file, preset_or_file
-
-if TYPE_CHECKING:
-    from gelgap.sim import Pose, SolvedPose, Sphere
+from gelgap.cli import options as opt
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
 MESH_PICTURE_PX = (640, 480)
-OVERRIDES = (
-    "young_modulus_mpa",
-    "poisson_ratio",
-    "thickness_mm",
-    "friction",
-    "pad_size_mm",
-    "mount_stiffness_n_per_mm",
-    "strain_energy",
-)
 
 
 @dataclass(frozen=True)
-class Press(Command):
+class Press(opt.Command):
     """Press a sphere straight down at one point, then drag it sideways, and report force and membrane.
 
     Force is what the indenter exerts on the sensor, in N: Fz < 0 under compression, dragging towards +x gives Fx > 0.
@@ -38,49 +26,49 @@ class Press(Command):
 
     fills_cache: ClassVar[bool] = True
 
-    elastomer: Annotated[str | None, optional("NAME"), preset_or_file("elastomers")] = None
+    elastomer: Annotated[str | None, opt.optional("NAME"), opt.preset_or_file("elastomers")] = None
     """Elastomer preset or TOML file to start from (see: gelgap presets elastomers); the values below override it."""
-    young_modulus_mpa: Annotated[float | None, optional("MPA", "0.3, or the preset's")] = None
+    young_modulus_mpa: Annotated[float | None, opt.optional("MPA", "0.3, or the preset's")] = None
     """Young's modulus in MPa."""
-    poisson_ratio: Annotated[float | None, optional("NU", "0.49, or the preset's")] = None
+    poisson_ratio: Annotated[float | None, opt.optional("NU", "0.49, or the preset's")] = None
     """Poisson's ratio, below 0.5."""
-    thickness_mm: Annotated[float | None, optional("MM", "3, or the preset's")] = None
+    thickness_mm: Annotated[float | None, opt.optional("MM", "3, or the preset's")] = None
     """Thickness of the pad in mm."""
-    friction: Annotated[float | None, optional("MU", "0.8, or the preset's")] = None
+    friction: Annotated[float | None, opt.optional("MU", "0.8, or the preset's")] = None
     """Coulomb friction coefficient between indenter and membrane."""
-    pad_size_mm: Annotated[tuple[float, float] | None, optional("MM MM", "24 20, or the preset's")] = None
+    pad_size_mm: Annotated[tuple[float, float] | None, opt.optional("MM MM", "24 20, or the preset's")] = None
     """Size of the pad along x and y in mm."""
-    mount_stiffness_n_per_mm: Annotated[float | None, optional("N/MM", "rigid, or the preset's")] = None
+    mount_stiffness_n_per_mm: Annotated[float | None, opt.optional("N/MM", "rigid, or the preset's")] = None
     """Stiffness of the rig, a spring in series with the gel, in N/mm."""
     strain_energy: Annotated[
         Literal["isochoric", "stable-neo-hookean"] | None,
-        optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
+        opt.optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
     ] = None
     """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
-    indenter_diameter_mm: Annotated[float, between(0.5, 50, "mm")] = 3.0
+    indenter_diameter_mm: Annotated[float, opt.between(0.5, 50, "mm")] = 3.0
     """Diameter of the sphere in mm."""
-    depth_mm: Annotated[float | None, optional("MM", "0.6, or what --force-n needs")] = None
+    depth_mm: Annotated[float | None, opt.optional("MM", "0.6, or what --force-n needs")] = None
     """Commanded depth below first contact in mm, at least 0."""
     normal_force_n: Annotated[
-        float | None, optional("N", aliases=("--force-n",)), between(1e-6, 1e4, "N")
+        float | None, opt.optional("N", aliases=("--force-n",)), opt.between(1e-6, 1e4, "N")
     ] = None
     """Load control: press to this normal force in N (positive) instead of to a depth, then drag at that depth."""
-    shear_x_mm: Annotated[float, between(-50, 50, "mm")] = 0.0
+    shear_x_mm: Annotated[float, opt.between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along x after the press, in mm."""
-    shear_y_mm: Annotated[float, between(-50, 50, "mm")] = 0.0
+    shear_y_mm: Annotated[float, opt.between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along y (down in the image) after the press, in mm."""
     point_x_mm: float = 0.0
     """Contact point along x in mm; 0 is the centre of the pad."""
     point_y_mm: float = 0.0
     """Contact point along y in mm."""
-    quality: Quality = "standard"
+    quality: opt.Quality = "standard"
     """How finely MuJoCo's mesh and load steps resolve the contact."""
-    json: Flag = False
+    json: opt.Flag = False
     """Print one JSON object instead of a table."""
-    save: Annotated[Path | None, optional("PATH"), output_file()] = None
+    save: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
 
-    mesh: Annotated[Path | None, optional("PATH"), output_file(".glb", ".ply")] = None
+    mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the sphere as a mesh."""
 
     def run(self, started: float) -> None:
@@ -89,9 +77,9 @@ class Press(Command):
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
-        base = named(Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
-        given = {name: value for name in OVERRIDES if (value := getattr(self, name)) is not None}
-        elastomer = Elastomer(**base | given)
+        base = opt.named(Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
+        given = {name: getattr(self, name, None) for name in Elastomer.model_fields}
+        elastomer = Elastomer(**base | {name: value for name, value in given.items() if value is not None})
         indenter = Sphere(diameter_mm=self.indenter_diameter_mm)
         pose = Pose(
             point_x_mm=self.point_x_mm,
@@ -100,51 +88,42 @@ class Press(Command):
             shear_x_mm=self.shear_x_mm,
             shear_y_mm=self.shear_y_mm,
         )
+        point_mm = (pose.point_x_mm, pose.point_y_mm)
         if self.normal_force_n is not None:
-            point = (pose.point_x_mm, pose.point_y_mm)
-            pressed = pose_for_force(elastomer, indenter, self.normal_force_n, point, self.quality)
+            pressed = pose_for_force(elastomer, indenter, self.normal_force_n, point_mm, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
         solved = solve_in_full(elastomer, indenter, pose, self.quality)
         state = solved.state
         if self.save is not None:
             state.save(self.save)
         if self.mesh is not None:
-            _save_mesh(self.mesh, solved, pose, indenter)
-        report = {
-            "force_n": [float(component) for component in state.force_n],
-            "converged": bool(state.converged),
-            "contact_radius_mm": float(state.contact_radius_mm),
-            "wall_s": time.perf_counter() - started,
-            "settings": {
+            from gelgap.render import Illumination, MembraneRenderer, Sensor
+            from gelgap.view import save_mesh
+
+            sensor = Sensor.preset("paper")
+            renderer = MembraneRenderer(sensor, Illumination.preset("i0"), MESH_PICTURE_PX)
+            picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
+            save_mesh(self.mesh, solved, point_mm, indenter, sensor.camera, picture)
+        fx, fy, fz = force_n = [float(component) for component in state.force_n]
+        wall_s = time.perf_counter() - started
+        if self.json:
+            settings = {
                 "elastomer": elastomer.model_dump(mode="json"),
                 "indenter": indenter.model_dump(mode="json"),
                 "pose": asdict(pose),
                 "quality": self.quality,
-            },
-        }
-        print(json.dumps(report) if self.json else _table(report))
-
-
-def _save_mesh(path: Path, solved: "SolvedPose", pose: "Pose", indenter: "Sphere") -> None:
-    """Write a pose's membrane with its picture, and the indenter."""
-    from gelgap.render import Illumination, MembraneRenderer, Sensor
-    from gelgap.view import save_mesh
-
-    sensor, state = Sensor.preset("paper"), solved.state
-    renderer = MembraneRenderer(sensor, Illumination.preset("i0"), MESH_PICTURE_PX)
-    picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
-    save_mesh(path, solved, (pose.point_x_mm, pose.point_y_mm), indenter, sensor.camera, picture)
-
-
-def _table(report: dict) -> str:
-    fx, fy, fz = report["force_n"]
-    depth = report["settings"]["pose"]["depth_mm"]
-    return "\n".join(
-        [
-            f"depth           {depth:.4g} mm",
-            f"force           Fx {fx:+.4f}  Fy {fy:+.4f}  Fz {fz:+.4f} N",
-            f"contact radius  {report['contact_radius_mm']:.3f} mm",
-            f"converged       {'yes' if report['converged'] else 'NO: do not trust these figures'}",
-            f"wall time       {report['wall_s']:.2f} s",
-        ]
-    )
+            }
+            report = {
+                "force_n": force_n,
+                "converged": bool(state.converged),
+                "contact_radius_mm": float(state.contact_radius_mm),
+                "wall_s": wall_s,
+                "settings": settings,
+            }
+            print(json.dumps(report))
+        else:
+            print(f"depth           {pose.depth_mm:.4g} mm")
+            print(f"force           Fx {fx:+.4f}  Fy {fy:+.4f}  Fz {fz:+.4f} N")
+            print(f"contact radius  {state.contact_radius_mm:.3f} mm")
+            print(f"converged       {'yes' if state.converged else 'NO: do not trust these figures'}")
+            print(f"wall time       {wall_s:.2f} s")

@@ -6,20 +6,7 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from gelgap.cli.options import (
-    Command,
-    Flag,
-    GenerationOptions,
-    PictureSize,
-    Quality,
-    Seed,
-    between,
-    input_file,
-    named,
-    optional,
-    output_folder,
-    preset_or_file,
-)
+from gelgap.cli import options as opt
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
 # Of --quick: a network that learns little.
@@ -27,7 +14,7 @@ QUICK_DOMAINS, QUICK_FRAMES, QUICK_EPOCHS = 2, 12, 2
 
 
 @dataclass(frozen=True)
-class Pretrain(Command):
+class Pretrain(opt.Command):
     """Make domains with drawn gels, spheres, lights and cameras, and train one network on all of them to start from.
 
     The checkpoint is out/pretrained.pt, for `gelgap adapt --weights` with the same profile. The last tenth of the
@@ -43,28 +30,28 @@ class Pretrain(Command):
     )
     fills_cache: ClassVar[bool] = True
 
-    out: Annotated[Path, output_folder]
+    out: Annotated[Path, opt.output_folder]
     """Folder for the domains and the checkpoint."""
-    domains: Annotated[int, between(2, 9999)] = 60
+    domains: Annotated[int, opt.between(2, 9999)] = 60
     """How many domains are drawn."""
-    frames_per_domain: Annotated[int, between(2, 100_000)] = 60
+    frames_per_domain: Annotated[int, opt.between(2, 100_000)] = 60
     """Frames of each: one without contact, then every depth of its press, straight and dragged, at drawn places."""
     without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """What is not drawn but the same in every domain, to see what drawing it matters."""
-    ranges: Annotated[Path | None, optional("TOML", "gelgap's own"), input_file("a TOML file")] = None
+    ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own"), opt.input_file("a TOML file")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
-    profile: Annotated[str, preset_or_file("profiles")] = "cpu"
+    profile: Annotated[str, opt.preset_or_file("profiles")] = "cpu"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
-    quality: Quality = "draft"
+    quality: opt.Quality = "draft"
     """Quality of physics and pictures."""
-    size: PictureSize = (160, 120)
+    size: opt.PictureSize = (160, 120)
     """Width and height of the pictures in pixels."""
-    seed: Seed = 0
+    seed: opt.Seed = 0
     """Seed of all draws and of the training."""
-    quick: Flag = False
+    quick: opt.Flag = False
     """Two domains of twelve frames and two epochs: to see that all works, not to learn."""
-    generation: Annotated[GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=GenerationOptions
+    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=opt.GenerationOptions
     )
 
     def run(self, started: float) -> None:
@@ -73,7 +60,7 @@ class Pretrain(Command):
         from gelgap.adapt import Profile
         from gelgap.domains import PretrainingRanges, estimate, pretraining_recipes
 
-        profile = named(Profile, self.profile)
+        profile = opt.named(Profile, self.profile)
         ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
         domains, frames, size_px = self.domains, self.frames_per_domain, self.size
         if self.quick:

@@ -6,25 +6,13 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.options import (
-    Command,
-    LightName,
-    PictureSize,
-    Quality,
-    Seed,
-    SensorName,
-    input_file,
-    light_in,
-    named,
-    optional,
-    output_file,
-)
+from gelgap.cli import options as opt
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
 
 
 @dataclass(frozen=True)
-class Render(Command):
+class Render(opt.Command):
     """Render what the camera inside the sensor sees of a membrane saved by `gelgap press --save`.
 
     For example:
@@ -38,24 +26,24 @@ class Render(Command):
 
     state: Annotated[
         tyro.conf.Positional[Path],
-        input_file("a membrane's .npz file, as gelgap press --save writes it,"),
+        opt.input_file("a membrane's .npz file, as gelgap press --save writes it,"),
     ]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), output_file(*PICTURE_SUFFIXES)]
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]
     """The PNG to write."""
-    illumination: LightName = None
+    illumination: opt.LightName = None
     """Illumination preset or TOML file (see: gelgap presets illuminations)."""
-    sensor: SensorName = "paper"
+    sensor: opt.SensorName = "paper"
     """Sensor preset or TOML file (see: gelgap presets sensors)."""
     markers: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: drawn)")] = True
     """Draw the membrane's markers."""
-    size: PictureSize = (320, 240)
+    size: opt.PictureSize = (320, 240)
     """Width and height of the picture in pixels."""
-    linear: Annotated[Path | None, optional("PATH"), output_file(".npy")] = None
+    linear: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npy")] = None
     """Also write float32 (h, w, 3) linear camera RGB, before noise and encoding, to this .npy."""
-    noise_seed: Annotated[Seed | None, optional("N", "no noise")] = None
+    noise_seed: Annotated[opt.Seed | None, opt.optional("N", "no noise")] = None
     """Add the camera's shot and read noise, drawn from this seed."""
-    quality: Quality = "standard"
+    quality: opt.Quality = "standard"
     """How finely light and shadows are sampled."""
 
     def run(self, started: float) -> None:
@@ -70,8 +58,8 @@ class Render(Command):
             state = MembraneState.load(self.state)
         except ValueError as error:
             raise ValueError(f"{error}; write one with: gelgap press --save {self.state}") from None
-        sensor = named(Sensor, self.sensor)
-        renderer = MembraneRenderer(sensor, light_in(sensor, self.illumination), self.size, self.quality)
+        sensor = opt.named(Sensor, self.sensor)
+        renderer = MembraneRenderer(sensor, opt.light_in(sensor, self.illumination), self.size, self.quality)
         membrane = state.x_mm, state.y_mm, state.displacement_mm
         linear = renderer.linear(*membrane, markers=self.markers, frame_name=self.state.name)
         if self.linear is not None:

@@ -7,20 +7,20 @@ from typing import Annotated, ClassVar
 
 import tyro
 
-from gelgap.cli.options import Command, input_folder, optional, output_folder
+from gelgap.cli import options as opt
 
 LOG = logging.getLogger(__name__)
 
 
 def finished_runs(folder: Path) -> None:
     """Check a folder with finished runs of `gelgap adapt` or of the benchmark, at any depth."""
-    input_folder("a folder with runs of gelgap adapt")(folder)
+    opt.input_folder("a folder with runs of gelgap adapt")(folder)
     if not any(folder.rglob("run.json")) and not any(folder.glob("*.jsonl")):
         raise ValueError(f"holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one")
 
 
 @dataclass(frozen=True)
-class Report(Command):
+class Report(opt.Command):
     """Write tables and figures of the runs that `gelgap adapt` and `gelgap benchmark adaptation` left in a folder.
 
     A folder with the benchmark's records gets the benchmark's report: the groups beside the paper, oracles, tests,
@@ -36,7 +36,7 @@ class Report(Command):
 
     runs: Annotated[tyro.conf.Positional[Path], finished_runs]
     """Folder with finished runs, at any depth."""
-    out: Annotated[Path | None, optional("PATH", "the folder of the runs"), output_folder] = None
+    out: Annotated[Path | None, opt.optional("PATH", "the folder of the runs"), opt.output_folder] = None
     """Folder for the report."""
 
     def run(self, started: float) -> None:

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Annotated, ClassVar
 
-from gelgap.cli.options import Command, Flag, LightName, SensorName, between, light_in, named, preset_or_file
+from gelgap.cli import options as opt
 
 INSTALL = "pip install 'gelgap[view]'"
 
 
 @dataclass(frozen=True)
-class View(Command):
+class View(opt.Command):
     """Open a page in the browser: turn gel, contact and light, and see picture and force change at once.
 
     Only this machine can open the page, unless --host says otherwise. Ctrl-C ends it.
@@ -25,17 +25,17 @@ class View(Command):
     doing: ClassVar[str] = ""
     fills_cache: ClassVar[bool] = True
 
-    elastomer: Annotated[str, preset_or_file("elastomers")] = "e04"
+    elastomer: Annotated[str, opt.preset_or_file("elastomers")] = "e04"
     """Elastomer preset or TOML file to begin with."""
-    illumination: LightName = None
+    illumination: opt.LightName = None
     """Illumination preset or TOML file to begin with."""
-    sensor: SensorName = "paper"
+    sensor: opt.SensorName = "paper"
     """Sensor preset or TOML file to begin with."""
-    port: Annotated[int, between(0, 65535)] = 8080
+    port: Annotated[int, opt.between(0, 65535)] = 8080
     """Port of the page; 0 takes any free one."""
     host: str = "127.0.0.1"
     """Address that the page is served at; 0.0.0.0 lets the whole network turn the knobs."""
-    no_browser: Flag = False
+    no_browser: opt.Flag = False
     """Only print the address."""
 
     def run(self, started: float) -> None:
@@ -48,9 +48,9 @@ class View(Command):
         from gelgap.sim import Elastomer
         from gelgap.view import Configuration, open_page
 
-        sensor = named(Sensor, self.sensor)
+        sensor = opt.named(Sensor, self.sensor)
         configuration = Configuration(
-            named(Elastomer, self.elastomer), sensor, light_in(sensor, self.illumination)
+            opt.named(Elastomer, self.elastomer), sensor, opt.light_in(sensor, self.illumination)
         )
         page = open_page(configuration, self.host, self.port)
         try:

@@ -26,10 +26,10 @@ from gelgap.benchmarks.adaptation.groups import load_oracles
 from gelgap.benchmarks.adaptation.study import ORACLES, write_results
 from gelgap.benchmarks.common import read_records, run_missing
 from gelgap.benchmarks.common.kept_results import kept_result
-from gelgap.cli.calibrate import read_presses
 from gelgap.domains import Sweep, generate, open_domain
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
 from gelgap.render import Illumination, Sensor
+from gelgap.render.calibration.pictures import read_presses
 from gelgap.sim import ContactPath, MembraneState, grid_axes, load_path
 from gelgap.sim.solution import load_solution
 

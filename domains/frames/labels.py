@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gelgap.assets.names import unknown_name
+
 Range = tuple[float, float]
 
 FORCE_COLUMNS = ("fx_n", "fy_n", "fz_n")
@@ -103,7 +105,7 @@ def check_names(names: Iterable[str]) -> None:
         raise ValueError(f"no label was named; known labels: {', '.join(QUANTITIES)}")
     for name in names:
         if name not in QUANTITIES:
-            raise ValueError(f"label {name!r} is unknown; known labels: {', '.join(QUANTITIES)}")
+            raise ValueError(unknown_name("label", name, QUANTITIES, "known labels"))
     if len(set(names)) < len(names):
         raise ValueError(f"labels {', '.join(names)}: one stands twice")
 

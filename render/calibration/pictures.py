@@ -5,9 +5,15 @@ That is where a contact is, from which side each colour's light comes, and what 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import AfterValidator
 
+from gelgap.assets.names import stays_inside
+from gelgap.assets.settings import Settings
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode
 from gelgap.render.light.scattered import monomials
@@ -42,6 +48,62 @@ class PressPicture:
     def has_rough_marks(self) -> bool:
         """Whether the marks only say where the imprint is, not its contact's centre and edge."""
         return self.marks_off_px > _ROUGH_PX
+
+
+def _beside(picture: str) -> str:
+    if not stays_inside(picture):
+        raise ValueError("must lie in the folder of the list")
+    return picture
+
+
+class ListedPress(Settings):
+    """One press of a list in TOML: what a `PressPicture` says, with its picture's file, beside the list."""
+
+    picture: Annotated[str, AfterValidator(_beside)]
+    sphere_diameter_mm: float | None = None
+    depth_mm: float | None = None
+    radius_px: float | None = None
+    point_mm: tuple[float, float] | None = None
+    center_px: tuple[float, float] | None = None
+    marks_off_px: float = 3.0
+
+
+class _PressList(Settings):
+    presses: tuple[ListedPress, ...]
+
+
+def read_presses(path: Path) -> tuple[PressPicture, ...]:
+    """Read a list of presses, a TOML file with one table [[presses]] per picture, and their pictures.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the list or a picture does not exist.
+    ValueError
+        If the list is not valid TOML, or a field of a press is unknown, missing or not what it should be.
+    """
+    with named_in_errors(path):
+        listed = _PressList(presses=read_toml(path).get("presses", ())).presses
+    return tuple(
+        PressPicture(
+            read_picture(path.parent / press.picture),
+            name=f"press {number} ({press.picture})",
+            **press.model_dump(exclude={"picture"}),
+        )
+        for number, press in enumerate(listed, start=1)
+    )
+
+
+def read_picture(path: Path) -> np.ndarray:
+    """Return a picture as uint8 (h, w, 3) RGB; a FileNotFoundError or ValueError if there is none."""
+    import cv2
+
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist or is not a file; a picture is needed")
+    picture = cv2.imread(str(path))
+    if picture is None:
+        raise ValueError(f"{path} is not a picture that OpenCV can read")
+    return picture[..., ::-1].copy()
 
 
 def press_names(presses: Sequence[PressPicture]) -> tuple[str, ...]:

@@ -288,7 +288,11 @@ def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
 def excuse(command: str, option: Option, what: str) -> str | None:
     """Return why a value is right after all."""
     return next(
-        (reason for of in (f"{command} {option.name}", *option.checks) if (reason := ALLOWED.get((of, what)))),
+        (
+            reason
+            for of in (f"{command} {option.name}", *option.checks)
+            if (reason := ALLOWED.get((of, what)))
+        ),
         None,
     )
 
