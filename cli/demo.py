@@ -3,7 +3,7 @@
 import csv
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,6 @@ from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
     from gelgap.cli.demo_page import DemoResult, ForceCurve, Stage
-    from gelgap.sim import ContactPath
 
 METHODS = ("source-only", "adabn", "dsan")
 SEED = 0
@@ -60,14 +59,7 @@ class Demo(opt.Command):
 
     def run(self, started: float) -> None:
         """Run the demo and print its tables."""
-        result = run_demo(
-            self.out,
-            path=self.path,
-            profile_name=self.profile,
-            quality=self.quality,
-            size_px=self.size,
-            scheduler=self.scheduler,
-        )
+        result = self.result()
         print(f"\n{result.headline}\n")
         print(f"{'predictor':<14} {'domain':<8} {'Fx':>7} {'Fy':>7} {'Fz':>7} {'mean':>7}  MAE in N")
         for row in result.rows:
@@ -78,76 +70,69 @@ class Demo(opt.Command):
             print(f"{stage.name:<20} {stage.wall_s:7.1f} {stage.peak_memory_mib:7.0f}")
         print(f"\n{time.perf_counter() - started:.0f} s in all; report: {self.out / 'report.html'}")
 
+    def result(self) -> "DemoResult":
+        """Generate source and target, train, adapt, evaluate on held-out frames, and write `report.html`.
 
-def run_demo(
-    out_dir: Path,
-    *,
-    path: "str | ContactPath" = "smoke",
-    profile_name: str = "smoke",
-    quality: str = "standard",
-    size_px: tuple[int, int] = (320, 240),
-    scheduler: str | None = None,
-    say: Callable[[str], None] = print,
-) -> "DemoResult":
-    """Generate source and target, train, adapt, evaluate on held-out frames, and write `report.html`.
+        Generation resumes: domains that are finished are kept.
+        """
+        from gelgap.cli.demo_page import SOURCE, TARGET, DemoResult, Row, write_page
+        from gelgap.domains import generate, shown_progress
 
-    Generation resumes: domains that are finished in `out_dir` are kept.
-    """
-    from gelgap.adapt import adapt_folders, console_progress, load_predictions
-    from gelgap.cli.demo_page import SOURCE, TARGET, DemoResult, Row, write_page
-    from gelgap.domains import generate, shown_progress
+        stages: list = []
+        print(f"1/4  force against depth, compared with theory and reference ({self.quality})")
+        with timed("force curve", stages):
+            curve = force_curve(self.quality)
 
-    stages: list = []
-    say(f"1/4  force against depth, compared with theory and reference ({quality})")
-    with timed("force curve", stages):
-        curve = force_curve(quality)
+        print(f"2/4  generating {SOURCE} and {TARGET} on the path {self.path}")
+        with timed("generate", stages), shown_progress() as progress:
+            report = generate(
+                (SOURCE, TARGET),
+                self.path,
+                self.out / "data",
+                quality=self.quality,
+                seed=SEED,
+                scheduler=self.scheduler,
+                size_px=self.size,
+                columns=("height_map",),
+                progress=progress,
+            )
+        print(str(report))
 
-    say(f"2/4  generating {SOURCE} and {TARGET} on the path {path if isinstance(path, str) else path.name!r}")
-    with timed("generate", stages), shown_progress() as progress:
-        report = generate(
-            (SOURCE, TARGET),
-            path,
-            out_dir / "data",
-            quality=quality,
-            seed=SEED,
-            scheduler=scheduler,
-            size_px=size_px,
-            columns=("height_map",),
-            progress=progress,
+        print(
+            f"3/4  training on {SOURCE}, adapting to {TARGET} without its labels (profile {self.profile!r})"
         )
-    say(str(report))
+        from gelgap.adapt import adapt_folders, console_progress, load_predictions
 
-    say(f"3/4  training on {SOURCE}, adapting to {TARGET} without its labels (profile {profile_name!r})")
-    runs = {}
-    with console_progress() as progress:
-        for method in METHODS:
-            with timed(f"train {method}", stages):
-                (runs[method],) = adapt_folders(
-                    out_dir / "data" / SOURCE,
-                    out_dir / "data" / TARGET,
-                    (method,),
-                    profile=profile_name,
-                    seed=SEED,
-                    out_dir=out_dir / "runs",
-                    progress=progress,
-                )
-    plain = runs["source-only"]
-    predictions = {method: load_predictions(run) for method, run in runs.items()}
-    result = DemoResult(
-        rows=(
-            Row("constant mean", SOURCE, plain.source_constant_mean),
-            Row("source-only", SOURCE, plain.source_held_out),
-            Row("constant mean", TARGET, plain.target_constant_mean),
-            *(Row(method, TARGET, run.target_test) for method, run in runs.items()),
-        ),
-        stages=tuple(stages),
-        true_n=predictions["source-only"]["target_true_n"],
-        predicted_n={method: arrays["target_predicted_n"] for method, arrays in predictions.items()},
-        curve=curve,
-    )
-    say("4/4  writing the report")
-    write_page(result, out_dir, out_dir / "report.html")
-    return result
+        runs = {}
+        with console_progress() as progress:
+            for method in METHODS:
+                with timed(f"train {method}", stages):
+                    (runs[method],) = adapt_folders(
+                        self.out / "data" / SOURCE,
+                        self.out / "data" / TARGET,
+                        (method,),
+                        profile=self.profile,
+                        seed=SEED,
+                        out_dir=self.out / "runs",
+                        progress=progress,
+                    )
+        plain = runs["source-only"]
+        predictions = {method: load_predictions(run) for method, run in runs.items()}
+        result = DemoResult(
+            rows=(
+                Row("constant mean", SOURCE, plain.source_constant_mean),
+                Row("source-only", SOURCE, plain.source_held_out),
+                Row("constant mean", TARGET, plain.target_constant_mean),
+                *(Row(method, TARGET, run.target_test) for method, run in runs.items()),
+            ),
+            stages=tuple(stages),
+            true_n=predictions["source-only"]["target_true_n"],
+            predicted_n={method: arrays["target_predicted_n"] for method, arrays in predictions.items()},
+            curve=curve,
+        )
+        print("4/4  writing the report")
+        write_page(result, self.out, self.out / "report.html")
+        return result
 
 
 def force_curve(quality: str) -> "ForceCurve":

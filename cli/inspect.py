@@ -2,14 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, ClassVar
 
 import tyro
 
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.domains import Damage
 
 
 @dataclass(frozen=True)
@@ -34,46 +31,42 @@ class Inspect(opt.Command):
 
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
-        from gelgap.domains import (
-            MANIFEST,
-            domain_folders,
-            gap_rows,
-            inspect_domain,
-            open_domain,
-            verify_domain,
-            write_overview,
-        )
+        from gelgap import domains
 
-        folders = domain_folders(self.folder)
+        folders = domains.domain_folders(self.folder)
         if self.html is not None and len(folders) > 1:
             names = ", ".join(folder.name for folder in folders)
             raise ValueError(f"--html shows one domain; {self.folder} holds {names}: name one of them")
-        base = open_domain(self.gap_to) if self.gap_to is not None else None
-        damages = [(folder, damage) for folder in folders if self.verify for damage in verify_domain(folder)]
-        if damages:
-            listed = "; ".join(f"{folder.name}/{damage}" for folder, damage in damages)
-            raise RuntimeError(f"damaged: {listed}. {advice(damages)}")
+        base = domains.open_domain(self.gap_to) if self.gap_to is not None else None
+        generated = all((folder / domains.MANIFEST).exists() for folder in folders)
+        if self.verify:
+            _verify(folders, generated)
         for folder in folders:
-            print(inspect_domain(folder))
+            print(domains.inspect_domain(folder))
             if base is not None:
                 print(f"  gap from {self.gap_to}:")
-                for what, value in gap_rows(open_domain(folder), base):
+                for what, value in domains.gap_rows(domains.open_domain(folder), base):
                     print(f"    {what}: {value}")
         if self.verify:
-            generated = all((folder / MANIFEST).exists() for folder in folders)
             print(
                 "every file is what its manifest says" if generated else "every picture and force is readable"
             )
         if self.html is not None:
-            print(f"wrote {write_overview(folders[0], self.html, self.gap_to)}")
+            print(f"wrote {domains.write_overview(folders[0], self.html, self.gap_to)}")
 
 
-def advice(damages: "list[tuple[Path, Damage]]") -> str:
-    """Return what to do about damage: what gelgap generated it makes again, real data it cannot."""
-    from gelgap.domains import MANIFEST
+def _verify(folders: tuple[Path, ...], generated: bool) -> None:
+    """Raise RuntimeError for damage, with what to do: what gelgap generated it makes again, real data it cannot."""
+    from gelgap.domains import MANIFEST, verify_domain
 
-    if any(not (folder / MANIFEST).exists() for folder, _ in damages):
-        return "Take these rows out of the table, or replace the files by whole ones"
-    if any(damage.file == MANIFEST for _, damage in damages):
-        return "The same gelgap generate command with --overwrite makes it again"
-    return "The same gelgap generate command repairs it"
+    damages = [(folder.name, damage) for folder in folders for damage in verify_domain(folder)]
+    if not damages:
+        return
+    if not generated:
+        advice = "Take these rows out of the table, or replace the files by whole ones"
+    elif any(damage.file == MANIFEST for _, damage in damages):
+        advice = "The same gelgap generate command with --overwrite makes it again"
+    else:
+        advice = "The same gelgap generate command repairs it"
+    listed = "; ".join(f"{name}/{damage}" for name, damage in damages)
+    raise RuntimeError(f"damaged: {listed}. {advice}")

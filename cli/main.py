@@ -28,7 +28,7 @@ from gelgap.cli.press import Press
 from gelgap.cli.pretrain import Pretrain
 from gelgap.cli.render import Render
 from gelgap.cli.report import Report
-from gelgap.cli.speaking import speaking
+from gelgap.cli.speaking import Speaker
 from gelgap.cli.start import EXIT_INTERRUPTED, before_any_work
 from gelgap.cli.view import View
 
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
     try:
         check_values(command)
         check_cache(command)
-        with speaking(doing):
+        with Speaker(doing):
             command.run(started)
     except BrokenPipeError:
         raise SystemExit(EXIT_FAILED_RUN) from None

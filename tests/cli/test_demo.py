@@ -3,30 +3,31 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
+import tomli_w
 
-from gelgap.cli.demo import run_demo, timed
+from gelgap.cli.demo import Demo, timed
 from gelgap.cli.demo_page import SOURCE, TARGET, Stage
 from gelgap.sim import ContactPath
 
 
-def test_the_demo_runs_end_to_end(tmp_path: Path) -> None:
+def test_the_demo_runs_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = ContactPath(
-        name="tiny",
         points_x_mm=(-1.0, 1.0),
         points_y_mm=(0.0,),
         depths_mm=(0.2, 0.6),
         radii_mm=(0.3,),
         angles_deg=tuple(30.0 * step for step in range(12)),
     )
-    said: list[str] = []
-    result = run_demo(
-        tmp_path,
-        path=path,
+    (tmp_path / "tiny.toml").write_text(tomli_w.dumps(path.model_dump(mode="json", exclude_none=True)))
+    demo = Demo(
+        out=tmp_path,
+        path=str(tmp_path / "tiny.toml"),
         quality="draft",
-        size_px=(64, 48),
+        size=(64, 48),
         scheduler="synchronous",
-        say=said.append,
     )
+    result = demo.result()
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == page.count('<label class="picture">') == 3
     assert "http" not in page
@@ -34,7 +35,7 @@ def test_the_demo_runs_end_to_end(tmp_path: Path) -> None:
     assert {row.domain for row in result.rows} == {SOURCE, TARGET}
     assert np.isfinite([row.evaluation.mean_mae_n for row in result.rows]).all()
     assert np.all(np.abs(result.curve.force_n / result.curve.reference_n - 1) < 0.15)
-    assert any("frames" in line for line in said)
+    assert "frames" in capsys.readouterr().out
 
 
 def test_time_and_memory_of_a_stage_are_measured() -> None:

@@ -29,7 +29,7 @@ def wait_for(stream: io.StringIO, words: str) -> None:
 @pytest.mark.usefixtures("impatient")
 def test_long_work_is_announced_by_what_is_known_of_it() -> None:
     stream, log = io.StringIO(), logging.getLogger("gelgap.sim.test")
-    with speaking.speaking("press: preparing", stream):
+    with speaking.Speaker("press: preparing", stream):
         wait_for(stream, "press: preparing")
         log.info("solving: %d of 3", 1)
         wait_for(stream, "solving: 1 of 3")
@@ -41,7 +41,7 @@ def test_long_work_is_announced_by_what_is_known_of_it() -> None:
 
 def test_short_work_and_other_users_of_logging_are_left_in_peace() -> None:
     stream, level = io.StringIO(), logging.getLogger("gelgap").level
-    with speaking.speaking("press: preparing", stream):
+    with speaking.Speaker("press: preparing", stream):
         logging.getLogger("gelgap.sim").info("solving")
     assert stream.getvalue() == ""
     assert logging.getLogger("gelgap").level == level
@@ -50,7 +50,7 @@ def test_short_work_and_other_users_of_logging_are_left_in_peace() -> None:
 
 def test_a_warning_is_said_at_once() -> None:
     stream = io.StringIO()
-    with speaking.speaking("render: preparing", stream):
+    with speaking.Speaker("render: preparing", stream):
         logging.getLogger("gelgap.render").warning("numba compiles")
         assert stream.getvalue() == "gelgap: numba compiles\n"
 
