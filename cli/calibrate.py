@@ -18,11 +18,15 @@ if TYPE_CHECKING:
 
     from gelgap.render import HeldOut, LightCalibration, PressPicture, Sensor
 
-PREDICTED = {
-    "marked": "press as marked",
-    "corrected": "marks corrected",
-    "refined": "press refined",
+HELD_OUT = {
+    "unchanged": "unchanged reference",
+    "marked": "predicted, press as marked",
+    "corrected": "predicted, marks corrected",
+    "refined": "predicted, press refined",
 }
+ASSUMED = (
+    "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
+)
 # A fit from a right start leaves 1 to 2 code values, camera noise included; one from a wrong start ten times as much.
 DOUBTFUL_RMS_CODE_VALUES = 5.0
 DIFFERENCE_GAIN = 4
@@ -98,9 +102,14 @@ class Calibrate(opt.Command):
             keep_camera=self.keep_camera,
             folds=self.held_out_parts,
         )
-        fitted = save_calibration(replace(fit, sensor=described(fit)), self.output)
+        report = report_lines(fit)
+        known = "; ".join(line.strip().rstrip(":") for line in report)
+        described = fit.sensor.model_copy(
+            update={"known": f"Fitted to pictures: {known}.", "assumed": ASSUMED}
+        )
+        fitted = save_calibration(replace(fit, sensor=described), self.output)
         print(f"wrote {self.output} and {fitted.flat_field.file}")
-        print_calibration(fit)
+        print("\n".join(report))
         if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
             print(
                 f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
@@ -135,50 +144,28 @@ class Calibrate(opt.Command):
         return start, reference, presses
 
 
-def print_calibration(fit: "LightCalibration") -> None:
-    """Print how well the fit predicts presses that it has not seen, and what it found."""
-    print(f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses")
+def report_lines(fit: "LightCalibration") -> list[str]:
+    """Return how well a fit predicts presses that it has not seen, and what it found, with standard errors."""
+    lines = [f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses"]
     if size := fit.sphere_size:
         tried = zip(size.tried_mm, size.rms_code_values, strict=True)
-        print(
+        lines.append(
             f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
             "code values rms by diameter: "
             + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
         )
     if fit.left_out:
-        print(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
+        lines.append(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
     if fit.held_out:
-        print(
+        lines.append(
             f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
         )
-        print(f"  {'unchanged reference':32s} {_scores(fit.held_out, 'unchanged')}")
-        for kind, what in PREDICTED.items():
-            print(f"  {f'predicted, {what}':32s} {_scores(fit.held_out, kind)}")
-    print("\n".join(_found(fit)))
-
-
-def described(fit: "LightCalibration") -> "Sensor":
-    """Return the fitted sensor with what the fit says of itself as `known`, and what it cannot say as `assumed`."""
-    known = [f"Fitted to pictures of {len(fit.names)} presses, {fit.rms_code_values:.2f} code values rms"]
-    if fit.held_out:
-        known += [
-            f"held out, PSNR in dB, median (worst), as marked {_scores(fit.held_out, 'marked')}",
-            f"marks corrected {_scores(fit.held_out, 'corrected')}",
-            f"refined {_scores(fit.held_out, 'refined')}",
-        ]
-    assumed = "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
-    return fit.sensor.model_copy(
-        update={"known": "; ".join([*known, *_found(fit)]) + ".", "assumed": assumed}
-    )
-
-
-def _found(fit: "LightCalibration") -> list[str]:
-    """Return a line for each thing that was fitted, with its standard error where that is known."""
+        lines += [f"  {what:32s} {_scores(fit.held_out, kind)}" for kind, what in HELD_OUT.items()]
     leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg, fit.led_elevations_deg, strict=True)
-    lines = [
-        f"LED {led.name or '?'}: azimuth {_with_error(*azimuth)}°, elevation {_with_error(*elevation)}°"
-        for led, azimuth, elevation in leds
-    ]
+    for led, azimuth, elevation in leds:
+        lines.append(
+            f"LED {led.name or '?'}: azimuth {_with_error(*azimuth)}°, elevation {_with_error(*elevation)}°"
+        )
     distance_mm = -fit.sensor.camera.position_mm[2]
     error_mm = distance_mm**2 * fit.nearness_error_per_mm
     parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""

@@ -1,6 +1,5 @@
 """`gelgap demo`: the whole chain at its smallest, on two domains, from presses to a report."""
 
-import csv
 import threading
 import time
 from collections.abc import Iterator
@@ -22,11 +21,6 @@ CURVE_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
 _MEMORY_PERIOD_S = 0.2
 
 
-def training_profile(name: str) -> None:
-    """Check the name of a preset of training profiles."""
-    load_preset("profiles", name)
-
-
 @dataclass(frozen=True)
 class Demo(opt.Command):
     """Generate two small domains, learn force on one, adapt to the other, and write a report; minutes on 2 cores.
@@ -46,7 +40,7 @@ class Demo(opt.Command):
     """Folder for domains, models and report.html."""
     path: Annotated[str, opt.preset_or_file("paths")] = "smoke"
     """Contact path of both domains (see: gelgap presets paths)."""
-    profile: Annotated[str, training_profile] = "smoke"
+    profile: Annotated[str, lambda name: load_preset("profiles", name)] = "smoke"
     """Training profile (see: gelgap presets profiles)."""
     quality: opt.Quality = "draft"
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
@@ -138,6 +132,7 @@ class Demo(opt.Command):
 def force_curve(quality: str) -> "ForceCurve":
     """Press at `CURVE_DEPTHS_MM` and compare with Hertz, the bonded layer and the FEM table."""
     import numpy as np
+    import pandas as pd
 
     from gelgap.benchmarks.fem.theory import bonded_layer_force_n, hertz_force_n
     from gelgap.cli.demo_page import ForceCurve
@@ -148,15 +143,14 @@ def force_curve(quality: str) -> "ForceCurve":
     started = time.perf_counter()
     states = solve_poses(gel, Sphere(), tuple(Pose(depth_mm=depth) for depth in CURVE_DEPTHS_MM), quality)
     seconds = (time.perf_counter() - started) / len(depth_mm)
-    with asset_path("reference", "force_depth.csv").open(newline="", encoding="utf-8") as file:
-        lines = [line for line in csv.DictReader(file) if line["case"] == "nh49_no_slip"]
-    reference_n = {float(line["depth_mm"]): -float(line["fz_n"]) for line in lines}
+    table = pd.read_csv(asset_path("reference", "force_depth.csv"))
+    reference_n = -table[table["case"] == "nh49_no_slip"].set_index("depth_mm")["fz_n"]
     return ForceCurve(
         depth_mm=depth_mm,
         force_n=np.array([-state.force_n[2] for state in states]),
         hertz_n=hertz_force_n(modulus_mpa, gel.poisson_ratio, radius_mm, depth_mm),
         bonded_layer_n=bonded_layer_force_n(modulus_mpa, radius_mm, gel.thickness_mm, depth_mm),
-        reference_n=np.array([reference_n[depth] for depth in CURVE_DEPTHS_MM]),
+        reference_n=reference_n[list(CURVE_DEPTHS_MM)].to_numpy(),
         seconds_per_pose=seconds,
     )
 

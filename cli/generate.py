@@ -16,11 +16,6 @@ if TYPE_CHECKING:
 OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
 
 
-def data_set(name: str) -> None:
-    """Check the name of a preset of a whole data set."""
-    load_preset("datasets", name)
-
-
 @dataclass(frozen=True)
 class Generate(opt.Command):
     """Generate domains: press, render, label and write them; run it again to resume or to check that all is there.
@@ -44,7 +39,7 @@ class Generate(opt.Command):
         Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(required)"), opt.output_folder
     ] = None
     """Folder that gets one folder per domain."""
-    preset: Annotated[str | None, opt.optional("NAME"), data_set] = None
+    preset: Annotated[str | None, opt.optional("NAME"), lambda name: load_preset("datasets", name)] = None
     """A whole data set (see: gelgap presets datasets)."""
     sweep: Annotated[Path | None, opt.optional("TOML"), opt.input_file("a TOML file")] = None
     """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""

@@ -67,7 +67,7 @@ def preset_or_file(kind: str) -> Check:
         try:
             load_preset(kind, value)
         except ValueError as error:
-            raise ValueError(f"{error}; or name a file that ends in .toml") from None
+            raise ValueError(f"name a preset, or a file that ends in .toml; {error}") from None
 
     return check
 

@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from itertools import takewhile
 from pathlib import Path
 from types import FunctionType, NoneType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -83,8 +84,9 @@ def _problems(command: Any) -> Iterator[str]:
                 check(value)
             except (ValueError, OSError) as error:
                 typed = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-                # The text of an error of the system repeats the path.
-                yield f"{option.name} = {quoted(typed)}: {getattr(error, 'strerror', None) or error}"
+                reason = getattr(error, "strerror", None)
+                problem = f"cannot be used ({reason})" if reason else error
+                yield f"{option.name} = {quoted(typed)}: {problem}"
 
 
 def parse_words(words: Sequence[str], commands: Mapping[str, type[Command]], description: str) -> Command:
@@ -165,16 +167,12 @@ def _typed(option: Option, words: Sequence[str]) -> str:
     """Return what was typed after an option, or all values without a name."""
     if option.positional:
         return " ".join(words[1:])
-    for place, word in enumerate(words):
-        name, equals, value = word.partition("=")
-        if name in option.names:
-            following = [value] if equals else []
-            for word in words[place + 1 :]:
-                if word.startswith("--"):
-                    break
-                following.append(word)
-            return " ".join(following)
-    return ""
+    place = next(
+        (place for place, word in enumerate(words) if word.partition("=")[0] in option.names), len(words)
+    )
+    behind_equals = [value for word in words[place : place + 1] if (value := word.partition("=")[2])]
+    following = takewhile(lambda word: not word.startswith("--"), words[place + 1 :])
+    return " ".join([*behind_equals, *following])
 
 
 def _needs(kind: Any) -> str:
