@@ -29,11 +29,11 @@ from gelgap.cli.pretrain import Pretrain
 from gelgap.cli.render import Render
 from gelgap.cli.report import Report
 from gelgap.cli.speaking import Speaker
-from gelgap.cli.start import EXIT_INTERRUPTED, before_any_work
 from gelgap.cli.view import View
 
 EXIT_FAILED_RUN = 1
 EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
 
 DESCRIPTION = """Synthetic GelSight data with a domain gap that is known and under control.
 
@@ -110,8 +110,7 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
     if arguments == ["--version"]:
         print(f"gelgap {version('gelgap')}")
         return
-    with before_any_work():
-        command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
+    command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
     doing = (
         f"{type(command).__name__.lower()}: reading and preparing" if command.doing is None else command.doing
     )

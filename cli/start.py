@@ -2,28 +2,18 @@
 
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-EXIT_INTERRUPTED = 130
-
-
-@contextmanager
-def before_any_work() -> Iterator[None]:
-    """While entered, nothing has been done: a stop says so and ends the process."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        print("gelgap: interrupted before anything was done; run the same command again", file=sys.stderr)
-        raise SystemExit(EXIT_INTERRUPTED) from None
 
 
 def start() -> None:
-    """Load the command line and run it."""
+    """Load the command line and run it; a stop that does not come from a running command came before any work."""
     started = time.perf_counter()
-    with before_any_work():
+    try:
         from gelgap.cli.main import main
-    main(started=started)
+
+        main(started=started)
+    except KeyboardInterrupt:
+        print("gelgap: interrupted before anything was done; run the same command again", file=sys.stderr)
+        raise SystemExit(130) from None  # EXIT_INTERRUPTED of a module that is not loaded yet
 
 
 if __name__ == "__main__":

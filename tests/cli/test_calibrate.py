@@ -28,7 +28,7 @@ def test_presses_are_read_beside_their_list(tmp_path: Path) -> None:
 def test_a_press_without_its_depth_is_refused(tmp_path: Path) -> None:
     listed = tmp_path / "presses.toml"
     listed.write_text('[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\ndeep = 1\n')
-    with pytest.raises(ValueError, match=r"presses\.toml: presses\.0\.deep: extra inputs are not permitted"):
+    with pytest.raises(ValueError, match=r"presses\.toml: presses\.0: deep: extra inputs are not permitted"):
         read_presses(listed)
 
 
