@@ -6,7 +6,6 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
 from types import FrameType
 from typing import NoReturn
 
@@ -108,6 +107,8 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in arguments
     if arguments == ["--version"]:
+        from importlib.metadata import version
+
         print(f"gelgap {version('gelgap')}")
         return
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
