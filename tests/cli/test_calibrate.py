@@ -14,24 +14,6 @@ from gelgap.render.calibration.pictures import read_presses
 from gelgap.render.flat_field import FlatFieldMaps
 
 
-def test_presses_are_read_beside_their_list(tmp_path: Path) -> None:
-    red = np.zeros((24, 32, 3), np.uint8)
-    red[..., 0] = 200
-    cv2.imwrite(str(tmp_path / "p.png"), red[..., ::-1])
-    listed = tmp_path / "presses.toml"
-    listed.write_text('[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\ndepth_mm = 0.6\n')
-    (press,) = read_presses(listed)
-    np.testing.assert_array_equal(press.picture, red)
-    assert press.point_mm is None
-
-
-def test_a_press_without_its_depth_is_refused(tmp_path: Path) -> None:
-    listed = tmp_path / "presses.toml"
-    listed.write_text('[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\ndeep = 1\n')
-    with pytest.raises(ValueError, match=r"presses\.toml: presses\.0: deep: extra inputs are not permitted"):
-        read_presses(listed)
-
-
 def test_the_list_that_help_shows_can_be_pasted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -50,31 +32,6 @@ def listed(folder: Path, text: str) -> Path:
     path = folder / "presses.toml"
     path.write_text(f'[[presses]]\npicture = "p.png"\nsphere_diameter_mm = 3.0\n{text}\n')
     return path
-
-
-def test_a_marked_circle_is_read(tmp_path: Path) -> None:
-    (press,) = read_presses(listed(tmp_path, "radius_px = 61\ncenter_px = [20, 11.5]"))
-    assert (press.depth_mm, press.radius_px, press.center_px) == (None, 61, (20, 11.5))
-
-
-def test_rough_marks_of_an_unknown_sphere_are_read(tmp_path: Path) -> None:
-    path = listed(tmp_path, "radius_px = 61\nmarks_off_px = 20")
-    path.write_text(path.read_text().replace("sphere_diameter_mm = 3.0\n", ""))
-    (press,) = read_presses(path)
-    assert (press.sphere_diameter_mm, press.marks_off_px) == (None, 20)
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ('depth_mm = "deep"', "depth_mm = 'deep': input should be a valid number"),
-        ("depth_mm = nan", "depth_mm = nan: input should be a finite number"),
-        ("radius_px = 5\ncenter_px = [1]", r"center_px\.1: field required"),
-    ],
-)
-def test_values_that_are_no_numbers_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    with pytest.raises(ValueError, match=problem):
-        read_presses(listed(tmp_path, text))
 
 
 def test_too_few_presses_write_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

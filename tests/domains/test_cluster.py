@@ -60,6 +60,12 @@ def test_the_number_of_workers_is_the_clusters_own(scheduler: str, make, tmp_pat
         make(tmp_path, scheduler=scheduler, workers=3)
 
 
+def test_a_scheduler_that_is_no_address_is_refused_before_anything_is_written(make, tmp_path: Path):
+    with pytest.raises(ValueError, match=r"scheduler 'foo' must be synchronous .* or the address of a Dask"):
+        make(tmp_path, scheduler="foo")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_scheduler_that_does_not_answer_is_an_error_that_says_how_to_start_one(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
