@@ -43,11 +43,11 @@ class Benchmark(opt.Command):
     subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
     what: Annotated[Literal[*_PARTS] | None, opt.optional("PART", help=_help_on_parts())] = None
     quick: opt.Flag = False
-    """A short form: a small case or two of each table; a minute or two, for adaptation more."""
+    """A short form: one or two small cases of each table; a minute or two, for adaptation more."""
     data: Annotated[
         Path | None, opt.optional("PATH"), opt.input_folder("a folder with clones of real data")
     ] = None
-    """Of real: the folder that holds the clones; of a missing one the benchmark says the line that gets it."""
+    """For real: the folder with clones of published data sets; for a missing one it prints the command that gets it."""
     out: Annotated[Path, opt.output_folder] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 
@@ -60,7 +60,7 @@ class Benchmark(opt.Command):
             what = (
                 "is missing; name the folder with clones of real data"
                 if self.data is None
-                else "takes no part"
+                else "is for benchmark real alone; leave it out"
             )
             raise ValueError(f"--data {what} (benchmark {self.subject})")
         with sole_use(self.out, f".lock-{self.subject}"):

@@ -80,7 +80,7 @@ class Calibrate(opt.Command):
     pictures: Annotated[Path | None, opt.optional("FOLDER"), opt.output_folder] = None
     """Where the held-out presses are shown: real, predicted, four times their difference; default: NAME-held-out."""
     held_out_parts: Annotated[int, opt.between(0, 24)] = 3
-    """Into how many parts the presses are divided, each predicted by a fit without it; 0: none is held out."""
+    """Folds of the cross-validation: presses of each are predicted by a fit without them; 0: none is held out."""
     keep_camera: opt.Flag = False
     """Leave the camera where the sensor has it; otherwise its distance is fitted, as far as seems parallel."""
     membrane_quality: opt.Quality = "draft"

@@ -27,7 +27,7 @@ class Finetune(opt.Command):
     on: Annotated[Path, opt.data_sets]
     """Folder of the data set of which some frames are learnt."""
     test: Annotated[Path, opt.data_sets]
-    """Folder of the data set to judge by; if it is the same, by the frames that are not learnt."""
+    """Folder of the data set to evaluate on; if it is the same, the frames that are not learnt are held out."""
     frames: Annotated[int | None, opt.optional("K"), opt.between(1, 10_000_000)] = None
     """Number of frames to learn, spread over the commanded depths where these are known."""
     clips: Annotated[int | None, opt.optional("K"), opt.between(1, 10_000_000)] = None

@@ -18,7 +18,7 @@ class Pretrain(opt.Command):
     """Make domains with drawn gels, spheres, lights and cameras, and train one network on all of them to start from.
 
     The checkpoint is out/pretrained.pt, for `gelgap adapt --weights` with the same profile. The last tenth of the
-    domains is not trained on, but judged by. Domains go to out/domains; run the same command again to resume.
+    domains is held out, and the network is evaluated on it. Domains go to out/domains; run the command again to resume.
 
     For example:
       gelgap pretrain --domains 60 --frames-per-domain 60 --out pretrained
@@ -37,7 +37,7 @@ class Pretrain(opt.Command):
     frames_per_domain: Annotated[int, opt.between(2, 100_000)] = 60
     """Frames of each: one without contact, then every depth of its press, straight and dragged, at drawn places."""
     without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
-    """What is not drawn but the same in every domain, to see what drawing it matters."""
+    """Factors that are the same in every domain instead of drawn: an ablation."""
     ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own"), opt.input_file("a TOML file")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
     profile: Annotated[str, opt.preset_or_file("profiles")] = "cpu"
