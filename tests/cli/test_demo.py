@@ -4,22 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomli_w
 
 from gelgap.cli.demo import Demo, timed
 from gelgap.cli.demo_page import SOURCE, TARGET, Stage
-from gelgap.sim import ContactPath
+
+TINY_PATH = """points_x_mm = [-1.0, 1.0]
+points_y_mm = [0.0]
+depths_mm = [0.2, 0.6]
+radii_mm = [0.3]
+angles_deg = [0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330]
+"""
 
 
 def test_the_demo_runs_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = ContactPath(
-        points_x_mm=(-1.0, 1.0),
-        points_y_mm=(0.0,),
-        depths_mm=(0.2, 0.6),
-        radii_mm=(0.3,),
-        angles_deg=tuple(30.0 * step for step in range(12)),
-    )
-    (tmp_path / "tiny.toml").write_text(tomli_w.dumps(path.model_dump(mode="json", exclude_none=True)))
+    (tmp_path / "tiny.toml").write_text(TINY_PATH)
     demo = Demo(
         out=tmp_path,
         path=str(tmp_path / "tiny.toml"),
