@@ -50,11 +50,20 @@ def fitted_light() -> LightCalibration:
     picture = np.zeros((24, 32, 3), np.uint8)
     held_out = HeldOut("press 1 (p.png)", (18, 24), (30, 31), (32, 32), (33, 34), picture)
     poses, gain = np.array([[0, 0, 0.6]]), ((), (), ())
+    illumination = sensor.illumination.model_copy(update={"scattered": Scattered()})
     return LightCalibration(
-        sensor.model_copy(update={"illumination": sensor.illumination.model_copy(update={"scattered": Scattered()})}),
-        maps, gain, 1.0, poses, (held_out.name,), (), 3.21, (held_out,), angles, angles,
+        sensor=sensor.model_copy(update={"illumination": illumination}),
+        maps=maps,
+        gain=gain,
+        volume_mm3=1.0,
+        poses_mm=poses,
+        rms_code_values=3.21,
+        names=(held_out.name,),
+        held_out=(held_out,),
+        led_azimuths_deg=angles,
+        led_elevations_deg=angles,
         nearness_error_per_mm=1e-4,
-    )  # fmt: skip
+    )
 
 
 def test_a_fit_writes_held_out_pictures_uncertainty_and_error_unasked(
