@@ -13,8 +13,8 @@ from hostile_bytes import Bait, npz, npz_of_bait, pickled, torch_bait
 from valid_files import DOMAIN, read_colours, read_resumed
 
 from gelgap.adapt import write_report
-from gelgap.benchmarks.common import read_records
-from gelgap.benchmarks.common.kept_results import result_from_bytes
+from gelgap.assets.checksums import with_checksum, without_checksum
+from gelgap.benchmarks.common import read_records, run_missing
 from gelgap.domains import export, inspect_domain, open_domain, verify_domain
 from gelgap.domains.formats.domain_folder import DomainFolder, sha256
 from gelgap.sim.solution import solution_from_bytes
@@ -36,11 +36,17 @@ def test_a_planted_solution_is_no_solution(files: Path, content: str) -> None:
     assert not (files / "bait").exists()
 
 
-def test_a_planted_result_of_a_benchmark_is_refused(files: Path) -> None:
-    content = npz_of_bait(files, "tree")
-    for planted in (content, npz(tree=np.frombuffer(b'{"class": "os:system", "fields": {}}', np.uint8))):
-        with pytest.raises(ValueError, match=r"objects|no class of results"):
-            result_from_bytes(hashlib.sha256(planted).digest() + planted)
+def test_a_planted_array_of_a_record_is_set_aside(files: Path, caplog: pytest.LogCaptureFixture) -> None:
+    file = files / "planted.jsonl"
+    run_missing(lambda run: {"curve": np.zeros(3)}, [{"seed": 0}], file, workers=1)
+    (array,) = (files / "planted").glob("*.npz")
+    array.write_bytes(npz_of_bait(files, "curve"))
+    record = without_checksum(json.loads(file.read_text()))
+    record["arrays"] = hashlib.sha256(array.read_bytes()).hexdigest()
+    file.write_text(json.dumps(with_checksum(record)))
+    assert read_records(file).empty
+    assert array.name in caplog.text
+    assert not array.exists()
     assert not (files / "bait").exists()
 
 

@@ -25,7 +25,6 @@ from gelgap.assets import asset_path
 from gelgap.benchmarks.adaptation.groups import load_oracles
 from gelgap.benchmarks.adaptation.study import ORACLES, write_results
 from gelgap.benchmarks.common import read_records, run_missing
-from gelgap.benchmarks.common.kept_results import kept_result
 from gelgap.domains import Sweep, generate, open_domain
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
 from gelgap.render import Illumination, Sensor
@@ -151,7 +150,6 @@ def _records(folder: Path) -> None:
     run_missing(lambda run: {"curve": KEPT}, runs[:1], folder / "curves.jsonl", workers=1)
     oracles = {"pose_n": (0.1, 0.1, 0.2), "geometry_n": (0.2, 0.2, 0.3)}
     write_results(folder / ORACLES, {"mb0i0 → wmb1i1": oracles})
-    kept_result(folder / "solved.result", lambda: KEPT)
 
 
 @dataclass(frozen=True)
@@ -233,7 +231,6 @@ KINDS: dict[str, FileKind] = {
         "records/curves/*.npz", lambda file: read_rows(file.parents[1] / "curves.jsonl")
     ),
     "oracles": FileKind(f"records/{ORACLES}", lambda file: repr(load_oracles(file.parent).to_dict())),
-    "kept result": FileKind("records/solved.result", lambda file: kept_result(file, lambda: KEPT)),
     "picture": FileKind("pictures/3.png", lambda file: read_frames(file.parent)),
     "published picture": FileKind(
         "published/train/images/3.jpg", lambda file: read_frames(file.parents[2]), has_checksum=False
