@@ -41,7 +41,7 @@ HELD_BACK = (  # presses that no table and no calibration has: R, thickness, ν,
     _held_back(1.5, 5.0, 0.495, 0.1),
     _held_back(2.0, 3.0, 0.46, math.inf),
 )
-LARGER_SPHERES = (  # the rows of docs/physics.md: R, thickness, ν, friction, and depths
+LARGER_SPHERES = (  # the rows of docs/results/physics.md: R, thickness, ν, friction, and depths
     _larger_sphere(4.0, 3.0, 0.49, 0.0, 0.2, 0.55, 0.9),
     _larger_sphere(6.0, 2.0, 0.48, math.inf, 0.15, 0.375, 0.6),
     _larger_sphere(6.0, 2.0, 0.48, 0.0, 0.15, 0.375, 0.6),
