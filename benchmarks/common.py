@@ -322,15 +322,6 @@ def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np
     return np.where(count > 0, np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
 
 
-def psnr_db(
-    picture: np.ndarray, expected: np.ndarray, where: np.ndarray | None = None, peak: float = 255.0
-) -> float:
-    """Return the peak signal-to-noise ratio of a picture, dB, over all pixels or those of a mask."""
-    square = (np.asarray(picture, float) - np.asarray(expected, float)) ** 2
-    mean = float(np.mean(square if where is None else square[where]))
-    return float(10 * np.log10(peak**2 / max(mean, 1e-14 * peak**2)))
-
-
 result_table = ResultTable.of
 
 

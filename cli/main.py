@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import NoReturn
 
-from gelgap.assets.locks import cache_folder
 from gelgap.cli.adapt import Adapt
 from gelgap.cli.benchmark import Benchmark
 from gelgap.cli.cache import Cache
@@ -66,6 +65,8 @@ def fail(message: str, exit_code: int) -> NoReturn:
 
 def check_cache(command: Command) -> None:
     """Raise ValueError if the cache's folder is none or, where a command fills it, takes no file."""
+    from gelgap.assets.locks import cache_folder
+
     folder = cache_folder()
     try:
         if command.fills_cache:

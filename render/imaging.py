@@ -198,9 +198,13 @@ def sensor_noise(linear: np.ndarray, camera: Camera, rng: np.random.Generator) -
     return out
 
 
-def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the peak signal-to-noise ratio of values of 0…255, over all of them."""
-    return float(10 * np.log10(255**2 / max(np.mean((one.astype(float) - other) ** 2), 1e-9)))
+def psnr_db(
+    picture: np.ndarray, expected: np.ndarray, where: np.ndarray | None = None, peak: float = 255.0
+) -> float:
+    """Return the peak signal-to-noise ratio of a picture, dB, over all pixels or those of a mask."""
+    square = (np.asarray(picture, float) - np.asarray(expected, float)) ** 2
+    mean = float(np.mean(square if where is None else square[where]))
+    return float(10 * np.log10(peak**2 / max(mean, 1e-14 * peak**2)))
 
 
 def difference_picture(one: np.ndarray, other: np.ndarray, contrast: float) -> np.ndarray:

@@ -11,9 +11,9 @@ from queue import SimpleQueue
 import viser
 
 from gelgap.assets.names import quoted
+from gelgap.render import difference_picture
 from gelgap.view.controls import Controls
 from gelgap.view.panels import ComparePanel, DataPanel, Readout
-from gelgap.view.pictures import difference
 from gelgap.view.saving import Files, add_savers, recipe_toml
 from gelgap.view.scene3d import Scene3d, colours_mean
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
@@ -133,7 +133,9 @@ class Page:
         shown = self.shown = self._model.show(configuration)
         reference = self._model.pictures.reference(configuration.light, configuration.markers)
         colouring = self.controls.colouring.value
-        self._readout.show(shown, difference(shown.picture, reference), colours_mean(shown, colouring))
+        self._readout.show(
+            shown, difference_picture(shown.picture, reference, 2.0), colours_mean(shown, colouring)
+        )
         self._scene.show(shown, colouring, self.controls.chosen_led)
         if not self._wanted:
             self._compare.update(shown)

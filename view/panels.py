@@ -10,7 +10,8 @@ import viser
 
 from gelgap.domains import QUANTITIES, LabelledFrames, open_domain
 from gelgap.domains.sweep import DomainGap
-from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker, difference
+from gelgap.render import difference_picture
+from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker
 from gelgap.view.state import Configuration, Shown
 
 _GOOD, _BAD, _MIDDLING = "#2b8a3e", "#c92a2a", "#b08900"
@@ -162,7 +163,7 @@ class DataPanel:
             picture = frames.picture(index)
             reference = self._references[frames.reference_id[index]]
             self._picture.image = _enlarged(picture)
-            self._difference.image = _enlarged(difference(picture, reference))
+            self._difference.image = _enlarged(difference_picture(picture, reference, 2.0))
             self._labels.content = labels_html(frames, index)
 
     @contextmanager

@@ -84,11 +84,6 @@ class PictureMaker:
         return gap.mean, gap.percentile_95
 
 
-def difference(picture: Picture, reference: Picture, gain: int = 2) -> Picture:
-    """Return how a picture differs from the reference, around mid grey."""
-    return np.clip(128 + gain * (picture.astype(np.int16) - reference), 0, 255).astype(np.uint8)
-
-
 @lru_cache(maxsize=256)
 def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:
     """Return the linear camera RGB of a spectrum at drive 1 and exposure 1."""

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from gelgap.benchmarks.common import plot_frontier, psnr_db, show, write_json
+from gelgap.benchmarks.common import plot_frontier, show, write_json
 from gelgap.benchmarks.fem import theory
 from gelgap.benchmarks.physics import savings
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver
@@ -30,6 +30,7 @@ from gelgap.benchmarks.physics.references import (
     press_cases,
     tabled_sphere,
 )
+from gelgap.render.imaging import psnr_db
 from gelgap.sim import Elastomer, MembraneState, Pose, Sphere
 
 Picture = Callable[[MembraneState, np.ndarray], np.ndarray]

@@ -24,7 +24,6 @@ from gelgap.benchmarks.common import (
     Results,
     Setting,
     plot_frontier,
-    psnr_db,
     run_missing,
     show,
     write_json,
@@ -50,7 +49,7 @@ from gelgap.render import (
     inpaint_biharmonic,
     inpaint_telea,
 )
-from gelgap.render.imaging import srgb_encode
+from gelgap.render.imaging import psnr_db, srgb_encode
 from gelgap.render.light.irradiance import direct_light
 from gelgap.render.renderer import QUALITIES
 from gelgap.render.surface import Membrane as RestMembrane

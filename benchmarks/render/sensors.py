@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import Results, Setting, psnr_db, run_missing, show, write_json
+from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
 from gelgap.benchmarks.render import rivals
 from gelgap.benchmarks.render.rivals import Fitted
 from gelgap.domains import CALIBRATION_GEL, PressSet, sphere_profiles, taxim_presses
@@ -34,6 +34,7 @@ from gelgap.render.calibration.calibrator import (
 )
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.poses import place_presses
+from gelgap.render.imaging import psnr_db
 
 SET = "gelsight"
 LEVELS = ("contact", "inside", "ring", "within", "whole")  # regions, in each of which PSNR is taken

@@ -17,7 +17,6 @@ from gelgap.benchmarks.common import (
     key_of,
     mean_of,
     plot_frontier,
-    psnr_db,
     read_records,
     result_table,
     run_missing,
@@ -207,18 +206,6 @@ def test_seeds_that_shift_all_groups_widen_the_interval():
     own, shared = rng.standard_normal((9, 5)), np.broadcast_to(rng.standard_normal(5), (9, 5))
     (low, high), (low_shared, high_shared) = bootstrap(own), bootstrap(shared)
     assert high_shared - low_shared > 1.5 * (high - low)
-
-
-def test_psnr_of_a_mask():
-    picture = np.zeros((4, 4, 3), np.uint8)
-    expected = picture + np.uint8(10)
-    expected[:2] = 0
-    assert psnr_db(picture, expected, np.arange(4)[:, None].repeat(4, 1) >= 2) == pytest.approx(
-        28.13, abs=0.01
-    )
-    assert psnr_db(picture, expected) == pytest.approx(28.13 + 10 * np.log10(2), abs=0.01)
-    assert psnr_db(picture / 255, expected / 255, peak=1.0) == pytest.approx(psnr_db(picture, expected))
-    assert psnr_db(picture, picture) > 100
 
 
 def test_tables_show_numbers_ranges_and_what_is_not_there():

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
+from gelgap.render.imaging import psnr_db
 from gelgap.render.inpainting import detect_markers, inpaint_biharmonic, inpaint_telea
-
-
-def psnr_db(one, other):
-    return 10 * np.log10(255**2 / np.mean((one.astype(float) - other) ** 2))
 
 
 @pytest.mark.parametrize("illumination", ["i0", "i1", "i2"])
@@ -41,3 +38,15 @@ def test_bad_pictures_are_refused():
         detect_markers(np.zeros((24, 32, 3)))
     with pytest.raises(ValueError, match="mask has shape"):
         inpaint_telea(np.zeros((24, 32, 3), np.uint8), np.zeros((8, 8), bool))
+
+
+def test_psnr_of_a_mask():
+    picture = np.zeros((4, 4, 3), np.uint8)
+    expected = picture + np.uint8(10)
+    expected[:2] = 0
+    assert psnr_db(picture, expected, np.arange(4)[:, None].repeat(4, 1) >= 2) == pytest.approx(
+        28.13, abs=0.01
+    )
+    assert psnr_db(picture, expected) == pytest.approx(28.13 + 10 * np.log10(2), abs=0.01)
+    assert psnr_db(picture / 255, expected / 255, peak=1.0) == pytest.approx(psnr_db(picture, expected))
+    assert psnr_db(picture, picture) > 100
