@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
@@ -192,30 +192,22 @@ def adapt_folders(
     stage1 = Stage1(
         frames.source_train, profile, seed, weights, None if out_dir is None else Path(out_dir), progress
     )
-    keys = {method: run_key(frames, method, profile, seed, weights) for method in methods}
-    stem = f"{frames.source_train.name}-{frames.target_train.name}"
-    folders = {
-        method: stage1.out and stage1.out / f"{stem}-{method}-{seed}-{key[:8]}"
-        for method, key in keys.items()
-    }
+    folders: dict[str, Path | None] = {}
+    for method in methods:
+        key = run_key(frames, method, profile, seed, weights)
+        name = f"{frames.source_train.name}-{frames.target_train.name}-{method}-{seed}-{key[:8]}"
+        folders[method] = stage1.out and stage1.out / name
     missing = [method for method, folder in folders.items() if folder is None or not is_finished(folder)]
     with ExitStack() as held:
         for method in missing:
             if folders[method] is not None:
                 held.enter_context(sole_use(folders[method]))
-        done = {}
         start = time.perf_counter()
-        # Methods that need no trained network do not wait for one.
-        needing = [method for method in missing if registry.find_method(method).needs_stage_1]
-        trained, stage1_s = stage1.model() if needing else (None, 0.0)
         for name, part in frames.parts.items():
             if missing and name != "target_validation":
                 part.images(profile.image_size_px)
-        load_s = time.perf_counter() - start - stage1_s
-        for method in missing:
-            model = trained if method in needing else stage1.untrained()
-            wall_s = {"load": load_s, "stage1": stage1_s if needing[:1] == [method] else 0.0}
-            done[method] = _run(frames, stage1, model, method, keys[method], folders[method], wall_s)
+        load_s = time.perf_counter() - start
+        done = {method: run_method(frames, stage1, method, folders[method], load_s)[0] for method in missing}
     return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
 
@@ -246,13 +238,19 @@ class Stage1:
         return self.out / "stage1" / f"{self.source_train.name}-{self.seed}-{key[:8]}.pt"
 
     def model(self) -> tuple[ForceModel, float]:
-        """Return the model, and the time that training it took now, s (0 if there was a checkpoint).
+        """Return the model, and the time that training it took now, s (0 if it was trained before).
 
         Raises
         ------
         RuntimeError
             If another process is training it.
         """
+        known = "_trained" in vars(self)
+        model, wall_s = self._trained
+        return model, 0.0 if known else wall_s
+
+    @cached_property
+    def _trained(self) -> tuple[ForceModel, float]:
         if self.checkpoint is None:
             return self._train(None)
         if self.checkpoint.is_file():
@@ -267,10 +265,6 @@ class Stage1:
             (folder / _RESUME).unlink(missing_ok=True)
         return model, wall_s
 
-    def untrained(self) -> ForceModel:
-        """Return the model with which stage 1 begins."""
-        return untrained(self.source_train, self.profile, self.seed)
-
     def _train(self, resume_file: Path | None) -> tuple[ForceModel, float]:
         self.source_train.images(self.profile.image_size_px)  # read before the clock starts
         start = time.perf_counter()
@@ -278,28 +272,55 @@ class Stage1:
         model = train_source(self.source_train, self.profile, self.seed, **how)
         return model, time.perf_counter() - start
 
+    def model_for(self, method: str) -> tuple[ForceModel, float]:
+        """Return the model with which a method starts, trained if it needs that, and the time of training it now, s."""
+        if registry.find_method(method).needs_stage_1:
+            return self.model()
+        return self.untrained(), 0.0
 
-def _run(
+    def untrained(self) -> ForceModel:
+        """Return the model with which stage 1 begins."""
+        return untrained(self.source_train, self.profile, self.seed)
+
+    def adapt(self, target_train: LabelledFrames, method: str, resume_file: Path | None = None) -> "Adapted":
+        """Train both stages of a method; that its features collapse or its losses are not finite is a result, too."""
+        start, stage1_s = self.model_for(method)
+        for part in (self.source_train, target_train):
+            part.images(self.profile.image_size_px)  # read before the clock starts
+        how = {"resume_file": resume_file, "progress": self.progress}
+        begun, model, problem = time.perf_counter(), None, None
+        try:
+            model = adapt(start, self.source_train, target_train, method, self.profile, self.seed, **how)
+        except (FeatureCollapse, TrainingDiverged) as error:
+            problem = str(error)
+        history = (model or start).history
+        return Adapted(model, problem, history, {"stage1": stage1_s, "stage2": time.perf_counter() - begun})
+
+
+class Adapted(NamedTuple):
+    """What training gave: a model, or else the problem, the epochs, and the time of both stages, s."""
+
+    model: ForceModel | None
+    problem: str | None
+    history: tuple[dict[str, Any], ...]
+    wall_s: dict[str, float]
+
+
+def run_method(
     frames: SplitFrames,
     stage1: Stage1,
-    start: ForceModel,
     method: str,
-    key: str,
-    folder: Path | None,
-    wall_s: dict[str, float],
-) -> Run:
-    """Adapt the model by one method, judge the result and, if there is a folder, write it there."""
+    folder: Path | None = None,
+    load_s: float = 0.0,
+) -> tuple[Run, ForceModel | None]:
+    """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed."""
     train, profile = frames.source_train, stage1.profile
+    adapted = stage1.adapt(frames.target_train, method, folder and folder / _RESUME)
+    model, judged, begun = adapted.model, {}, time.perf_counter()
+    if model is not None:
+        judged = {"target": model, "source": as_judged_on_source(model, train)}
     tested = {"target": frames.target_test, "source": frames.source_held_out}
     constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
-    how = {"resume_file": folder and folder / _RESUME, "progress": stage1.progress}
-    begun, problem, judged = time.perf_counter(), None, {}
-    try:
-        model = adapt(start, train, frames.target_train, method, profile, stage1.seed, **how)
-        judged = {"target": model, "source": as_judged_on_source(model, train)}
-    except (FeatureCollapse, TrainingDiverged) as error:
-        model, problem = start, str(error)
-    trained = time.perf_counter()
     errors, arrays = {"target": constant["target"]}, {}
     for name, judge in judged.items():
         if len(tested[name]):
@@ -308,7 +329,7 @@ def _run(
             arrays[f"{name}_true_n"] = tested[name].label_values.astype(np.float32)
             arrays[f"{name}_predicted_n"] = predicted.astype(np.float32)
     run = Run(
-        key=key,
+        key=run_key(frames, method, profile, stage1.seed, stage1.weights),
         source=train.name,
         target=frames.target_test.name,
         method=method,
@@ -320,11 +341,11 @@ def _run(
         target_constant_mean=constant["target"],
         source_held_out=errors.get("source"),
         source_constant_mean=constant.get("source"),
-        wall_s=wall_s | {"stage2": trained - begun, "evaluate": time.perf_counter() - trained},
-        skipped_steps=sum(epoch["skipped_steps"] for epoch in model.history),
-        history=model.history,
+        wall_s={"load": load_s, **adapted.wall_s, "evaluate": time.perf_counter() - begun},
+        skipped_steps=sum(epoch["skipped_steps"] for epoch in adapted.history),
+        history=adapted.history,
         versions=versions(),
-        problem=problem,
+        problem=adapted.problem,
         folder=folder,
     )
     if folder is not None:
@@ -335,7 +356,7 @@ def _run(
             arrays[f"{name}_features_force_n"] = some.label_values.astype(np.float32)
         _write(run, model, arrays)
         (folder / _RESUME).unlink(missing_ok=True)
-    return run
+    return run, model
 
 
 def run_key(

@@ -24,7 +24,7 @@ from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 from gelgap.benchmarks.registry import parts_of
 
 if TYPE_CHECKING:
-    from gelgap.adapt import ForceModel, Profile, SplitFrames
+    from gelgap.adapt import ForceModel, Profile, SplitFrames, Stage1
     from gelgap.domains import DomainRecipe, GeneratedDomain, LabelledFrames
 
 RUNS, ORACLES = "runs.jsonl", "oracles.json"
@@ -169,6 +169,12 @@ class Study:
             "settings": settings,
         }
 
+    def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
+        """Return the first stage of a run; all methods of a group, split and seed share it."""
+        from gelgap.adapt import Stage1
+
+        return Stage1(source_train, self.profile_of(run), run["seed"], out=self.out)
+
     def stage1_of(self, run: Setting) -> str | None:
         """Return the checkpoint of the first stage that a run has yet to train, and shares; None if there is none."""
         from gelgap.adapt import find_method
@@ -187,12 +193,8 @@ def configuration_of(profile: "Profile", *data: Any) -> str:
 
 @cache
 def _checkpoint(study: Study, run_json: str) -> Path:
-    """Return where the first stage of a run is kept; all methods of a group, split and seed share it."""
-    from gelgap.adapt import Stage1
-
     run = json.loads(run_json)
-    frames = study.frames_of(run).source_train
-    return Stage1(frames, study.profile_of(run), run["seed"], out=study.out).checkpoint
+    return study.stage1(run, study.frames_of(run).source_train).checkpoint
 
 
 @cache
@@ -218,51 +220,24 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
     with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
     """
-    from gelgap.adapt import as_judged_on_source, evaluate, evaluate_constant_mean
+    from gelgap.adapt.runs import run_method
 
     frames = study.frames_of(run)
-    model, problem, stage1_s, stage2_s = train_stages(study, run, frames.source_train, frames.target_train)
-    constant = evaluate_constant_mean(frames.source_train, frames.target_test)
-    on_target, on_source, history = constant, None, [{}]
-    if model is not None:
-        on_target, history = evaluate(model, frames.target_test), model.history or history
-        on_source = evaluate(as_judged_on_source(model, frames.source_train), frames.source_held_out)
+    done, model = run_method(frames, study.stage1(run, frames.source_train), run["method"])
     results = {
         "versions": versions_line(),
         "control": control_of(run["method"]),
-        "problem": problem,
-        "mae_n": short(on_target.mae_n),
-        "r2": short(on_target.r2),
-        "constant_mean_n": short(constant.mae_n),
-        "source_held_out_r2": None if on_source is None else short(on_source.r2),
-        "stage1_s": round(stage1_s, 2),
-        "stage2_s": round(stage2_s, 2),
-        "skipped_steps": sum(epoch.get("skipped_steps", 0) for epoch in history),
-        "diagnostics": short(history[-1].get("diagnostics", {})),
+        "problem": done.problem,
+        "mae_n": short(done.target_test.mae_n),
+        "r2": short(done.target_test.r2),
+        "constant_mean_n": short(done.target_constant_mean.mae_n),
+        "source_held_out_r2": done.source_held_out and short(done.source_held_out.r2),
+        "stage1_s": round(done.wall_s["stage1"], 2),
+        "stage2_s": round(done.wall_s["stage2"], 2),
+        "skipped_steps": done.skipped_steps,
+        "diagnostics": short(done.history[-1].get("diagnostics", {}) if done.history else {}),
     }
     return frames, model, results
-
-
-def train_stages(
-    study: Study, run: Setting, source: "LabelledFrames", target: "LabelledFrames"
-) -> "tuple[ForceModel | None, str | None, float, float]":
-    """Train both stages of a run on given frames; return the model, or else the problem, and the stages' times, s.
-
-    A collapse, or a loss that is not finite, is a result, not a failure.
-    """
-    from gelgap.adapt import FeatureCollapse, Stage1, TrainingDiverged, adapt, find_method
-
-    profile, method, seed = study.profile_of(run), run["method"], run["seed"]
-    shared = Stage1(source, profile, seed, out=study.out)
-    model, stage1_s = shared.model() if find_method(method).needs_stage_1 else (shared.untrained(), 0.0)
-    for part in (source, target):
-        part.images(profile.image_size_px)  # read before the clock starts
-    start = time.perf_counter()
-    try:
-        model, problem = adapt(model, source, target, method, profile, seed), None
-    except (FeatureCollapse, TrainingDiverged) as trouble:
-        model, problem = None, str(trouble)
-    return model, problem, stage1_s, time.perf_counter() - start
 
 
 def versions_line() -> str:
