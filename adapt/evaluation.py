@@ -6,6 +6,7 @@ source gel's force at the target's actual contact: what a network gives that see
 Neither is a lower bound: shrinkage or luck can beat them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -130,6 +131,19 @@ def evaluate_constant_mean(train: LabelledFrames, frames: LabelledFrames) -> Eva
     return evaluate_frames(
         frames, np.broadcast_to(train.label_values.astype(float).mean(axis=0), values.shape)
     )
+
+
+def errors_text(errors: Mapping[str, Evaluation]) -> str:
+    """Return a table of evaluations of the same labels, a line for each by its name: MAE, their mean, and R²."""
+    import pandas as pd
+
+    table = {}
+    for name, error in errors.items():
+        known = [QUANTITIES[label] for label in error.labels]
+        row = {f"MAE {q.symbol}/{q.unit}": f"{mae:.4f}" for q, mae in zip(known, error.mae, strict=True)}
+        row |= {} if error.mean_mae is None else {"mean": f"{error.mean_mae:.4f}"}
+        table[name] = row | {f"R² {q.symbol}": f"{r2:.2f}" for q, r2 in zip(known, error.r2, strict=True)}
+    return pd.DataFrame.from_dict(table, "index").to_string()
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ Labelled frames must come from the target's training part; its test frames stay 
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,14 +15,13 @@ from torch.nn import functional
 
 from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
 from gelgap.adapt.epochs import Progress, silent
-from gelgap.adapt.evaluation import Evaluation, evaluate, evaluate_constant_mean
+from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import Stage1
 from gelgap.domains import (
-    QUANTITIES,
     LabelledFrames,
     Labels,
     join_domains,
@@ -184,14 +183,6 @@ def _check(model: ForceModel, frames: LabelledFrames) -> None:
     frames.check_labels()
 
 
-def _mae_lines(title: str, errors: Mapping[str, Evaluation]) -> list[str]:
-    """Return a table of evaluations of the same labels, line by line."""
-    rows = {name: [f"{value:8.4f}" for value in error.mae] for name, error in errors.items()}
-    known = [QUANTITIES[name] for name in next(iter(errors.values())).labels]
-    rows = {title: [f"{f'{what.symbol}/{what.unit}':>8}" for what in known]} | rows
-    return [" ".join([f"{name:<34}", *cells]) for name, cells in rows.items()]
-
-
 @dataclass(frozen=True)
 class Pretraining:
     """A pretrained network: its checkpoint, the frames that it has learnt from, and its error on unseen domains.
@@ -210,7 +201,7 @@ class Pretraining:
             "constant mean, unseen domains": self.held_out_constant_mean,
             "pretrained, unseen domains": self.held_out,
         }
-        lines = [f"{self.checkpoint}: trained on {self.frames} frames", *_mae_lines("MAE", errors)]
+        lines = [f"{self.checkpoint}: trained on {self.frames} frames", errors_text(errors)]
         if self.left_out:
             lines.append(f"{self.left_out} frames with a force outside the declared range were left out")
         return "\n".join(lines)
@@ -275,7 +266,7 @@ class Finetuning:
             "no label": self.before,
             "fine-tuned": self.after,
         }
-        lines = _mae_lines(f"MAE on {self.after.n} other frames", errors)
+        lines = [f"errors on {self.after.n} other frames", errors_text(errors)]
         if self.left_out:
             lines.append(f"left out: {self.left_out} frames with a label outside {self.model.labels}")
         return "\n".join(lines)

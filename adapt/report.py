@@ -13,6 +13,7 @@ from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import Series
 
 
 def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Path:
@@ -43,7 +44,7 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
 
     frame = pd.DataFrame([_name(run) | {"error": _mean_mae(run.target_test)} for run in runs])
     errors = frame.groupby(["group", "method"], sort=False)["error"]
-    table = errors.agg(_mean_and_spread).unstack(sort=False)
+    table = errors.agg(mean_and_deviation).unstack(sort=False)
     # A method that lacks a group has no mean.
     means = errors.mean().unstack(sort=False).mean(skipna=False)
     table.loc["mean"] = means.map("{:.3f}".format, na_action="ignore")
@@ -89,9 +90,12 @@ def _name(run: Run) -> dict[str, Any]:
     return {"group": run.group, "method": run.method, "seed": run.seed}
 
 
-def _mean_and_spread(errors: Sequence[float]) -> str:
-    spread = f" ± {np.std(errors, ddof=1):.3f}" if len(errors) > 1 else ""
-    return f"{np.mean(errors):.3f}{spread}"
+def mean_and_deviation(errors: "Series") -> str | None:
+    """Return mean ± standard deviation over seeds, and how many are NaN (not run), if any are; None if all are."""
+    there = errors.dropna()
+    missing = f" ({len(errors) - len(there)} missing)" if len(there) < len(errors) else ""
+    deviation = f" ± {there.std():.3f}" if len(there) > 1 else ""
+    return f"{there.mean():.3f}{deviation}{missing}" if len(there) else None
 
 
 def _mean_mae(error: Evaluation) -> float:

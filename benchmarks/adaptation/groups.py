@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable
+from gelgap.adapt.report import mean_and_deviation
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.board import AXES, CEILING, DESIGNS, GROUPS, PAPER_MAE_N, PLAIN
 from gelgap.benchmarks.adaptation.study import (
@@ -275,7 +276,7 @@ def group_table(runs: pd.DataFrame, design: str, oracles: pd.DataFrame) -> Resul
     numbers.insert(0, "constant mean", constant)
     frame = numbers.astype(object)
     for method in shown:
-        frame[method] = errors[method].groupby(level=0, sort=False).apply(spread).astype(object)
+        frame[method] = errors[method].groupby(level=0, sort=False).apply(mean_and_deviation).astype(object)
     frame.loc["mean"] = numbers.mean(skipna=False)
     marked = {group: group + " †" * int(worse[group]) + " *" * int(unfair[group]) for group in means.index}
     return result_table(
@@ -286,14 +287,6 @@ def group_table(runs: pd.DataFrame, design: str, oracles: pd.DataFrame) -> Resul
         f"the group is not comparable: {unfair.sum()} of {len(means)}.",
         {"": "{:.3f}"},
     )
-
-
-def spread(values: pd.Series) -> str | None:
-    """Return mean ± standard deviation over seeds; how many are NaN (not run), if any are."""
-    there = values.dropna()
-    missing = f" ({len(values) - len(there)} missing)" if len(there) < len(values) else ""
-    deviation = f" ± {there.std():.3f}" if len(there) > 1 else ""
-    return f"{there.mean():.3f}{deviation}{missing}" if len(there) else None
 
 
 def adabn_table(designs: dict[str, pd.DataFrame]) -> ResultTable:

@@ -57,9 +57,10 @@ def test_the_command_prints_errors_and_keeps_the_network(checkpoint, recordings,
     words = [str(checkpoint), "--on", str(recordings), "--test", str(recordings)]
     main(["finetune", *words, "--frames", "10", "--out", str(tmp_path / "tuned.pt")])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["MAE", "on", "86", "other", "frames", "Fz/N"]
-    assert [line.split()[0] for line in lines[1:]] == ["mean", "no", "fine-tuned", "wrote"]
-    after = float(lines[3].split()[-1])
+    assert lines[0] == "errors on 86 other frames"
+    assert lines[1].split() == ["MAE", "Fz/N", "mean", "R²", "Fz"]
+    assert [line.split()[0] for line in lines[2:]] == ["mean", "no", "fine-tuned", "wrote"]
+    after = float(lines[4].split()[1])
     drawn_too = evaluate(ForceModel.load(tmp_path / "tuned.pt"), open_domain(recordings)).mae[0]
     assert drawn_too == pytest.approx(after, rel=0.3)
 
