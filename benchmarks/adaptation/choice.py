@@ -8,6 +8,7 @@ the error of a choice less that of the best candidate. `transfer` asks whether t
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -51,59 +52,50 @@ VARIANTS["shifts, inputs standardised by domain"] = (*VARIANTS["shifts"], ("inpu
 """The candidates, and last a control that is none."""
 
 
-class Candidates:
-    """Runs of the same candidates on several cases; only cases in which every candidate was run count."""
+def compared(runs: pd.DataFrame, candidates: Iterable) -> pd.DataFrame:
+    """Return the cases (data set, group, seed) in which every candidate was run, with columns for each candidate.
 
-    def __init__(self, runs: pd.DataFrame, names: Iterable):
-        self._names = list(names)
-        self._runs = runs[runs["candidate"].isin(self._names)]
-        self.errors_n = self._by_case(self._runs["error_n"]).dropna()
-        """Test errors on the target, which no selector sees: a row for each case, a column for each candidate, N."""
-        self.regret_n = self.errors_n.sub(self.errors_n.min(axis=1), axis=0)
-
-    def _by_case(self, values: pd.Series) -> pd.DataFrame:
-        index = [self._runs[name] for name in ("data", "group", "seed", "candidate")]
-        return values.set_axis(pd.MultiIndex.from_arrays(index)).unstack().reindex(columns=self._names)
-
-    def ranks(self, selector: str = SELECTOR) -> pd.DataFrame:
-        """Return each candidate's rank in each case, 1 the best, ties shared."""
-        runs = self._runs
-        failed = runs["problem"].notna() | runs["alarm"].astype(bool)
-        scores = runs[f"scores.{selector}"].mask(failed).fillna(math.inf)
-        return self._by_case(scores).loc[self.errors_n.index].rank(axis=1)
-
-    def choice(self, selector: str = SELECTOR) -> object:
-        """Return the candidate of least mean rank; the first of equals.
-
-        Raises
-        ------
-        ValueError
-            If the selector is unknown, or no case is complete.
-        """
-        if selector not in SELECTORS:
-            raise ValueError(unknown_name("selector", selector, SELECTORS, "known selectors"))
-        if self.errors_n.empty:
-            raise ValueError("no group has all candidates yet; run the rest of the grid first")
-        return self.ranks(selector).mean().idxmin()
-
-    def own_regret_n(self, selector: str = SELECTOR) -> list[float]:
-        """Return the regret of a selector that chooses in every case anew, N."""
-        chosen = self.ranks(selector).idxmin(axis=1)
-        return [self.regret_n.loc[case, candidate] for case, candidate in chosen.items()]
+    `error_n` is the test error on the target, which no selector sees, `regret_n` that less the best candidate's; under
+    the name of a selector stands the rank by its score, 1 the best, ties shared.
+    """
+    names = list(candidates)
+    runs = runs[runs["candidate"].isin(names)]
+    values = runs.reindex(columns=[f"scores.{name}" for name in SELECTORS]).set_axis(list(SELECTORS), axis=1)
+    values[runs["problem"].notna() | runs["alarm"].astype(bool)] = math.inf
+    values = values.fillna(math.inf).assign(error_n=runs["error_n"])
+    index = pd.MultiIndex.from_frame(runs[["data", "group", "seed", "candidate"]])
+    columns = pd.MultiIndex.from_product([values.columns, names])
+    table = values.set_axis(index).unstack().reindex(columns=columns)
+    table = table[table["error_n"].notna().all(axis=1)]
+    errors_n = table["error_n"]
+    ranks = {name: table[name].rank(axis=1) for name in SELECTORS}
+    least_n = errors_n.min(axis=1)
+    return pd.concat({"error_n": errors_n, "regret_n": errors_n.sub(least_n, axis=0), **ranks}, axis=1)
 
 
-def of_grid(runs: pd.DataFrame) -> dict[str, Candidates]:
+def chosen(found: pd.DataFrame, selector: str = SELECTOR) -> Any:
+    """Return the candidate of least mean rank over the cases; the first of equals."""
+    return found[selector].mean().idxmin()
+
+
+def regret_anew_n(found: pd.DataFrame, selector: str = SELECTOR) -> list[float]:
+    """Return the regret of a selector that chooses in every case anew, N."""
+    anew = found[selector].idxmin(axis=1)
+    return [found["regret_n"].loc[case, candidate] for case, candidate in anew.items()]
+
+
+def of_grid(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return the candidates of each method that has a complete case among the runs of a grid."""
     runs = runs.assign(candidate=[settings[0][1] for settings in runs["settings"]])
     found = {
-        method: Candidates(runs[runs["method"] == method], values) for method, (_, values) in GRIDS.items()
+        method: compared(runs[runs["method"] == method], values) for method, (_, values) in GRIDS.items()
     }
-    return {method: own for method, own in found.items() if len(own.errors_n)}
+    return {method: own for method, own in found.items() if len(own)}
 
 
-def augmented(runs: pd.DataFrame) -> Candidates:
+def augmented(runs: pd.DataFrame) -> pd.DataFrame:
     """Return the augmentations among the runs on the tuning groups."""
-    return Candidates(_named(runs)[runs["data"].isin(board.TUNING_SETS)], AUGMENTED)
+    return compared(_named(runs)[runs["data"].isin(board.TUNING_SETS)], AUGMENTED)
 
 
 def _named(runs: pd.DataFrame) -> pd.DataFrame:
@@ -165,35 +157,35 @@ def augment(study: Study) -> None:
 
 def settings_toml(runs: pd.DataFrame) -> str:
     """Return the tables of the profile's file that freeze the choice."""
-    found = [f"[settings.{m}]\n{GRIDS[m][0]} = {own.choice():g}" for m, own in of_grid(runs).items()]
+    found = [f"[settings.{m}]\n{GRIDS[m][0]} = {chosen(own):g}" for m, own in of_grid(runs).items()]
     return "\n".join(["# python -m gelgap.benchmarks.adaptation tuning", *found])
 
 
 def augmentation_toml(runs: pd.DataFrame) -> str:
     """Return the lines of the profile's file that freeze the choice; nothing if no group is complete."""
     found = augmented(runs)
-    if found.errors_n.empty:
+    if found.empty:
         return ""
-    fields = [f"{name} = {value:g}" for name, value in zip(FIELDS, AUGMENTED[found.choice()], strict=True)]
+    fields = [f"{name} = {value:g}" for name, value in zip(FIELDS, AUGMENTED[chosen(found)], strict=True)]
     return "\n".join(["# python -m gelgap.benchmarks.adaptation augmentations", *fields])
 
 
-def choice_frame(found: dict[str, Candidates], chosen: dict[str, float]) -> pd.DataFrame:
+def choice_frame(found: dict[str, pd.DataFrame], choice: dict[str, float]) -> pd.DataFrame:
     """Return what is known of each method's candidates and of the chosen one, whose regret is over the cases."""
     rows = {}
-    for method, value in chosen.items():
-        own = found[method]
-        regret_n, means_n = own.regret_n[value], own.errors_n.mean()
+    for method, value in choice.items():
+        own, means = found[method], found[method].mean()
+        regret_n = own["regret_n", value]
         rows[method] = {
             "setting": GRIDS[method][0],
-            "candidates": ", ".join(map("{:g}".format, means_n.index)),
-            "mean ranks": ", ".join(map("{:.1f}".format, own.ranks().mean())),
-            "mean MAE, N": ", ".join(map("{:.3f}".format, means_n)),
+            "candidates": ", ".join(map("{:g}".format, GRIDS[method][1])),
+            "mean ranks": ", ".join(map("{:.1f}".format, means[SELECTOR])),
+            "mean MAE, N": ", ".join(map("{:.3f}".format, means["error_n"])),
             "chosen": f"{value:g}",
-            "best one for all groups": f"{means_n.idxmin():g}",
+            "best one for all groups": f"{means['error_n'].idxmin():g}",
             "regret, N": regret_n.mean(),
             "worst, N": regret_n.max(),
-            "cases": len(regret_n),
+            "cases": len(own),
         }
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
 
@@ -203,7 +195,7 @@ def tuning_tables(folder: Path) -> list[ResultTable]:
     found = of_grid(load_runs(folder / TUNED))
     if not found:
         return []
-    frame = choice_frame(found, {method: own.choice() for method, own in found.items()})
+    frame = choice_frame(found, {method: chosen(own) for method, own in found.items()})
     table = result_table(
         "What was chosen for each method, on the tuning groups",
         frame.drop(columns=["mean MAE, N", "best one for all groups"]),
@@ -217,7 +209,7 @@ def tuning_tables(folder: Path) -> list[ResultTable]:
 def transfer_tables(folder: Path) -> list[ResultTable]:
     """Return the regret of the frozen choice on the nine groups, and that of every selector."""
     tuned, nine = (of_grid(load_runs(folder / name)) for name in (TUNED, NINE_GROUPS))
-    tables, frozen = [], {method: own.choice() for method, own in tuned.items() if method in nine}
+    tables, frozen = [], {method: chosen(own) for method, own in tuned.items() if method in nine}
     if frozen:
         frame = choice_frame(nine, frozen).drop(columns=["setting", "mean ranks", "cases"])
         note = (
@@ -229,22 +221,19 @@ def transfer_tables(folder: Path) -> list[ResultTable]:
     return [*tables, selector_table(tuned, nine)] if tuned else []
 
 
-def selector_table(tuned: dict[str, Candidates], nine: dict[str, Candidates]) -> ResultTable:
+def selector_table(tuned: dict[str, pd.DataFrame], nine: dict[str, pd.DataFrame]) -> ResultTable:
     """The regret of each selector, frozen on the tuning groups or choosing in each group anew."""
     rows = {}
     for name in SELECTORS:
-        frozen = {method: own.choice(name) for method, own in tuned.items()}
-        regrets_n = {
-            "tuning groups, one choice for all": [own.regret_n[frozen[m]] for m, own in tuned.items()],
-            "tuning groups, each anew": [own.own_regret_n(name) for own in tuned.values()],
-            "nine groups, chosen on tuning groups": [
-                nine[m].regret_n[frozen[m]] for m in nine if m in frozen
-            ],
-            "nine groups, each anew": [own.own_regret_n(name) for own in nine.values()],
-        }
-        means = {
-            column: np.mean([n for own in found for n in own]) for column, found in regrets_n.items() if found
-        }
+        regrets_n = {}
+        for cases, found, one in (
+            ("tuning groups", tuned, "one choice for all"),
+            ("nine groups", nine, "chosen on tuning groups"),
+        ):
+            frozen = [found[m]["regret_n", chosen(own, name)] for m, own in tuned.items() if m in found]
+            regrets_n[f"{cases}, {one}"] = frozen
+            regrets_n[f"{cases}, each anew"] = [regret_anew_n(own, name) for own in found.values()]
+        means = {column: np.mean(np.concatenate(own)) for column, own in regrets_n.items() if own}
         rows[f"{name} (used)" if name == SELECTOR else name] = means
     return result_table(
         "Regret of selectors without target labels, N",
@@ -259,12 +248,12 @@ def augmentation_tables(folder: Path) -> list[ResultTable]:
     runs, tables = load_runs(folder / AUGMENTATIONS), []
     found, on_tuning = augmented(runs), runs["data"].isin(board.TUNING_SETS)
     formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
-    if len(found.errors_n):
+    if len(found):
         frame = axis_frame(runs[on_tuning])
-        frame.insert(0, "mean rank", found.ranks().mean())
-        frame.insert(1, "chosen", ["yes" if name == found.choice() else "" for name in frame.index])
+        frame.insert(0, "mean rank", found[SELECTOR].mean())
+        frame.insert(1, "chosen", ["yes" if name == chosen(found) else "" for name in frame.index])
         note = (
-            f"Mean over {len(found.errors_n)} cases of group and design. Ranks by reverse validation, which sees no "
+            f"Mean over {len(found)} cases of group and design. Ranks by reverse validation, which sees no "
             "target label; the errors were not used. The last row is a control, not a candidate."
         )
         tables.append(result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, formats))
