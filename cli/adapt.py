@@ -130,25 +130,11 @@ class Adapt(opt.Command):
 
 def _table(runs: "Sequence[Run]") -> str:
     """Return the error of each run that did not fail beside that of the constant mean, and what went wrong."""
-    import pandas as pd
-
-    from gelgap.domains import QUANTITIES
+    from gelgap.adapt.evaluation import errors_text
 
     done = [run for run in runs if run.method != CONSTANT_MEAN and not run.problem]
     errors = {"constant mean": runs[0].target_constant_mean} | {run.method: run.target_test for run in done}
-    labels = [QUANTITIES[name] for name in runs[0].labels]
-    table = {}
-    for name, error in errors.items():
-        mae = {
-            f"MAE {label.symbol}/{label.unit}": value for label, value in zip(labels, error.mae, strict=True)
-        }
-        mean = {} if error.mean_mae is None else {"mean": error.mean_mae}
-        r2 = {f"R² {label.symbol}": f"{value:.2f}" for label, value in zip(labels, error.r2, strict=True)}
-        table[name] = mae | mean | r2
-    lines = [
-        f"{runs[0].group}, target test frames",
-        pd.DataFrame.from_dict(table, "index").to_string(float_format="{:.4f}".format),
-    ]
+    lines = [f"{runs[0].group}, target test frames", errors_text(errors)]
     for run in runs:
         if run.problem:
             lines.append(f"{run.method}: {run.problem}")

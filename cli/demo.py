@@ -54,11 +54,10 @@ class Demo(opt.Command):
     def run(self, started: float) -> None:
         """Run the demo and print its tables."""
         result = self.result()
+        from gelgap.adapt.evaluation import errors_text
+
         print(f"\n{result.headline}\n")
-        print(f"{'predictor':<14} {'domain':<8} {'Fx':>7} {'Fy':>7} {'Fz':>7} {'mean':>7}  MAE in N")
-        for row in result.rows:
-            errors = (*row.evaluation.mae_n, row.evaluation.mean_mae_n)
-            print(f"{row.predictor:<14} {row.domain:<8} " + " ".join(f"{error:7.3f}" for error in errors))
+        print(errors_text({f"{row.predictor}, {row.domain}": row.evaluation for row in result.rows}))
         print(f"\n{'stage':<20} {'s':>7} {'MiB':>7}")
         for stage in result.stages:
             print(f"{stage.name:<20} {stage.wall_s:7.1f} {stage.peak_memory_mib:7.0f}")

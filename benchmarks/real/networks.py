@@ -15,7 +15,7 @@ from gelgap.adapt.result_table import cell
 from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS, PLAIN, Changes
 from gelgap.benchmarks.adaptation.groups import methods_of
 from gelgap.benchmarks.adaptation.leaderboard import Entry, read_entries
-from gelgap.benchmarks.adaptation.study import control_of, grid, train_stages, versions_line
+from gelgap.benchmarks.adaptation.study import control_of, grid, versions_line
 from gelgap.benchmarks.common import Results, Setting, bootstrap, mean_of, write_json
 from gelgap.benchmarks.real.sessions import (
     FOLDS,
@@ -94,15 +94,15 @@ def adapt_fold(study: FoldStudy, run: Setting) -> Results:
     run had trained the checkpoint.
     """
     frames = study.frames_of(run)
-    model, problem, stage1_s, stage2_s = train_stages(study, run, frames.source_train, frames.target_train)
+    adapted = study.stage1(run, frames.source_train).adapt(frames.target_train, run["method"])
     test, constant = frames.target_test, frames.source_train.label_values.mean(axis=0)
     return {
         "versions": versions_line(),
         "control": control_of(run["method"]),
-        "problem": problem,
-        "clip_mae_n": errors_by_clip(constant if model is None else model.predict(test), test),
-        "stage1_s": round(stage1_s, 2),
-        "stage2_s": round(stage2_s, 2),
+        "problem": adapted.problem,
+        "clip_mae_n": errors_by_clip(constant if adapted.problem else adapted.model.predict(test), test),
+        "stage1_s": round(adapted.wall_s["stage1"], 2),
+        "stage2_s": round(adapted.wall_s["stage2"], 2),
     }
 
 

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from real_clones import write_wedge_clone
 
+from gelgap.adapt.runs import Adapted, Stage1
 from gelgap.benchmarks.adaptation.board import GROUPS
 from gelgap.benchmarks.adaptation.groups import SEEDS
 from gelgap.benchmarks.adaptation.leaderboard import Entry, EntryRun
@@ -66,7 +67,8 @@ def test_networks_learn_fz_of_pictures_in_contact_with_one_range(study: FoldStud
 
 
 def test_a_run_that_stops_counts_with_the_mean_force_of_the_source(study: FoldStudy, monkeypatch):
-    monkeypatch.setattr(networks, "train_stages", lambda *_: (None, "collapsed", 0.0, 1.0))
+    stopped = Adapted(None, "collapsed", (), {"stage1": 0.0, "stage2": 1.0})
+    monkeypatch.setattr(Stage1, "adapt", lambda *_: stopped)
     (run,) = fold_runs(DIRECTIONS[:1], ["dan"], [0], [2])
     record = adapt_fold(study, run)
     source, _, test = study.fold_of(run)
