@@ -11,7 +11,7 @@ import math
 import platform
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib.metadata import version
@@ -197,7 +197,9 @@ def adapt_folders(
         key = run_key(frames, method, profile, seed, weights)
         name = f"{frames.source_train.name}-{frames.target_train.name}-{method}-{seed}-{key[:8]}"
         folders[method] = stage1.out and stage1.out / name
-    missing = [method for method, folder in folders.items() if folder is None or not is_finished(folder)]
+    missing = [
+        method for method, folder in folders.items() if folder is None or not (folder / _RECORD).is_file()
+    ]
     with ExitStack() as held:
         for method in missing:
             if folders[method] is not None:
@@ -251,32 +253,23 @@ class Stage1:
 
     @cached_property
     def _trained(self) -> tuple[ForceModel, float]:
-        if self.checkpoint is None:
-            return self._train(None)
-        if self.checkpoint.is_file():
+        if self.checkpoint is not None and self.checkpoint.is_file():
             try:
                 return ForceModel.load(self.checkpoint), 0.0
             except ValueError as error:
                 set_aside(self.checkpoint, f"cannot be used ({error})")
-        folder = self.checkpoint.with_suffix("")
-        with sole_use(folder):
-            model, wall_s = self._train(folder / _RESUME)
-            model.save(self.checkpoint)
-            (folder / _RESUME).unlink(missing_ok=True)
+        folder = self.checkpoint and self.checkpoint.with_suffix("")
+        resume_file = folder and folder / _RESUME
+        with sole_use(folder) if folder else nullcontext():
+            self.source_train.images(self.profile.image_size_px)  # read before the clock starts
+            start = time.perf_counter()
+            how = {"weights": self.weights, "resume_file": resume_file, "progress": self.progress}
+            model = train_source(self.source_train, self.profile, self.seed, **how)
+            wall_s = time.perf_counter() - start
+            if folder:
+                model.save(self.checkpoint)
+                resume_file.unlink(missing_ok=True)
         return model, wall_s
-
-    def _train(self, resume_file: Path | None) -> tuple[ForceModel, float]:
-        self.source_train.images(self.profile.image_size_px)  # read before the clock starts
-        start = time.perf_counter()
-        how = {"weights": self.weights, "resume_file": resume_file, "progress": self.progress}
-        model = train_source(self.source_train, self.profile, self.seed, **how)
-        return model, time.perf_counter() - start
-
-    def model_for(self, method: str) -> tuple[ForceModel, float]:
-        """Return the model with which a method starts, trained if it needs that, and the time of training it now, s."""
-        if registry.find_method(method).needs_stage_1:
-            return self.model()
-        return self.untrained(), 0.0
 
     def untrained(self) -> ForceModel:
         """Return the model with which stage 1 begins."""
@@ -284,7 +277,8 @@ class Stage1:
 
     def adapt(self, target_train: LabelledFrames, method: str, resume_file: Path | None = None) -> "Adapted":
         """Train both stages of a method; that its features collapse or its losses are not finite is a result, too."""
-        start, stage1_s = self.model_for(method)
+        needed = registry.find_method(method).needs_stage_1
+        start, stage1_s = self.model() if needed else (self.untrained(), 0.0)
         for part in (self.source_train, target_train):
             part.images(self.profile.image_size_px)  # read before the clock starts
         how = {"resume_file": resume_file, "progress": self.progress}
@@ -409,11 +403,6 @@ def versions() -> dict[str, str]:
     return {"python": platform.python_version(), **packages}
 
 
-def is_finished(folder: Path) -> bool:
-    """Return whether a folder holds a finished run."""
-    return (folder / _RECORD).is_file()
-
-
 def _write(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
     """Write a run's folder: what `load_predictions` will return, the model, checksums, and last the record.
 
@@ -441,9 +430,9 @@ def load_run(folder: str | Path) -> Run:
         If its record is damaged.
     """
     folder = Path(folder)
-    if not is_finished(folder):
-        raise FileNotFoundError(f"{folder} holds no finished run ({_RECORD} is missing)")
     path = folder / _RECORD
+    if not path.is_file():
+        raise FileNotFoundError(f"{folder} holds no finished run ({_RECORD} is missing)")
     if problem := checksum_problem(path):
         raise _damaged(path, problem)
     try:

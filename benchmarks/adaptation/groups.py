@@ -46,9 +46,14 @@ CAVEAT = (
 
 def measure(study: Study) -> None:
     """Do the missing runs; then those of the paper's split, which come last."""
+    from gelgap.domains import make_recipes
+    from gelgap.sim import ContactPath
+
     chosen = study.known_methods()
-    if study.is_quick:
-        generate_quickly(study)
+    if study.is_quick:  # the domains at their least: nine points of four poses at draft quality
+        path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))
+        options = {"quality": "draft", "render_quality": "draft", "size_px": (160, 120), "seed": 0}
+        study.generate(make_recipes(QUICK_GROUP, path, **options))
         keep_oracles(study, [QUICK_GROUP])
         runs = grid([("paired", QUICK_GROUP)], chosen or QUICK_METHODS, study.seeds or SEEDS[:1])
     else:
@@ -63,16 +68,6 @@ def headline_grid(methods: Sequence[str] = (), seeds: Iterable[int] = SEEDS) -> 
     cases = [(design, group) for design in DESIGNS for group in GROUPS]
     by_point = grid(cases, methods or board.METHODS, seeds)
     return by_point + grid(cases[: len(GROUPS)], methods or board.MAIN_METHODS, seeds, board.AT_RANDOM)
-
-
-def generate_quickly(study: Study) -> None:
-    """Generate a group's domains at their least: nine points of four poses at draft quality."""
-    from gelgap.domains import make_recipes
-    from gelgap.sim import ContactPath
-
-    path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))
-    options = {"quality": "draft", "render_quality": "draft", "size_px": (160, 120), "seed": 0}
-    study.generate(make_recipes(QUICK_GROUP, path, **options))
 
 
 def keep_oracles(study: Study, groups: Iterable[board.Group]) -> None:
