@@ -62,7 +62,6 @@ NOT_RUN = {
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|\"taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",
-    r"python scripts/guide_pictures.py docs/pictures --real": "minutes of fits, and Taxim's own pipeline",
     r"python scripts/guide_pictures.py docs/pictures --view": "needs a browser; tests/view/test_page.py opens one",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
     r"git clone": "downloads; tests/real_clones.py writes such clones in small",
@@ -111,8 +110,8 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
     },
     "gelgap benchmark render --quick": {
-        "render.speed.SIZES_PX": lambda real: real[:1],
-        "render.speed.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
+        "render.accuracy.SIZES_PX": lambda real: real[:1],
+        "render.accuracy.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
     },
     "gelgap benchmark throughput --quick": {
         "throughput.recipes_of": smallest_recipes,

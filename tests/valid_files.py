@@ -76,6 +76,7 @@ def make_valid_files(folder: Path) -> None:
             size_px=(80, 60),
             scheduler="synchronous",
         )
+        read_colours(folder)  # a renderer that an earlier test made would not ask for them again
         _membrane(folder / "membrane")
         _pictures(folder)
         _runs(folder)
