@@ -13,7 +13,7 @@ import pickle
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
 PICTURES_PER_S = 30.0
 GLITCH_N = -1.5
 """A force below this, by the repository's sign, is an error of the gauge."""
+Corners = tuple[tuple[float, float], ...]
+"""(x, y) px of the top left, top right, bottom left and bottom right one."""
 _CORNERS = Path("wedge_config", "config_100.csv")
 _CORNER_NAMES = ("topleft", "topright", "bottomleft", "bottomright")
 _WEDGE_PX = (320, 240)
@@ -47,12 +49,8 @@ _LEAST_CONTRAST = 2.0
 _PRESSES_PER_CLIP = 20
 
 
-def rectified(
-    picture: np.ndarray, corners_px: tuple[tuple[float, float], ...], size_px: tuple[int, int]
-) -> np.ndarray:
+def rectified(picture: np.ndarray, corners_px: Corners, size_px: tuple[int, int]) -> np.ndarray:
     """Return a quadrilateral of a picture (h, w, 3) warped to an upright one of this width and height.
-
-    The corners are (x, y) of the top left, top right, bottom left and bottom right one.
 
     Raises
     ------
@@ -86,17 +84,17 @@ def _wedge_clips(clone: Path) -> Iterator[Clip]:
             raise ValueError(
                 f"{forces} holds an array of shape {force_n.shape}; expected one number a picture"
             )
-        yield Clip(
-            video.stem,
-            video.parent.name,
-            lambda video=video: (rectified(own, corners, _WEDGE_PX) for own in video_pictures(video)),
-            *[np.arange(len(force_n)) / PICTURES_PER_S] * 2,
-            {"fz_n": np.where(force_n < GLITCH_N, np.nan, -force_n)},
-            _WEDGE_LAGS,
-        )
+        time_s = np.arange(len(force_n)) / PICTURES_PER_S
+        labels = pd.DataFrame({"fz_n": np.where(force_n < GLITCH_N, np.nan, -force_n)}, time_s)
+        pictures = partial(_pad_pictures, video, corners)
+        yield Clip(video.stem, video.parent.name, pictures, time_s, labels, _WEDGE_LAGS)
 
 
-def _pad_corners(clone: Path) -> tuple[tuple[float, float], ...]:
+def _pad_pictures(video: Path, corners_px: Corners) -> Iterator[np.ndarray]:
+    return (rectified(picture, corners_px, _WEDGE_PX) for picture in video_pictures(video))
+
+
+def _pad_corners(clone: Path) -> Corners:
     table = clone / _CORNERS
     if not table.is_file():
         raise ValueError(

@@ -160,14 +160,15 @@ def write_picture_table(folder: Path, table: "pd.DataFrame") -> None:
 
 @dataclass(frozen=True)
 class Clip:
-    """One recording: pictures at `time_s` (n,) and labels at `label_time_s` (m,), each by a clock of its own.
+    """One recording: pictures at `time_s` (n,) and labels, each by a clock of its own.
 
     Attributes
     ----------
     pictures
         Gives all pictures (h, w, 3) uint8 from the first, each time that it is called.
     labels
-        What was measured, arrays (m,) by the name of their column, forces among them; NaN where a value is a glitch.
+        What was measured, by the time in s as index: columns by their names, forces among them; NaN where a value is a
+        glitch.
     lags
         The lags in frames that are possible, 0 among them; positive where the labels trail the pictures.
     """
@@ -176,50 +177,34 @@ class Clip:
     session: str
     pictures: Callable[[], Iterable[np.ndarray]]
     time_s: np.ndarray
-    label_time_s: np.ndarray
-    labels: dict[str, np.ndarray]
+    labels: "pd.DataFrame"
     lags: range = _LAGS
-
-    @property
-    def object(self) -> str:
-        """What was pressed: the clip's name without the number at its end, `golf_ball` of `golf_ball_2`."""
-        return _NUMBER.sub("", self.name) or self.name
-
-    def labels_at(self, lag: int) -> dict[str, np.ndarray]:
-        """Return the labels (n,) that belong to the pictures at a lag in frames; NaN where there are none."""
-        frame_s = float(np.median(np.diff(self.time_s)))
-        time_s = self.time_s + lag * frame_s
-        return {
-            name: _interpolated(time_s, self.label_time_s, values, frame_s)
-            for name, values in self.labels.items()
-        }
 
     def selected(self, every: int) -> Selection:
         """Find the lag and the reference, and select pictures in contact and those before; its session is a domain."""
-        import pandas as pd
-
         LOG.info("converting %s/%s", self.session, self.name)
-        correlations = _correlations(self)
+        correlations = self._correlations()
         best = int(np.nanargmax(correlations))
         lag = self.lags[best]
         labels = self.labels_at(lag)
-        pressed_n = _pressing_n(labels)
+        pressed_n, known = _pressing_n(labels), np.isfinite(labels).all(axis=1).to_numpy()
         touches = pressed_n > CONTACT_N
         # The reference is made of the pictures before the contact, less one as a lag may be wrong by one.
         before = int(np.argmax(touches)) if touches.any() else len(touches)
         n_at_rest = min(max(before - 1, 1), _REFERENCE_FRAMES)
         reference = np.median(list(islice(self.pictures(), n_at_rest)), axis=0).round().astype(np.uint8)
-        known = np.isfinite(np.stack(list(labels.values()))).all(axis=0)
         at_rest, in_contact = np.flatnonzero(known & ~touches), np.flatnonzero(known & touches)
         chosen = np.union1d(at_rest[:n_at_rest], in_contact[::every])
-        table = pd.DataFrame({**labels, "clip": self.name, "object": self.object, "time_s": self.time_s})
+        # What was pressed: the name without the number at its end, `golf_ball` of `golf_ball_2`.
+        pressed = _NUMBER.sub("", self.name) or self.name
+        table = labels.assign(clip=self.name, object=pressed, time_s=self.time_s).iloc[chosen]
         facts = ConvertedClip(
             domain=self.session,
             session=self.session,
             name=self.name,
             pictures=len(self.time_s),
             in_contact=int(touches.sum()),
-            dropped=int((~np.isfinite(np.stack(list(self.labels.values())))).any(axis=0).sum()),
+            dropped=int((~np.isfinite(self.labels)).any(axis=1).sum()),
             written=len(chosen),
             reference_rgb=mean_rgb(reference),
             lag=lag,
@@ -228,59 +213,63 @@ class Clip:
             lag_at_limit=lag != 0 and lag in (self.lags[0], self.lags[-1]),
             begins_in_contact=bool(pressed_n[np.isfinite(pressed_n)][0] > CONTACT_N),
         )
-        return Selection(facts, reference, self.pictures, table.iloc[chosen])
+        return Selection(facts, reference, self.pictures, table)
+
+    def labels_at(self, lag: int) -> "pd.DataFrame":
+        """Return the labels of each picture at a lag in frames, interpolated in time.
+
+        NaN where there are none, or the nearest value is NaN or more than half a frame away.
+        """
+        frame_s = float(np.median(np.diff(self.time_s)))
+        time_s, measured_s = self.time_s + lag * frame_s, self.labels.index.to_numpy()
+        nearest = np.searchsorted((measured_s[1:] + measured_s[:-1]) / 2, time_s)
+        inside = (time_s >= measured_s[0] - frame_s / 2) & (time_s <= measured_s[-1] + frame_s / 2)
+        finite = np.isfinite(self.labels)
+        found = self.labels.iloc[nearest].reset_index(drop=True).astype(float)
+        for name, values in self.labels.items():
+            known = finite[name]
+            if known.any():
+                found[name] = np.interp(time_s, measured_s[known], values[known])
+        return found.where(inside[:, None] & finite.to_numpy()[nearest])
+
+    def _correlations(self) -> list[float]:
+        """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
+        measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
+        if min(n, m) < _FEWEST_FRAMES:
+            raise ValueError(
+                f"clip {self.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are "
+                "needed"
+            )
+        if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
+            raise ValueError(
+                f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
+                f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
+            )
+        first, changes = None, []
+        for picture in self.pictures():
+            small = resized(picture, _SIGNAL_PX).astype(np.int16)
+            first = small if first is None else first
+            changes.append(np.abs(small - first).mean())
+        if len(changes) != n:
+            raise ValueError(f"clip {self.name} has {len(changes)} pictures and {n} times of pictures")
+        change, found = np.array(changes), []
+        for lag in self.lags:
+            pressed_n = _pressing_n(self.labels_at(lag))
+            both = np.isfinite(pressed_n)
+            varies = both.sum() >= _FEWEST_FRAMES and np.ptp(change[both]) > 0 and np.ptp(pressed_n[both]) > 0
+            found.append(float(np.corrcoef(change[both], pressed_n[both])[0, 1]) if varies else np.nan)
+        if np.isnan(found).all():
+            raise ValueError(
+                f"clip {self.name}: its force or its pictures do not change; take it out of the folder"
+            )
+        return found
 
 
-def _correlations(clip: Clip) -> list[float]:
-    """Return Pearson's correlation of change and force at each lag of a clip; NaN where one of the two is constant."""
-    n, m = len(clip.time_s), len(clip.label_time_s)
-    if min(n, m) < _FEWEST_FRAMES:
-        raise ValueError(
-            f"clip {clip.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are needed"
-        )
-    if clip.time_s[0] > clip.label_time_s[-1] or clip.label_time_s[0] > clip.time_s[-1]:
-        raise ValueError(
-            f"clip {clip.name}: its pictures span {clip.time_s[0]:g}…{clip.time_s[-1]:g} s, its labels "
-            f"{clip.label_time_s[0]:g}…{clip.label_time_s[-1]:g} s; count both from the same moment"
-        )
-    first, changes = None, []
-    for picture in clip.pictures():
-        small = resized(picture, _SIGNAL_PX).astype(np.int16)
-        first = small if first is None else first
-        changes.append(np.abs(small - first).mean())
-    if len(changes) != n:
-        raise ValueError(f"clip {clip.name} has {len(changes)} pictures and {n} times of pictures")
-    change, found = np.array(changes), []
-    for lag in clip.lags:
-        pressed_n = _pressing_n(clip.labels_at(lag))
-        both = np.isfinite(pressed_n)
-        varies = both.sum() >= _FEWEST_FRAMES and np.ptp(change[both]) > 0 and np.ptp(pressed_n[both]) > 0
-        found.append(float(np.corrcoef(change[both], pressed_n[both])[0, 1]) if varies else np.nan)
-    if np.isnan(found).all():
-        raise ValueError(
-            f"clip {clip.name}: its force or its pictures do not change; take it out of the folder"
-        )
-    return found
-
-
-def _pressing_n(labels: dict[str, np.ndarray]) -> np.ndarray:
+def _pressing_n(labels: "pd.DataFrame") -> np.ndarray:
     """Return how hard was pressed (n,): −Fz, or the size of what else of the force was measured, N."""
     if "fz_n" in labels:
-        return -labels["fz_n"]
-    return np.linalg.norm([labels[name] for name in ("fx_n", "fy_n") if name in labels], axis=0)
-
-
-def _interpolated(
-    time_s: np.ndarray, label_time_s: np.ndarray, values: np.ndarray, frame_s: float
-) -> np.ndarray:
-    """Return values (m,) at other times (n,); NaN where the nearest one is, or is more than half a frame away."""
-    finite = np.isfinite(values)
-    if not finite.any():
-        return np.full(len(time_s), np.nan)
-    found = np.interp(time_s, label_time_s[finite], values[finite])
-    nearest = np.searchsorted((label_time_s[1:] + label_time_s[:-1]) / 2, time_s)
-    outside = (time_s < label_time_s[0] - frame_s / 2) | (time_s > label_time_s[-1] + frame_s / 2)
-    return np.where(finite[nearest] & ~outside, found, np.nan)
+        return -labels["fz_n"].to_numpy()
+    return np.linalg.norm(labels[[name for name in ("fx_n", "fy_n") if name in labels]], axis=1)
 
 
 def mean_rgb(picture: np.ndarray) -> tuple[float, float, float]:
@@ -297,6 +286,8 @@ def _recordings(folder: Path) -> Iterator[Clip]:
 
 
 def _recorded_clip(table: Path) -> Clip:
+    import pandas as pd
+
     rows = read_table(table)
     header = list(rows[0]) if rows else []
     names = known_labels(header)
@@ -305,8 +296,8 @@ def _recorded_clip(table: Path) -> Clip:
             f"{table} must have the column {_TIME} and one of {', '.join(FORCE_COLUMNS)} at least; "
             f"it has {', '.join(header)}"
         )
-    label_time_s, *values = (_numbers(rows, name, table) for name in (_TIME, *names))
-    labels = dict(zip(names, values, strict=True))
+    columns = {name: _numbers(rows, name, table) for name in (_TIME, *names)}
+    labels = pd.DataFrame(columns).set_index(_TIME)
     pressed_n = _pressing_n(labels)
     if pressed_n.max() < -pressed_n.min():
         raise ValueError(
@@ -333,11 +324,11 @@ def _recorded_clip(table: Path) -> Clip:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
         pictures = partial(video_pictures, source)
-    for times, place in ((time_s, source), (label_time_s, table)):
+    for times, place in ((time_s, source), (columns[_TIME], table)):
         if (np.diff(times) <= 0).any():
             row = int(np.argmax(np.diff(times) <= 0)) + 1
             raise ValueError(f"{place}: times must increase; that of row {row} does not")
-    return Clip(table.stem, table.parent.resolve().name, pictures, time_s, label_time_s, labels)
+    return Clip(table.stem, table.parent.resolve().name, pictures, time_s, labels)
 
 
 def _numbers(rows: list[dict[str, str]], name: str, table: Path) -> np.ndarray:
