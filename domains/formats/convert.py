@@ -220,17 +220,17 @@ class Clip:
 
         NaN where there are none, or the nearest value is NaN or more than half a frame away.
         """
+        import pandas as pd
+
         frame_s = float(np.median(np.diff(self.time_s)))
         time_s, measured_s = self.time_s + lag * frame_s, self.labels.index.to_numpy()
         nearest = np.searchsorted((measured_s[1:] + measured_s[:-1]) / 2, time_s)
         inside = (time_s >= measured_s[0] - frame_s / 2) & (time_s <= measured_s[-1] + frame_s / 2)
-        finite = np.isfinite(self.labels)
-        found = self.labels.iloc[nearest].reset_index(drop=True).astype(float)
-        for name, values in self.labels.items():
-            known = finite[name]
-            if known.any():
-                found[name] = np.interp(time_s, measured_s[known], values[known])
-        return found.where(inside[:, None] & finite.to_numpy()[nearest])
+        finite, found = np.isfinite(self.labels.to_numpy()), {}
+        for known, (name, values) in zip(finite.T, self.labels.items(), strict=True):
+            between = np.interp(time_s, measured_s[known], values[known]) if known.any() else np.nan
+            found[name] = np.where(known[nearest] & inside, between, np.nan)
+        return pd.DataFrame(found)
 
     def _correlations(self) -> list[float]:
         """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
@@ -319,7 +319,9 @@ def _recorded_clip(table: Path) -> Clip:
         if wrong := [name for name in files if not stays_inside(name) or not (source / name).is_file()]:
             raise ValueError(f"{tables[0]} names the picture {wrong[0]!r}, which is not in {source}")
         time_s = _numbers(rows, _TIME, tables[0])
-        pictures = partial(map, read_picture, [source / name for name in files])
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(
+            map, read_picture, [source / name for name in files]
+        )
     else:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])

@@ -1,5 +1,6 @@
 """A data set in other formats: the paper's folders, WebDataset tars, a folder for Hugging Face, arrays for skada."""
 
+import csv
 import io
 import json
 import logging
@@ -75,15 +76,14 @@ def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[P
 
 def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
     """`ref.jpg`, and `{train,test,ori}/images/i.jpg` with `forcePosition/force.csv`; ori holds all frames in order."""
-    import pandas as pd
-
     for frames in domains:
         folder = out_dir / frames.name
         folder.mkdir()
         (folder / PUBLISHED_REFERENCE).write_bytes(encode_jpeg(frames.reference))
-        table = pd.DataFrame(frames.force_n, columns=PUBLISHED_FORCES)
+        header, values = [*PUBLISHED_FORCES], frames.force_n.tolist()
         if frames.has_classes:
-            table[PUBLISHED_LABEL] = frames.contact_class
+            header.append(PUBLISHED_LABEL)
+            values = [[*own, int(label)] for own, label in zip(values, frames.contact_class, strict=True)]
         is_test = _stated_split(frames) == "test"
         parts = {
             UNSPLIT: np.arange(len(frames)),
@@ -95,9 +95,10 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
                 continue
             for inside in ("images", "forcePosition"):
                 (folder / part / inside).mkdir(parents=True)
-            table.iloc[indices].to_csv(
-                folder / part / "forcePosition/force.csv", index=False, lineterminator="\r\n"
-            )
+            with (folder / part / "forcePosition" / "force.csv").open(
+                "w", newline="", encoding="utf-8"
+            ) as file:
+                csv.writer(file).writerows([header, *(values[index] for index in indices)])
             for number, index in enumerate(indices):
                 picture = folder / part / "images" / f"{number}.jpg"
                 if part == UNSPLIT:
