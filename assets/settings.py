@@ -1,6 +1,6 @@
 """Frozen configuration objects whose bad values fail with one sentence: field, value, allowed range."""
 
-from typing import Any, Self
+from typing import Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
@@ -12,17 +12,9 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    def __init__(self, **values: Any) -> None:
+    def __init__(self, /, **values: Any) -> None:
         try:
             super().__init__(**values)
-        except ValidationError as error:
-            raise ValueError(one_sentence(error)) from None
-
-    @classmethod
-    def model_validate(cls, obj: Any, **options: Any) -> Self:
-        """Validate as pydantic does, and raise ValueError with one plain sentence."""
-        try:
-            return super().model_validate(obj, **options)
         except ValidationError as error:
             raise ValueError(one_sentence(error)) from None
 

@@ -163,31 +163,24 @@ def sphere_profiles(
     RuntimeError
         If too few depths were solved.
     """
-    return {diameter: _profiles(diameter, deepest_mm, quality, elastomer) for diameter in set(diameters_mm)}
-
-
-def _profiles(
-    diameter_mm: float, deepest_mm: float | None, quality: str, elastomer: Elastomer
-) -> PressProfiles:
-    radius_mm = diameter_mm / 2
-    limit_mm = _DEEPEST_IN_THICKNESSES * elastomer.thickness_mm
-    depths = [share * radius_mm for share in DEPTHS_IN_RADII if share * radius_mm <= limit_mm]
-    if deepest_mm is not None:
-        needed = sum(depth < _BEYOND * deepest_mm for depth in depths) + 1
-        depths = depths[: max(needed, 3)]
-    poses = tuple(Pose(depth_mm=depth) for depth in depths)
-    states = solve_poses(elastomer, Sphere(diameter_mm=diameter_mm), poses, quality)
-    solves = []
-    for depth, state in zip(depths, states, strict=True):
-        if not state.converged:
-            continue
-        row, first = len(state.y_mm) // 2, len(state.x_mm) // 2
-        along = np.asarray(state.displacement_mm[row, first:], float)
-        solves.append(
-            SolvedPress(depth, state.x_mm[first:] + along[:, 0], along[:, 2], state.contact_radius_mm)
-        )
-    if len(solves) < 3:
-        raise RuntimeError(
-            f"only {len(solves)} of {len(depths)} depths of a {diameter_mm} mm sphere converged"
-        )
-    return PressProfiles.from_solves(radius_mm, solves)
+    found, limit_mm = {}, _DEEPEST_IN_THICKNESSES * elastomer.thickness_mm
+    for diameter_mm in set(diameters_mm):
+        radius_mm = diameter_mm / 2
+        depths = [share * radius_mm for share in DEPTHS_IN_RADII if share * radius_mm <= limit_mm]
+        if deepest_mm is not None:
+            needed = sum(depth < _BEYOND * deepest_mm for depth in depths) + 1
+            depths = depths[: max(needed, 3)]
+        poses = tuple(Pose(depth_mm=depth) for depth in depths)
+        states = solve_poses(elastomer, Sphere(diameter_mm=diameter_mm), poses, quality)
+        solves = []
+        for depth, state in zip(depths, states, strict=True):
+            if state.converged:
+                row, first = len(state.y_mm) // 2, len(state.x_mm) // 2
+                x, _, z = np.asarray(state.displacement_mm[row, first:], float).T
+                solves.append(SolvedPress(depth, state.x_mm[first:] + x, z, state.contact_radius_mm))
+        if len(solves) < 3:
+            raise RuntimeError(
+                f"only {len(solves)} of {len(depths)} depths of a {diameter_mm} mm sphere converged"
+            )
+        found[diameter_mm] = PressProfiles.from_solves(radius_mm, solves)
+    return found

@@ -354,27 +354,26 @@ def _force_against_contact(figure: "Figure", frames: LabelledFrames) -> None:
 
 def _coverage(figure: "Figure", frames: LabelledFrames) -> None:
     """Draw where contacts are, and how many of each class are at each point, as far as that is known."""
-    known = {
-        "places": {"x_mm", "y_mm"} <= frames.columns.keys(),
-        "counts": frames.has_classes and bool((frames.point_id >= 0).all()),
-    }
-    drawn = [what for what, is_known in known.items() if is_known]
-    axes = dict(zip(drawn, figure.subplots(1, len(drawn), squeeze=False)[0] if drawn else (), strict=True))
-    if "places" in axes:
+    has_places = {"x_mm", "y_mm"} <= frames.columns.keys()
+    has_counts = frames.has_classes and bool((frames.point_id >= 0).all())
+    panels = has_places + has_counts
+    if has_places:
         x_mm, y_mm = (
             frames.columns[f"{axis}_mm"] + frames.columns.get(f"shear_{axis}_mm", 0.0) for axis in "xy"
         )
-        axes["places"].scatter(x_mm, y_mm, s=2, color=_COLOURS[2])
-        axes["places"].invert_yaxis()
-        axes["places"].set(xlabel="x, mm", ylabel="y, mm (down, as in the picture)", aspect="equal")
-    if "counts" in axes:
+        axes = figure.add_subplot(1, panels, 1)
+        axes.scatter(x_mm, y_mm, s=2, color=_COLOURS[2])
+        axes.invert_yaxis()
+        axes.set(xlabel="x, mm", ylabel="y, mm (down, as in the picture)", aspect="equal")
+    if has_counts:
         points, point = np.unique(frames.point_id, return_inverse=True)
         classes, contact_class = np.unique(frames.contact_class, return_inverse=True)
         counts = np.zeros((len(points), len(classes)))
         np.add.at(counts, (point, contact_class), 1)
-        grey = axes["counts"].imshow(counts, aspect="auto", cmap="Greys", interpolation="nearest", vmin=0)
-        axes["counts"].set(xlabel="contact class (in order)", ylabel="contact point (in order)")
-        figure.colorbar(grey, ax=axes["counts"], label="frames")
+        axes = figure.add_subplot(1, panels, panels)
+        grey = axes.imshow(counts, aspect="auto", cmap="Greys", interpolation="nearest", vmin=0)
+        axes.set(xlabel="contact class (in order)", ylabel="contact point (in order)")
+        figure.colorbar(grey, ax=axes, label="frames")
 
 
 def _samples(frames: LabelledFrames, count: int = 14) -> list[dict[str, str]]:

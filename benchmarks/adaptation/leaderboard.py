@@ -90,8 +90,8 @@ def read_entries(folder: Path) -> list[Entry]:
     found: dict[Path, Entry] = {}
     for path in sorted(folder.glob("*.json")):
         try:
-            found[path] = Entry.model_validate(read_json(path))
-        except ValueError as error:
+            found[path] = Entry(**dict(read_json(path)))
+        except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from None
     if not found:
         raise ValueError(f"{folder} holds no records of the leaderboard; --write makes those of your runs")

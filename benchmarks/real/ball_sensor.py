@@ -129,7 +129,7 @@ def fitted_sensor(presses: Presses, path: Path) -> LightCalibration:
     ValueError
         If presses that the fit has not seen are predicted worse than by the unchanged reference.
     """
-    radius_px = _CONTACT_IN_RADII * presses.series.ball_radius_mm / MM_PER_PX
+    radius_px = _CONTACT_IN_RADII * presses.ball_radius_mm / MM_PER_PX
     chosen = np.unique(np.linspace(0, len(presses.pictures) - 1, PRESSES).astype(int))
     pictures = presses.pictures[chosen]
     centers = np.array([level_point_px(picture, presses.reference, radius_px) for picture in pictures])
@@ -137,7 +137,7 @@ def fitted_sensor(presses: Presses, path: Path) -> LightCalibration:
     listed = [
         PressPicture(
             inpaint_telea(picture, dots_of(picture)),
-            2 * presses.series.ball_radius_mm,
+            2 * presses.ball_radius_mm,
             radius_px=radius_px,
             center_px=tuple(center),
             marks_off_px=_MARKS_OFF_PX,

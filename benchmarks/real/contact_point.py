@@ -51,7 +51,7 @@ from gelgap.benchmarks.real.ball_sensor import (
     press_recipes,
     synthetic_presses,
 )
-from gelgap.benchmarks.real.published_sets import BALL_CLONE, LAYOUTS, MM_PER_PX, SERIES, ball_presses
+from gelgap.benchmarks.real.published_sets import BALL_CLONE, LAYOUTS, MM_PER_PX, ball_presses
 from gelgap.benchmarks.real.sessions import clip_means, clip_table
 from gelgap.domains import ArrayFrames, LabelledFrames, Labels, convert, with_labels
 from gelgap.render import Sensor
@@ -309,7 +309,7 @@ class Trials:
     def _fitted(self) -> Sensor:
         path = self._folder / "ball-sensor.toml"
         if not path.is_file():
-            print(fit_quality(fitted_sensor(ball_presses(self._clone, SERIES[1]), path)))
+            print(fit_quality(fitted_sensor(ball_presses(self._clone, "calibration2"), path)))
         return Sensor.load(path)
 
 

@@ -19,29 +19,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from gelgap.domains import ConvertedClip
-from gelgap.domains.formats.convert import (
-    Clip,
-    Writer,
-    mean_rgb,
-    video_pictures,
-    write_clips,
-    write_picture,
-    write_picture_table,
-)
-from gelgap.domains.formats.pictures import decode_picture
+from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, read_picture, video_pictures
 from gelgap.domains.frames.folders import read_table
 
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
 PICTURES_PER_S = 30.0
 GLITCH_N = -1.5
 """A force below this, by the repository's sign, is an error of the gauge."""
+Corners = tuple[tuple[float, float], ...]
+"""(x, y) px of the top left, top right, bottom left and bottom right one."""
 _CORNERS = Path("wedge_config", "config_100.csv")
 _CORNER_NAMES = ("topleft", "topright", "bottomleft", "bottomright")
 _WEDGE_PX = (320, 240)
 _WEDGE_LAGS = range(6)
 _MOST_PICKLE_BYTES = 2**28
+_ARRAY_NAMES = (
+    *("numpy.core.multiarray._reconstruct", "numpy._core.multiarray._reconstruct"),
+    *("numpy.ndarray", "numpy.dtype"),
+)
 
 BALL_CLONE = "git clone https://github.com/yanglh14/gelsight"
 MM_PER_PX = 0.1
@@ -51,12 +49,8 @@ _LEAST_CONTRAST = 2.0
 _PRESSES_PER_CLIP = 20
 
 
-def rectified(
-    picture: np.ndarray, corners_px: tuple[tuple[float, float], ...], size_px: tuple[int, int]
-) -> np.ndarray:
+def rectified(picture: np.ndarray, corners_px: Corners, size_px: tuple[int, int]) -> np.ndarray:
     """Return a quadrilateral of a picture (h, w, 3) warped to an upright one of this width and height.
-
-    The corners are (x, y) of the top left, top right, bottom left and bottom right one.
 
     Raises
     ------
@@ -75,16 +69,32 @@ def rectified(
     return cv2.warpPerspective(picture, cv2.getPerspectiveTransform(corners, upright), size_px)
 
 
-def _write_wedge(clone: Path, out_dir: Path, every: int) -> list[ConvertedClip]:
-    """Write the clips of a clone of EstimateModulus, their pads rectified to 320×240 px."""
+def _wedge_clips(clone: Path) -> Iterator[Clip]:
+    """Read the clips of a clone of EstimateModulus, their pads rectified to 320×240 px."""
     corners = _pad_corners(clone)
     videos = sorted((clone / "example_data").glob("*/*.avi"))
     if not videos:
         raise ValueError(f"{clone / 'example_data'} holds no videos; get the whole repository: {WEDGE_CLONE}")
-    return write_clips((_wedge_clip(video, corners) for video in videos), out_dir, every)
+    for video in videos:
+        forces = video.with_name(f"{video.stem}_forces.pkl")
+        if not forces.is_file():
+            raise ValueError(f"{forces} is missing; {video.name} has its forces there")
+        force_n = read_pickled_array(forces)
+        if force_n.ndim != 1:
+            raise ValueError(
+                f"{forces} holds an array of shape {force_n.shape}; expected one number a picture"
+            )
+        time_s = np.arange(len(force_n)) / PICTURES_PER_S
+        labels = pd.DataFrame({"fz_n": np.where(force_n < GLITCH_N, np.nan, -force_n)}, time_s)
+        pictures = partial(_pad_pictures, video, corners)
+        yield Clip(video.stem, video.parent.name, pictures, time_s, labels, _WEDGE_LAGS)
 
 
-def _pad_corners(clone: Path) -> tuple[tuple[float, float], ...]:
+def _pad_pictures(video: Path, corners_px: Corners) -> Iterator[np.ndarray]:
+    return (rectified(picture, corners_px, _WEDGE_PX) for picture in video_pictures(video))
+
+
+def _pad_corners(clone: Path) -> Corners:
     table = clone / _CORNERS
     if not table.is_file():
         raise ValueError(
@@ -99,62 +109,23 @@ def _pad_corners(clone: Path) -> tuple[tuple[float, float], ...]:
         ) from None
 
 
-def _wedge_clip(video: Path, corners_px: tuple[tuple[float, float], ...]) -> Clip:
-    forces = video.with_name(f"{video.stem}_forces.pkl")
-    if not forces.is_file():
-        raise ValueError(f"{forces} is missing; {video.name} has its forces there")
-    force_n = read_pickled_array(forces)
-    if force_n.ndim != 1:
-        raise ValueError(f"{forces} holds an array of shape {force_n.shape}; expected one number a picture")
-    time_s = np.arange(len(force_n)) / PICTURES_PER_S
-    labels = {"fz_n": np.where(force_n < GLITCH_N, np.nan, -force_n)}
-    pictures = partial(_pad_pictures, video, corners_px)
-    return Clip(video.stem, video.parent.name, pictures, time_s, time_s, labels, _WEDGE_LAGS)
+class _StandIn:
+    """Keeps what a pickle would hand to a class of NumPy, and calls nothing."""
 
+    def __init__(self, *arguments: Any):
+        self.arguments = arguments
 
-def _pad_pictures(video: Path, corners_px: tuple[tuple[float, float], ...]) -> Iterator[np.ndarray]:
-    return (rectified(picture, corners_px, _WEDGE_PX) for picture in video_pictures(video))
-
-
-class _PickledDtype:
-    """Stands for `numpy.dtype`: takes plain numbers alone."""
-
-    def __init__(self, code: str, *_: Any):
-        if not re.fullmatch("[iuf][1248]", code):
-            raise ValueError(f"it has the type {str(code)[:20]!r}")
-        self.code, self.order = code, "="
-
-    def __setstate__(self, state: tuple) -> None:
-        self.order = state[1].replace("|", "=")
-
-
-class _PickledArray:
-    """Stands for `numpy.ndarray`; `values` are made of the bytes that the pickle states."""
-
-    values: np.ndarray
-
-    def __setstate__(self, state: tuple) -> None:
-        _, shape, dtype, by_columns, data = state
-        if not all(isinstance(side, int) and side >= 0 for side in shape):
-            raise ValueError("the array's shape is none")
-        kind = np.dtype(dtype.order + dtype.code)
-        if prod(shape) * kind.itemsize != len(data):
-            raise ValueError(f"it states shape {shape} and {len(data)} bytes")
-        self.values = np.frombuffer(data, kind).reshape(shape, order="F" if by_columns else "C")
+    def __setstate__(self, state: Any) -> None:
+        self.state = state
 
 
 class _ArrayUnpickler(pickle.Unpickler):
-    """Resolves the names by which NumPy writes an array of numbers, to stand-ins that call nothing, and no other."""
+    """Resolves the names by which NumPy writes an array of numbers, to stand-ins, and no other."""
 
-    def find_class(self, module: str, name: str) -> Any:
-        match f"{module}.{name}":
-            case "numpy.core.multiarray._reconstruct" | "numpy._core.multiarray._reconstruct":
-                return lambda *_: _PickledArray()
-            case "numpy.ndarray":
-                return _PickledArray
-            case "numpy.dtype":
-                return _PickledDtype
-        raise ValueError(f"it names '{module}.{name}'")
+    def find_class(self, module: str, name: str) -> type[_StandIn]:
+        if f"{module}.{name}" not in _ARRAY_NAMES:
+            raise ValueError(f"it names '{module}.{name}'")
+        return _StandIn
 
 
 def read_pickled_array(path: Path) -> np.ndarray:
@@ -169,7 +140,14 @@ def read_pickled_array(path: Path) -> np.ndarray:
         raise ValueError(f"{path} has {path.stat().st_size} bytes; at most {_MOST_PICKLE_BYTES} are read")
     try:
         with path.open("rb") as file:
-            return _ArrayUnpickler(file).load().values.astype(float)
+            _, shape, kind, by_columns, data = _ArrayUnpickler(file).load().state
+        code = kind.state[1].replace("|", "=") + kind.arguments[0]
+        if not re.fullmatch("[<>=][iuf][1248]", code) or not all(type(side) is int for side in shape):
+            raise ValueError("its values are no numbers, or its shape is none")
+        values = np.frombuffer(data, code)
+        if prod(shape) != len(values) or min(shape, default=0) < 0:
+            raise ValueError(f"it states shape {shape} and {len(values)} values")
+        return values.reshape(shape, order="F" if by_columns else "C").astype(float)
     except (
         *(pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError),
         *(LookupError, OverflowError, RecursionError, MemoryError),
@@ -179,27 +157,20 @@ def read_pickled_array(path: Path) -> np.ndarray:
         ) from None
 
 
-@dataclass(frozen=True)
-class PressSeries:
-    """Presses of one ball: folder below `data/`, beginning of the pictures' names, the ball's radius."""
-
-    name: str
-    prefix: str
-    ball_radius_mm: float
-
-
-SERIES = (
-    PressSeries("calibration", "ball", 2.42),
-    PressSeries("calibration2", "cal", 2.42),
-    PressSeries("calibration3", "cal", 1.98),
-)
+SERIES = {
+    "calibration": ("ball", 2.42),
+    "calibration2": ("cal", 2.42),
+    "calibration3": ("cal", 1.98),
+}
+"""Series of presses of one ball: the beginning of the pictures' names and the ball's radius, mm, by the folder."""
 
 
 @dataclass(frozen=True)
 class Presses:
     """Rectified pictures (n, h, w, 3) in the order in which they were taken, and marked centres (n, 2) in px."""
 
-    series: PressSeries
+    name: str
+    ball_radius_mm: float
     pictures: np.ndarray
     centers_px: np.ndarray
 
@@ -225,7 +196,7 @@ class Presses:
         """
         reference = self.reference.astype(np.int16)
         rows, columns = np.indices(reference.shape[:2])
-        radius_px = self.series.ball_radius_mm / MM_PER_PX
+        radius_px = self.ball_radius_mm / MM_PER_PX
         right = []
         for picture, (x, y) in zip(self.pictures, self.centers_px, strict=True):
             change = np.abs(picture - reference).mean(axis=2)
@@ -233,37 +204,51 @@ class Presses:
             right.append(change[near].mean() > _LEAST_CONTRAST * change[~near].mean())
         return np.array(right)
 
+    def selected(self, every: int) -> Selection:
+        """Select every n-th press that is marked right; all series are one domain, as they are of one sensor.
 
-def ball_presses(clone: Path, series: PressSeries) -> Presses:
-    """Read one series of a clone of yanglh14/gelsight.
+        A clip is twenty presses that were taken one after another, as they lie close together.
+        """
+        right = self.is_marked_right()
+        chosen = np.flatnonzero(right)[::every]
+        table = pd.DataFrame(self.centers_mm[chosen], chosen, ["x_mm", "y_mm"]).assign(
+            clip=[f"{self.name}-{press // _PRESSES_PER_CLIP:02d}" for press in chosen],
+            object=f"ball of {2 * self.ball_radius_mm:.2f} mm",
+        )
+        facts = ConvertedClip(
+            domain="ball-presses",
+            session=self.name,
+            name=self.name,
+            pictures=len(right),
+            in_contact=len(right),
+            dropped=int((~right).sum()),
+            written=len(chosen),
+            reference_rgb=mean_rgb(self.reference),
+        )
+        return Selection(facts, self.reference, lambda: self.pictures, table)
+
+
+def ball_presses(clone: Path, name: str) -> Presses:
+    """Read one of `SERIES` of a clone of yanglh14/gelsight.
 
     Raises
     ------
     ValueError
         If the folder is no such clone, or one of its files is not as it should be.
     """
-    folder = clone / "data" / series.name
-    paths = sorted(folder.glob(f"{series.prefix}-*.jpg"), key=_number)
+    folder, (prefix, ball_radius_mm) = clone / "data" / name, SERIES[name]
+    paths = sorted(folder.glob(f"{prefix}-*.jpg"), key=_number)
     if not paths:
         raise ValueError(
             f"{clone} is no clone of yanglh14/gelsight: it has no {folder}; get one: {BALL_CLONE}"
         )
-    return Presses(
-        series, np.stack([_pad(path) for path in paths]), np.array([_center_px(path) for path in paths])
-    )
+    pictures = [rectified(read_picture(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths]
+    return Presses(name, ball_radius_mm, np.stack(pictures), np.array([_center_px(path) for path in paths]))
 
 
 def _number(path: Path) -> tuple[int, str]:
     number = path.stem.rpartition("-")[2]
     return (int(number) if number.isdigit() else -1, path.stem)
-
-
-def _pad(path: Path) -> np.ndarray:
-    try:
-        picture = decode_picture(path.read_bytes())
-    except ValueError as error:
-        raise ValueError(f"{path} is not readable: {error}") from None
-    return rectified(picture, _BALL_CORNERS_PX, _BALL_PX)
 
 
 def _center_px(picture: Path) -> tuple[float, float]:
@@ -277,46 +262,8 @@ def _center_px(picture: Path) -> tuple[float, float]:
     return x, y
 
 
-def _write_ball_presses(clone: Path, out_dir: Path, every: int) -> list[ConvertedClip]:
-    """Write all series of a clone of yanglh14/gelsight as one domain: they are of one sensor.
-
-    A clip is twenty presses that were taken one after another, as they lie close together.
-    """
-    domain, table, facts = "ball-presses", [], []
-    for series in SERIES:
-        presses, name = ball_presses(clone, series), series.name
-        right = presses.is_marked_right()
-        reference = write_picture(out_dir / domain, f"{name}/reference.png", presses.reference)
-        chosen = np.flatnonzero(right)[::every].tolist()
-        table += [
-            {
-                "picture": write_picture(
-                    out_dir / domain, f"{name}/{press:05d}.png", presses.pictures[press]
-                ),
-                "reference": reference,
-                "x_mm": float(presses.centers_mm[press, 0]),
-                "y_mm": float(presses.centers_mm[press, 1]),
-                "clip": f"{name}-{press // _PRESSES_PER_CLIP:02d}",
-                "object": f"ball of {2 * series.ball_radius_mm:.2f} mm",
-                "session": name,
-            }
-            for press in chosen
-        ]
-        facts.append(
-            ConvertedClip(
-                domain=domain,
-                session=name,
-                name=name,
-                pictures=len(right),
-                in_contact=len(right),
-                dropped=int((~right).sum()),
-                written=len(chosen),
-                reference_rgb=mean_rgb(presses.reference),
-            )
-        )
-    write_picture_table(out_dir / domain, table)
-    return facts
-
-
-LAYOUTS: dict[str, Writer] = {"wedge": _write_wedge, "ball-presses": _write_ball_presses}
-"""What `gelgap.domains.convert` writes of a clone, by name."""
+LAYOUTS: dict[str, Layout] = {
+    "wedge": _wedge_clips,
+    "ball-presses": lambda clone: (ball_presses(clone, name) for name in SERIES),
+}
+"""What `gelgap.domains.convert` reads of a clone, by name."""

@@ -6,15 +6,14 @@ differ by a lag that no file states. It is estimated from the clip alone, by cro
 change of the pictures go best with the force? No model is trained for it, and no other clip is used.
 """
 
-import csv
 import logging
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from gelgap.domains.frames.folders import read_table
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 
 if TYPE_CHECKING:
+    import pandas as pd
     from cv2 import VideoCapture
 
 LOG = logging.getLogger(__name__)
@@ -70,187 +70,206 @@ class ConvertedClip:
     begins_in_contact: bool = False
 
 
-Writer = Callable[[Path, Path, int], list[ConvertedClip]]
-"""Writes what is in a folder as picture folders below another, every n-th picture in contact."""
+@dataclass(frozen=True)
+class Selection:
+    """What is written of a clip: its facts, its reference (h, w, 3), and its pictures.
+
+    `pictures` gives all of them (h, w, 3) uint8 from the first, each time that it is called. `table` has a row for each
+    that is written, its number as index, with labels, `clip`, `object` and, where it is known, `time_s`.
+    """
+
+    facts: ConvertedClip
+    reference: np.ndarray
+    pictures: Callable[[], Iterable[np.ndarray]]
+    table: "pd.DataFrame"
+
+
+class Source(Protocol):
+    """One recording, or one series of presses."""
+
+    def selected(self, every: int) -> Selection:
+        """Select every n-th picture in contact."""
+        ...
+
+
+Layout = Callable[[Path], Iterable[Source]]
+"""Reads what is in a folder, the recordings of a domain one after the other."""
 
 
 def convert(
-    folder: Path | str, layout: str | Writer, out_dir: Path | str, every: int = 1
+    folder: Path | str, layout: str | Layout, out_dir: Path | str, every: int = 1
 ) -> tuple[ConvertedClip, ...]:
     """Write recordings as picture folders, one a domain, below a new folder, and return what became of each clip.
 
     Of the pictures in contact every n-th is written (n = `every`), and the few before that make a clip's reference.
-    The layout is `recordings`, a user's folder, or a function that writes another one:
+    The layout is `recordings`, a user's folder, or a function that reads another one:
     `gelgap.benchmarks.real.published_sets.LAYOUTS` has those of two public repositories, by name.
 
     Raises
     ------
     ValueError
-        If the layout is unknown, the folder has another, a file of it is not as it should be, or the output exists.
+        If the layout is unknown, the folder has another, a file of it is not as it should be, a clip is too short, its
+        clocks have no time in common, its force or pictures do not change, or the output exists.
     """
     if isinstance(layout, str):
         if layout not in LAYOUTS:
             raise ValueError(f"layout {layout!r} is unknown; known layouts: {', '.join(LAYOUTS)}")
         layout = LAYOUTS[layout]
     with new_folder(Path(out_dir)) as building:
-        return tuple(layout(Path(folder), building, every))
+        selections = (source.selected(every) for source in layout(Path(folder)))
+        return tuple(_write(selections, building))
+
+
+def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[ConvertedClip]:
+    """Write what is selected, a folder for each domain, and yield the facts of each clip."""
+    import pandas as pd
+
+    for domain, members in groupby(selections, key=lambda own: own.facts.domain):
+        if not is_plain_name(domain):
+            raise ValueError(f"the session's name {domain!r} is not one of a folder")
+        tables = []
+        for own in members:
+            facts, folder = own.facts, out_dir / domain / own.facts.name
+            LOG.info("writing %s/%s", facts.session, facts.name)
+            folder.mkdir(parents=True)
+            (folder / "reference.png").write_bytes(encode_png(own.reference))
+            for number, picture in enumerate(own.pictures()):
+                if number in own.table.index:
+                    (folder / f"{number:05d}.png").write_bytes(encode_png(picture))
+            places = {
+                "picture": [f"{facts.name}/{number:05d}.png" for number in own.table.index],
+                "reference": f"{facts.name}/reference.png",
+                "session": facts.session,
+            }
+            tables.append(own.table.assign(**places))
+            yield facts
+        write_picture_table(out_dir / domain, pd.concat(tables))
+
+
+def write_picture_table(folder: Path, table: "pd.DataFrame") -> None:
+    """Write the table of a picture folder, a row for each picture; columns are those of `COLUMNS` that it has."""
+    if table.empty:
+        raise ValueError(f"{folder.name}: no frame is left to be written")
+    kept = table[[name for name in COLUMNS if name in table]].dropna(axis="columns", how="all")
+    if partly := kept.columns[kept.isna().any()].tolist():
+        raise ValueError(
+            f"{folder.name}: only some frames have {', '.join(partly)}; all or none must have them"
+        )
+    kept.to_csv(folder / TABLE, index=False, float_format="%.7g", lineterminator="\r\n")
 
 
 @dataclass(frozen=True)
 class Clip:
-    """One recording: pictures at `time_s` (n,) and labels at `label_time_s` (m,), each by a clock of its own.
+    """One recording: pictures at `time_s` (n,) and labels, each by a clock of its own.
 
     Attributes
     ----------
     pictures
         Gives all pictures (h, w, 3) uint8 from the first, each time that it is called.
     labels
-        What was measured, arrays (m,) by the name of their column, forces among them; NaN where a value is a glitch.
+        What was measured, by the time in s as index: columns by their names, forces among them; NaN where a value is a
+        glitch.
     lags
         The lags in frames that are possible, 0 among them; positive where the labels trail the pictures.
     """
 
     name: str
     session: str
-    pictures: Callable[[], Iterator[np.ndarray]]
+    pictures: Callable[[], Iterable[np.ndarray]]
     time_s: np.ndarray
-    label_time_s: np.ndarray
-    labels: dict[str, np.ndarray]
+    labels: "pd.DataFrame"
     lags: range = _LAGS
 
-    @property
-    def object(self) -> str:
-        """What was pressed: the clip's name without the number at its end, `golf_ball` of `golf_ball_2`."""
-        return _NUMBER.sub("", self.name) or self.name
+    def selected(self, every: int) -> Selection:
+        """Find the lag and the reference, and select pictures in contact and those before; its session is a domain."""
+        LOG.info("converting %s/%s", self.session, self.name)
+        correlations = self._correlations()
+        best = int(np.nanargmax(correlations))
+        lag = self.lags[best]
+        labels = self.labels_at(lag)
+        pressed_n, known = _pressing_n(labels), np.isfinite(labels).all(axis=1).to_numpy()
+        touches = pressed_n > CONTACT_N
+        # The reference is made of the pictures before the contact, less one as a lag may be wrong by one.
+        before = int(np.argmax(touches)) if touches.any() else len(touches)
+        n_at_rest = min(max(before - 1, 1), _REFERENCE_FRAMES)
+        reference = np.median(list(islice(self.pictures(), n_at_rest)), axis=0).round().astype(np.uint8)
+        at_rest, in_contact = np.flatnonzero(known & ~touches), np.flatnonzero(known & touches)
+        chosen = np.union1d(at_rest[:n_at_rest], in_contact[::every])
+        # What was pressed: the name without the number at its end, `golf_ball` of `golf_ball_2`.
+        pressed = _NUMBER.sub("", self.name) or self.name
+        table = labels.assign(clip=self.name, object=pressed, time_s=self.time_s).iloc[chosen]
+        facts = ConvertedClip(
+            domain=self.session,
+            session=self.session,
+            name=self.name,
+            pictures=len(self.time_s),
+            in_contact=int(touches.sum()),
+            dropped=int((~np.isfinite(self.labels)).any(axis=1).sum()),
+            written=len(chosen),
+            reference_rgb=mean_rgb(reference),
+            lag=lag,
+            correlation=correlations[best],
+            correlation_at_0=correlations[self.lags.index(0)],
+            lag_at_limit=lag != 0 and lag in (self.lags[0], self.lags[-1]),
+            begins_in_contact=bool(pressed_n[np.isfinite(pressed_n)][0] > CONTACT_N),
+        )
+        return Selection(facts, reference, self.pictures, table)
 
-    def labels_at(self, lag: int) -> dict[str, np.ndarray]:
-        """Return the labels (n,) that belong to the pictures at a lag in frames; NaN where there are none."""
+    def labels_at(self, lag: int) -> "pd.DataFrame":
+        """Return the labels of each picture at a lag in frames, interpolated in time.
+
+        NaN where there are none, or the nearest value is NaN or more than half a frame away.
+        """
+        import pandas as pd
+
         frame_s = float(np.median(np.diff(self.time_s)))
-        time_s = self.time_s + lag * frame_s
-        return {
-            name: _interpolated(time_s, self.label_time_s, values, frame_s)
-            for name, values in self.labels.items()
-        }
+        time_s, measured_s = self.time_s + lag * frame_s, self.labels.index.to_numpy()
+        nearest = np.searchsorted((measured_s[1:] + measured_s[:-1]) / 2, time_s)
+        inside = (time_s >= measured_s[0] - frame_s / 2) & (time_s <= measured_s[-1] + frame_s / 2)
+        finite, found = np.isfinite(self.labels.to_numpy()), {}
+        for known, (name, values) in zip(finite.T, self.labels.items(), strict=True):
+            between = np.interp(time_s, measured_s[known], values[known]) if known.any() else np.nan
+            found[name] = np.where(known[nearest] & inside, between, np.nan)
+        return pd.DataFrame(found)
+
+    def _correlations(self) -> list[float]:
+        """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
+        measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
+        if min(n, m) < _FEWEST_FRAMES:
+            raise ValueError(
+                f"clip {self.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are "
+                "needed"
+            )
+        if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
+            raise ValueError(
+                f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
+                f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
+            )
+        first, changes = None, []
+        for picture in self.pictures():
+            small = resized(picture, _SIGNAL_PX).astype(np.int16)
+            first = small if first is None else first
+            changes.append(np.abs(small - first).mean())
+        if len(changes) != n:
+            raise ValueError(f"clip {self.name} has {len(changes)} pictures and {n} times of pictures")
+        change, found = np.array(changes), []
+        for lag in self.lags:
+            pressed_n = _pressing_n(self.labels_at(lag))
+            both = np.isfinite(pressed_n)
+            varies = both.sum() >= _FEWEST_FRAMES and np.ptp(change[both]) > 0 and np.ptp(pressed_n[both]) > 0
+            found.append(float(np.corrcoef(change[both], pressed_n[both])[0, 1]) if varies else np.nan)
+        if np.isnan(found).all():
+            raise ValueError(
+                f"clip {self.name}: its force or its pictures do not change; take it out of the folder"
+            )
+        return found
 
 
-def write_clips(clips: Iterable[Clip], out_dir: Path, every: int) -> list[ConvertedClip]:
-    """Write clips in the order of their sessions; a session is a domain.
-
-    A ValueError if a clip is too short, its clocks have no time in common, or its force or pictures do not change.
-    """
-    facts = []
-    for session, members in groupby(clips, key=lambda clip: clip.session):
-        if not is_plain_name(session):
-            raise ValueError(f"the session's name {session!r} is not one of a folder")
-        table: list[dict[str, Any]] = []
-        for clip in members:
-            LOG.info("converting %s/%s", session, clip.name)
-            rows, found = _write_clip(clip, out_dir / session, every)
-            table += rows
-            facts.append(found)
-        write_picture_table(out_dir / session, table)
-    return facts
-
-
-def _write_clip(clip: Clip, folder: Path, every: int) -> tuple[list[dict[str, Any]], ConvertedClip]:
-    """Find a clip's lag and its reference, and write its pictures; return its rows and facts."""
-    correlations = _correlations(clip)
-    best = int(np.nanargmax(correlations))
-    lag = clip.lags[best]
-    labels = clip.labels_at(lag)
-    pressed_n = _pressing_n(labels)
-    touches = pressed_n > CONTACT_N
-    # The reference is made of the pictures before the contact, less one as a lag may be wrong by one.
-    before = int(np.argmax(touches)) if touches.any() else len(touches)
-    n_at_rest = min(max(before - 1, 1), _REFERENCE_FRAMES)
-    reference = np.median(list(islice(clip.pictures(), n_at_rest)), axis=0).round().astype(np.uint8)
-    known = np.isfinite(np.stack(list(labels.values()))).all(axis=0)
-    chosen = {
-        *np.flatnonzero((known & ~touches)[:n_at_rest]).tolist(),
-        *np.flatnonzero(known & touches)[::every].tolist(),
-    }
-    reference_name = write_picture(folder, f"{clip.name}/reference.png", reference)
-    rows = [
-        {
-            "picture": write_picture(folder, f"{clip.name}/{frame:05d}.png", picture),
-            "reference": reference_name,
-            **{name: float(values[frame]) for name, values in labels.items()},
-            "clip": clip.name,
-            "object": clip.object,
-            "session": clip.session,
-            "time_s": float(clip.time_s[frame]),
-        }
-        for frame, picture in enumerate(clip.pictures())
-        if frame in chosen
-    ]
-    facts = ConvertedClip(
-        domain=clip.session,
-        session=clip.session,
-        name=clip.name,
-        pictures=len(clip.time_s),
-        in_contact=int(touches.sum()),
-        dropped=int((~np.isfinite(np.stack(list(clip.labels.values())))).any(axis=0).sum()),
-        written=len(rows),
-        reference_rgb=mean_rgb(reference),
-        lag=lag,
-        correlation=correlations[best],
-        correlation_at_0=correlations[clip.lags.index(0)],
-        lag_at_limit=lag != 0 and lag in (clip.lags[0], clip.lags[-1]),
-        begins_in_contact=bool(pressed_n[np.isfinite(pressed_n)][0] > CONTACT_N),
-    )
-    return rows, facts
-
-
-def _correlations(clip: Clip) -> list[float]:
-    """Return Pearson's correlation of change and force at each lag of a clip; NaN where one of the two is constant."""
-    n, m = len(clip.time_s), len(clip.label_time_s)
-    if min(n, m) < _FEWEST_FRAMES:
-        raise ValueError(
-            f"clip {clip.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are needed"
-        )
-    if clip.time_s[0] > clip.label_time_s[-1] or clip.label_time_s[0] > clip.time_s[-1]:
-        raise ValueError(
-            f"clip {clip.name}: its pictures span {clip.time_s[0]:g}…{clip.time_s[-1]:g} s, its labels "
-            f"{clip.label_time_s[0]:g}…{clip.label_time_s[-1]:g} s; count both from the same moment"
-        )
-    first, changes = None, []
-    for picture in clip.pictures():
-        small = resized(picture, _SIGNAL_PX).astype(np.int16)
-        first = small if first is None else first
-        changes.append(np.abs(small - first).mean())
-    if len(changes) != n:
-        raise ValueError(f"clip {clip.name} has {len(changes)} pictures and {n} times of pictures")
-    change, found = np.array(changes), []
-    for lag in clip.lags:
-        pressed_n = _pressing_n(clip.labels_at(lag))
-        both = np.isfinite(pressed_n)
-        varies = both.sum() >= _FEWEST_FRAMES and np.ptp(change[both]) > 0 and np.ptp(pressed_n[both]) > 0
-        found.append(float(np.corrcoef(change[both], pressed_n[both])[0, 1]) if varies else np.nan)
-    if np.isnan(found).all():
-        raise ValueError(
-            f"clip {clip.name}: its force or its pictures do not change; take it out of the folder"
-        )
-    return found
-
-
-def _pressing_n(labels: dict[str, np.ndarray]) -> np.ndarray:
+def _pressing_n(labels: "pd.DataFrame") -> np.ndarray:
     """Return how hard was pressed (n,): −Fz, or the size of what else of the force was measured, N."""
     if "fz_n" in labels:
-        return -labels["fz_n"]
-    return np.linalg.norm([labels[name] for name in ("fx_n", "fy_n") if name in labels], axis=0)
-
-
-def _interpolated(
-    time_s: np.ndarray, label_time_s: np.ndarray, values: np.ndarray, frame_s: float
-) -> np.ndarray:
-    """Return values (m,) at other times (n,); NaN where the nearest one is, or is more than half a frame away."""
-    finite = np.isfinite(values)
-    if not finite.any():
-        return np.full(len(time_s), np.nan)
-    found = np.interp(time_s, label_time_s[finite], values[finite])
-    nearest = np.searchsorted((label_time_s[1:] + label_time_s[:-1]) / 2, time_s)
-    outside = (time_s < label_time_s[0] - frame_s / 2) | (time_s > label_time_s[-1] + frame_s / 2)
-    return np.where(finite[nearest] & ~outside, found, np.nan)
+        return -labels["fz_n"].to_numpy()
+    return np.linalg.norm(labels[[name for name in ("fx_n", "fy_n") if name in labels]], axis=1)
 
 
 def mean_rgb(picture: np.ndarray) -> tuple[float, float, float]:
@@ -258,40 +277,17 @@ def mean_rgb(picture: np.ndarray) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def write_picture(folder: Path, name: str, picture: np.ndarray) -> str:
-    """Write a picture (h, w, 3) as PNG below the folder and return its name."""
-    path = folder / name
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encode_png(picture))
-    return name
-
-
-def write_picture_table(folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write the table of a picture folder, each row a dictionary by `COLUMNS`; all rows must have the same ones."""
-    if not rows:
-        raise ValueError(f"{folder.name}: no frame is left to be written")
-    kept = [name for name in COLUMNS if any(name in row for row in rows)]
-    if partly := [name for name in kept if not all(name in row for row in rows)]:
-        raise ValueError(
-            f"{folder.name}: only some frames have {', '.join(partly)}; all or none must have them"
-        )
-    with (folder / TABLE).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(kept)
-        for row in rows:
-            cells = (row[name] for name in kept)
-            writer.writerow(cell if isinstance(cell, str) else f"{cell:.7g}" for cell in cells)
-
-
-def _recordings(folder: Path, out_dir: Path, every: int) -> list[ConvertedClip]:
-    """Write the clips of a user's folder; the folder is their session."""
+def _recordings(folder: Path) -> Iterator[Clip]:
+    """Read the clips of a user's folder; the folder is their session."""
     tables = sorted(folder.glob("*.csv"))
     if not tables:
         raise ValueError(f"{folder} holds no recordings: {_LAYOUT}")
-    return write_clips(map(_recorded_clip, tables), out_dir, every)
+    return map(_recorded_clip, tables)
 
 
 def _recorded_clip(table: Path) -> Clip:
+    import pandas as pd
+
     rows = read_table(table)
     header = list(rows[0]) if rows else []
     names = known_labels(header)
@@ -300,8 +296,8 @@ def _recorded_clip(table: Path) -> Clip:
             f"{table} must have the column {_TIME} and one of {', '.join(FORCE_COLUMNS)} at least; "
             f"it has {', '.join(header)}"
         )
-    label_time_s, *values = (_numbers(rows, name, table) for name in (_TIME, *names))
-    labels = dict(zip(names, values, strict=True))
+    columns = {name: _numbers(rows, name, table) for name in (_TIME, *names)}
+    labels = pd.DataFrame(columns).set_index(_TIME)
     pressed_n = _pressing_n(labels)
     if pressed_n.max() < -pressed_n.min():
         raise ValueError(
@@ -322,16 +318,19 @@ def _recorded_clip(table: Path) -> Clip:
         files = [row["picture"] for row in rows]
         if wrong := [name for name in files if not stays_inside(name) or not (source / name).is_file()]:
             raise ValueError(f"{tables[0]} names the picture {wrong[0]!r}, which is not in {source}")
-        time_s, pictures = _numbers(rows, _TIME, tables[0]), partial(_folder_pictures, source, files)
+        time_s = _numbers(rows, _TIME, tables[0])
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(
+            map, read_picture, [source / name for name in files]
+        )
     else:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
         pictures = partial(video_pictures, source)
-    for times, place in ((time_s, source), (label_time_s, table)):
+    for times, place in ((time_s, source), (columns[_TIME], table)):
         if (np.diff(times) <= 0).any():
             row = int(np.argmax(np.diff(times) <= 0)) + 1
             raise ValueError(f"{place}: times must increase; that of row {row} does not")
-    return Clip(table.stem, table.parent.resolve().name, pictures, time_s, label_time_s, labels)
+    return Clip(table.stem, table.parent.resolve().name, pictures, time_s, labels)
 
 
 def _numbers(rows: list[dict[str, str]], name: str, table: Path) -> np.ndarray:
@@ -344,12 +343,12 @@ def _numbers(rows: list[dict[str, str]], name: str, table: Path) -> np.ndarray:
     return values
 
 
-def _folder_pictures(folder: Path, names: list[str]) -> Iterator[np.ndarray]:
-    for name in names:
-        try:
-            yield as_colour(decode_picture((folder / name).read_bytes()))
-        except ValueError as error:
-            raise ValueError(f"{folder / name} is not readable: {error}") from None
+def read_picture(path: Path) -> np.ndarray:
+    """Return the picture (h, w, 3) uint8 RGB of a file; a ValueError names one that is damaged."""
+    try:
+        return as_colour(decode_picture(path.read_bytes()))
+    except ValueError as error:
+        raise ValueError(f"{path} is not readable: {error}") from None
 
 
 def video_pictures(path: Path) -> Iterator[np.ndarray]:
@@ -375,5 +374,5 @@ def _grabbed(path: Path) -> "Iterator[VideoCapture]":
         video.release()
 
 
-LAYOUTS: dict[str, Writer] = {"recordings": _recordings}
+LAYOUTS: dict[str, Layout] = {"recordings": _recordings}
 """What is converted, by name."""

@@ -88,7 +88,7 @@ class DomainFolder:
             ) from None
         try:
             manifest = without_checksum(parse_json(text))
-            _Manifest.model_validate(manifest)
+            _Manifest(**manifest)
         except ValueError as error:
             raise RuntimeError(
                 f"{self.manifest_path} is damaged ({error}); generate the domain again with --overwrite"

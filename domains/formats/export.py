@@ -80,29 +80,32 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
         folder = out_dir / frames.name
         folder.mkdir()
         (folder / PUBLISHED_REFERENCE).write_bytes(encode_jpeg(frames.reference))
-        unsplit = folder / UNSPLIT
-        _paper_table(frames, unsplit, np.arange(len(frames)))
-        for index in range(len(frames)):
-            (unsplit / "images" / f"{index}.jpg").write_bytes(encode_jpeg(frames.picture(index)))
+        header, values = [*PUBLISHED_FORCES], frames.force_n.tolist()
+        if frames.has_classes:
+            header.append(PUBLISHED_LABEL)
+            values = [[*own, int(label)] for own, label in zip(values, frames.contact_class, strict=True)]
         is_test = _stated_split(frames) == "test"
-        for part, members in {"train": ~is_test, "test": is_test}.items():
-            indices = np.flatnonzero(members)
-            if len(indices):
-                _paper_table(frames, folder / part, indices)
-                for number, frame in enumerate(indices):
+        parts = {
+            UNSPLIT: np.arange(len(frames)),
+            "train": np.flatnonzero(~is_test),
+            "test": np.flatnonzero(is_test),
+        }
+        for part, indices in parts.items():
+            if part != UNSPLIT and not len(indices):
+                continue
+            for inside in ("images", "forcePosition"):
+                (folder / part / inside).mkdir(parents=True)
+            with (folder / part / "forcePosition" / "force.csv").open(
+                "w", newline="", encoding="utf-8"
+            ) as file:
+                csv.writer(file).writerows([header, *(values[index] for index in indices)])
+            for number, index in enumerate(indices):
+                picture = folder / part / "images" / f"{number}.jpg"
+                if part == UNSPLIT:
+                    picture.write_bytes(encode_jpeg(frames.picture(int(index))))
+                else:
                     # The same picture in two places takes its bytes once.
-                    os.link(unsplit / "images" / f"{frame}.jpg", folder / part / "images" / f"{number}.jpg")
-
-
-def _paper_table(frames: LabelledFrames, folder: Path, indices: np.ndarray) -> None:
-    (folder / "images").mkdir(parents=True)
-    (folder / "forcePosition").mkdir()
-    with (folder / "forcePosition" / "force.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow([*PUBLISHED_FORCES, *([PUBLISHED_LABEL] if frames.has_classes else [])])
-        for index in indices:
-            label = [int(frames.contact_class[index])] if frames.has_classes else []
-            writer.writerow([*frames.force_n[index].tolist(), *label])
+                    os.link(folder / UNSPLIT / "images" / f"{index}.jpg", picture)
 
 
 def _webdataset(domains: Iterable[StoredFrames], out_dir: Path) -> None:

@@ -10,20 +10,7 @@ _SECONDS_BETWEEN_LINES = 10.0
 
 
 class GenerationProgress:
-    """How a generation reports its progress; this one is silent."""
-
-    def begin(self, solves: int, frames: int) -> None:
-        """Say how many solves and frames are to be done."""
-
-    def solved(self) -> None:
-        """Say that one more solve is done."""
-
-    def written(self, frames: int) -> None:
-        """Say that this many more frames are on disk."""
-
-
-class ShownProgress(GenerationProgress):
-    """Counts (done, all) of solves and frames, shown as bars of rich or as plain lines.
+    """Counts (done, all) of solves and frames: shown as bars of rich, as plain lines on a stream, or not at all.
 
     Lines come at the beginning, then at most every ten seconds, and at the end.
     """
@@ -35,14 +22,17 @@ class ShownProgress(GenerationProgress):
         self._tasks = {name: bars.add_task(name, total=None, left="") for name in self.counts if bars}
 
     def begin(self, solves: int, frames: int) -> None:
+        """Say how many solves and frames are to be done."""
         self._start = time.monotonic()
         self.counts = {"solves": (0, solves), "frames": (0, frames)}
         self._show(first=True)
 
     def solved(self) -> None:
+        """Say that one more solve is done."""
         self._count("solves", 1)
 
     def written(self, frames: int) -> None:
+        """Say that this many more frames are on disk."""
         self._count("frames", frames)
 
     def _count(self, what: str, more: int) -> None:
@@ -79,11 +69,11 @@ def shown_progress(stream: TextIO | None = None) -> Iterator[GenerationProgress]
     """Yield the progress that suits the stream (standard error by default): bars on a terminal, else plain lines."""
     stream = stream or sys.stderr
     if not stream.isatty():
-        yield ShownProgress(stream)
+        yield GenerationProgress(stream)
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), "{task.fields[left]}")
     with Progress("{task.description}", *columns, console=Console(file=stream)) as bars:
-        yield ShownProgress(bars=bars)
+        yield GenerationProgress(bars=bars)

@@ -125,7 +125,7 @@ WORK = {
     "sim.plan": "Solve.run",
     "domains.generation.generate": "run",
     "domains.formats.export": "_paper",
-    "domains.formats.convert": "_write_clip",
+    "domains.formats.convert": "Clip.selected",
     "domains.generation.plan": "picture_cells",
     "adapt.runs": "Stage1.model",
     "adapt.trainer": "Trainer.train",

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from real_clones import force_of, rows_of, write_recordings, write_table
 
@@ -64,9 +65,9 @@ def test_an_unknown_layout_and_a_full_folder_are_refused(tmp_path: Path):
 
 
 def test_a_table_has_no_empty_cells(tmp_path: Path):
-    rows = [{"picture": "a.png", "fz_n": -1.0}, {"picture": "b.png", "fz_n": -2.0, "clip": "c"}]
+    rows = pd.DataFrame([{"picture": "a.png", "fz_n": -1.0}, {"picture": "b.png", "fz_n": -2.0, "clip": "c"}])
     with pytest.raises(ValueError, match="only some frames have clip"):
         write_picture_table(tmp_path, rows)
     with pytest.raises(ValueError, match="no frame is left"):
-        write_picture_table(tmp_path, [])
+        write_picture_table(tmp_path, rows[:0])
     assert COLUMNS[0] == "picture"

@@ -1,8 +1,7 @@
 import io
 
-from gelgap.domains import shown_progress
+from gelgap.domains import GenerationProgress, shown_progress
 from gelgap.domains.generation import progress as module
-from gelgap.domains.generation.progress import ShownProgress
 
 
 def test_without_a_terminal_progress_is_plain_lines_and_starts_again_with_each_job():
@@ -25,7 +24,7 @@ def clock(monkeypatch) -> list[float]:
 
 def test_written_frames_say_how_long_the_rest_takes(monkeypatch):
     now = clock(monkeypatch)
-    progress = ShownProgress(io.StringIO())
+    progress = GenerationProgress(io.StringIO())
     progress.begin(0, 1000)
     now[0] = 20.0
     progress.written(250)

@@ -35,7 +35,7 @@ from gelgap.benchmarks.real.contact_point import (
     windows_of,
     with_point,
 )
-from gelgap.benchmarks.real.published_sets import LAYOUTS, SERIES, ball_presses
+from gelgap.benchmarks.real.published_sets import LAYOUTS, ball_presses
 from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames, convert
 from gelgap.render import Sensor
@@ -155,7 +155,7 @@ def test_the_light_is_fitted_without_any_mark(clones: Path, tmp_path: Path, monk
         raise ValueError("seen enough")
 
     monkeypatch.setattr(ball_sensor, "calibrate_light", fit)
-    presses = ball_presses(clones / "gelsight", SERIES[1])
+    presses = ball_presses(clones / "gelsight", "calibration2")
     elsewhere = replace(presses, centers_px=presses.centers_px + 30)
     for marked in (presses, elsewhere):
         with pytest.raises(ValueError, match="seen enough"):
