@@ -1,11 +1,15 @@
-"""The arrows between the rooms point one way, no modules import each other in a circle, and no file is too long."""
+"""The arrows between the rooms point one way, no modules import each other in a circle, and every room keeps small."""
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +29,26 @@ ALLOWED = {
     "cli": {"assets", "sim", "render", "domains", "view", "adapt", "benchmarks"},
 }
 CODE = (*ALLOWED, "tests", "examples", "scripts")
-MOST_LINES = 600
+LINES = {
+    "assets": 530,
+    "sim": 3660,
+    "render": 5070,
+    "domains": 5740,
+    "adapt": 4950,
+    "view": 1560,
+    "cli": 2320,
+    "benchmarks": 8580,
+    "scripts": 760,
+}
+"""How many lines of Python a room may have, so that one person can hold the house in the head.
+
+A room that grows gives something back first.
+"""
+MOST_FILES = 195
+MOST_LINES_OF_A_FILE = 600
+LEAST_LINES_OF_A_FILE = 60
+STAND_ALONE = ("cli/", "adapt/methods/")
+"""Where a file may be as short as its command or method is."""
 READS_PICKLES = "benchmarks/real/published_sets.py"
 """Its Unpickler resolves no name to anything of NumPy or Python; `test_published_sets.py` tries hostile ones."""
 
@@ -41,29 +64,21 @@ def module_name(source: Path) -> str:
     return ".".join(("gelgap", *parts)).removesuffix(".__init__")
 
 
-def imported_names(source: Path, *, at_run_time: bool = False) -> set[str]:
-    """Return the dotted names of what a file imports, also inside functions.
+@cache
+def imported_names(source: Path) -> frozenset[str]:
+    """Return the dotted names of what a file imports, also inside functions and for types.
 
-    `from a.b import c` gives `a.b` and `a.b.c`. At run time, what stands below `if TYPE_CHECKING` is left out.
+    `from a.b import c` gives `a.b` and `a.b.c`.
     """
-    tree = ast.parse(source.read_text(encoding="utf-8"))
     names: set[str] = set()
-    for node in _runtime_nodes(tree) if at_run_time else ast.walk(tree):
+    for node in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{source} imports relatively"
             names.add(node.module)
             names.update(f"{node.module}.{alias.name}" for alias in node.names)
-    return names
-
-
-def _runtime_nodes(node: ast.AST) -> Iterator[ast.AST]:
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and getattr(child.test, "id", None) == "TYPE_CHECKING":
-            continue
-        yield child
-        yield from _runtime_nodes(child)
+    return frozenset(names)
 
 
 @pytest.mark.parametrize("room", ALLOWED)
@@ -84,12 +99,13 @@ def test_nothing_imports_a_room_by_its_bare_name(folder: str) -> None:
 
 @pytest.mark.parametrize("room", ALLOWED)
 def test_modules_of_a_room_do_not_import_each_other_in_a_circle(room: str) -> None:
+    """Imports for types count too: who reads the one file has to read the other."""
     modules = {module_name(source): source for source in sources(room)}
     numbers = {name: number for number, name in enumerate(modules)}
     matrix = np.zeros((len(modules), len(modules)), dtype=bool)
     for name, source in modules.items():
         # A name in a package is the package's module of that name, if there is one.
-        for other in imported_names(source, at_run_time=True) & modules.keys():
+        for other in imported_names(source) & modules.keys():
             is_package = modules[other].name == "__init__.py"
             matrix[numbers[name], numbers[other]] = not is_package
     _, labels = connected_components(csr_array(matrix), connection="strong")
@@ -108,13 +124,65 @@ def test_a_room_does_not_enter_through_its_own_face(room: str) -> None:
     assert offenders == []
 
 
+def line_count(source: Path) -> int:
+    return len(source.read_text(encoding="utf-8").splitlines())
+
+
+@pytest.mark.parametrize("room", LINES)
+def test_a_room_keeps_to_its_budget_of_lines(room: str) -> None:
+    assert sum(map(line_count, sources(room))) <= LINES[room]
+
+
+def test_the_house_keeps_to_its_number_of_files() -> None:
+    assert sum(len(sources(folder)) for folder in (*LINES, "examples")) <= MOST_FILES
+
+
 def test_no_file_is_longer_than_a_reader_can_hold() -> None:
-    lengths = {
-        str(source.relative_to(ROOT)): len(source.read_text(encoding="utf-8").splitlines())
-        for folder in CODE
-        for source in (ROOT / folder).rglob("*.py")
+    lengths = {source: line_count(source) for folder in CODE for source in sources(folder)}
+    assert {str(source): lines for source, lines in lengths.items() if lines > MOST_LINES_OF_A_FILE} == {}
+
+
+@pytest.mark.parametrize("room", ALLOWED)
+def test_a_short_module_has_more_than_one_importer_or_is_part_of_it(room: str) -> None:
+    """What a room's face (`__init__.pyi`) names is for everybody; a benchmark that the registry names is a command."""
+    faces = [
+        re.sub(r"from \.([\w.]+)", rf"from gelgap.{room}.\1", face.read_text("utf-8"))
+        for face in (ROOT / room).glob("__init__.pyi")
+    ]
+    importers = defaultdict(set)
+    for source in (source for other in ALLOWED for source in sources(other)):
+        for name in imported_names(source):
+            importers[name].add(source)
+    offenders = []
+    for source in sources(room):
+        name = module_name(source)
+        public = any(f"from {name} import" in face for face in faces)
+        short = line_count(source) < LEAST_LINES_OF_A_FILE and not source.name.startswith("__")
+        stands_alone = str(source.relative_to(ROOT)).startswith(STAND_ALONE)
+        if short and not public and not stands_alone and len(importers[name]) == 1:
+            offenders.append(name)
+    assert offenders == []
+
+
+def test_what_the_package_imports_is_declared() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"].values()
+    declared = [*project["dependencies"], *(one for extra in extras for one in extra)]
+    declared_names = {re.split(r"[\[<>=!~]", one)[0].lower().replace("_", "-") for one in declared}
+    assert len(project["dependencies"]) == len(
+        {re.split(r"[<>=]", one)[0] for one in project["dependencies"]}
+    )
+    distributions = packages_distributions()
+    imported = {
+        name.split(".")[0] for room in ALLOWED for source in sources(room) for name in imported_names(source)
     }
-    assert {name: lines for name, lines in lengths.items() if lines > MOST_LINES} == {}
+    undeclared = {
+        top
+        for top in imported - {"gelgap"} - set(sys.stdlib_module_names)
+        if top in distributions
+        and not {name.lower().replace("_", "-") for name in distributions[top]} & declared_names
+    }
+    assert undeclared == set()
 
 
 @pytest.mark.parametrize("folder", [*ALLOWED, "examples", "scripts"])
