@@ -182,7 +182,11 @@ def check_end(stopped_by: signal.Signals, code: int, out: str, err: str) -> None
 
 
 @pytest.mark.parametrize(
-    ("name", "begun"), [("generate", finished_shards), ("adapt", lambda folder: list(folder.rglob("*.pt")))]
+    ("name", "begun"),
+    [
+        ("generate", finished_shards),
+        pytest.param("adapt", lambda folder: list(folder.rglob("*.pt")), marks=pytest.mark.slow),
+    ],
 )
 def test_a_stopped_command_goes_on_where_it_was(
     name: str, begun: Callable, inputs: Path, tmp_path: Path, undisturbed: Callable
@@ -225,6 +229,7 @@ def test_a_command_may_be_stopped_at_any_moment(
     finish(name, inputs, tmp_path, expected)
 
 
+@pytest.mark.slow
 def test_generation_survives_the_end_of_a_worker(inputs: Path, tmp_path: Path, undisturbed: Callable) -> None:
     expected, _ = undisturbed("generate")
     child = Child.begin(BY_WORKERS, inputs, tmp_path)

@@ -21,7 +21,9 @@ def trial() -> Trial:
     return Trial(synthetic_set(profiles, SIZE_PX, 20), profiles)
 
 
-@pytest.mark.parametrize("name", ["dots, predicted without", "dots, predicted with"])
+@pytest.mark.parametrize(
+    "name", ["dots, predicted with", pytest.param("dots, predicted without", marks=pytest.mark.slow)]
+)
 def test_dots_are_drawn_and_predicted(trial: Trial, name: str) -> None:
     result = trial.measure({"disturbance": name})
     assert all(np.median(levels) > 30 for levels in result["own"].values())
@@ -36,6 +38,7 @@ def test_presses_that_are_refused_are_reported(trial: Trial, monkeypatch: pytest
     assert result["own"] == {"inside": [], "ring": []}
 
 
+@pytest.mark.slow
 def test_a_view_can_be_cut_at_presses(trial: Trial) -> None:
     result = trial.measure({"disturbance": "view cut at the presses"})
     assert "fitted presses on the edge" in result["note"]

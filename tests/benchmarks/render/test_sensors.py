@@ -117,6 +117,7 @@ def test_marks_are_corrected_as_the_fitted_presses_were():
     assert (corrected_poses(same_depth, np.arange(2), same_depth[:2] + 0.1)[:, 2] == 1.6).all()
 
 
+@pytest.mark.slow
 def test_presses_unlike_the_fitted_ones_are_predicted_by_every_model(found, tmp_path, capsys):
     task = sensors.light_task(found, sensors.Variant(order=0, degree=0, far=False))
     records = sensors.other_presses(found, task, tmp_path / "sensors.jsonl")
