@@ -71,7 +71,7 @@ def draw_presses(folder: Path, quality: QualityName) -> None:
 def compared(
     label: str, real: Picture, predicted: Sequence[Picture], contrast: float, size_px: tuple[int, int]
 ) -> list[Picture]:
-    """Return a labelled picture, and what is predicted, each with 128 + so many times its difference beside it."""
+    """Return a labelled picture, and what is predicted, each with 128 plus a multiple of its difference beside it."""
     import cv2
 
     shown = [real]

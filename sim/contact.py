@@ -66,7 +66,7 @@ class FrictionalContacts:
 
     @property
     def loaded(self) -> NDArray[np.bool_]:
-        """Whether each contact bears more than a negligible share of the largest normal force."""
+        """Whether each contact carries more than a negligible share of the largest normal force."""
         normal = self.normal_force_n
         return normal > _NEGLIGIBLE_LOAD_SHARE * normal.max(initial=0.0)
 

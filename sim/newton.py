@@ -39,7 +39,7 @@ _SNAPPED_LOAD_SHARE = 0.25
 # MuJoCo's solver takes a start as solved that leaves at most this share of all forces unbalanced.
 _LARGEST_RESIDUAL = 1e-9
 # A state is converged only if the audit's residual, imbalance and tension are below `_LARGEST_ERROR` and its Coulomb
-# excess is at most `_LARGEST_COULOMB_EXCESS`; one whose load step converged gets up to so many more iterations for it.
+# excess is at most `_LARGEST_COULOMB_EXCESS`; one whose load step converged gets up to this many further iterations.
 _LARGEST_ERROR = 1e-2
 _LARGEST_COULOMB_EXCESS = 1e-3
 _POLISHING_ITERATIONS = 40

@@ -143,7 +143,7 @@ def read_pickled_array(path: Path) -> np.ndarray:
             _, shape, kind, by_columns, data = _ArrayUnpickler(file).load().state
         code = kind.state[1].replace("|", "=") + kind.arguments[0]
         if not re.fullmatch("[<>=][iuf][1248]", code) or not all(type(side) is int for side in shape):
-            raise ValueError("its values are no numbers, or its shape is none")
+            raise ValueError("its values are not numbers, or its shape is missing")
         values = np.frombuffer(data, code)
         if prod(shape) != len(values) or min(shape, default=0) < 0:
             raise ValueError(f"it states shape {shape} and {len(values)} values")

@@ -60,7 +60,7 @@ def codes(linear: np.ndarray) -> np.ndarray:
 
 
 def exposed(picture: np.ndarray, factor: float) -> np.ndarray:
-    """Return the picture of so many times the exposure."""
+    """Return the picture at a multiple of the exposure."""
     return codes(factor * srgb_decode(picture / 255))
 
 
