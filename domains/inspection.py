@@ -250,7 +250,7 @@ def label_notes(frames: LabelledFrames) -> list[str]:
 
 
 def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damage]:
-    """Return the pictures that state another size than the reference, are no pictures, or cannot be decoded."""
+    """Return the pictures whose size differs from the reference's, or that cannot be decoded."""
     found, (width, height) = [], frames.size_px
     for index in range(len(frames)):
         try:
