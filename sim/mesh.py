@@ -75,7 +75,7 @@ class DiscGrid:
     """How a disc is divided: a square core of cells, then rings that coarsen beyond `fine_radius_mm`.
 
     `spacing_mm` is the distance of the vertices up to there, `sectors` the number of cells around half a circle, a
-    multiple of 4; each coarser ring is `ring_growth` wider than the one before.
+    multiple of 4; each coarser ring is `ring_growth` wider than the one before, none wider than `largest_mm`.
     """
 
     radius_mm: float
@@ -83,6 +83,7 @@ class DiscGrid:
     spacing_mm: float
     sectors: int
     ring_growth: float = 1.5
+    largest_mm: float = 2.5
 
 
 def mesh_for(problem: ContactProblem) -> GelMesh:
@@ -167,7 +168,11 @@ def half_disc(grid: DiscGrid) -> tuple[Points, Ints]:
     k = grid.sectors // 4
     core_mm = 1.1 * k * grid.spacing_mm
     rings_mm = core_mm + _graded_positions_mm(
-        grid.radius_mm - core_mm, grid.spacing_mm, grid.fine_radius_mm - core_mm, grid.ring_growth
+        grid.radius_mm - core_mm,
+        grid.spacing_mm,
+        grid.fine_radius_mm - core_mm,
+        grid.ring_growth,
+        grid.largest_mm,
     )
     u, v = np.meshgrid(np.linspace(-1, 1, 2 * k + 1), np.linspace(0, 1, k + 1), indexing="ij")
     shell = np.maximum(np.abs(u), np.abs(v))

@@ -63,7 +63,7 @@ def stadium_mesh(problem: ContactProblem, size: PathMeshSize) -> GelMesh:
     if problem.contact_width > 1:
         reach = max(reach, radius + aside + _BESIDE_WIDE_CONTACT_THICKNESSES * thickness)
     sectors = 4 * round(size.sectors * (radius + aside) / radius / 4)
-    grid = DiscGrid(reach, fine_radius, cell, sectors, size.ring_growth)
+    grid = DiscGrid(reach, fine_radius, cell, sectors, size.ring_growth, _LARGEST_CELL * thickness)
     plane, quads = half_stadium(grid, low, high)
     cells: Cells = list(quads)
     if not problem.symmetric:
