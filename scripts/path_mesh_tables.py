@@ -27,14 +27,20 @@ SIZES = {
     "standard": PathMeshSize(5.6, 12, 2.2, first_layer=0.5, largest_layer=0.25, base_layer=0.12),
 }
 PRESSES = ((1.5, 3.0, 0.0, (0.2, 0.6, 1.0)), (1.5, 3.0, 10.0, (0.2, 0.6, 1.0)), (6.0, 4.0, 0.0, (0.67, 1.33)))
-TOUCHES = tuple((r, h, 0.0, (d,)) for r, h in ((1.5, 3.0), (3.0, 6.0), (5.0, 6.0), (5.0, 20.0)) for d in (0.01, 0.1))
+TOUCHES = tuple(
+    (r, h, 0.0, (d,)) for r, h in ((1.5, 3.0), (3.0, 6.0), (5.0, 6.0), (5.0, 20.0)) for d in (0.01, 0.1)
+)
 DRAGS = ((1.5, 3.0, 0.6, (0.0, 1.5, 2.5, 3.0)), (0.5, 6.0, 0.3, (0.0, 1.0, 2.0)))
 DIRECTIONS_DEG = (0, 17, 45, 63, 90)
 
 
-def solved(gel: Elastomer, radius: float, poses: Sequence[Pose], quality: str, size: PathMeshSize | None, **sharing):
+def solved(
+    gel: Elastomer, radius: float, poses: Sequence[Pose], quality: str, size: PathMeshSize | None, **sharing
+):
     """Solve poses on a mesh of that size, or the present one; return the solution and what it cost."""
-    plan = plan_visit(gel, Sphere(diameter_mm=2 * radius), poses, quality, Sharing(cache=False, modulus=False, **sharing))
+    plan = plan_visit(
+        gel, Sphere(diameter_mm=2 * radius), poses, quality, Sharing(cache=False, modulus=False, **sharing)
+    )
     problem = plan.solves[0].problem
     own = problem.quality
     disc, pad = (replace(mesh, stiffness=(0.0, 0.0)) for mesh in (own.disc, own.pad))
@@ -56,7 +62,9 @@ def solved(gel: Elastomer, radius: float, poses: Sequence[Pose], quality: str, s
     return solution, cost
 
 
-def press(radius: float, thickness: float, friction: float, depths: tuple[float, ...], quality: str, size) -> str:
+def press(
+    radius: float, thickness: float, friction: float, depths: tuple[float, ...], quality: str, size
+) -> str:
     """Return the errors of a press: force, u_z and u_r at the vertices within 5 mm, contact radius."""
     element = math.sqrt(radius * max(depths)) / 12
     truth = Press(
@@ -118,7 +126,9 @@ def _gel(thickness: float, friction: float, poisson: float) -> Elastomer:
 
 def main() -> None:
     """Print the tables asked for, row by row."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--what", nargs="+", default=["press", "drag", "touch", "direction"])
     parser.add_argument("--quality", nargs="+", default=["draft", "standard"])
     parser.add_argument("--mesh", nargs="+", default=["present", "path"])

@@ -104,7 +104,12 @@ def straightest(segments_mm: Points) -> tuple[float, float, float, tuple[float, 
     if abs(direction[1]) < 1e-9:
         direction = np.array([1.0, 0.0])
     along, across = points @ direction, points @ np.array([-direction[1], direction[0]])
-    return float(min(along.min(), 0)), float(max(along.max(), 0)), float(np.abs(across).max()), tuple(direction)
+    return (
+        float(min(along.min(), 0)),
+        float(max(along.max(), 0)),
+        float(np.abs(across).max()),
+        tuple(direction),
+    )
 
 
 def half_stadium(grid: DiscGrid, low_mm: float, high_mm: float) -> tuple[Points, Ints]:
@@ -124,7 +129,9 @@ def half_stadium(grid: DiscGrid, low_mm: float, high_mm: float) -> tuple[Points,
     moved[middle] = column[-1]
     quads = quads.copy()
     quads[ahead] = moved[quads[ahead]]
-    between = np.stack([column[:-1, :-1], column[1:, :-1], column[1:, 1:], column[:-1, 1:]], -1).reshape(-1, 4)
+    between = np.stack([column[:-1, :-1], column[1:, :-1], column[1:, 1:], column[:-1, 1:]], -1).reshape(
+        -1, 4
+    )
     shifted = plane.copy()
     shifted[:, 0] += np.where(plane[:, 0] > 1e-9, high_mm, low_mm)
     x = np.repeat(low_mm + length * np.arange(1, columns + 1) / columns, rows)
