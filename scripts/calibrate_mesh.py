@@ -14,31 +14,52 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import curve_fit
 
 from gelgap.benchmarks.common import show
 from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS, SURFACE, errors
-from gelgap.benchmarks.physics.cases import Case, Solver
-from gelgap.benchmarks.physics.references import own_cases, press_cases
+from gelgap.benchmarks.physics.cases import Case, Floats, Solver
+from gelgap.benchmarks.physics.references import Descent, own_cases, press_cases
 from gelgap.sim import Sharing, Solve
 from gelgap.sim.mesh import LARGEST_POISSON_RATIO, mesh_moduli
-from gelgap.sim.problem import QUALITIES, MeshSize, quality_named
-from gelgap.sim.scene import Moduli
+from gelgap.sim.problem import QUALITIES
 
 KEPT = Path("benchmark-results/mesh-solves")
-SHARES_OF_DEEPEST = (0.2, 0.6, 1.0)
-CALIBRATION = tuple(
-    replace(Press.scaled(1.5, 3.0, poisson_ratio, friction), energy="stable")
-    for poisson_ratio, friction in itertools.product((0.3, 0.45, 0.49), (0.0, math.inf))
-)
-CHECK = tuple(
-    replace(Press.scaled(*scene), energy="stable")
-    for scene in (
-        (1.0, 2.0, 0.47, 0.3),
-        (2.5, 4.0, 0.485, math.inf),
-        (3.0, 3.0, 0.46, 0.0),
-        (1.0, 3.0, 0.495, 0.2),
+
+
+def descent(
+    radius_mm: float, thickness_mm: float, poisson_ratio: float, friction: float, *depths_mm: float
+) -> Descent:
+    """Return a press in MuJoCo's energy on elements that its contact at the deepest needs."""
+    press = Press(
+        energy="stable",
+        poisson_ratio=poisson_ratio,
+        friction=friction,
+        indenter_radius_mm=radius_mm,
+        thickness_mm=thickness_mm,
+        pad_radius_mm=radius_mm + 3.5 * thickness_mm,
+        element_mm=min(math.sqrt(radius_mm * max(depths_mm)) / 12, thickness_mm / 15),
     )
+    return press, depths_mm
+
+
+CALIBRATION = tuple(
+    descent(*scene[:2], poisson_ratio, friction, *scene[2:])
+    for poisson_ratio, friction, scene in (
+        *itertools.product((0.3, 0.45, 0.49), (0.0, math.inf), [(1.5, 3.0, 0.2, 0.6, 1.0)]),
+        *itertools.product((0.3, 0.49), (0.0,), [(1.5, 3.0, 0.01), (1.5, 3.0, 0.1), (5.0, 20.0, 0.03)]),
+        *itertools.product((0.3, 0.49), (0.0, math.inf), [(6.0, 4.0, 0.67, 1.33)]),
+    )
+)
+CHECK = (
+    descent(1.0, 2.0, 0.47, 0.3, 0.15, 0.4, 0.65),
+    descent(2.5, 4.0, 0.485, math.inf, 0.3, 0.8, 1.3),
+    descent(3.0, 3.0, 0.46, 0.0, 0.2, 0.6, 1.0),
+    descent(1.0, 3.0, 0.495, 0.2, 0.15, 0.4, 0.65),
+    descent(5.0, 6.0, 0.48, 0.3, 0.02),
+    descent(3.0, 10.0, 0.49, math.inf, 0.1),
+    descent(10.0, 4.0, 0.48, 0.2, 0.4),
 )
 TABLES = ("nh49_no_slip", "nh49_frictionless", "nh499_no_slip")
 STANDARD = QUALITIES["standard"].disc
@@ -46,17 +67,18 @@ SIZES = {
     "standard": STANDARD,
     "8 sectors": replace(STANDARD, sectors=8),
     "16 sectors": replace(STANDARD, sectors=16),
-    "vertices 0.25 mm apart": replace(STANDARD, surface_mm=0.25),
+    "5 cells across": replace(STANDARD, across=5.0),
+    "rings grow by 1.6": replace(STANDARD, ring_growth=1.6),
     "layers grow by 1.5": replace(STANDARD, layer_growth=1.5),
-    "the former one": MeshSize(0.25, 0.15, 1.25, 1.5, 8, stiffness=(0.0044, 0.00052)),
 }
 
 
 def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -> None:
     """Print the factors by quality and ν that remain, and the check; both are 1 where `mesh_moduli` is right."""
     print(f"FORCE_RISE_PER_POISSON = {force_rise_per_poisson():.2f}")
-    for title, presses in (("Calibration", CALIBRATION), ("Check: not used", CHECK)):
-        truths = own_cases(title, [(press, depths_mm(press)) for press in presses], solver)
+    for title, descents in (("Calibration", CALIBRATION), ("Check: not used", CHECK)):
+        truths = own_cases(title, descents, solver)
+        presses = [press for press, _ in descents]
         rows = []
         for quality, mesh in itertools.product(qualities, meshes):
             cases = [
@@ -67,24 +89,20 @@ def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -
                 np.array([state.force_n[2] for state in solved[case].states]) / case.truth.force_n[:, 2]
                 for case in cases
             ]
-            for press, ratio in zip(presses, ratios, strict=True):
+            for case, ratio in zip(cases, ratios, strict=True):
                 error = " ".join(f"{100 * (r - 1):+.2f}" for r in ratio)
-                rows.append((quality, mesh, str(press), error, ratio.mean()))
-            if presses is CALIBRATION:
-                a, b = coefficients(ratios, getattr(quality_named(quality), mesh).stiffness)
-                print(f"    {quality} {mesh}: stiffness=({a:.4f}, {b:.5f})")
-        columns = ["quality", "mesh", "scene", "Fz error by depth, %", "mean ratio"]
+                cost = solved[case].solve_s
+                rows.append((quality, mesh, case.name, error, ratio.mean(), cost))
+            if descents is CALIBRATION:
+                coefficients = stiffness(cases, [ratio.mean() for ratio in ratios])
+                print(f"    {quality} {mesh}: stiffness=({', '.join(f'{c:.5f}' for c in coefficients)})")
+        columns = ["quality", "mesh", "scene", "Fz error by depth, %", "mean ratio", "core s"]
         show(title, pd.DataFrame(rows, columns=columns))
-
-
-def depths_mm(press: Press) -> tuple[float, ...]:
-    """Return the depths at which forces are compared."""
-    return tuple(round(press.deepest_mm * share, 4) for share in SHARES_OF_DEEPEST)
 
 
 def on_mesh(truth: Case, press: Press, quality: str, mesh: str) -> Case:
     """Return a press of MuJoCo's own energy, on half a disc or a whole pad."""
-    gel = {"strain_energy": "stable-neo-hookean", "pad_size_mm": (40.0, 40.0)}
+    gel = {"strain_energy": "stable-neo-hookean", "pad_size_mm": (100.0, 100.0)}
     sharing = Sharing(translation=mesh == "disc", cache=False)
     elastomer = truth.elastomer.model_copy(update=gel)
     return replace(truth, study=mesh, elastomer=elastomer, quality=quality, sharing=sharing)
@@ -105,14 +123,22 @@ def force_rise_per_poisson() -> float:
     return float(np.mean(rises))
 
 
-def coefficients(ratios: Sequence[np.ndarray], stiffness: tuple[float, float]) -> tuple[float, float]:
-    """Fit 1 + a + b / (1 − 2ν) to the factors: ratios that remain times the stiffness taken out already."""
-    poisson = np.array([press.poisson_ratio for press in CALIBRATION])
-    taken_out = [1 / mesh_moduli(Moduli(1.0, nu), stiffness).young_modulus_mpa for nu in poisson]
-    factor = np.array([ratio.mean() for ratio in ratios]) * taken_out
-    basis = np.stack([np.ones_like(poisson), 1 / (1 - 2 * poisson)], axis=-1)
-    a, b = np.linalg.lstsq(basis, factor - 1, rcond=None)[0]
-    return float(a), float(b)
+def stiffness(cases: Sequence[Case], ratios: Sequence[float]) -> tuple[float, ...]:
+    """Fit a, b and c of `mesh_moduli` to the factors: ratios that remain times the stiffness taken out already."""
+    problems = [case.solve.problem for case in cases]
+    taken_out = [
+        problem.moduli.young_modulus_mpa
+        / mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width).young_modulus_mpa
+        for problem in problems
+    ]
+    poisson = np.array([problem.moduli.poisson_ratio for problem in problems])
+    width = np.array([problem.contact_width for problem in problems])
+
+    def excess(of: tuple[Floats, Floats], a: float, b: float, c: float) -> Floats:
+        return (a + b / (1 - 2 * of[0])) * (1 - c * np.log(of[1]))
+
+    found, _ = curve_fit(excess, (poisson, width), np.array(ratios) * taken_out - 1, p0=(0.01, 5e-4, 0.1))
+    return tuple(float(value) for value in found)
 
 
 def press_on(sizes: dict[str, MeshSize], cases: Sequence[Case], solver: Solver) -> pd.DataFrame:

@@ -298,6 +298,8 @@ def pressure_table(solution: Solution, record: Record) -> PolarTable:
 
 def _polar_points(solution: Solution, rest_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return where a table samples the membrane, (n_r, n_angle, 2)."""
+    from scipy.spatial import ConvexHull
+
     problem = solution.problem
     low, high = rest_mm.min(axis=0), rest_mm.max(axis=0)
     rim = float(np.hypot(*rest_mm.T).max())
@@ -305,10 +307,13 @@ def _polar_points(solution: Solution, rest_mm: NDArray[np.float64]) -> NDArray[n
     radius = _radius(np.arange(float(np.ceil(_row(np.array(extent)))) + 1))
     half_circle = np.linspace(0, np.pi, _SECTORS + 1)
     turn = half_circle if problem.symmetric else np.linspace(0, 2 * np.pi, 2 * _SECTORS + 1)
-    # The mesh is a polygon, cut at the pad's edges: points beyond it take the displacement of its rim.
-    meshed = np.minimum(radius, 0.999 * rim * np.cos(np.pi / (2 * problem.mesh_size.sectors)))
-    x, y = np.outer(meshed, np.cos(turn)), np.outer(meshed, np.sin(turn))
-    return np.stack([np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])], -1)
+    x, y = np.outer(radius, np.cos(turn)), np.outer(radius, np.sin(turn))
+    points = np.stack([np.clip(x, low[0], high[0]), np.clip(y, low[1], high[1])], -1)
+    # Points beyond the mesh take the displacement of its rim. Edges through the contact point are kept by the clip.
+    edges = ConvexHull(rest_mm).equations
+    edges = edges[edges[:, 2] < -1e-9]
+    beyond = (points @ (edges[:, :2] / -edges[:, 2:]).T).max(axis=-1, keepdims=True)
+    return points / np.maximum(beyond / 0.999, 1.0)
 
 
 def _row(radius_mm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ Plane cells around the contact axis (half a disc, mirrored for a whole one, cut 
 layers of prisms, which are split into tetrahedra that do not lock.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ import pymetis
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gelgap.sim.problem import ContactProblem, mesh_scale
+from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Moduli, PadEdges
 
 # Corners of each plane cell, counterclockwise.
@@ -21,16 +22,28 @@ Cells = Sequence[NDArray[np.int64]]
 Points = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# Gel further from the contact than this does not matter, and is not meshed.
+# A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
+_WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
+_SMALLEST_CONTACT_MM = 1e-3
+_FINE_MARGIN = 1.15  # of the penetration radius
+# Gel further from the path than this does not matter, and is not meshed.
 _DISC_THICKNESSES = 3.3
 # What a contact wider than the gel is thick squeezes out bulges beside it, and matters as far as this beyond it.
 _BESIDE_WIDE_CONTACT_THICKNESSES = 4.0
 _SMALLEST_DISC = 1.5  # of the finely meshed radius
-_FINE_MARGIN = 1.15  # of the penetration radius
-# No layer is thicker than this share of the gel, unless the first one is.
-_LARGEST_LAYER = 0.28
-# Vertices up to this far outside of what the indenter passes over can touch it, since the gel bulges.
-_TOUCHING_MARGIN_MM = 0.4
+_LARGEST_CELL = 0.83  # of the thickness
+# The first layer, as a share of a cell's width; thicker ones make too much of what moves in the plane.
+_FIRST_LAYER = 0.55
+_LARGEST_LAYER = 0.25  # of the thickness
+# The gel that a wide contact squeezes out shears at the backing as much as under the membrane: the last layer, as a
+# share of the thickness, under a contact no wider than that.
+_LAST_LAYER = 0.12
+# Columns of cells along a drag become one where the cells beside the path are this many times as long as they are wide.
+_MERGED_RATIO = 2.5
+# Vertices up to this share of the contact's radius outside of what the indenter passes over can touch it, since the gel
+# bulges, but none further than so many mm.
+_TOUCHING_MARGIN = 0.3
+_LARGEST_TOUCHING_MARGIN_MM = 0.4
 # A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.
 _SNAPPED_SHARE = 0.35
 
@@ -75,7 +88,8 @@ class DiscGrid:
     """How a disc is divided: a square core of cells, then rings that coarsen beyond `fine_radius_mm`.
 
     `spacing_mm` is the distance of the vertices up to there, `sectors` the number of cells around half a circle, a
-    multiple of 4; each coarser ring is `ring_growth` wider than the one before, none wider than `largest_mm`.
+    multiple of 4; each coarser ring is `ring_growth` wider than the one before, none wider than `largest_mm`. The
+    disc's centre is drawn out into the line from (x, 0) to (x, 0), x in `axis_mm`, turned by `direction` (cos, sin).
     """
 
     radius_mm: float
@@ -84,62 +98,85 @@ class DiscGrid:
     sectors: int
     ring_growth: float = 1.5
     largest_mm: float = 2.5
+    axis_mm: tuple[float, float] = (0.0, 0.0)
+    direction: tuple[float, float] = (1.0, 0.0)
 
 
 def mesh_for(problem: ContactProblem) -> GelMesh:
     """Mesh the gel finely where it will be touched, at the spacing that the largest contact needs."""
     mesh = unordered_mesh(problem)
-    touched = touchable(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])
-    return ordered_for_elimination(mesh, touched)
+    return ordered_for_elimination(mesh, touchable(mesh, problem))
 
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
     size, thickness = problem.mesh_size, problem.thickness_mm
-    scale = mesh_scale(problem.indenter, thickness, problem.depth_mm)
-    spacing = size.surface_mm * scale
-    first_layer = min(size.layer_mm * scale, size.layer_growth * thickness / 6)
-    fine_radius = _FINE_MARGIN * problem.penetration_radius_mm + problem.travel_mm + spacing
+    contact = max(problem.penetration_radius_mm, _SMALLEST_CONTACT_MM)
+    spacing = min(contact, _WIDEST_CONTACT_THICKNESSES * thickness) / size.across
+    *axis, aside, direction = straightest_line(problem.segments_mm[:, :, :2])
+    fine_radius = _FINE_MARGIN * contact + aside + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
     if problem.contact_width > 1:
-        beside_mm = _BESIDE_WIDE_CONTACT_THICKNESSES * thickness
-        radius = max(radius, problem.penetration_radius_mm + problem.travel_mm + beside_mm)
-    return pad_mesh(
-        DiscGrid(radius, fine_radius, spacing, size.sectors, size.ring_growth),
-        layer_heights_mm(thickness, first_layer, size.layer_growth),
-        problem.pad_mm,
-        symmetric=problem.symmetric,
+        radius = max(radius, contact + aside + _BESIDE_WIDE_CONTACT_THICKNESSES * thickness)
+    grid = DiscGrid(
+        radius,
+        fine_radius,
+        spacing,
+        sectors=4 * round(size.sectors * (contact + aside) / contact / 4),
+        ring_growth=size.ring_growth,
+        largest_mm=_LARGEST_CELL * thickness,
+        axis_mm=tuple(axis),
+        direction=direction,
     )
+    last_mm = _LAST_LAYER * thickness / max(1.0, problem.contact_width)
+    layers = layer_heights_mm(thickness, _FIRST_LAYER * spacing, size.layer_growth, last_mm)
+    return pad_mesh(grid, layers, problem.pad_mm, symmetric=problem.symmetric)
 
 
-def mesh_moduli(gel: Moduli, stiffness: tuple[float, float], contact_width: float = 1.0) -> Moduli:
-    """Return the moduli with which a mesh of that stiffness (a, b) acts as the gel; both in MuJoCo's energy.
+def mesh_moduli(gel: Moduli, stiffness: tuple[float, float, float], contact_width: float = 1.0) -> Moduli:
+    """Return the moduli with which a mesh of that stiffness (a, b, c) acts as the gel; both in MuJoCo's energy.
 
     Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
-    scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does:
-    1 + a + b / (1 − 2ν). `scripts/calibrate_mesh.py` derives a and b against locking-free solutions
-    of the same energy, and checks them on radii, thicknesses, ν and friction that it did not use. Under a contact that
-    is `contact_width` times as wide as the gel is thick, the excess is smaller by the root of that.
+    scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does, and with each
+    coarser ring of cells around a contact that is small beside the gel's thickness:
+    1 + (a + b / (1 − 2ν)) (1 − c ln w), w the contact's width in thicknesses. `scripts/calibrate_mesh.py` derives a, b
+    and c against locking-free solutions of the same energy, and checks them on radii, thicknesses, ν and friction that
+    it did not use.
     """
     excess = max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
     poisson_ratio = gel.poisson_ratio - excess
-    a, b = (coefficient / math.sqrt(contact_width) for coefficient in stiffness)
-    factor = 1 + a + b / (1 - 2 * poisson_ratio)
+    a, b, c = stiffness
+    factor = 1 + (a + b / (1 - 2 * poisson_ratio)) * max(0.0, 1 - c * math.log(contact_width))
     return Moduli(gel.young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * excess) / factor, poisson_ratio)
 
 
+def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[float, float]]:
+    """Return the straight line through the origin that segments (n, 2, 2) keep nearest to.
+
+    From where to where they go along it, how far they leave it, and its direction (2,).
+    """
+    points = segments_mm.reshape(-1, 2)
+    direction = np.linalg.svd(points, full_matrices=False)[2][0] if points.any() else np.array([1.0, 0.0])
+    direction = direction.round(12) * (1.0 if direction @ points.sum(axis=0) >= 0 else -1.0) + 0.0
+    along, across = points @ direction, points @ np.array([-direction[1], direction[0]])
+    low, high, aside = min(along.min(), 0.0), max(along.max(), 0.0), np.abs(across).max()
+    return float(low), float(high), float(aside), (float(direction[0]), float(direction[1]))
+
+
 def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symmetric: bool) -> GelMesh:
-    """Mesh the part of the pad that lies within a disc around the contact axis.
+    """Mesh the part of the pad that lies within a disc around the contact axis, or around the line it is drawn out to.
 
     `layers_mm` are the z of the layers from 0 down; `pad_mm` is (x min, x max, y min, y max), on whose edges the axis
     may lie, or None for a pad without edges. If the scene is `symmetric` about y = 0, only y ≥ 0 is meshed.
     """
-    plane, quads = half_disc(grid)
-    cells: Cells = list(quads)
+    plane, cells = half_stadium(grid)
     if not symmetric:
         off_axis = plane[:, 1] > 0
         image = np.where(off_axis, len(plane) + np.cumsum(off_axis) - 1, np.arange(len(plane)))
-        plane, cells = np.concatenate([plane, plane[off_axis] * [1, -1]]), [*quads, *image[quads][:, ::-1]]
+        plane = np.concatenate([plane, plane[off_axis] * [1, -1]])
+        cells = [*cells, *(image[cell][::-1] for cell in cells)]
+        cosine, sine = grid.direction
+        plane = plane @ np.array([[cosine, sine], [-sine, cosine]])
     if pad_mm is not None:
         x_min, x_max, y_min, y_max = pad_mm
         edges = [(0, 1.0, x_max), (0, -1.0, -x_min), (1, 1.0, y_max)]
@@ -151,13 +188,19 @@ def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symm
     return GelMesh(vertices, tetrahedra, symmetric)
 
 
-def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float) -> Points:
-    """Return the z of the layers from the membrane (0) down to the backing: the first, then thicker with depth.
+def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float, last_mm: float) -> Points:
+    """Return the z of the layers from the membrane (0) down to the backing: they thicken from both towards the middle.
 
-    All are scaled down a little so that their number is whole.
+    What they are too thick together is taken from the thickest most.
     """
-    largest_mm = max(first_mm, _LARGEST_LAYER * thickness_mm)
-    return -_graded_positions_mm(thickness_mm, first_mm / growth, 0.0, growth, largest_mm)
+    largest = max(_LARGEST_LAYER * thickness_mm, first_mm)
+    upper, lower = [first_mm], [min(last_mm, largest)]
+    while sum(upper) + sum(lower) < thickness_mm - 1e-9:
+        grown = upper if upper[-1] <= lower[-1] else lower
+        grown.append(min(grown[-1] * growth, largest))
+    thick = np.array([*upper, *lower[::-1]])
+    thick -= (thick.sum() - thickness_mm) * thick**2 / (thick**2).sum()
+    return -np.concatenate([[0.0], np.cumsum(thick)])
 
 
 def half_disc(grid: DiscGrid) -> tuple[Points, Ints]:
@@ -197,6 +240,45 @@ def half_disc(grid: DiscGrid) -> tuple[Points, Ints]:
     plane = np.concatenate(points)
     plane[np.abs(plane) < 1e-12] = 0.0
     return plane, np.concatenate(quads)
+
+
+def half_stadium(grid: DiscGrid) -> tuple[Points, Cells]:
+    """Return the half y ≥ 0 of a disc cut at x = 0 and drawn out along x, with columns of cells in between.
+
+    Far from the line, where cells are longer than wide, two columns become one: the cells there have a fifth corner.
+    """
+    plane, quads = half_disc(grid)
+    low, high = grid.axis_mm
+    if high - low <= 1e-9:
+        return plane, list(quads)
+    middle = np.flatnonzero(np.abs(plane[:, 0]) < 1e-9)
+    middle = middle[np.argsort(plane[middle, 1])]
+    y = plane[middle, 1]
+    shifted = plane + np.where(plane[:, :1] > 1e-9, [[high, 0.0]], [[low, 0.0]])
+    ahead = plane[quads, 0].mean(axis=1) > 0
+    columns = max(1, round((high - low) / grid.spacing_mm))
+    x = low + (high - low) * np.arange(columns + 1) / columns
+    points, count = [shifted], len(shifted)
+    cells: list[Ints] = []
+    kept = [np.arange(columns + 1)]
+    for length in np.diff(y):
+        last, width = kept[-1], (high - low) / (len(kept[-1]) - 1)
+        kept.append(np.unique([*last[::2], columns]) if length > _MERGED_RATIO * width else last)
+    number = np.full((len(middle), columns + 1), -1)
+    for row, here in enumerate(kept):
+        # Column 0 is the cut's left side; the others are new.
+        number[row, here] = [middle[row], *range(count, count + len(here) - 1)]
+        points.append(np.column_stack([x[here[1:]], np.full(len(here) - 1, y[row])]))
+        count += len(here) - 1
+    for row, above in enumerate(kept[1:]):
+        below = kept[row]
+        for left, right in itertools.pairwise(above):
+            under = below[(below >= left) & (below <= right)]
+            cells.append(np.array([*number[row, under], number[row + 1, right], number[row + 1, left]]))
+    moved = np.arange(len(plane))
+    moved[middle] = number[:, -1]
+    quads = np.where(ahead[:, None], moved[quads], quads)
+    return np.concatenate(points), [*quads, *cells]
 
 
 def _graded_positions_mm(
@@ -305,20 +387,21 @@ def _split_prisms(plane: Points, cells: Cells, layers_mm: Points) -> tuple[Point
     return vertices, np.concatenate(tetrahedra).astype(np.int32)
 
 
-def touchable(mesh: GelMesh, penetration_radius_mm: float, segments_mm: Points) -> Ints:
-    """Return the surface vertices that an indenter can touch.
+def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
+    """Return the surface vertices that the indenter can touch.
 
-    They lie within its penetration radius, and a margin, of straight `segments_mm` (n, 2, 2), from start to end, along
-    which it travels over the plane. What friction drags along is touched no further out.
+    They lie within its penetration radius, and a margin, of the segments along which it travels over the plane. What
+    friction drags along is touched no further out.
     """
-    points_mm = mesh.vertices_mm[mesh.surface, :2]
+    points_mm, radius_mm = mesh.vertices_mm[mesh.surface, :2], problem.penetration_radius_mm
     distance_mm = np.full(len(points_mm), np.inf)
-    for start, end in segments_mm:
+    for start, end in problem.segments_mm[:, :, :2]:
         along = end - start
         share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)
         from_segment_mm = np.linalg.norm(points_mm - start - share[:, None] * along, axis=1)
         distance_mm = np.minimum(distance_mm, from_segment_mm)
-    return mesh.surface[distance_mm <= penetration_radius_mm + _TOUCHING_MARGIN_MM]
+    margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)
+    return mesh.surface[distance_mm <= radius_mm + margin_mm]
 
 
 def ordered_for_elimination(mesh: GelMesh, touchable: Ints) -> GelMesh:

@@ -58,7 +58,7 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
     mujoco.set_mju_user_warning(lambda message: None)
     gel_mass_t = _MASS_RATIO * moduli.young_modulus_mpa * problem.thickness_mm
     spec = mujoco.MjSpec.from_string(_indenter_xml(problem, mesh.symmetric, gel_mass_t))
-    nodes = touchable(mesh, problem.penetration_radius_mm, problem.segments_mm[:, :, :2])
+    nodes = touchable(mesh, problem)
     _add_gel(spec, mesh, moduli, gel_mass_t, nodes)
     with warnings.catch_warnings():
         # The compiler does not see that the flex is elastic through its strain energy alone.

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.sim.indenter import Indenter
@@ -32,16 +33,16 @@ from gelgap.sim.problem import (
     ContactProblem,
     SolveProgress,
     Waypoint,
-    contact_width,
-    mesh_scale,
     silent,
 )
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
 from gelgap.sim.solution import Solution, load_solution, store_solution
 
 LOG = logging.getLogger(__name__)
-# At most this many depths share a descent.
+# At most this many depths share a descent, whose mesh is made for the largest contact: it is this many times as wide as
+# the smallest at most.
 _DEPTHS_PER_DESCENT = 3
+_WIDEST_TO_NARROWEST = 2.5
 # A membrane's grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
 _COVERED_RADII = 1.5
 # Seconds of a core per load step on a mesh of 3000 vertices, on a server of 2023; more where friction slides. An
@@ -272,23 +273,31 @@ def _descent_problems(scene: Scene, poses: Sequence[Pose]) -> list[_Served]:
         frame = frames[index] = canonical_frame(scene, pose)
         direction = np.round(frame.travel_mm(pose) / (pose.radius_mm or 1.0), 9) + 0.0
         drag = _Drag(pose.depth_mm, tuple(direction.tolist()), pose.radius_mm)
-        contact = (scene.indenter, scene.elastomer.thickness_mm, pose.depth_mm)
-        fineness = (mesh_scale(*contact), contact_width(*contact))
         alone = None if scene.sharing.path else index
-        group = groups.setdefault((frame.pad_mm, fineness, alone), {})
+        group = groups.setdefault((frame.pad_mm, alone), {})
         group.setdefault(drag, []).append(index)
     problems = []
     for (pad_mm, *_), group in groups.items():
-        depths = sorted({drag.depth_mm for drag in group})
-        # Two depths get a descent each, for two cores: the drags that branch off take most of the time.
-        wanted = max(2, math.ceil(len(depths) / _DEPTHS_PER_DESCENT))
-        for share in np.array_split(np.array(depths), min(len(depths), wanted)):
+        for share in _descents(scene.indenter, sorted({drag.depth_mm for drag in group})):
             drags = [drag for drag in group if drag.depth_mm in share]
             waypoints_mm, parents, record_of = _branching_descent(drags)
             served = {index: (record_of[drag], frames[index]) for drag in drags for index in group[drag]}
             problems.append((ContactProblem.of(scene, pad_mm, waypoints_mm, parents), served))
     # The deepest, which take longest, come first, so that processes which share the solves end together.
     return sorted(problems, key=lambda item: -item[0].depth_mm)
+
+
+def _descents(indenter: Indenter, depths_mm: list[float]) -> list[NDArray[np.float64]]:
+    """Share out ascending depths among descents."""
+    wide_mm = np.array([indenter.penetration_radius_mm(depth) for depth in depths_mm])
+    shares, left = [], np.array(depths_mm)
+    while len(left):
+        alike = left[wide_mm[: len(left)] * _WIDEST_TO_NARROWEST >= wide_mm[len(left) - 1]]
+        # Two depths get a descent each, for two cores: the drags that branch off take most of the time.
+        wanted = max(2, math.ceil(len(alike) / _DEPTHS_PER_DESCENT))
+        shares += np.array_split(alike, min(len(alike), wanted))
+        left = left[: len(left) - len(alike)]
+    return shares
 
 
 def _trajectory_problems(scene: Scene, poses: Sequence[Pose]) -> Iterator[_Served]:

@@ -10,12 +10,11 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.indenter import AnyIndenter, Indenter, Sphere, Symmetry
+from gelgap.sim.indenter import AnyIndenter, Indenter, Symmetry
 from gelgap.sim.scene import Moduli, PadEdges, Scene
 
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
-_METHOD_VERSION = 20
-_WIDE_CONTACT_VERSION = 21  # of contacts wider than the gel is thick
+_METHOD_VERSION = 22
 # A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
 _SHARED_MODULUS_MPA = 0.3
 
@@ -31,20 +30,19 @@ def silent(done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class MeshSize:
-    """How fine a mesh is, for a sphere of 1.5 mm radius on a 3 mm pad; other scenes scale it to theirs.
+    """How fine a mesh is, by the contact that it is made for.
 
-    `surface_mm` is the spacing of the membrane's vertices around the contact, beyond which each ring of cells is
-    `ring_growth` wider than the one before; `layer_mm` is the thickness of the first layer, each further one
-    `layer_growth` thicker; `sectors` the number of cells around half a circle. `stiffness` are a and b of
-    `material.mesh_moduli`, calibrated for this mesh.
+    The radius at which the indenter, at its deepest, cuts the rest membrane is `across` cells wide, or the gel's
+    thickness, where that is smaller; there are `sectors` cells around half a circle. Beyond the path each ring of cells
+    is `ring_growth` wider than the one before; each layer from the membrane, and from the backing, is `layer_growth`
+    thicker. `stiffness` are a, b and c of `mesh.mesh_moduli`, calibrated for this mesh.
     """
 
-    surface_mm: float
-    layer_mm: float
-    layer_growth: float
-    ring_growth: float
+    across: float
     sectors: int
-    stiffness: tuple[float, float]
+    ring_growth: float
+    layer_growth: float
+    stiffness: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,8 @@ class Quality:
 QUALITIES = {
     "draft": Quality(
         name="draft",
-        disc=MeshSize(0.4, 0.3, 1.5, 2.0, 8, stiffness=(0.0049, 0.00063)),
-        pad=MeshSize(0.5, 0.45, 1.8, 1.8, 8, stiffness=(0.0049, 0.00063)),
+        disc=MeshSize(3.5, 8, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
+        pad=MeshSize(2.9, 8, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
         press_step_mm=0.2,
         travel_step_mm=0.1,
         press_tolerance=3e-3,
@@ -83,8 +81,8 @@ QUALITIES = {
     ),
     "standard": Quality(
         name="standard",
-        disc=MeshSize(0.22, 0.12, 1.8, 1.8, 12, stiffness=(0.0124, 0.00069)),
-        pad=MeshSize(0.4, 0.3456, 1.8, 1.8, 8, stiffness=(0.0065, 0.00061)),
+        disc=MeshSize(5.6, 12, 1.9, 1.65, stiffness=(0.0, 0.0, 0.0)),
+        pad=MeshSize(3.6, 8, 1.8, 1.8, stiffness=(0.0, 0.0, 0.0)),
         press_step_mm=0.1,
         travel_step_mm=0.1,
         press_tolerance=1e-3,
@@ -92,8 +90,8 @@ QUALITIES = {
     ),
     "fine": Quality(
         name="fine",
-        disc=MeshSize(0.16, 0.09, 1.5, 1.8, 16, stiffness=(0.0103, 0.00054)),
-        pad=MeshSize(0.256, 0.2304, 1.8, 1.8, 12, stiffness=(0.0035, 0.00036)),
+        disc=MeshSize(8.0, 16, 1.7, 1.5, stiffness=(0.0, 0.0, 0.0)),
+        pad=MeshSize(5.5, 12, 1.8, 1.6, stiffness=(0.0, 0.0, 0.0)),
         press_step_mm=0.05,
         travel_step_mm=0.05,
         press_tolerance=3e-4,
@@ -107,28 +105,6 @@ def quality_named(name: str) -> Quality:
     if name not in QUALITIES:
         raise ValueError(f"quality {name!r} is unknown; known qualities: {', '.join(QUALITIES)}")
     return QUALITIES[name]
-
-
-# The lengths of the qualities' meshes are given for this sphere, pad and depth.
-_REFERENCE_INDENTER = Sphere(diameter_mm=3.0)
-_REFERENCE_RADIUS_MM = _REFERENCE_INDENTER.penetration_radius_mm(1.0)
-_REFERENCE_THICKNESS_MM = 3.0
-# A contact wider than this many times the reference's, measured by the thickness, needs no coarser mesh than one as
-# wide: the strains at its rim and the bulge beside it are as wide as the gel is thick.
-_WIDEST_CONTACT = 1.2
-
-
-def mesh_scale(indenter: Indenter, thickness_mm: float, depth_mm: float) -> float:
-    """Return by which factor a scene's mesh is coarser than the one that a quality's lengths are given for."""
-    size = indenter.feature_size_mm / _REFERENCE_INDENTER.feature_size_mm
-    thickness = thickness_mm / _REFERENCE_THICKNESS_MM
-    contact = indenter.penetration_radius_mm(depth_mm) / _REFERENCE_RADIUS_MM
-    return max(min(size, thickness), min(contact, _WIDEST_CONTACT * thickness))
-
-
-def contact_width(indenter: Indenter, thickness_mm: float, depth_mm: float) -> float:
-    """Return the diameter of a contact, cut from the undeformed membrane, in thicknesses of the gel; 1 if smaller."""
-    return max(1.0, 2 * indenter.penetration_radius_mm(depth_mm) / thickness_mm)
 
 
 @dataclass(frozen=True)
@@ -202,8 +178,8 @@ class ContactProblem:
 
     @property
     def contact_width(self) -> float:
-        """How wide the contact is, in thicknesses of the gel; 1 if it is narrower."""
-        return contact_width(self.indenter, self.thickness_mm, self.depth_mm)
+        """How wide the contact is, cut from the rest membrane, in thicknesses of the gel."""
+        return 2 * self.penetration_radius_mm / self.thickness_mm
 
     @property
     def segments_mm(self) -> NDArray[np.float64]:
@@ -219,7 +195,6 @@ class ContactProblem:
     @property
     def key(self) -> str:
         """A hash of the physics and of the method that solves it."""
-        version = _WIDE_CONTACT_VERSION if self.contact_width > 1 else _METHOD_VERSION
-        values = {"method": version, "shape": self.indenter.shape, **asdict(self)}
+        values = {"method": _METHOD_VERSION, "shape": self.indenter.shape, **asdict(self)}
         text = json.dumps(values, sort_keys=True, default=Indenter.model_dump)
         return hashlib.sha256(text.encode()).hexdigest()
