@@ -23,7 +23,7 @@ from gelgap.benchmarks.physics.cases import Case, Floats, Solver
 from gelgap.benchmarks.physics.references import Descent, own_cases, press_cases
 from gelgap.sim import Sharing, Solve
 from gelgap.sim.mesh import LARGEST_POISSON_RATIO, mesh_moduli
-from gelgap.sim.problem import QUALITIES
+from gelgap.sim.problem import QUALITIES, MeshSize
 
 KEPT = Path("benchmark-results/mesh-solves")
 
