@@ -75,7 +75,6 @@ SIZES = {
 
 def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -> None:
     """Print the factors by quality and ν that remain, and the check; both are 1 where `mesh_moduli` is right."""
-    print(f"FORCE_RISE_PER_POISSON = {force_rise_per_poisson():.2f}")
     for title, descents in (("Calibration", CALIBRATION), ("Check: not used", CHECK)):
         truths = own_cases(title, descents, solver)
         presses = [press for press, _ in descents]

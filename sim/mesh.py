@@ -110,9 +110,8 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
-    size, thickness = problem.mesh_size, problem.thickness_mm
+    size, thickness, spacing = problem.mesh_size, problem.thickness_mm, cell_mm(problem)
     contact = max(problem.penetration_radius_mm, _SMALLEST_CONTACT_MM)
-    spacing = min(contact, _WIDEST_CONTACT_THICKNESSES * thickness) / size.across
     *axis, aside, direction = straightest_line(problem.segments_mm[:, :, :2])
     fine_radius = _FINE_MARGIN * contact + aside + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
@@ -133,6 +132,12 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
     return pad_mesh(grid, layers, problem.pad_mm, symmetric=problem.symmetric)
 
 
+def cell_mm(problem: ContactProblem) -> float:
+    """Return how far apart the membrane's vertices are where it is touched."""
+    contact = max(problem.penetration_radius_mm, _SMALLEST_CONTACT_MM)
+    return min(contact, _WIDEST_CONTACT_THICKNESSES * problem.thickness_mm) / problem.mesh_size.across
+
+
 def mesh_moduli(gel: Moduli, stiffness: tuple[float, float, float], contact_width: float = 1.0) -> Moduli:
     """Return the moduli with which a mesh of that stiffness (a, b, c) acts as the gel; both in MuJoCo's energy.
 
@@ -143,11 +148,17 @@ def mesh_moduli(gel: Moduli, stiffness: tuple[float, float, float], contact_widt
     and c against locking-free solutions of the same energy, and checks them on radii, thicknesses, ν and friction that
     it did not use.
     """
-    excess = max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
-    poisson_ratio = gel.poisson_ratio - excess
+    beyond = max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
+    factor = 1 + stiffness_excess(gel, stiffness, contact_width)
+    young_modulus_mpa = gel.young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * beyond) / factor
+    return Moduli(young_modulus_mpa, gel.poisson_ratio - beyond)
+
+
+def stiffness_excess(gel: Moduli, stiffness: tuple[float, float, float], contact_width: float) -> float:
+    """Return by what share a mesh is stiffer than its gel; see `mesh_moduli`."""
     a, b, c = stiffness
-    factor = 1 + (a + b / (1 - 2 * poisson_ratio)) * max(0.0, 1 - c * math.log(contact_width))
-    return Moduli(gel.young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * excess) / factor, poisson_ratio)
+    poisson_ratio = min(gel.poisson_ratio, LARGEST_POISSON_RATIO)
+    return (a + b / (1 - 2 * poisson_ratio)) * max(0.0, 1 - c * math.log(contact_width))
 
 
 def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[float, float]]:

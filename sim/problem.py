@@ -72,8 +72,8 @@ class Quality:
 QUALITIES = {
     "draft": Quality(
         name="draft",
-        disc=MeshSize(3.5, 8, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
-        pad=MeshSize(2.9, 8, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
+        disc=MeshSize(3.5, 8, 2.2, 1.9, stiffness=(0.0, 0.0, 0.0)),
+        pad=MeshSize(2.9, 8, 2.2, 1.9, stiffness=(0.0, 0.0, 0.0)),
         press_step_mm=0.2,
         travel_step_mm=0.1,
         press_tolerance=3e-3,
@@ -81,8 +81,8 @@ QUALITIES = {
     ),
     "standard": Quality(
         name="standard",
-        disc=MeshSize(5.6, 12, 1.9, 1.65, stiffness=(0.0, 0.0, 0.0)),
-        pad=MeshSize(3.6, 8, 1.8, 1.8, stiffness=(0.0, 0.0, 0.0)),
+        disc=MeshSize(6.4, 12, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
+        pad=MeshSize(3.6, 8, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
         press_step_mm=0.1,
         travel_step_mm=0.1,
         press_tolerance=1e-3,
@@ -90,7 +90,7 @@ QUALITIES = {
     ),
     "fine": Quality(
         name="fine",
-        disc=MeshSize(8.0, 16, 1.7, 1.5, stiffness=(0.0, 0.0, 0.0)),
+        disc=MeshSize(9.0, 16, 1.7, 1.5, stiffness=(0.0, 0.0, 0.0)),
         pad=MeshSize(5.5, 12, 1.8, 1.6, stiffness=(0.0, 0.0, 0.0)),
         press_step_mm=0.05,
         travel_step_mm=0.05,

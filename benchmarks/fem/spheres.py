@@ -310,7 +310,9 @@ def half_pad(problem: Drag, furthest_mm: float) -> Pad:
     plane, quads = half_disc(
         DiscGrid(problem.pad_radius_mm, 1.15 * contact + furthest_mm, problem.element_mm, problem.sectors)
     )
-    layers = layer_heights_mm(problem.thickness_mm, 0.75 * problem.element_mm, 1.25, 0.75 * problem.element_mm)
+    layers = layer_heights_mm(
+        problem.thickness_mm, 0.75 * problem.element_mm, 1.25, 0.75 * problem.element_mm
+    )
     below = np.arange(1, len(layers))[:, None, None] * len(plane) + quads
     nodes = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in layers])
     connectivity = np.concatenate([below, below - len(plane)], axis=-1).reshape(-1, 8)
