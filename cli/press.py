@@ -104,7 +104,8 @@ class Press(opt.Command):
             renderer = MembraneRenderer(sensor, Illumination.preset("i0"), MESH_PICTURE_PX)
             picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
             save_mesh(self.mesh, solved, point_mm, indenter, sensor.camera, picture)
-        fx, fy, fz = force_n = [float(component) for component in state.force_n]
+        force_n, found = [float(component) for component in state.force_n], state.diagnostics
+        error_n = [found.shear_error_n, found.shear_error_n, found.fz_error_n]
         wall_s = time.perf_counter() - started
         if self.json:
             settings = {
@@ -115,15 +116,33 @@ class Press(opt.Command):
             }
             report = {
                 "force_n": force_n,
+                "force_error_n": error_n,
                 "converged": bool(state.converged),
+                "coarse": found.coarse,
+                "folded": found.folded,
                 "contact_radius_mm": float(state.contact_radius_mm),
+                "contact_radius_error_mm": found.contact_radius_error_mm,
+                "membrane_error_mm": found.membrane_error_mm,
                 "wall_s": wall_s,
                 "settings": settings,
             }
             print(json.dumps(report))
         else:
             print(f"depth           {pose.depth_mm:.4g} mm")
-            print(f"force           Fx {fx:+.4f}  Fy {fy:+.4f}  Fz {fz:+.4f} N")
-            print(f"contact radius  {state.contact_radius_mm:.3f} mm")
+            parts = zip("xyz", force_n, error_n, strict=True)
+            print(f"force           {'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in parts)} N")
+            print(f"contact radius  {state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm")
+            print(f"membrane        ± {1e3 * found.membrane_error_mm:.1f} µm")
             print(f"converged       {'yes' if state.converged else 'NO: do not trust these figures'}")
+            if found.folded:
+                print(
+                    "folded          the membrane lies on itself: no camera sees it; drag less, or press less deep"
+                )
+            if found.coarse:
+                print(f"coarse          {self._what_mends()}")
             print(f"wall time       {wall_s:.2f} s")
+
+    def _what_mends(self) -> str:
+        finer = {"draft": "standard", "standard": "fine"}.get(self.quality)
+        off = "the force may be off by more than this quality promises"
+        return f"{off}; try --quality {finer}" if finer else f"{off}, and there is no finer one"

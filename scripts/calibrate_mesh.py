@@ -22,8 +22,7 @@ from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS, SURFACE, er
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver
 from gelgap.benchmarks.physics.references import Descent, own_cases, press_cases
 from gelgap.sim import Sharing, Solve
-from gelgap.sim.mesh import LARGEST_POISSON_RATIO, mesh_moduli
-from gelgap.sim.problem import QUALITIES, MeshSize
+from gelgap.sim.problem import LARGEST_POISSON_RATIO, QUALITIES, MeshSize
 
 KEPT = Path("benchmark-results/mesh-solves")
 
@@ -125,11 +124,7 @@ def force_rise_per_poisson() -> float:
 def stiffness(cases: Sequence[Case], ratios: Sequence[float]) -> tuple[float, ...]:
     """Fit a, b and c of `mesh_moduli` to the factors: ratios that remain times the stiffness taken out already."""
     problems = [case.solve.problem for case in cases]
-    taken_out = [
-        problem.moduli.young_modulus_mpa
-        / mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width).young_modulus_mpa
-        for problem in problems
-    ]
+    taken_out = np.array([1 + problem.stiffness_excess for problem in problems])
     poisson = np.array([problem.moduli.poisson_ratio for problem in problems])
     width = np.array([problem.contact_width for problem in problems])
 

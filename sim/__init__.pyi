@@ -1,3 +1,4 @@
+from .estimate import Diagnostics as Diagnostics
 from .indenter import AnyIndenter as AnyIndenter
 from .indenter import Indenter as Indenter
 from .indenter import Sphere as Sphere
@@ -27,7 +28,6 @@ from .scene import Pose as Pose
 from .scene import Sharing as Sharing
 from .scene import is_interior as is_interior
 from .solution import CacheEntry as CacheEntry
-from .solution import Diagnostics as Diagnostics
 from .solution import Solution as Solution
 from .solution import cache_entries as cache_entries
 from .solution import cache_use as cache_use

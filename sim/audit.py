@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.mesh import GelMesh
 from gelgap.sim.scene import Moduli
-from gelgap.sim.solution import Diagnostics
+from gelgap.sim.solution import SolveDiagnostics
 
 Floats = NDArray[np.float64]
 
@@ -69,10 +69,10 @@ def audit_contact(
     friction: float,
     indenter: Indenter,
     indenter_origin_mm: Floats,
-) -> Diagnostics:
+) -> SolveDiagnostics:
     """Check the equilibrium of vertices at `positions_mm` (n, 3); `moduli` are those of MuJoCo's energy.
 
-    Diagnostics of the iteration (iterations, slip, sticking) are not known here and left out.
+    SolveDiagnostics of the iteration (iterations, slip, sticking) are not known here and left out.
     """
     state = elastic_state(mesh.vertices_mm, mesh.tetrahedra, positions_mm, moduli)
     holding = state.holding_force_n.copy()
@@ -96,7 +96,7 @@ def audit_contact(
     if friction > 0 and loaded.any():
         # The largest force on a free vertex shows how uncertain the friction is.
         excess = float(((drag[loaded] - out_of_balance) / (friction * push[loaded]) - 1).max())
-    return Diagnostics(
+    return SolveDiagnostics(
         residual=out_of_balance / size,
         imbalance=float(np.linalg.norm(total + backing)) / size,
         coulomb_excess=excess,

@@ -6,27 +6,76 @@ of the true errors of scenes with the same causes.
 """
 
 import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.mesh import cell_mm, stiffness_excess
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.solution import Record
+from gelgap.sim.solution import Record, SolveDiagnostics
 
 CAUSES = ("always", "few cells", "stiff mesh", "sideways", "strain")
+ERRORS = ("Fz", "shear", "radius", "membrane")
 # A contact of fewer cells is not resolved at all.
 _FEWEST_CELLS = 0.25
+# How much of each error comes with each cause, by mesh: printed by `scripts/calibrate_estimate.py`.
+_COEFFICIENTS: dict[tuple[str, str], tuple[tuple[float, ...], ...]] = {
+    (quality, mesh): ((0.0,) * len(CAUSES),) * len(ERRORS)
+    for quality in ("draft", "standard", "fine")
+    for mesh in ("disc", "pad")
+}
+# Estimates of a component of force, as a share of the whole force, above which a quality does not keep its promise:
+# errors above twice the estimate are rare, and twice this is promised.
+LARGEST_ESTIMATE = {"draft": 0.025, "standard": 0.015, "fine": 0.01}
+
+
+@dataclass(frozen=True)
+class Diagnostics(SolveDiagnostics):
+    """How a pose was solved, and how far it may be off: estimates of the errors that its mesh makes.
+
+    An estimate is a standard deviation: nineteen of twenty errors are below twice it. `shear_error_n` is that of Fx and
+    of Fy, each; `membrane_error_mm` that of the displacement, rms within four contact radii. A pose is `coarse` if its
+    force's estimate is above what its quality promises, and `folded` if its membrane folds over, so that no camera sees
+    it as it is.
+    """
+
+    fz_error_n: float = 0.0
+    shear_error_n: float = 0.0
+    contact_radius_error_mm: float = 0.0
+    membrane_error_mm: float = 0.0
+    coarse: bool = False
+    folded: bool = False
 
 
 def causes_of_error(problem: ContactProblem, record: Record, contact_radius_mm: float) -> NDArray[np.float64]:
     """Return `CAUSES` (5,) as numbers that the error of a record's force grows with.
 
-    1; 1 over the square of the cells across the deformed contact's radius; the excess of the mesh's stiffness that
-    `mesh_moduli` took out; the tangential share of the force over the cells; the square of depth over thickness.
+    1; 1 over the square of the cells across the deformed contact's radius; the excess of the mesh's stiffness that is
+    taken out; the tangential share of the force over the cells; the square of depth over thickness.
     """
-    cells = max(contact_radius_mm / cell_mm(problem), _FEWEST_CELLS)
+    cells = max(contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
     tangential = math.hypot(*record.force_n[:2]) / max(float(np.linalg.norm(record.force_n)), 1e-300)
-    excess = stiffness_excess(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
     strain = record.indenter_mm[2] / problem.thickness_mm
-    return np.array([1.0, cells**-2, excess, tangential / cells, strain**2])
+    return np.array([1.0, cells**-2, problem.stiffness_excess, tangential / cells, strain**2])
+
+
+def diagnose(
+    problem: ContactProblem, record: Record, contact_radius_mm: float, modulus_ratio: float, *, folded: bool
+) -> Diagnostics:
+    """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's."""
+    causes = causes_of_error(problem, record, contact_radius_mm)
+    mesh = "disc" if problem.mesh_size == problem.quality.disc else "pad"
+    share = np.sqrt(np.array(_COEFFICIENTS[problem.quality.name, mesh]) @ causes**2)
+    of = dict(zip(ERRORS, share.tolist(), strict=True))
+    force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
+    found = asdict(record.diagnostics)
+    found["elastic_energy_mj"] *= modulus_ratio
+    return Diagnostics(
+        **found,
+        fz_error_n=of["Fz"] * force_n,
+        shear_error_n=of["shear"] * force_n,
+        contact_radius_error_mm=of["radius"] * contact_radius_mm,
+        membrane_error_mm=of["membrane"] * abs(float(record.indenter_mm[2])),
+        coarse=max(of["Fz"], of["shear"]) > LARGEST_ESTIMATE[problem.quality.name],
+        folded=folded,
+    )

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.array_file import read_arrays
+from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.scene import CanonicalFrame, Pose
-from gelgap.sim.solution import Diagnostics, Record, Solution
+from gelgap.sim.solution import Record, Solution
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -25,6 +26,10 @@ GRID_HALF_EXTENT_MM = (7.0, 5.5)
 # The arrays of a saved state.
 _NEEDED = ("x_mm", "y_mm", "displacement_mm")
 _OPTIONAL = ("contact", "force_n", "contact_radius_mm", "converged")
+
+# A triangle of the grid is folded if its area, in cells and seen from the camera, is below minus this; the renderer
+# refuses the same.
+FOLDED_AREA = 0.05
 
 # Points of the membrane this near the indenter touch it.
 _TOUCHING_GAP_MM = 0.004
@@ -129,6 +134,22 @@ def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> Mem
     return MembraneState(
         x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
     )
+
+
+def is_folded(
+    x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], displacement_mm: NDArray[np.float32]
+) -> bool:
+    """Return whether a displaced rest grid lies on itself: one rest point in front of another, for the camera."""
+    x = displacement_mm[..., 0] + x_mm.astype(np.float32)
+    y = displacement_mm[..., 1] + y_mm.astype(np.float32)[:, None]
+    # The two triangles of each cell share the diagonal from its first corner.
+    first = np.s_[:-1, :-1]
+    (right_x, across_x, up_x), (right_y, across_y, up_y) = (
+        (v[:-1, 1:] - v[first], v[1:, 1:] - v[first], v[1:, :-1] - v[first]) for v in (x, y)
+    )
+    lower = right_x * across_y - across_x * right_y
+    upper = across_x * up_y - up_x * across_y
+    return bool(min(lower.min(), upper.min()) < -FOLDED_AREA * GRID_SPACING_MM**2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ layers of prisms, which are split into tetrahedra that do not lock.
 """
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,17 +13,14 @@ import pymetis
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gelgap.sim.problem import ContactProblem
-from gelgap.sim.scene import Moduli, PadEdges
+from gelgap.sim.problem import SMALLEST_CONTACT_MM, ContactProblem
+from gelgap.sim.scene import PadEdges
 
 # Corners of each plane cell, counterclockwise.
 Cells = Sequence[NDArray[np.int64]]
 Points = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
-_WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
-_SMALLEST_CONTACT_MM = 1e-3
 _FINE_MARGIN = 1.15  # of the penetration radius
 # Gel further from the path than this does not matter, and is not meshed.
 _DISC_THICKNESSES = 3.3
@@ -46,12 +42,6 @@ _TOUCHING_MARGIN = 0.3
 _LARGEST_TOUCHING_MARGIN_MM = 0.4
 # A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.
 _SNAPPED_SHARE = 0.35
-
-# Above this ν, meshes of linear tetrahedra lock steeply while the gel itself hardly changes: its force rises by 1.7 %
-# per hundredth of ν (1.5 without friction, 1.6 to 2.2 without slip), and the membrane moves by some 5 µm rms at a depth
-# of a third of the thickness. So meshes get this ν at most, and a modulus that follows that rise.
-LARGEST_POISSON_RATIO = 0.49
-FORCE_RISE_PER_POISSON = 1.7
 
 
 @dataclass(frozen=True)
@@ -110,8 +100,8 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
-    size, thickness, spacing = problem.mesh_size, problem.thickness_mm, cell_mm(problem)
-    contact = max(problem.penetration_radius_mm, _SMALLEST_CONTACT_MM)
+    size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
+    contact = max(problem.penetration_radius_mm, SMALLEST_CONTACT_MM)
     *axis, aside, direction = straightest_line(problem.segments_mm[:, :, :2])
     fine_radius = _FINE_MARGIN * contact + aside + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
@@ -130,35 +120,6 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
     last_mm = _LAST_LAYER * thickness / max(1.0, problem.contact_width)
     layers = layer_heights_mm(thickness, _FIRST_LAYER * spacing, size.layer_growth, last_mm)
     return pad_mesh(grid, layers, problem.pad_mm, symmetric=problem.symmetric)
-
-
-def cell_mm(problem: ContactProblem) -> float:
-    """Return how far apart the membrane's vertices are where it is touched."""
-    contact = max(problem.penetration_radius_mm, _SMALLEST_CONTACT_MM)
-    return min(contact, _WIDEST_CONTACT_THICKNESSES * problem.thickness_mm) / problem.mesh_size.across
-
-
-def mesh_moduli(gel: Moduli, stiffness: tuple[float, float, float], contact_width: float = 1.0) -> Moduli:
-    """Return the moduli with which a mesh of that stiffness (a, b, c) acts as the gel; both in MuJoCo's energy.
-
-    Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
-    scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does, and with each
-    coarser ring of cells around a contact that is small beside the gel's thickness:
-    1 + (a + b / (1 − 2ν)) (1 − c ln w), w the contact's width in thicknesses. `scripts/calibrate_mesh.py` derives a, b
-    and c against locking-free solutions of the same energy, and checks them on radii, thicknesses, ν and friction that
-    it did not use.
-    """
-    beyond = max(0.0, gel.poisson_ratio - LARGEST_POISSON_RATIO)
-    factor = 1 + stiffness_excess(gel, stiffness, contact_width)
-    young_modulus_mpa = gel.young_modulus_mpa * (1 + FORCE_RISE_PER_POISSON * beyond) / factor
-    return Moduli(young_modulus_mpa, gel.poisson_ratio - beyond)
-
-
-def stiffness_excess(gel: Moduli, stiffness: tuple[float, float, float], contact_width: float) -> float:
-    """Return by what share a mesh is stiffer than its gel; see `mesh_moduli`."""
-    a, b, c = stiffness
-    poisson_ratio = min(gel.poisson_ratio, LARGEST_POISSON_RATIO)
-    return (a + b / (1 - 2 * poisson_ratio)) * max(0.0, 1 - c * math.log(contact_width))
 
 
 def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[float, float]]:

@@ -10,10 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from gelgap.sim.audit import audit_contact
 from gelgap.sim.contact import ContactNewton, FrictionalContacts
-from gelgap.sim.mesh import mesh_for, mesh_moduli
+from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
-from gelgap.sim.solution import Diagnostics, Record, Solution
+from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 
 Floats = NDArray[np.float64]
 
@@ -88,9 +88,8 @@ class StaticNewton:
 
     def __init__(self, problem: ContactProblem, *, condensed: bool = True) -> None:
         mesh = mesh_for(problem)
-        moduli = mesh_moduli(problem.moduli, problem.mesh_size.stiffness, problem.contact_width)
         self.problem = problem
-        self.gel = gel = build_gel_model(problem, mesh, moduli)
+        self.gel = gel = build_gel_model(problem, mesh, problem.mesh_moduli)
         self.data = mujoco.MjData(gel.model)
         self.contacts = FrictionalContacts(gel, self.data, problem.indenter, problem.friction)
         self.command_mm = np.zeros(3)
@@ -287,7 +286,7 @@ class StaticNewton:
             force[1] = 0.0
         indenter_mm = np.array(self.data.qpos[gel.indenter_qpos])
         finite = bool(np.isfinite(vertices_mm).all() and np.isfinite(force).all())
-        found = Diagnostics(iterations=self.iterations)
+        found = SolveDiagnostics(iterations=self.iterations)
         if finite:
             origin_mm = indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
             found = replace(

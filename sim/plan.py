@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.locks import cache_folder, key_lock
+from gelgap.sim.estimate import diagnose
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
@@ -23,6 +24,7 @@ from gelgap.sim.membrane import (
     contact_radius_mm,
     flat_state,
     grid_axes,
+    is_folded,
     placed_surface,
     places_around,
     polar_table,
@@ -42,7 +44,7 @@ LOG = logging.getLogger(__name__)
 # At most this many depths share a descent, whose mesh is made for the largest contact: it is this many times as wide as
 # the smallest at most.
 _DEPTHS_PER_DESCENT = 3
-_WIDEST_TO_NARROWEST = 2.5
+_WIDEST_TO_NARROWEST = 2.7
 # A membrane's grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
 _COVERED_RADII = 1.5
 # Seconds of a core per load step on a mesh of 3000 vertices, on a server of 2023; more where friction slides. An
@@ -168,15 +170,16 @@ class SolvePlan:
         table, radius_mm = _table_and_radius(solution, placement.record)
         on_indenter = pose, placement.frame, self.indenter, table, record.indenter_mm
         displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
-        energy_mj = record.diagnostics.elastic_energy_mj * ratio
+        axes_mm = grid_axes(extent_mm)
+        folded = is_folded(*axes_mm, displacement_mm)
         return MembraneState(
-            *grid_axes(extent_mm),
+            *axes_mm,
             displacement_mm,
             contact,
             force_n=placement.frame.on_sensor(record.force_n * ratio),
             contact_radius_mm=radius_mm,
-            converged=record.converged,
-            diagnostics=replace(record.diagnostics, elastic_energy_mj=energy_mj),
+            converged=record.converged and not folded,
+            diagnostics=diagnose(solution.problem, record, radius_mm, ratio, folded=folded),
         )
 
     def _modulus_ratio(self, solution: Solution) -> float:

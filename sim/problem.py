@@ -13,6 +13,14 @@ from numpy.typing import NDArray
 from gelgap.sim.indenter import AnyIndenter, Indenter, Symmetry
 from gelgap.sim.scene import Moduli, PadEdges, Scene
 
+# Above this ν, meshes of linear tetrahedra lock steeply while the gel itself hardly changes: its force rises by 1.7 %
+# per hundredth of ν (1.5 without friction, 1.6 to 2.2 without slip), and the membrane moves by some 5 µm rms at a depth
+# of a third of the thickness. So meshes get this ν at most, and a modulus that follows that rise.
+LARGEST_POISSON_RATIO = 0.49
+FORCE_RISE_PER_POISSON = 1.7
+SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
+# A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
+_WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
 _METHOD_VERSION = 22
 # A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
@@ -35,7 +43,7 @@ class MeshSize:
     The radius at which the indenter, at its deepest, cuts the rest membrane is `across` cells wide, or the gel's
     thickness, where that is smaller; there are `sectors` cells around half a circle. Beyond the path each ring of cells
     is `ring_growth` wider than the one before; each layer from the membrane, and from the backing, is `layer_growth`
-    thicker. `stiffness` are a, b and c of `mesh.mesh_moduli`, calibrated for this mesh.
+    thicker. `stiffness` are a, b and c of `mesh_moduli`, calibrated for this mesh.
     """
 
     across: float
@@ -43,6 +51,20 @@ class MeshSize:
     ring_growth: float
     layer_growth: float
     stiffness: tuple[float, float, float]
+
+    def stiffness_excess(self, gel: Moduli, contact_width: float) -> float:
+        """Return by what share a mesh of this size is stiffer than its gel, by ν and the contact's width.
+
+        Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
+        scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does, and with
+        each coarser ring of cells around a contact that is small beside the gel's thickness:
+        (a + b / (1 − 2ν)) (1 − c ln w), w the contact's width in thicknesses. `scripts/calibrate_mesh.py` derives a, b
+        and c against locking-free solutions of the same energy, and checks them on radii, thicknesses, ν and friction
+        that it did not use.
+        """
+        a, b, c = self.stiffness
+        poisson_ratio = min(gel.poisson_ratio, LARGEST_POISSON_RATIO)
+        return (a + b / (1 - 2 * poisson_ratio)) * max(0.0, 1 - c * math.log(contact_width))
 
 
 @dataclass(frozen=True)
@@ -180,6 +202,26 @@ class ContactProblem:
     def contact_width(self) -> float:
         """How wide the contact is, cut from the rest membrane, in thicknesses of the gel."""
         return 2 * self.penetration_radius_mm / self.thickness_mm
+
+    @property
+    def cell_mm(self) -> float:
+        """How far apart the membrane's vertices are where it is touched."""
+        contact_mm = max(self.penetration_radius_mm, SMALLEST_CONTACT_MM)
+        return min(contact_mm, _WIDEST_CONTACT_THICKNESSES * self.thickness_mm) / self.mesh_size.across
+
+    @property
+    def stiffness_excess(self) -> float:
+        """By what share the mesh is stiffer than the gel."""
+        smallest = 2 * SMALLEST_CONTACT_MM / self.thickness_mm
+        return self.mesh_size.stiffness_excess(self.moduli, max(self.contact_width, smallest))
+
+    @property
+    def mesh_moduli(self) -> Moduli:
+        """The moduli with which the mesh acts as the gel; both in MuJoCo's energy."""
+        young_mpa, poisson_ratio = self.moduli.young_modulus_mpa, self.moduli.poisson_ratio
+        beyond = max(0.0, poisson_ratio - LARGEST_POISSON_RATIO)
+        rise = 1 + FORCE_RISE_PER_POISSON * beyond
+        return Moduli(young_mpa * rise / (1 + self.stiffness_excess), poisson_ratio - beyond)
 
     @property
     def segments_mm(self) -> NDArray[np.float64]:

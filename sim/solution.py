@@ -27,7 +27,7 @@ _STACKED = ("displacement_mm", "normal_force_n", "indenter_mm", "force_n", "conv
 
 
 @dataclass(frozen=True)
-class Diagnostics:
+class SolveDiagnostics:
     """How a pose was solved, for labels and for trust.
 
     `residual` is the largest force on a free vertex and `imbalance` the difference of the forces on indenter and
@@ -63,7 +63,7 @@ class Record:
     indenter_mm: NDArray[np.float64]
     force_n: NDArray[np.float64]
     converged: bool
-    diagnostics: Diagnostics
+    diagnostics: SolveDiagnostics
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,13 +126,13 @@ def solution_from_bytes(data: bytes) -> Solution | None:
         _check_shapes(arrays, len(problem.waypoints_mm))
     except (ValueError, KeyError):
         return None
-    kinds = [type(field.default) for field in fields(Diagnostics)]
+    kinds = [type(field.default) for field in fields(SolveDiagnostics)]
     columns = zip(*(arrays[name] for name in (*_STACKED, "diagnostics")), strict=True)
     records = tuple(
         Record(
             *values,
             converged=bool(converged),
-            diagnostics=Diagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True))),
+            diagnostics=SolveDiagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True))),
         )
         for *values, converged, row in columns
     )
@@ -149,7 +149,7 @@ def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
         "indenter_mm": (n, 3),
         "force_n": (n, 3),
         "converged": (n,),
-        "diagnostics": (n, len(fields(Diagnostics))),
+        "diagnostics": (n, len(fields(SolveDiagnostics))),
     }
     for name, shape in shapes.items():
         if arrays[name].shape != shape or arrays[name].dtype.kind not in "bf":

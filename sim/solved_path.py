@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from gelgap.sim.estimate import Diagnostics, diagnose
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.membrane import (
     MembraneState,
@@ -60,6 +61,9 @@ class SolvedPath:
     force_n: NDArray[np.float64]
     contact_radius_mm: NDArray[np.float64]
     converged: NDArray[np.bool_]
+    coarse: NDArray[np.bool_]
+    errors: NDArray[np.float64]
+    """Estimates of `ERRORS`, as `Diagnostics` has them."""
 
     @classmethod
     def from_solutions(cls, plan: SolvePlan, solutions: dict[str, Solution]) -> Self:
@@ -81,7 +85,8 @@ class SolvedPath:
     def pose(self, elastomer: Elastomer, pose: Pose) -> SolvedPose:
         """Return a pose by interpolation: membranes linearly in depth and travel, forces in depth^1.5 and travel.
 
-        It counts as converged if the equilibria around it are. Forces are those of the elastomer's modulus.
+        It counts as converged if the equilibria around it are, and as coarse if one of them is; estimates are theirs,
+        and know nothing of the interpolation. Forces are those of the elastomer's modulus.
 
         Raises
         ------
@@ -105,7 +110,10 @@ class SolvedPath:
         displacement_mm, contact, places = placed_surface(pose, frame, self.indenter, table, indenter_mm)
         pressure = PolarTable(_between(self.pressure_mpa, depth, travel), symmetric=True).at(places)
         x_mm, y_mm = grid_axes()
-        around = self.converged[np.ix_(*([corner for corner, _ in pair] for pair in (depth, travel)))]
+        around = np.ix_(*([corner for corner, _ in pair] for pair in (depth, travel)))
+        fz_error, shear_error, radius_error_mm, membrane_error_mm = _between(
+            self.errors, depth, travel
+        ).tolist()
         state = MembraneState(
             x_mm=x_mm,
             y_mm=y_mm,
@@ -113,7 +121,14 @@ class SolvedPath:
             contact=contact,
             force_n=frame.on_sensor(modulus * _between(self.force_n, by_force, travel)),
             contact_radius_mm=float(np.sqrt(_between(self.contact_radius_mm**2, depth, travel))),
-            converged=bool(around.all()),
+            converged=bool(self.converged[around].all()),
+            diagnostics=Diagnostics(
+                fz_error_n=modulus * fz_error,
+                shear_error_n=modulus * shear_error,
+                contact_radius_error_mm=radius_error_mm,
+                membrane_error_mm=membrane_error_mm,
+                coarse=bool(self.coarse[around].any()),
+            ),
         )
         pressure_mpa = (modulus * pressure[..., 0]).astype(np.float32)
         return SolvedPose(state, pressure_mpa, frame.on_sensor(indenter_mm))
@@ -145,13 +160,23 @@ def _equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarr
     """Return the fields of a `SolvedPath` for one equilibrium."""
     record = solution.records[placement.record]
     per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
+    radius_mm = contact_radius_mm(solution, record)
+    found = diagnose(solution.problem, record, radius_mm, per_mpa, folded=False)
+    errors = (
+        found.fz_error_n,
+        found.shear_error_n,
+        found.contact_radius_error_mm,
+        found.membrane_error_mm,
+    )
     return {
         "displacement_mm": polar_table(solution, record).values,
         "pressure_mpa": pressure_table(solution, record).values * np.float32(per_mpa),
         "indenter_mm": record.indenter_mm,
         "force_n": record.force_n * per_mpa,
-        "contact_radius_mm": np.array(contact_radius_mm(solution, record)),
+        "contact_radius_mm": np.array(radius_mm),
         "converged": np.array(record.converged),
+        "coarse": np.array(found.coarse),
+        "errors": np.array(errors),
     }
 
 

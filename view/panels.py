@@ -50,13 +50,18 @@ class Readout:
 def figures_html(shown: Shown, colours: str) -> str:
     """Return the figures of what is shown, and how far its physics can be trusted, as HTML."""
     state = shown.solved.state
-    rows = [(f"F{axis}", f"{value:+.3f} N") for axis, value in zip("xyz", state.force_n + 0.0, strict=True)]
-    rows.append(("contact radius", f"{state.contact_radius_mm:.3f} mm"))
+    found = state.diagnostics
+    error_n = (found.shear_error_n, found.shear_error_n, found.fz_error_n)
+    forces = zip("xyz", state.force_n + 0.0, error_n, strict=True)
+    rows = [(f"F{axis}", f"{value:+.3f} ± {error:.3f} N") for axis, value, error in forces]
+    rows.append(("contact radius", f"{state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm"))
     rows.append(("largest displacement", f"{np.linalg.norm(state.displacement_mm, axis=-1).max():.3f} mm"))
     rows.append(("largest pressure", f"{shown.solved.pressure_mpa.max():.3f} MPa"))
     verdict, colour = ("converged", _GOOD) if shown.exact else ("draft", _MIDDLING)
+    if found.coarse:
+        verdict, colour = f"{verdict}, but coarse: a finer quality is needed", _MIDDLING
     if not state.converged:
-        verdict, colour = "NOT CONVERGED", _BAD
+        verdict, colour = "FOLDED MEMBRANE" if found.folded else "NOT CONVERGED", _BAD
     stages = ", ".join(f"{name} {ms:.0f} ms" for name, ms in shown.stages_ms.items()) or "nothing to do"
     said = [f'<span style="color:{colour};font-weight:600">{verdict}</span>: {escape(shown.source)}.']
     if colours:

@@ -153,7 +153,7 @@ OPTIONAL: dict[str, tuple[Column, ...]] = {
     "diagnostics": tuple(
         Column(
             field.name,
-            _INT if field.type is int else _FLOAT,
+            {int: _INT, bool: _BOOL}.get(field.type, _FLOAT),
             "",
             "how the pose was solved",
             lambda c, name=field.name: getattr(c.state.diagnostics, name),

@@ -10,7 +10,7 @@ from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState, contact_radius_mm, flat_state, grid_axes
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Elastomer, Scene, Sharing
-from gelgap.sim.solution import Diagnostics, Record, Solution
+from gelgap.sim.solution import Record, Solution, SolveDiagnostics
 
 
 def test_the_grid_covers_the_footprint_and_its_margin() -> None:
@@ -71,7 +71,7 @@ def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
         indenter_mm=np.array([0.0, 0.0, -0.1]),
         force_n=np.array([0.0, 0.0, -1.0]),
         converged=True,
-        diagnostics=Diagnostics(),
+        diagnostics=SolveDiagnostics(),
     )
     return contact_radius_mm(Solution(problem, rest_mm, (record,)), record)
 

@@ -12,9 +12,9 @@ from gelgap.sim.indenter import Sphere
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Elastomer, Scene, Sharing
 from gelgap.sim.solution import (
-    Diagnostics,
     Record,
     Solution,
+    SolveDiagnostics,
     cache_entries,
     cache_use,
     clear_cache,
@@ -45,7 +45,7 @@ def solution() -> Solution:
             indenter_mm=rng.normal(size=3),
             force_n=np.array([-0.0, np.nan, 1e-310]),
             converged=converged,
-            diagnostics=Diagnostics(*rng.normal(size=1), 7, *rng.normal(size=7)),
+            diagnostics=SolveDiagnostics(*rng.normal(size=1), 7, *rng.normal(size=7)),
         )
         for converged in (True, False)
     )
