@@ -42,7 +42,10 @@ class Benchmark:
 
 EXTRA, LONG, ANEW = "not by default", "no quick form", "does not resume"
 _MEASURED = {
-    "physics": [(None, "error of forces and displacements against run time", "physics.accuracy")],
+    "physics": [
+        ("accuracy", "error of forces and displacements against run time", "physics.accuracy"),
+        ("estimate", "each pose's estimate of its error beside the true one", "physics.estimate", EXTRA),
+    ],
     "render": [(None, "error of pictures against run time, beside a path tracer", "render.accuracy", ANEW)],
     "sensors": [
         ("prediction", "how well a real sensor's pictures are predicted from others of it", "render.sensors"),

@@ -6,24 +6,140 @@ pad's edges, by the project's own axisymmetric solver.
 """
 
 import math
+import os
+import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from gelgap.benchmarks.common import show, write_json
+from gelgap.benchmarks.fem import theory
 from gelgap.benchmarks.fem.spheres import Press
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver
 from gelgap.benchmarks.physics.references import Descent, own_cases
-from gelgap.sim import Elastomer, Pose, Sphere
-from gelgap.sim.estimate import CAUSES, causes_of_error
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
+from gelgap.sim.estimate import CAUSES, ERRORS, causes_of_error
 
-RANDOM_SCENES = 300
+RANDOM_SCENES, QUICK_SCENES = 300, (0, 12)
+# Slides without friction: radius, thickness, depth, furthest travel, mm.
+SLIDES = ((1.5, 3.0, 0.6, 3.0), (0.5, 6.0, 0.3, 2.0))
+# Touches: radius and thickness, mm; each at every depth.
+TOUCHES, TOUCH_DEPTHS_MM = ((1.5, 3.0), (3.0, 6.0), (5.0, 6.0), (5.0, 20.0)), (0.01, 0.02, 0.05, 0.1)
+DIRECTIONS_DEG = (0, 17, 45, 63, 90)
+PARTIAL_SLIP_DEPTHS_MM = (0.1, 0.3)
 RADIUS_MM, THICKNESS_MM = (0.5, 6.0), (1.0, 10.0)
 SHALLOWEST_MM = 0.01
 WIDE_PAD_MM = (100.0, 100.0)
 SURFACE_REACH_RADII = 4.0  # the membrane's error is that within so many contact radii
+
+
+def _gel(thickness_mm: float, **given: Any) -> Elastomer:
+    fixed = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.0, "pad_size_mm": WIDE_PAD_MM}
+    return Elastomer(**fixed | {"thickness_mm": thickness_mm, "strain_energy": "stable-neo-hookean"} | given)
+
+
+def slide_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
+    """Yield how Fz changes and what Fx is where a sphere slides without friction: neither should be anything."""
+    for radius, thickness, depth, furthest in SLIDES:
+        poses = tuple(
+            Pose(depth_mm=depth, shear_x_mm=share * furthest) for share in (0.0, 0.25, 0.5, 0.75, 1.0)
+        )
+        name = f"slide, R {radius:g} on {thickness:g}, {depth:g} deep, to {furthest:g}"
+        case = Case("known", name, _gel(thickness), poses, quality, Sphere(diameter_mm=2 * radius))
+        found = solver.cases([case])[case]
+        force = np.array([state.force_n for state in found.states])
+        yield _known_row(
+            case, found, 100 * np.abs(force[:, 2] / force[0, 2] - 1).max(), "worst change of Fz, %"
+        )
+        yield _known_row(case, found, 100 * np.abs(force[:, 0] / force[:, 2]).max(), "worst Fx, % of Fz")
+
+
+def touch_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
+    """Yield the errors of shallow presses without friction, by the axisymmetric solver."""
+    cases = [
+        Case(
+            "touch",
+            f"touch, R {r:g} on {h:g}, {d:g} deep",
+            _gel(h),
+            (Pose(depth_mm=d),),
+            quality,
+            Sphere(diameter_mm=2 * r),
+        )
+        for r, h in TOUCHES
+        for d in TOUCH_DEPTHS_MM
+    ]
+    truths = own_cases("touches", [descent_of(case) for case in cases], solver)
+    solved = solver.cases(cases)
+    for case, truth in zip(cases, truths, strict=True):
+        error = 100 * (solved[case].states[0].force_n[2] / truth.truth.force_n[0, 2] - 1)
+        yield _known_row(case, solved[case], error, "error of Fz, %")
+
+
+def direction_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
+    """Yield by how much the force of full slip depends on the direction of a drag on a whole pad."""
+    cases = []
+    for angle in np.radians(DIRECTIONS_DEG):
+        end = {"shear_x_mm": round(0.8 * math.cos(angle), 9), "shear_y_mm": round(0.8 * math.sin(angle), 9)}
+        gel = _gel(3.0, friction=0.9, poisson_ratio=0.48, pad_size_mm=(24.0, 20.0))
+        poses = Pose(depth_mm=0.8), Pose(depth_mm=0.8, **end)
+        name = f"drag at {math.degrees(angle):.0f}° on a whole pad"
+        cases.append(
+            Case("known", name, gel, poses, quality, sharing=Sharing(translation=False, cache=False))
+        )
+    solved = solver.cases(cases)
+    force = [float(np.hypot(*solved[case].states[-1].force_n[:2])) for case in cases]
+    for case, own in zip(cases, force, strict=True):
+        yield _known_row(case, solved[case], 100 * (own / force[0] - 1), "tangential force beside 0°, %")
+
+
+def partial_slip_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
+    """Yield stiffness and sticking share of a drag with friction beside Cattaneo and Mindlin's, R 3 mm on 10 mm.
+
+    Theory is that of a half-space, with the measured normal force and contact radius: G = E / (2 (1 + ν)), the first
+    stiffness 16 a G / (3 (2 − ν)), and (c/a)³ = 1 − Q / μP for the radius c within which vertices stick. They carry
+    the share 1 − (1 − c²/a²)^1.5 of the load.
+    """
+    for depth in PARTIAL_SLIP_DEPTHS_MM:
+        gel = _gel(10.0, friction=0.3, poisson_ratio=0.495)
+        shear_mpa = gel.young_modulus_mpa / (2 * (1 + gel.poisson_ratio))
+        press = Case("known", "", gel, (Pose(depth_mm=depth),), quality, Sphere(diameter_mm=6.0))
+        # By Hertz a press is μ d (2 − ν) / (2 (1 − ν)) short of slipping as a whole.
+        full_mm = gel.friction * depth * (2 - gel.poisson_ratio) / (2 * (1 - gel.poisson_ratio))
+        poses = tuple(
+            Pose(depth_mm=depth, shear_x_mm=round(share * full_mm, 6)) for share in (0.0, 0.05, 0.4, 0.7)
+        )
+        case = replace(press, name=f"partial slip, R 3 on 10, {depth:g} deep", poses=poses)
+        found = solver.cases([case])[case]
+        still, begun, *slipping = found.states
+        radius, limit = still.contact_radius_mm, -gel.friction * still.force_n[2]
+        contact = (limit, radius, shear_mpa, gel.poisson_ratio)
+        expected = float(theory.partial_slip_force_n(*contact, poses[1].shear_x_mm))
+        yield _known_row(case, found, 100 * (begun.force_n[0] / expected - 1), "first stiffness, %")
+        for pose, state in zip(poses[2:], slipping, strict=True):
+            share = 1 - float(theory.partial_slip_force_n(*contact, pose.shear_x_mm)) / limit
+            stick = 1 - (1 - share ** (2 / 3)) ** 1.5
+            yield _known_row(
+                case,
+                found,
+                state.diagnostics.sticking_fraction - stick,
+                f"sticking share at {pose.shear_x_mm:g} mm",
+            )
+
+
+def _known_row(case: Case, found: Any, error: float, quantity: str) -> dict[str, Any]:
+    flagged = sum(not state.converged or state.diagnostics.coarse for state in found.states)
+    return {
+        "scene": case.name,
+        "quality": case.quality,
+        "quantity": quantity,
+        "error": error,
+        "flagged": f"{flagged}/{len(found.states)}",
+        "core s": found.solve_s,
+    }
 
 
 def random_case(number: int) -> Case:
@@ -125,15 +241,28 @@ def rows_of(case: Case, found: Any, expected: Iterator[Expected]) -> Iterator[di
             "mesh": "disc" if problem.pad_mm is None and problem.symmetric else "pad",
             "pose": index,
             "converged": state.converged,
+            "coarse": state.diagnostics.coarse,
             "Fz": off[2] / size,
             "shear": float(np.hypot(*off[:2])) / size,
             "radius": state.contact_radius_mm / max(right.radius_mm, 1e-9) - 1,
             "membrane": float(np.sqrt((apart**2).mean())) / pose.depth_mm if near.any() else 0.0,
+            **_estimates(state, pose),
             "force N": size,
             "core s": found.solve_s,
             "excess": problem.stiffness_excess,
             **dict(zip(CAUSES, causes_of_error(problem, record, state.contact_radius_mm), strict=True)),
         }
+
+
+def _estimates(state: MembraneState, pose: Pose) -> dict[str, float]:
+    found, size = state.diagnostics, float(np.linalg.norm(state.force_n))
+    shares = (
+        found.fz_error_n / size,
+        found.shear_error_n * math.sqrt(2) / size,
+        found.contact_radius_error_mm / max(state.contact_radius_mm, 1e-9),
+        found.membrane_error_mm / pose.depth_mm,
+    )
+    return {f"estimated {error}": share for error, share in zip(ERRORS, shares, strict=True)}
 
 
 def random_errors(numbers: Sequence[int], qualities: Sequence[str], solver: Solver) -> pd.DataFrame:
@@ -154,3 +283,64 @@ def random_errors(numbers: Sequence[int], qualities: Sequence[str], solver: Solv
                 at, found, expected_states(at, truths.get(case, case), fine.get(finest), found.states)
             )
     return pd.DataFrame(rows)
+
+
+def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Print how often true errors are below twice their estimate, and estimates below four times the true error."""
+    found = []
+    for quality, own in rows.groupby("quality", sort=False):
+        for error in ERRORS:
+            true, estimate = own[error].abs(), own[f"estimated {error}"]
+            unflagged = ~own["coarse"] & own["converged"]
+            found.append(
+                {
+                    "quality": quality,
+                    "error of": error,
+                    "poses": len(own),
+                    "rms %": 100 * float(np.sqrt((true**2).mean())),
+                    "median estimate %": 100 * estimate.median(),
+                    "true < 2 estimates, %": 100 * (true < 2 * estimate).mean(),
+                    "estimate < 4 true, %": 100 * (estimate < 4 * true).mean(),
+                    "flagged": int((~unflagged).sum()),
+                    "worst unflagged %": 100 * true[unflagged].max(),
+                }
+            )
+    table = pd.DataFrame(found)
+    show(
+        "Estimates of random scenes beside their true errors",
+        table,
+        "forces as shares of the whole force, the membrane's rms as a share of the depth",
+    )
+    return table
+
+
+def draw_calibration(rows: pd.DataFrame, figure: Path) -> None:
+    """Draw estimates of the force's error against the true one."""
+    from matplotlib.figure import Figure
+
+    picture = Figure(figsize=(9, 4.5), layout="constrained")
+    for axes, error in zip(picture.subplots(1, 2), ERRORS[:2], strict=True):
+        for quality, own in rows.groupby("quality", sort=False):
+            axes.loglog(own[f"estimated {error}"], own[error].abs().clip(lower=1e-5), ".", label=quality)
+        ends = np.array([1e-4, 0.3])
+        axes.loglog(ends, 2 * ends, "k-", lw=0.8, label="twice the estimate")
+        axes.loglog(ends, ends / 4, "k:", lw=0.8, label="a quarter of it")
+        axes.set_xlabel(f"estimated error of {error}, share of the force")
+        axes.set_ylabel("true error")
+    axes.legend()
+    picture.savefig(figure, dpi=110)
+
+
+def run(quick: bool, out_dir: Path) -> None:
+    """Run the benchmark, print its tables, and write `estimate.json` and `estimate.png` to `out_dir`."""
+    solver = Solver(os.cpu_count() or 1, out_dir / "estimate-solves")
+    qualities = ("draft",) if quick else ("draft", "standard")
+    studies = (touch_rows,) if quick else (slide_rows, touch_rows, direction_rows, partial_slip_rows)
+    known = pd.DataFrame(row for study in studies for quality in qualities for row in study(quality, solver))
+    show("Scenes whose answer is known", known)
+    rows = random_errors(QUICK_SCENES if quick else range(RANDOM_SCENES), qualities, solver)
+    table = calibration_table(rows)
+    draw_calibration(rows, out_dir / "estimate.png")
+    write_json(out_dir / "estimate.json", {"known": known, "random": table})
+    shutil.rmtree(solver.folder)
+    print(f"results in {out_dir / 'estimate.json'}, plot in {out_dir / 'estimate.png'}")

@@ -16,7 +16,7 @@ FOREIGN_DOFS = 3
 def mesh() -> GelMesh:
     """A half disc whose first vertices are the nearest to its centre."""
     grid = DiscGrid(6.0, 1.5, 0.5, 6, 1.8)
-    mesh = pad_mesh(grid, layer_heights_mm(2.0, 0.4, 1.5), None, symmetric=True)
+    mesh = pad_mesh(grid, layer_heights_mm(2.0, 0.4, 1.5, 0.3), None, symmetric=True)
     nearest = np.argsort(np.hypot(*mesh.vertices_mm[mesh.surface, :2].T))[:KEPT]
     return ordered_for_elimination(mesh, mesh.surface[nearest])
 

@@ -40,6 +40,8 @@ def dent_path() -> SolvedPath:
         force,
         np.sqrt(depths)[:, None] * np.ones(shape),
         np.ones(shape, bool),
+        np.zeros(shape, bool),
+        np.zeros((*shape, 4)),
     )
 
 
