@@ -97,6 +97,11 @@ def _add_gel(spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes:
     """Add the flex, a body with three slides per vertex that is not bonded, and a tiny geom at each node."""
     bonded, is_node = (np.isin(np.arange(len(mesh.vertices_mm)), some) for some in (mesh.bottom, nodes))
     moving, mass_t = np.flatnonzero(~bonded), gel_mass_t / len(bonded)
+    # In each step MuJoCo sorts every vertex's neighbours by their dofs, by insertion: fast if they come nearly sorted.
+    moving = moving[np.lexsort(mesh.vertices_mm[moving].T)]
+    place = np.full(len(bonded), len(moving))
+    place[moving] = np.arange(len(moving))
+    elements = mesh.tetrahedra[np.lexsort(np.sort(place[mesh.tetrahedra], axis=1)[:, ::-1].T)]
     # Adding a joint takes as long as its model has bodies, so that parts of the gel are models of their own at first.
     for part in np.array_split(moving, len(moving) // _BODIES_PER_PART + 1):
         own = mujoco.MjSpec()
@@ -134,7 +139,7 @@ def _add_gel(spec: Any, mesh: GelMesh, moduli: Moduli, gel_mass_t: float, nodes:
         poisson=moduli.poisson_ratio,
         vertbody=["world" if own else f"gel_{vertex}" for vertex, own in enumerate(bonded)],
         vert=np.where(bonded[:, None], mesh.vertices_mm, 0.0).ravel(),
-        elem=mesh.tetrahedra.ravel(),
+        elem=elements.ravel(),
     )
 
 
