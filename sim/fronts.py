@@ -65,9 +65,9 @@ class Condensation:
         position[_dofs(first_dof)] = np.arange(3 * vertices)
         rows = position[np.repeat(np.arange(self._size), np.diff(pattern.indptr))]
         columns = position[pattern.indices]
-        both = (rows >= 0) & (columns >= 0)
-        pairs = (rows[both] // 3, columns[both] // 3)
-        graph = sparse.coo_array((np.ones(both.sum(), bool), pairs), shape=(vertices, vertices)).tocsr()
+        coupled = (rows >= 0) & (columns >= 0) & (rows % 3 == 0) & (columns % 3 == 0)
+        pairs = (rows[coupled] // 3, columns[coupled] // 3)
+        graph = sparse.coo_array((np.ones(coupled.sum(), bool), pairs), shape=(vertices, vertices)).tocsr()
         groups = assembly_tree(graph, kept)
         self._plan = plan = _plan(groups, first_dof, rows, columns)
         self._factor, self._updates = (
@@ -119,7 +119,7 @@ class _Branch:
     """A group that may still be taken in by its parent; `entries` counts what its columns truly hold."""
 
     columns: list[int]
-    rows: Ints
+    rows: set[int]
     children: list["_Branch"]
     entries: int
 
@@ -132,13 +132,14 @@ def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:
     takes in the groups that are eliminated right before it, unless too many zeros would be held.
     """
     count = graph.shape[0]
-    root = _Branch(list(range(count - kept, count)), np.empty(0, np.int64), [], 0)
+    later = sparse.triu(graph, 1, format="csr")
+    first, neighbours = later.indptr.tolist(), later.indices.tolist()
+    root = _Branch(list(range(count - kept, count)), set(), [], 0)
     waiting: list[list[_Branch]] = [[] for _ in range(count)]
-    descendants = np.ones(count, dtype=np.int64)
+    descendants = [1] * count
     for vertex in range(count - kept):
-        rows = graph.indices[graph.indptr[vertex] : graph.indptr[vertex + 1]]
-        rows = np.unique(np.concatenate([rows, *(child.rows for child in waiting[vertex])]))
-        rows = rows[rows > vertex]
+        rows = set(neighbours[first[vertex] : first[vertex + 1]])
+        rows = rows.union(*(child.rows for child in waiting[vertex])) - {vertex}
         branch = _Branch([vertex], rows, [], entries=1 + len(rows))
         for child in sorted(waiting[vertex], key=lambda child: -len(child.rows)):
             columns, entries = len(branch.columns) + len(child.columns), branch.entries + child.entries
@@ -150,7 +151,7 @@ def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:
                 branch.entries = entries
             else:
                 branch.children.append(child)
-        parent = int(rows[0]) if len(rows) else count
+        parent = min(rows, default=count)
         if parent < count - kept:
             waiting[parent].append(branch)
             descendants[parent] += descendants[vertex]
@@ -170,8 +171,8 @@ def _postordered(root: _Branch) -> list[Group]:
     number = {id(branch): index for index, branch in enumerate(order)}
     return [
         Group(
-            np.sort(branch.columns),
-            branch.rows,
+            np.array(sorted(branch.columns)),
+            np.array(sorted(branch.rows), dtype=np.int64),
             tuple(sorted(number[id(child)] for child in branch.children)),
         )
         for branch in order
@@ -204,31 +205,50 @@ class _Plan(NamedTuple):
 
 
 def _plan(groups: list[Group], first_dof: Ints, rows: Ints, columns: Ints) -> _Plan:
-    """Lay out the fronts; `rows` and `columns` are those of `_targets`."""
-    own = np.array([3 * len(group.columns) for group in groups])
-    below = np.array([3 * len(group.rows) + 1 for group in groups])
-    begin = _ends(own * (own + below))
-    places = [np.zeros(1, np.int64)] * len(groups)
-    for group in groups:
-        both = np.concatenate([group.columns, group.rows])
-        for child in group.children:
-            places[child] = np.append(_dofs(3 * np.searchsorted(both, groups[child].rows)), 3 * len(both))
-    source, target, first_value = _targets(rows, columns, groups, begin)
+    """Lay out the fronts.
+
+    `rows` and `columns` (values,) are the sparse matrix's, in the order of elimination, −1 where a dof has none.
+    """
+    vertices, number = len(first_dof), np.arange(len(groups))
+    mine, later = np.array([(len(group.columns), len(group.rows)) for group in groups]).T
+    mine_of = np.concatenate([group.columns for group in groups])
+    later_of = np.concatenate([group.rows for group in groups])
+    own, below = 3 * mine, 3 * later + 1
+    begin, held = _ends(own * (own + below)), _ends(mine + later)
+    # What the groups hold, one group after another, ascends if it is raised by the group's number.
+    raised = np.concatenate([part for group in groups for part in (group.columns, group.rows)])
+    raised += vertices * np.repeat(number, mine + later)
+
+    def places(group: Ints, dof: Ints) -> Ints:
+        """Return where dofs (n,) stand in the fronts of groups (n,)."""
+        return 3 * (np.searchsorted(raised, vertices * group + dof // 3) - held[group]) + dof % 3
+
+    parent, group_of = np.zeros(len(groups), np.int64), np.empty(vertices, np.int64)
+    group_of[mine_of] = np.repeat(number, mine)
+    for index, group in enumerate(groups):
+        parent[list(group.children)] = index
+    ends = 3 * np.cumsum(later)
+    in_parent = places(np.repeat(parent, 3 * later), _dofs(3 * later_of))
+    source = np.flatnonzero((columns >= 0) & (rows >= columns))
+    source = source[np.argsort(group_of[columns[source] // 3], kind="stable")]
+    group = group_of[columns[source] // 3]
+    row, column = places(group, rows[source]), places(group, columns[source])
+    in_own, in_below = row + column * own[group], own[group] ** 2 + row - own[group] + column * below[group]
     return _Plan(
         own=own,
         below=below,
         begin=begin,
         update=_update_places(groups),
         first_own=_ends(own),
-        own_dofs=np.concatenate([_dofs(first_dof[group.columns]) for group in groups]),
+        own_dofs=_dofs(first_dof[mine_of]),
         first_row=_ends(below),
-        row_dofs=np.concatenate([np.append(_dofs(first_dof[group.rows]), -1) for group in groups]),
-        places=np.concatenate(places).astype(np.uint64),
+        row_dofs=np.insert(_dofs(first_dof[later_of]), ends, -1),
+        places=np.insert(in_parent, ends, 3 * (mine + later)[parent]).astype(np.uint64),
         first_child=_ends([len(group.children) for group in groups]),
         children=np.array([child for group in groups for child in group.children], dtype=np.int64),
-        first_value=first_value,
+        first_value=np.searchsorted(group, np.arange(len(groups) + 1)),
         source=source,
-        target=target,
+        target=begin[group] + np.where(row < own[group], in_own, in_below),
     )
 
 
@@ -249,35 +269,6 @@ def _update_places(groups: list[Group]) -> Ints:
             offset += sizes[child] ** 2
         needed[depth[number] + 1] = max(needed[depth[number] + 1], offset)
     return begin + _ends(needed)[depth]
-
-
-def _targets(rows: Ints, columns: Ints, groups: list[Group], begin: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return which of the sparse matrix's values go into the factor's memory, where to, and each front's first one.
-
-    `rows` and `columns` (values,) are places in the order of elimination, −1 where a dof has none.
-    """
-    vertices = sum(len(group.columns) for group in groups)
-    group_of, place_in_group = np.empty(vertices, np.int64), np.empty(vertices, np.int64)
-    for number, group in enumerate(groups):
-        group_of[group.columns] = number
-        place_in_group[group.columns] = np.arange(len(group.columns))
-    lower = np.flatnonzero((columns >= 0) & (rows >= columns))
-    lower = lower[np.argsort(group_of[columns[lower] // 3], kind="stable")]
-    (row, row_axis), (column, column_axis) = (np.divmod(values[lower], 3) for values in (rows, columns))
-    group = group_of[column]
-    own, below = (
-        np.array([3 * len(g.columns) for g in groups])[group],
-        np.array([3 * len(g.rows) + 1 for g in groups])[group],
-    )
-    # The groups' rows, one group after another, ascend if each is raised by its group's number.
-    raised = np.concatenate([number * vertices + g.rows for number, g in enumerate(groups)])
-    first_row = np.cumsum([0, *(len(g.rows) for g in groups)])[group]
-    place_below = np.searchsorted(raised, group * vertices + row) - first_row
-    column = 3 * place_in_group[column] + column_axis
-    in_own = 3 * place_in_group[row] + row_axis + column * own
-    in_below = own * own + 3 * place_below + row_axis + column * below
-    target = begin[group] + np.where(group_of[row] == group, in_own, in_below)
-    return lower, target, np.searchsorted(group, np.arange(len(groups) + 1))
 
 
 def _dofs(first_dof: Ints) -> Ints:
