@@ -4,6 +4,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy import linalg, optimize, sparse
 
@@ -181,7 +182,7 @@ class ContactNewton:
         diagonal, force = data.M[self._diagonal_of_mass] + data.efm_diag, data.qfrc_smooth + data.efm_c
         contact_dofs = data.efc_J_colind.reshape(-1, 3, 6)[:, 0]
         lower, right_side = self._condensation.condense(data.efm_K_val, diagonal, force)
-        whole = np.tril(lower) + np.tril(lower, -1).T
+        whole = lower + np.tril(lower, -1).T
         touched = np.isin(kept_dofs, contact_dofs)
         factor = linalg.cholesky(whole[~touched][:, ~touched], lower=True, check_finite=False)
         others = np.column_stack([whole[~touched][:, touched], right_side[~touched]])
@@ -217,12 +218,12 @@ class ContactNewton:
         given = np.linalg.norm(force)
         for _ in range(_MOST_ITERATIONS):
             contact_force = self._contact_force(relative, stiffness=True)
-            residual = stiffness @ solution - force
-            np.add.at(residual, dofs, -np.einsum("cij,ci->cj", jacobian, contact_force.reshape(-1, 3)))
+            at_dofs = np.einsum("cij,ci->cj", jacobian, contact_force.reshape(-1, 3))
+            residual = stiffness @ solution - force - np.bincount(dofs.ravel(), at_dofs.ravel(), len(force))
             if np.linalg.norm(residual) <= _RESIDUAL_TOLERANCE * (np.linalg.norm(contact_force) + given):
                 break
             tangent = self._tangent(stiffness, jacobian, dofs)
-            factor = linalg.cho_factor(tangent, lower=True, check_finite=False)
+            factor = linalg.cho_factor(tangent, lower=True, overwrite_a=True, check_finite=False)
             increment = -linalg.cho_solve(factor, residual, check_finite=False)
             along = np.einsum("cij,cj->ci", jacobian, increment[dofs]).ravel()
             slope = residual @ increment + contact_force @ along
@@ -238,13 +239,12 @@ class ContactNewton:
     def _tangent(self, stiffness: Floats, jacobian: Floats, dofs: Ints) -> Floats:
         """Return the tangent stiffness (n, n): `stiffness` plus that of the contacts at the last force."""
         data, states = self._data, mujoco.mjtConstraintState
-        state, tangent = data.efc_state.reshape(-1, 3)[:, 0], stiffness.copy()
+        state, tangent = data.efc_state.reshape(-1, 3)[:, 0], stiffness.copy().T
         sticks, slides = state == states.mjCNSTRSTATE_QUADRATIC, state == states.mjCNSTRSTATE_CONE
         of_contact = np.zeros((len(state), 3, 3))
         of_contact[sticks] = data.efc_D.reshape(-1, 3)[sticks, :, None] * np.eye(3)
         of_contact[slides] = data.contact.H[slides, :9].reshape(-1, 3, 3)
-        blocks = np.einsum("cia,cij,cjb->cab", jacobian, of_contact, jacobian)
-        np.add.at(tangent, (dofs[:, :, None], dofs[:, None, :]), blocks)
+        _add_blocks(tangent, dofs, jacobian.transpose(0, 2, 1) @ of_contact @ jacobian)
         return tangent
 
     def _line_search(self, slope: float, curvature: float, relative: Floats, along: Floats) -> float:
@@ -261,3 +261,12 @@ class ContactNewton:
             slope_there = slope_at(longest)
         # An increment may end where the first node touches, which can be as near as rounding lets it be.
         return optimize.brentq(slope_at, 0.0, longest, xtol=1e-14) if slope_there > 0 else longest
+
+
+@njit(cache=True)
+def _add_blocks(matrix: Floats, dofs: Ints, blocks: Floats) -> None:
+    """Add blocks (c, 6, 6) to a matrix (n, n) at their dofs (c, 6)."""
+    for block, at in zip(blocks, dofs):  # noqa: B905
+        for i in range(len(at)):
+            for j in range(len(at)):
+                matrix[at[i], at[j]] += block[i, j]

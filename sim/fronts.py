@@ -1,23 +1,47 @@
 """Condensation of a gel's linear equation onto its kept vertices, by a multifrontal Cholesky factor of all others.
 
-LAPACK does the arithmetic on dense fronts (Duff & Reid 1983, ACM Trans. Math. Softw. 9:302; Liu 1992, SIAM Rev. 34:82).
+One compiled call eliminates all dense fronts (Duff & Reid 1983, ACM Trans. Math. Softw. 9:302; Liu 1992, SIAM Rev.
+34:82); LAPACK does the arithmetic.
 """
 
+import ctypes
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import get_cython_function_address
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.linalg import blas, lapack
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # A subtree with at most this many vertices becomes one group: many small ones cost more than the zeros of a large one.
-_SMALLEST_GROUP = 32
+_SMALLEST_GROUP = 16
 # A group takes in a child if at most this share of what it has then is zeros.
-_LARGEST_SHARE_OF_ZEROS = 0.2
+_LARGEST_SHARE_OF_ZEROS = 0.05
+
+
+def _routine(library: str, name: str, arguments: int) -> Any:
+    """Return a routine of SciPy's BLAS or LAPACK, all of whose arguments are pointers.
+
+    Compiled functions get it as an argument: where it lies differs from process to process, and they are cached.
+    """
+    address = get_cython_function_address(f"scipy.linalg.cython_{library}", name)
+    return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
+
+
+_DPOTRF, _DTRSM, _DSYRK = (
+    _routine("lapack", "dpotrf", 5),
+    _routine("blas", "dtrsm", 11),
+    _routine("blas", "dsyrk", 10),
+)
+_DGEMV, _DTRSV = _routine("blas", "dgemv", 11), _routine("blas", "dtrsv", 8)
+
+# Their options.
+_RIGHT, _LOWER, _TRANSPOSED, _PLAIN = (np.frombuffer(letter, np.uint8) for letter in (b"R", b"L", b"T", b"N"))
+_ONE, _MINUS_ONE, _ZERO, _STEP = np.array([1.0]), np.array([-1.0]), np.array([0.0]), np.array([1], np.int32)
 
 
 class Condensation:
@@ -41,23 +65,16 @@ class Condensation:
         position[_dofs(first_dof)] = np.arange(3 * vertices)
         rows = position[np.repeat(np.arange(self._size), np.diff(pattern.indptr))]
         columns = position[pattern.indices]
-        both = (rows >= 0) & (columns >= 0)
-        pairs = (rows[both] // 3, columns[both] // 3)
-        graph = sparse.coo_array((np.ones(both.sum(), bool), pairs), shape=(vertices, vertices)).tocsr()
+        coupled = (rows >= 0) & (columns >= 0) & (rows % 3 == 0) & (columns % 3 == 0)
+        pairs = (rows[coupled] // 3, columns[coupled] // 3)
+        graph = sparse.coo_array((np.ones(coupled.sum(), bool), pairs), shape=(vertices, vertices)).tocsr()
         groups = assembly_tree(graph, kept)
-        own = np.array([3 * len(group.columns) for group in groups])
-        below = np.array([3 * len(group.rows) + 1 for group in groups])
-        begin = np.cumsum([0, *(own * (own + below))])
-        self._factor = np.zeros(begin[-1])
-        self._fronts = _fronts(groups, begin, self._factor, first_dof)
-        self._source, self._target = _targets(rows, columns, groups, begin)
-        blocks = list(zip(begin[:-1], own, below, strict=True))
-        self._diagonal = np.concatenate([first + np.arange(c) * (c + 1) for first, c, _ in blocks])
-        self._right_side = np.concatenate(
-            [first + c * c + np.arange(1, c + 1) * r - 1 for first, c, r in blocks]
+        self._plan = plan = _plan(groups, first_dof, rows, columns)
+        self._factor, self._updates = (
+            np.zeros(plan.begin[-1]),
+            np.zeros(plan.update.max() + plan.below.max() ** 2),
         )
-        self._dofs = np.concatenate([front.own_dofs for front in self._fronts])
-        self.kept_dofs = self._fronts[-1].own_dofs
+        self.kept_dofs = plan.own_dofs[-3 * kept :]
 
     def condense(self, values: Floats, diagonal: Floats, right_side: Floats) -> tuple[Floats, Floats]:
         """Return the condensed matrix (k, k), of which only the lower triangle counts, and right side (k,).
@@ -69,32 +86,19 @@ class Condensation:
         numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        self._factor.fill(0)
-        self._factor[self._target] = values[self._source]
-        self._factor[self._diagonal] += diagonal[self._dofs]
-        self._factor[self._right_side] = right_side[self._dofs]
-        *eliminated, kept = self._fronts
-        for front in eliminated:
-            self._assemble(front)
-            front.eliminate()
-        self._assemble(kept)
-        return kept.own, kept.below[-1]
+        matrix = (values, diagonal, right_side)
+        if not _eliminate(self._plan, matrix, self._factor, self._updates, (_DPOTRF, _DTRSM, _DSYRK)):
+            raise np.linalg.LinAlgError("the matrix is not positive definite")
+        kept = len(self.kept_dofs)
+        last = self._factor[self._plan.begin[-2] :].reshape(kept + 1, kept)
+        return last[:kept].T, last[kept]
 
     def expand(self, kept: Floats) -> Floats:
         """Return x (n,) from its kept dofs (k,), after `condense`; 0 where there is no vertex."""
         solution = np.zeros(self._size)
         solution[self.kept_dofs] = kept
-        for front in self._fronts[-2::-1]:
-            left = -np.append(solution[front.row_dofs], -1.0) @ front.below
-            solution[front.own_dofs] = blas.dtrsv(front.own, left, lower=1, trans=1)
+        _substitute_back(self._plan, self._factor, solution, (_DGEMV, _DTRSV))
         return solution
-
-    def _assemble(self, front: "_Front") -> None:
-        if front.children:
-            front.update.fill(0)
-        for number in front.children:
-            child = self._fronts[number]
-            _extend_add(front.own, front.below, front.update, child.update, child.places)
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ class _Branch:
     """A group that may still be taken in by its parent; `entries` counts what its columns truly hold."""
 
     columns: list[int]
-    rows: Ints
+    rows: set[int]
     children: list["_Branch"]
     entries: int
 
@@ -128,13 +132,14 @@ def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:
     takes in the groups that are eliminated right before it, unless too many zeros would be held.
     """
     count = graph.shape[0]
-    root = _Branch(list(range(count - kept, count)), np.empty(0, np.int64), [], 0)
+    later = sparse.triu(graph, 1, format="csr")
+    first, neighbours = later.indptr.tolist(), later.indices.tolist()
+    root = _Branch(list(range(count - kept, count)), set(), [], 0)
     waiting: list[list[_Branch]] = [[] for _ in range(count)]
-    descendants = np.ones(count, dtype=np.int64)
+    descendants = [1] * count
     for vertex in range(count - kept):
-        rows = graph.indices[graph.indptr[vertex] : graph.indptr[vertex + 1]]
-        rows = np.unique(np.concatenate([rows, *(child.rows for child in waiting[vertex])]))
-        rows = rows[rows > vertex]
+        rows = set(neighbours[first[vertex] : first[vertex + 1]])
+        rows = rows.union(*(child.rows for child in waiting[vertex])) - {vertex}
         branch = _Branch([vertex], rows, [], entries=1 + len(rows))
         for child in sorted(waiting[vertex], key=lambda child: -len(child.rows)):
             columns, entries = len(branch.columns) + len(child.columns), branch.entries + child.entries
@@ -146,7 +151,7 @@ def assembly_tree(graph: sparse.csr_array, kept: int) -> list[Group]:
                 branch.entries = entries
             else:
                 branch.children.append(child)
-        parent = int(rows[0]) if len(rows) else count
+        parent = min(rows, default=count)
         if parent < count - kept:
             waiting[parent].append(branch)
             descendants[parent] += descendants[vertex]
@@ -166,116 +171,104 @@ def _postordered(root: _Branch) -> list[Group]:
     number = {id(branch): index for index, branch in enumerate(order)}
     return [
         Group(
-            np.sort(branch.columns),
-            branch.rows,
+            np.array(sorted(branch.columns)),
+            np.array(sorted(branch.rows), dtype=np.int64),
             tuple(sorted(number[id(child)] for child in branch.children)),
         )
         for branch in order
     ]
 
 
-@dataclass(frozen=True)
-class _Front:
-    """The dense matrix of a group: its `own` triangle (c, c) and what is `below` (r + 1, c), which become the factor's.
+class _Plan(NamedTuple):
+    """Where everything lies, of all groups' fronts one after another, in postorder.
 
-    The right side is the last row. `update` (r + 1, r + 1) is what elimination leaves of the rest; it is added to the
-    parent's front at `places` (r + 1,). Its memory belongs to a later front as soon as the parent has it. `own_dofs`
-    (c,) and `row_dofs` (r,) say where all this stands in A.
+    A front is the dense matrix of a group: its `own` (c, c) columns and what is `below` (r + 1, c), both column by
+    column, which become the factor's. The right side is its last row. Its update matrix (r + 1, r + 1) is what
+    elimination leaves of the rest; it is added to the parent's front at `places` (r + 1,), which ascend. `first_…`
+    say where each front's part of the other arrays begins.
     """
 
-    own: Floats
-    below: Floats
-    update: Floats
-    own_dofs: Ints
-    row_dofs: Ints
-    children: tuple[int, ...]
-    places: Ints
-
-    def eliminate(self) -> None:
-        """Turn the front into a part of the factor, and find its update."""
-        _, failed = lapack.dpotrf(self.own, lower=1, clean=0, overwrite_a=1)
-        if failed:
-            raise np.linalg.LinAlgError("the matrix is not positive definite")
-        blas.dtrsm(1.0, self.own, self.below, side=1, lower=1, trans_a=1, overwrite_b=1)
-        # What a front without children finds in the memory of its update is not its own.
-        begun = 1.0 if self.children else 0.0
-        blas.dsyrk(-1.0, self.below, beta=begun, c=self.update, lower=1, overwrite_c=1)
+    own: Ints  # c of each front
+    below: Ints  # r + 1 of each front
+    begin: Ints  # of each front in the factor's memory
+    update: Ints  # where each update matrix begins in theirs
+    first_own: Ints
+    own_dofs: Ints  # where the columns stand in A
+    first_row: Ints
+    row_dofs: Ints  # where the rows below stand in A; a number without meaning for the right side
+    places: NDArray[np.uint64]  # unsigned, so that compiled code need not care for negative indices
+    first_child: Ints
+    children: Ints
+    first_value: Ints
+    source: Ints  # which of the sparse matrix's values go into the factor's memory
+    target: Ints  # and where to
 
 
-def _fronts(groups: list[Group], begin: Ints, factor: Floats, first_dof: Ints) -> list[_Front]:
-    """Return the fronts as views on the factor's memory and on that of their updates.
+def _plan(groups: list[Group], first_dof: Ints, rows: Ints, columns: Ints) -> _Plan:
+    """Lay out the fronts.
 
-    Each front lies in the factor from its `begin` on: its own part column by column, then what is below.
+    `rows` and `columns` (values,) are the sparse matrix's, in the order of elimination, −1 where a dof has none.
     """
-    updates = _update_matrices(groups)
-    parent = {child: group for group in groups for child in group.children}
-    fronts = []
-    for number, group in enumerate(groups):
-        places = np.empty(0, np.int64)
-        if number in parent:
-            both = np.concatenate([parent[number].columns, parent[number].rows])
-            order = np.argsort(both)
-            places = np.append(_dofs(3 * order[np.searchsorted(both[order], group.rows)]), 3 * len(both))
-        own, below = 3 * len(group.columns), 3 * len(group.rows) + 1
-        middle = begin[number] + own * own
-        fronts.append(
-            _Front(
-                own=factor[begin[number] : middle].reshape((own, own), order="F"),
-                below=factor[middle : begin[number + 1]].reshape((below, own), order="F"),
-                update=updates[number],
-                own_dofs=_dofs(first_dof[group.columns]),
-                row_dofs=_dofs(first_dof[group.rows]),
-                children=group.children,
-                places=places,
-            )
-        )
-    return fronts
+    vertices, number = len(first_dof), np.arange(len(groups))
+    mine, later = np.array([(len(group.columns), len(group.rows)) for group in groups]).T
+    mine_of = np.concatenate([group.columns for group in groups])
+    later_of = np.concatenate([group.rows for group in groups])
+    own, below = 3 * mine, 3 * later + 1
+    begin, held = _ends(own * (own + below)), _ends(mine + later)
+    # What the groups hold, one group after another, ascends if it is raised by the group's number.
+    raised = np.concatenate([part for group in groups for part in (group.columns, group.rows)])
+    raised += vertices * np.repeat(number, mine + later)
+
+    def places(group: Ints, dof: Ints) -> Ints:
+        """Return where dofs (n,) stand in the fronts of groups (n,)."""
+        return 3 * (np.searchsorted(raised, vertices * group + dof // 3) - held[group]) + dof % 3
+
+    parent, group_of = np.zeros(len(groups), np.int64), np.empty(vertices, np.int64)
+    group_of[mine_of] = np.repeat(number, mine)
+    for index, group in enumerate(groups):
+        parent[list(group.children)] = index
+    ends = 3 * np.cumsum(later)
+    in_parent = places(np.repeat(parent, 3 * later), _dofs(3 * later_of))
+    source = np.flatnonzero((columns >= 0) & (rows >= columns))
+    source = source[np.argsort(group_of[columns[source] // 3], kind="stable")]
+    group = group_of[columns[source] // 3]
+    row, column = places(group, rows[source]), places(group, columns[source])
+    in_own, in_below = row + column * own[group], own[group] ** 2 + row - own[group] + column * below[group]
+    return _Plan(
+        own=own,
+        below=below,
+        begin=begin,
+        update=_update_places(groups),
+        first_own=_ends(own),
+        own_dofs=_dofs(first_dof[mine_of]),
+        first_row=_ends(below),
+        row_dofs=np.insert(_dofs(first_dof[later_of]), ends, -1),
+        places=np.insert(in_parent, ends, 3 * (mine + later)[parent]).astype(np.uint64),
+        first_child=_ends([len(group.children) for group in groups]),
+        children=np.array([child for group in groups for child in group.children], dtype=np.int64),
+        first_value=np.searchsorted(group, np.arange(len(groups) + 1)),
+        source=source,
+        target=begin[group] + np.where(row < own[group], in_own, in_below),
+    )
 
 
-def _update_matrices(groups: list[Group]) -> list[Floats]:
-    """Return the groups' update matrices; groups equally deep in the tree share memory if their parents differ."""
+def _ends(lengths: Any) -> Ints:
+    """Return where parts of these lengths (n,) begin, one after another, and where the last one ends, (n + 1,)."""
+    return np.cumsum([0, *lengths])
+
+
+def _update_places(groups: list[Group]) -> Ints:
+    """Return where the update matrices lie; groups equally deep in the tree share memory if their parents differ."""
     sizes = [3 * len(group.rows) + 1 for group in groups]
-    depth, begin = [0] * len(groups), [0] * len(groups)
-    needed = [sizes[-1] ** 2] + [0] * len(groups)
+    depth, begin = np.zeros(len(groups), np.int64), np.zeros(len(groups), np.int64)
+    needed = np.zeros(len(groups) + 1, np.int64)
     for number in reversed(range(len(groups))):
         offset = 0
         for child in groups[number].children:
             depth[child], begin[child] = depth[number] + 1, offset
             offset += sizes[child] ** 2
         needed[depth[number] + 1] = max(needed[depth[number] + 1], offset)
-    memory = [np.empty(length) for length in needed]
-    return [
-        memory[depth[number]][begin[number] : begin[number] + size**2].reshape((size, size), order="F")
-        for number, size in enumerate(sizes)
-    ]
-
-
-def _targets(rows: Ints, columns: Ints, groups: list[Group], begin: Ints) -> tuple[Ints, Ints]:
-    """Return which of the sparse matrix's values go into the factor's memory, and where to.
-
-    `rows` and `columns` (values,) are places in the order of elimination, −1 where a dof has none.
-    """
-    vertices = sum(len(group.columns) for group in groups)
-    group_of, place_in_group = np.empty(vertices, np.int64), np.empty(vertices, np.int64)
-    for number, group in enumerate(groups):
-        group_of[group.columns] = number
-        place_in_group[group.columns] = np.arange(len(group.columns))
-    lower = np.flatnonzero((columns >= 0) & (rows >= columns))
-    lower = lower[np.argsort(group_of[columns[lower] // 3], kind="stable")]
-    (row, row_axis), (column, column_axis) = (np.divmod(values[lower], 3) for values in (rows, columns))
-    group = group_of[column]
-    own, below = (
-        np.array([3 * len(g.columns) for g in groups])[group],
-        np.array([3 * len(g.rows) + 1 for g in groups])[group],
-    )
-    # The groups' rows, one group after another, ascend if each is raised by its group's number.
-    raised = np.concatenate([number * vertices + g.rows for number, g in enumerate(groups)])
-    first_row = np.cumsum([0, *(len(g.rows) for g in groups)])[group]
-    place_below = np.searchsorted(raised, group * vertices + row) - first_row
-    column = 3 * place_in_group[column] + column_axis
-    in_own = 3 * place_in_group[row] + row_axis + column * own
-    in_below = own * own + 3 * place_below + row_axis + column * below
-    return lower, begin[group] + np.where(group_of[row] == group, in_own, in_below)
+    return begin + _ends(needed)[depth]
 
 
 def _dofs(first_dof: Ints) -> Ints:
@@ -284,16 +277,84 @@ def _dofs(first_dof: Ints) -> Ints:
 
 
 @njit(cache=True)
-def _extend_add(own: Floats, below: Floats, update: Floats, child: Floats, places: Ints) -> None:
-    """Add a child's update matrix (n, n), its lower triangle, at `places` (n,) of a front."""
-    size = own.shape[0]
-    for column in range(len(places)):
-        to = places[column]
-        for row in range(column, len(places)):
-            place = places[row]
-            if place < size:
-                own[place, to] += child[row, column]
-            elif to < size:
-                below[place - size, to] += child[row, column]
-            else:
-                update[place - size, to - size] += child[row, column]
+def _eliminate(
+    plan: _Plan, matrix: tuple[Floats, Floats, Floats], factor: Floats, updates: Floats, routines: tuple
+) -> bool:
+    """Assemble and eliminate all fronts but the last, which is assembled only; return whether all had a factor.
+
+    `matrix` are the values, the diagonal and the right side of `condense`. Matrices lie column by column, so that
+    their first index here is the column.
+    """
+    values, diagonal, right_side = matrix
+    dpotrf, dtrsm, dsyrk = routines
+    right, lower, transposed, plain = _RIGHT.ctypes, _LOWER.ctypes, _TRANSPOSED.ctypes, _PLAIN.ctypes
+    one, minus_one, zero = _ONE.ctypes, _MINUS_ONE.ctypes, _ZERO.ctypes
+    sizes = np.zeros(3, np.int32)
+    c, r, failed = sizes[:1].ctypes, sizes[1:2].ctypes, sizes[2:].ctypes
+    for front in range(len(plan.own)):
+        size, rows, first = plan.own[front], plan.below[front], plan.first_own[front]
+        memory = factor[plan.begin[front] : plan.begin[front + 1]]
+        memory[:] = 0
+        for k in range(plan.first_value[front], plan.first_value[front + 1]):
+            factor[plan.target[k]] = values[plan.source[k]]
+        own, below = memory[: size * size].reshape(size, size), memory[size * size :].reshape(size, rows)
+        for k in range(size):
+            own[k, k] += diagonal[plan.own_dofs[first + k]]
+            below[k, rows - 1] = right_side[plan.own_dofs[first + k]]
+        children, behind = (
+            plan.children[plan.first_child[front] : plan.first_child[front + 1]],
+            np.uint64(size),
+        )
+        for child in children:
+            added, places = _update(plan, updates, child)
+            inner = np.searchsorted(places, behind)
+            for column in range(inner):
+                from_column, to_own, to_below = added[column], own[places[column]], below[places[column]]
+                for row in range(column, inner):
+                    to_own[places[row]] += from_column[row]
+                for row in range(inner, len(places)):
+                    to_below[places[row] - behind] += from_column[row]
+        if front == len(plan.own) - 1:
+            break
+        update, _ = _update(plan, updates, front)
+        sizes[0], sizes[1] = size, rows
+        dpotrf(lower, c, own.ctypes, c, failed)
+        if sizes[2] != 0:
+            return False
+        dtrsm(right, lower, transposed, plain, r, c, one, own.ctypes, c, below.ctypes, r)
+        dsyrk(lower, plain, r, c, minus_one, below.ctypes, r, zero, update.ctypes, r)
+        for child in children:
+            added, places = _update(plan, updates, child)
+            for column in range(np.searchsorted(places, behind), len(places)):
+                from_column, to_column = added[column], update[places[column] - behind]
+                for row in range(column, len(places)):
+                    to_column[places[row] - behind] += from_column[row]
+    return True
+
+
+@njit(cache=True)
+def _update(plan: _Plan, updates: Floats, front: int) -> tuple[Floats, NDArray[np.uint64]]:
+    """Return a front's update matrix (r + 1, r + 1) and its places (r + 1,) in the parent's front."""
+    rows, begin, first = plan.below[front], plan.update[front], plan.first_row[front]
+    return updates[begin : begin + rows * rows].reshape(rows, rows), plan.places[first : first + rows]
+
+
+@njit(cache=True)
+def _substitute_back(plan: _Plan, factor: Floats, solution: Floats, routines: tuple) -> None:
+    """Find the dofs of all fronts but the last, from the last front's in `solution` (n,)."""
+    dgemv, dtrsv = routines
+    lower, transposed, plain = _LOWER.ctypes, _TRANSPOSED.ctypes, _PLAIN.ctypes
+    one, minus_one, step = _ONE.ctypes, _MINUS_ONE.ctypes, _STEP.ctypes
+    sizes = np.zeros(3, np.int32)
+    c, r, others = sizes[:1].ctypes, sizes[1:2].ctypes, sizes[2:].ctypes
+    for front in range(len(plan.own) - 2, -1, -1):
+        size, rows = plan.own[front], plan.below[front]
+        sizes[0], sizes[1], sizes[2] = size, rows, rows - 1
+        own = factor[plan.begin[front] :]
+        below = own[size * size :]
+        own_dofs = plan.own_dofs[plan.first_own[front] : plan.first_own[front + 1]]
+        known = solution[plan.row_dofs[plan.first_row[front] : plan.first_row[front + 1] - 1]]
+        left = below[rows - 1 : size * rows : rows].copy()
+        dgemv(transposed, others, c, minus_one, below.ctypes, r, known.ctypes, step, one, left.ctypes, step)
+        dtrsv(lower, transposed, plain, c, own.ctypes, c, left.ctypes, step)
+        solution[own_dofs] = left
