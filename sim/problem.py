@@ -94,8 +94,8 @@ class Quality:
 QUALITIES = {
     "draft": Quality(
         name="draft",
-        disc=MeshSize(3.5, 8, 2.2, 1.9, stiffness=(0.0, 0.0, 0.0)),
-        pad=MeshSize(2.9, 8, 2.2, 1.9, stiffness=(0.0, 0.0, 0.0)),
+        disc=MeshSize(3.5, 8, 2.2, 1.9, stiffness=(0.0127, 0.00036, 0.900)),
+        pad=MeshSize(2.9, 8, 2.2, 1.9, stiffness=(0.0131, 0.00034, 0.993)),
         press_step_mm=0.2,
         travel_step_mm=0.1,
         press_tolerance=3e-3,
@@ -103,8 +103,8 @@ QUALITIES = {
     ),
     "standard": Quality(
         name="standard",
-        disc=MeshSize(6.4, 12, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
-        pad=MeshSize(3.6, 8, 2.0, 1.8, stiffness=(0.0, 0.0, 0.0)),
+        disc=MeshSize(6.4, 12, 2.0, 1.8, stiffness=(0.0102, 0.00035, 0.966)),
+        pad=MeshSize(3.6, 8, 2.0, 1.8, stiffness=(0.0118, 0.00028, 0.851)),
         press_step_mm=0.1,
         travel_step_mm=0.1,
         press_tolerance=1e-3,
