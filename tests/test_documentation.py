@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,13 @@ def smallest_recipes(_: Callable) -> Callable:
     return lambda *_, **__: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
+def shallow_presses(real: Callable) -> Callable:
+    """Press a tenth of a millimetre deep, and do not drag."""
+    from gelgap.sim import Pose
+
+    return lambda quick: [replace(case, poses=(Pose(depth_mm=0.1),)) for case in real(quick)]
+
+
 def data_of_the_readme(_: Callable) -> Callable:
     """Take the domains that the README's commands have made instead of generating some."""
     return lambda bench, recipes, data="paired": shutil.copytree(
@@ -110,10 +118,12 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
         "benchmarks.physics.cases.run_missing": measured_in_this_process,
         "benchmarks.physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
+        "benchmarks.physics.savings.condensation_cases": shallow_presses,
     },
     "gelgap benchmark throughput --quick": {
         "benchmarks.throughput.recipes_of": smallest_recipes,
         "benchmarks.throughput.run_missing": measured_in_this_process,
+        "benchmarks.throughput.processor_s": lambda real: lambda work, repeats=0: real(work),
     },
     "gelgap benchmark throughput --what stages --quick": {
         "benchmarks.stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
@@ -304,7 +314,7 @@ def take_pictures_to_calibrate_with(folder: Path) -> None:
     from gelgap.sim import MembraneState
 
     sensor, state = Sensor.preset("digit-like"), MembraneState.load(folder / "state.npz")
-    renderer = MembraneRenderer(sensor, sensor.illumination)
+    renderer = MembraneRenderer(sensor, sensor.illumination, (160, 120))
     save_sensor(sensor, folder / "start.toml")
     cv2.imwrite(str(folder / "ref.png"), renderer.reference(markers=False)[..., ::-1])
     tables = []
