@@ -323,13 +323,9 @@ def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np
 
 
 def kendall_tau(first: np.ndarray, second: np.ndarray) -> float:
-    """Return Kendall's τ-b between two orders of values (n,); NaN where a value is, or where all of one are equal.
-
-    The figure is that of `scipy.stats.kendalltau`, whose p-value, which a bootstrap has no use for, takes far longer.
-    """
-    one, other = (np.asarray(values, float) for values in (first, second))
-    pairs = np.triu_indices(len(one), 1)
-    one, other = (np.sign(np.subtract.outer(values, values)[pairs]) for values in (one, other))
+    """Return Kendall's τ-b of two orders of values (n,): SciPy's, without its slow p-value. NaN where a value is."""
+    pairs = np.triu_indices(len(first), 1)
+    one, other = (np.sign(np.subtract.outer(values, values)[pairs]) for values in (first, second))
     with np.errstate(invalid="ignore"):
         tau = one @ other / np.sqrt(np.count_nonzero(one)) / np.sqrt(np.count_nonzero(other))
     return float(np.clip(tau, -1, 1))

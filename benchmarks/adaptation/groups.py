@@ -304,20 +304,16 @@ def adabn_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
 
 def order_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
     """Whether the paper's order of its four methods is found, group by group."""
-    order, columns = list(PAPER_MAE_N), {}
-
-    def falling(errors: Sequence[float]) -> float:
-        return kendall_tau(range(len(errors)), np.negative(errors))
-
+    order, columns, falling = list(PAPER_MAE_N), {}, -np.arange(len(PAPER_MAE_N))
     for design, runs in designs.items():
         errors = by_group(counted(runs))[order]
         errors.loc["of the means"] = errors.mean(skipna=False)
         found = errors.apply(lambda row: " > ".join(row.sort_values(ascending=False).index), axis=1)
         columns[f"{design}: order"] = found.where(errors.notna().all(axis=1))
-        columns[f"{design}: τ"] = errors.apply(falling, axis=1)
+        columns[f"{design}: τ"] = errors.apply(kendall_tau, axis=1, raw=True, second=falling)
         columns[f"{design}: the paper's"] = (errors.diff(axis=1).iloc[:, 1:] < 0).all(axis=1).astype(object)
     groups = dict.fromkeys(group for column in columns.values() for group in column.index[:-1])
-    tau = np.mean([falling(column) for column in np.transpose(list(PAPER_MAE_N.values()))])
+    tau = np.mean([kendall_tau(column, falling) for column in np.transpose(list(PAPER_MAE_N.values()))])
     return result_table(
         "Is the paper's order of methods found?",
         pd.DataFrame(columns, index=pd.Index([*groups, "of the means"], name="group")),
