@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,6 @@ SMALL = "--quality draft --size 64 48 --scheduler synchronous"
 QUICKEST = {
     r"^make ": "make --dry-run ",
     r"^gelgap press ": "gelgap press --quality draft ",
-    r"^gelgap demo$": f"gelgap demo --path tiny.toml {SMALL}",
     r"--domains 60 --frames-per-domain 60": "--quick --scheduler synchronous",
     r"--path cpu": f"--path tiny.toml {SMALL}",
     r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
@@ -44,8 +44,8 @@ QUICKEST = {
     r"own/mine --clips 5": "own/mine --clips 1",
     r"source_epochs=150": "source_epochs=4",
     r"guide_pictures.py docs/pictures(?! --)": "guide_pictures.py pictures --quality draft",
-    r"^gelgap benchmark adaptation(?= --what (groups|speed)$|$)": "gelgap benchmark adaptation --quick",
-    r"--what (networks|contact-point|pretraining|randomisation)(?= --data)": r"--what \1 --quick",
+    r"^gelgap benchmark adaptation$": "gelgap benchmark adaptation --what groups",
+    r"^gelgap benchmark adaptation(?= --what (groups|speed)$)": "gelgap benchmark adaptation --quick",
     r"adaptation/cpu": "adaptation/smoke",
     r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
     r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft")',
@@ -55,6 +55,9 @@ QUICKEST = {
 
 NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
+    r"gelgap demo": "tests/cli/test_demo.py runs it",
+    r"gelgap benchmark real": "tests/benchmarks/real runs each form",
+    r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
     r"gelgap benchmark adaptation --what (augmentations|tuning|transfer|gaps|labels)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
@@ -79,8 +82,8 @@ def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
 TINY_PATH = """
 points_x_mm = [-1.5, 0.0, 1.5]
 points_y_mm = [-1.0, 1.0]
-depths_mm = [0.4]
-radii_mm = [0.2]
+depths_mm = [0.2]
+radii_mm = [0.1]
 angles_deg = [0, 90, 180, 270]
 """
 
@@ -97,6 +100,13 @@ def smallest_recipes(_: Callable) -> Callable:
     return lambda *_, **__: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
+def shallow_presses(real: Callable) -> Callable:
+    """Press a tenth of a millimetre deep, and do not drag."""
+    from gelgap.sim import Pose
+
+    return lambda quick: [replace(case, poses=(Pose(depth_mm=0.1),)) for case in real(quick)]
+
+
 def data_of_the_readme(_: Callable) -> Callable:
     """Take the domains that the README's commands have made instead of generating some."""
     return lambda bench, recipes, data="paired": shutil.copytree(
@@ -106,42 +116,43 @@ def data_of_the_readme(_: Callable) -> Callable:
 
 SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
-        "physics.cases.run_missing": measured_in_this_process,
-        "physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
-    },
-    "gelgap benchmark render --quick": {
-        "render.accuracy.SIZES_PX": lambda real: real[:1],
-        "render.accuracy.median_ms": lambda real: lambda work, repeats, *clock: real(work, 1, *clock),
+        "benchmarks.physics.cases.run_missing": measured_in_this_process,
+        "benchmarks.physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
+        "benchmarks.physics.savings.condensation_cases": shallow_presses,
     },
     "gelgap benchmark throughput --quick": {
-        "throughput.recipes_of": smallest_recipes,
-        "throughput.run_missing": measured_in_this_process,
+        "benchmarks.throughput.recipes_of": smallest_recipes,
+        "benchmarks.throughput.run_missing": measured_in_this_process,
+        "benchmarks.throughput.processor_s": lambda real: lambda work, repeats=0: real(work),
     },
     "gelgap benchmark throughput --what stages --quick": {
-        "stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
-        "stages.REPEATS": lambda real: 1,
-        "stages.preset_recipes": smallest_recipes,
-        "stages.generate_recipes": lambda real: (
+        "benchmarks.stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
+        "benchmarks.stages.REPEATS": lambda real: 1,
+        "benchmarks.stages.preset_recipes": smallest_recipes,
+        "benchmarks.stages.generate_recipes": lambda real: (
             lambda recipes, out, workers: real(recipes, out, scheduler="synchronous")
         ),
     },
     "gelgap benchmark view --quick": {
-        "view.QUICK_REPEATS": lambda real: 1,
+        "benchmarks.view.QUICK_REPEATS": lambda real: 1,
+        "sim.solved_path.PATH_DEPTHS_MM": lambda real: (0.4, 0.6),
+        "sim.solved_path.PATH_TRAVELS_MM": lambda real: (0.0, 0.4),
     },
     "gelgap benchmark stability --what physics --quick": {
-        "physics.stability.QUICK_SCENES": lambda real: real[:1],
+        "benchmarks.physics.stability.QUICK_SCENES": lambda real: real[:1],
     },
     "gelgap benchmark stability --what render --quick": {
-        "render.stability.QUICK_FRAMES": lambda real: 20,
-        "render.stability.QUICK_PRESSES": lambda real: 1,
+        "benchmarks.render.stability.QUICK_FRAMES": lambda real: 20,
+        "benchmarks.render.stability.QUICK_PRESSES": lambda real: 1,
     },
     "gelgap benchmark adaptation --quick": {
-        "adaptation.study.Study.generate": data_of_the_readme,
-        "adaptation.groups.QUICK_METHODS": lambda real: ("source-only", "dsan"),
-        "adaptation.speed.QUICK": lambda real: (real[0][:1], *real[1:]),
+        "benchmarks.adaptation.study.Study.generate": data_of_the_readme,
+        "benchmarks.adaptation.groups.QUICK_METHODS": lambda real: ("source-only", "dsan"),
+        "benchmarks.adaptation.speed.QUICK": lambda real: (real[0][:1], *real[1:]),
+        "benchmarks.adaptation.speed.EPOCHS": lambda real: 1,
     },
 }
-"""Benchmarks whose quick form takes minutes: what in gelgap.benchmarks is replaced by its smallest case."""
+"""Benchmarks whose quick form takes minutes: what in gelgap is replaced by its smallest case."""
 
 
 # --- running them ----------------------------------------------------------------------------------------------
@@ -161,7 +172,7 @@ def reason_not_to_run(text: str) -> str | None:
 
 
 def smallest_case(line: str) -> dict[str, Callable[[Any], Any]]:
-    """Return what to replace in gelgap.benchmarks for a command line."""
+    """Return what to replace in gelgap for a command line."""
     return next((parts for command, parts in SMALLEST.items() if line.startswith(command)), {})
 
 
@@ -198,7 +209,7 @@ def run_command(line: str, parse_only: bool) -> None:
     if words[0] == "gelgap":
         with pytest.MonkeyPatch.context() as patch:
             for name, smallest in smallest_case(line).items():
-                place = f"gelgap.benchmarks.{name}"
+                place = f"gelgap.{name}"
                 patch.setattr(place, smallest(pkgutil.resolve_name(place)))
             parse(words[1:]) if parse_only else main(words[1:])
     elif words[:2] == ["python", "-m"]:
@@ -256,6 +267,7 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(Profile, "preset", shorter(Profile.preset))
+        patch.setattr("gelgap.adapt.few_labels.NEW_SENSOR_STEPS", 4)
         run_all(snippets(README), folder)
         yield folder
 
@@ -270,7 +282,7 @@ def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_readme, tmp_path / "page")
     if any(snippet.text.startswith("gelgap calibrate") for snippet in snippets(page)):
         take_pictures_to_calibrate_with(tmp_path / "page")
-    if "gelgap convert" in page_text(page) or "--data clones" in page_text(page):
+    if "gelgap convert" in page_text(page):
         write_recordings_to_convert(tmp_path / "page")
     run_all(snippets(page), tmp_path / "page")
 
@@ -302,7 +314,7 @@ def take_pictures_to_calibrate_with(folder: Path) -> None:
     from gelgap.sim import MembraneState
 
     sensor, state = Sensor.preset("digit-like"), MembraneState.load(folder / "state.npz")
-    renderer = MembraneRenderer(sensor, sensor.illumination)
+    renderer = MembraneRenderer(sensor, sensor.illumination, (160, 120))
     save_sensor(sensor, folder / "start.toml")
     cv2.imwrite(str(folder / "ref.png"), renderer.reference(markers=False)[..., ::-1])
     tables = []

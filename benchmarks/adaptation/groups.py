@@ -25,7 +25,7 @@ from gelgap.benchmarks.adaptation.study import (
     read_results,
     write_results,
 )
-from gelgap.benchmarks.common import Setting, bootstrap, result_table
+from gelgap.benchmarks.common import Setting, bootstrap, kendall_tau, result_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -304,16 +304,16 @@ def adabn_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
 
 def order_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
     """Whether the paper's order of its four methods is found, group by group."""
-    order, columns = list(PAPER_MAE_N), {}
+    order, columns, falling = list(PAPER_MAE_N), {}, -np.arange(len(PAPER_MAE_N))
     for design, runs in designs.items():
         errors = by_group(counted(runs))[order]
         errors.loc["of the means"] = errors.mean(skipna=False)
         found = errors.apply(lambda row: " > ".join(row.sort_values(ascending=False).index), axis=1)
         columns[f"{design}: order"] = found.where(errors.notna().all(axis=1))
-        columns[f"{design}: τ"] = errors.apply(kendall_tau, axis=1)
+        columns[f"{design}: τ"] = errors.apply(kendall_tau, axis=1, raw=True, second=falling)
         columns[f"{design}: the paper's"] = (errors.diff(axis=1).iloc[:, 1:] < 0).all(axis=1).astype(object)
     groups = dict.fromkeys(group for column in columns.values() for group in column.index[:-1])
-    tau = np.mean([kendall_tau(column) for column in np.transpose(list(PAPER_MAE_N.values()))])
+    tau = np.mean([kendall_tau(column, falling) for column in np.transpose(list(PAPER_MAE_N.values()))])
     return result_table(
         "Is the paper's order of methods found?",
         pd.DataFrame(columns, index=pd.Index([*groups, "of the means"], name="group")),
@@ -321,13 +321,6 @@ def order_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
         f"its own groups have {tau:.2f} in the mean.",
         {"": "{:+.2f}"},
     )
-
-
-def kendall_tau(errors: Sequence[float]) -> float:
-    """Return Kendall's τ between the order of some errors and their falling order; 1: each is below the one before."""
-    from scipy.stats import kendalltau
-
-    return float(kendalltau(np.arange(len(errors)), -np.asarray(errors)).statistic)
 
 
 def shear_table(runs: pd.DataFrame, design: str) -> ResultTable:

@@ -16,7 +16,7 @@ from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS
 from gelgap.benchmarks.adaptation.groups import methods_of
 from gelgap.benchmarks.adaptation.leaderboard import Entry, read_entries
 from gelgap.benchmarks.adaptation.study import control_of, grid, versions_line
-from gelgap.benchmarks.common import Results, Setting, bootstrap, mean_of, write_json
+from gelgap.benchmarks.common import Results, Setting, bootstrap, kendall_tau, mean_of, write_json
 from gelgap.benchmarks.real.sessions import (
     FOLDS,
     FZ_RANGE_N,
@@ -228,10 +228,8 @@ def order_agreement(first: np.ndarray, second: np.ndarray) -> tuple[float, tuple
 
     1 is the same order, −1 the reverse. NaN is a run that is not there.
     """
-    from scipy.stats import kendalltau
 
     def tau(one: np.ndarray, other: np.ndarray) -> float:
-        means = [mean_of(mean_of(errors, axis=2), axis=1) for errors in (one, other)]
-        return float(kendalltau(*means).statistic)
+        return kendall_tau(*(mean_of(mean_of(errors, axis=2), axis=1) for errors in (one, other)))
 
     return compare(tau, first, second, is_paired=False, resamples=_RESAMPLES)

@@ -16,6 +16,7 @@ from gelgap.render.light.scattered import HARMONICS, PLACES, harmonics, places
 
 LOGARITHMIC = ("distance", "height", "length", "tall")
 STRIPS = 3
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(STRIPS)
 REFERENCE_WEIGHT = 0.3
 _LEAST_SHARE = 0.2  # of the untouched gel's light that the modelled one may be
 _DARKEST = 1e-6  # linear
@@ -79,17 +80,16 @@ class Bars:
 
         Weights are such that a bar gives a flat point that faces it, as far away as the axis, the irradiance 1.
         """
-        nodes, weights = np.polynomial.legendre.leggauss(STRIPS)
         out = np.zeros((len(self.azimuth), STRIPS, 10))
         for led, azimuth in enumerate(self.azimuth):
             outwards = np.array([np.cos(azimuth), np.sin(azimuth), 0])
             level = np.array([outwards[1], -outwards[0], 0])
-            feet = outwards * self.distance[led] + level * (nodes * self.length[led] / 2)[:, None]
+            feet = outwards * self.distance[led] + level * (_NODES * self.length[led] / 2)[:, None]
             half = self.tall[led] / 2
             out[led, :, :3] = feet - [0, 0, max(self.height[led] - half, 0.02)]
             out[led, :, 3:6] = feet - [0, 0, self.height[led] + half]
             out[led, :, 6:9] = -outwards
-            out[led, :, 9] = weights / 2
+            out[led, :, 9] = _WEIGHTS / 2
         out[:, :, 9] *= (self.distance**2 + self.height**2)[:, None]
         return out
 

@@ -25,8 +25,8 @@ from gelgap.render.light.scattered import Scattered
 from gelgap.render.renderer import MembraneRenderer
 from gelgap.render.sensor import Markers, Sensor
 
-SIZE_PX = (320, 240)
-MIDDLE_PX, PX_PER_MM = np.array([160, 120]), 320 / 12
+SIZE_PX = (240, 180)
+MIDDLE_PX, PX_PER_MM = np.array(SIZE_PX) / 2, SIZE_PX[0] / 12
 POINTS = [(0.0, 0.0), (2.6, 1.6), (-2.6, -1.6), (2.6, -1.6), (-2.6, 1.6), (0.3, 2.0), (-0.4, -2.0)]
 NEW_POINT = (1.4, 0.3)
 DEPTHS = (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)
@@ -48,7 +48,7 @@ def truth(folder):
     light = Illumination.preset("i0").model_copy(
         update={"scattered": Scattered(order=2, coefficients=low_order)}
     )
-    seams = 1 + 0.1 * (np.indices((240, 320)).sum(0) // 9 % 2)[..., None] * np.ones(3)
+    seams = 1 + 0.1 * (np.indices(SIZE_PX[::-1]).sum(0) // 9 % 2)[..., None] * np.ones(3)
     folder.mkdir()
     save_maps(FlatFieldMaps(seams.astype(np.float32)), folder / "seams.npz")
     update = {
@@ -131,11 +131,10 @@ def test_held_out_presses_are_reported(calibration):
 
 def test_marked_circles_are_refined(pictures):
     start, reference, shots = pictures
-    mm_per_px = 12 / 320
     true_radius = profiles({3.0}, None)[3.0].contact_radius_mm(0.6)
     presses = tuple(
         replace(press, point_mm=(press.point_mm[0] + 0.1, press.point_mm[1] - 0.08))
-        for press in pressed(shots[:-1], radius_px=true_radius / mm_per_px)
+        for press in pressed(shots[:-1], radius_px=true_radius * PX_PER_MM)
     )
     fit = calibrate_light(start, reference, presses, profiles, folds=0)
     np.testing.assert_allclose(fit.poses_mm[:, :2], POINTS, atol=0.06)
@@ -165,7 +164,7 @@ def eight_presses(shots):
 def test_an_outlier_among_few_presses_is_named(pictures):
     start, reference, shots = pictures
     presses = eight_presses(shots)
-    presses[2] = replace(presses[2], picture=np.roll(shots[2], 20, axis=1))
+    presses[2] = replace(presses[2], picture=np.roll(shots[2], 15, axis=1))
     options = {"order": 2, "degree": 0, "keep_camera": True, "folds": 0}
     assert calibrate_light(start, reference, presses, profiles, **options).left_out == ("press 3",)
     assert calibrate_light(start, reference, eight_presses(shots), profiles, **options).left_out == ()
@@ -194,7 +193,7 @@ def test_bad_presses_are_refused_before_anything_is_solved(pictures):
 
     for bad, said in (
         (presses[:5], "5 presses are too few .* takes 6"),
-        (changed(presses, picture=shots[0][:-2]), "press 1 is a picture of 320×238"),
+        (changed(presses, picture=shots[0][:-2]), "press 1 is a picture of 240×178"),
         (changed(presses, depth_mm=2.0), "sphere's radius"),
         (changed(presses, sphere_diameter_mm=-3.0), "sphere_diameter_mm is -3.0"),
         (changed(presses, depth_mm=None), "either depth_mm or radius_px"),
@@ -215,7 +214,7 @@ def test_presses_that_cannot_be_are_refused(pictures):
     start, reference, shots = pictures
     presses = pressed(shots[:-1], depth_mm=0.6)
     for bad, said in (
-        (changed(presses, depth_mm=None, radius_px=90.0), "reaches .* mm at most"),
+        (changed(presses, depth_mm=None, radius_px=68.0), "reaches .* mm at most"),
         (changed(presses, picture=reference), "no contact was found"),
         (changed(presses, picture=reference, point_mm=None), "no contact was found"),
         (changed(presses, point_mm=(90.0, 0.0)), "no contact was found"),
@@ -251,9 +250,9 @@ def test_rough_marks_are_only_where_to_look(pictures):
         PressPicture(
             shot,
             3.0,
-            center_px=tuple(MIDDLE_PX + np.array(point) * PX_PER_MM + rng.uniform(-15, 15, 2)),
-            radius_px=55.0,
-            marks_off_px=20.0,
+            center_px=tuple(MIDDLE_PX + np.array(point) * PX_PER_MM + rng.uniform(-11, 11, 2)),
+            radius_px=41.0,
+            marks_off_px=15.0,
         )
         for shot, point in zip(shots[:-1], POINTS, strict=True)
     )
@@ -275,9 +274,9 @@ def test_an_unknown_sphere_is_found(pictures):
         PressPicture(
             renderer.picture(*sphere_dent(depth, point_mm=point), rng=rng),
             None,
-            radius_px=32.0,
+            radius_px=24.0,
             center_px=tuple(MIDDLE_PX + np.array(point) * PX_PER_MM),
-            marks_off_px=20.0,
+            marks_off_px=15.0,
         )
         for depth, point in zip(depths, POINTS, strict=True)
     )

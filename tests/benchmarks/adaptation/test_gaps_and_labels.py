@@ -1,5 +1,6 @@
 """Gap curves, factorial effects, and how many labels close a gap."""
 
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -73,8 +74,10 @@ def test_labels_that_close_a_gap(tmp_path):
     assert labels.nine_table(points).cells[0][:5] == ["source-only", "affine", "0.150", "0.110", "0.105"]
 
 
-def test_labels_are_drawn_from_the_targets_training_frames(source, target, profile):
-    from gelgap.adapt import split_for_training, train_source
+def test_labels_are_drawn_from_the_targets_training_frames(source, target, profile, monkeypatch):
+    from gelgap.adapt import fine_tune, split_for_training, train_source
+
+    monkeypatch.setattr("gelgap.adapt.fine_tune", partial(fine_tune, steps=5))
 
     frames = split_for_training(source, target, profile.replace(source_epochs=1), 0)
     model = train_source(frames.source_train, profile.replace(source_epochs=1))

@@ -3,8 +3,11 @@
 import json
 from pathlib import Path
 
-from gelgap.benchmarks.render.accuracy import run
+import pytest
+
+from gelgap.benchmarks.render import accuracy
 from gelgap.benchmarks.render.scenes import STORED_SCENES, stored_reference
+from gelgap.cli.main import main
 
 
 def test_every_stored_scene_has_its_picture() -> None:
@@ -12,8 +15,13 @@ def test_every_stored_scene_has_its_picture() -> None:
         assert stored_reference(scene).shape == (96, 128, 3)
 
 
-def test_the_quick_benchmark_runs_and_standard_quality_is_accurate(tmp_path: Path) -> None:
-    run(quick=True, out_dir=tmp_path)
+def test_the_quick_benchmark_runs_and_standard_quality_is_accurate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    median_ms = accuracy.median_ms
+    monkeypatch.setattr(accuracy, "median_ms", lambda work, repeats, *clock: median_ms(work, 1, *clock))
+    monkeypatch.setattr(accuracy, "SIZES_PX", accuracy.SIZES_PX[:1])
+    main(["benchmark", "render", "--quick", "--out", str(tmp_path)])
     results = json.loads((tmp_path / "render.json").read_text())
     assert {row["scene"] for row in results["errors"]} == {scene.name for scene in STORED_SCENES}
     standard = [row for row in results["errors"] if row["way"] == "standard"]

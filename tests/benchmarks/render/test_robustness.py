@@ -18,7 +18,7 @@ def trial() -> Trial:
         along = displacement[len(y) // 2, len(x) // 2 :, 2]
         solves.append(SolvedPress(depth, x[len(x) // 2 :], along, min((depth * RADIUS_MM) ** 0.5, 1.8)))
     profiles = {2 * RADIUS_MM: PressProfiles.from_solves(RADIUS_MM, solves)}
-    return Trial(synthetic_set(profiles, SIZE_PX, 20), profiles)
+    return Trial(synthetic_set(profiles, SIZE_PX, 14), profiles)
 
 
 @pytest.mark.parametrize(
