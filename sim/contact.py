@@ -29,6 +29,9 @@ _MOST_ITERATIONS = 60
 # An increment is taken whole if the slope at its end is at most this share of the one at its beginning.
 _SMALL_SLOPE = 0.1
 _LONGEST_STEP = 1024.0
+# MuJoCo's states of a contact, as numbers: comparing arrays with its own is slow.
+_STICKS = int(mujoco.mjtConstraintState.mjCNSTRSTATE_QUADRATIC)
+_SLIDES = int(mujoco.mjtConstraintState.mjCNSTRSTATE_CONE)
 
 
 class FrictionalContacts:
@@ -238,9 +241,8 @@ class ContactNewton:
 
     def _tangent(self, stiffness: Floats, jacobian: Floats, dofs: Ints) -> Floats:
         """Return the tangent stiffness (n, n): `stiffness` plus that of the contacts at the last force."""
-        data, states = self._data, mujoco.mjtConstraintState
-        state, tangent = data.efc_state.reshape(-1, 3)[:, 0], stiffness.copy().T
-        sticks, slides = state == states.mjCNSTRSTATE_QUADRATIC, state == states.mjCNSTRSTATE_CONE
+        data, state, tangent = self._data, self._data.efc_state.reshape(-1, 3)[:, 0], stiffness.copy().T
+        sticks, slides = state == _STICKS, state == _SLIDES
         of_contact = np.zeros((len(state), 3, 3))
         of_contact[sticks] = data.efc_D.reshape(-1, 3)[sticks, :, None] * np.eye(3)
         of_contact[slides] = data.contact.H[slides, :9].reshape(-1, 3, 3)
