@@ -4,7 +4,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import linalg, optimize, sparse
 
@@ -239,12 +238,15 @@ class ContactNewton:
     def _tangent(self, stiffness: Floats, jacobian: Floats, dofs: Ints) -> Floats:
         """Return the tangent stiffness (n, n): `stiffness` plus that of the contacts at the last force."""
         data, states = self._data, mujoco.mjtConstraintState
+        # An array is compared with a number, which is faster than with MuJoCo's own constant.
+        quadratic, cone = int(states.mjCNSTRSTATE_QUADRATIC), int(states.mjCNSTRSTATE_CONE)
         state, tangent = data.efc_state.reshape(-1, 3)[:, 0], stiffness.copy().T
-        sticks, slides = state == states.mjCNSTRSTATE_QUADRATIC, state == states.mjCNSTRSTATE_CONE
+        sticks, slides = state == quadratic, state == cone
         of_contact = np.zeros((len(state), 3, 3))
         of_contact[sticks] = data.efc_D.reshape(-1, 3)[sticks, :, None] * np.eye(3)
         of_contact[slides] = data.contact.H[slides, :9].reshape(-1, 3, 3)
-        _add_blocks(tangent, dofs, jacobian.transpose(0, 2, 1) @ of_contact @ jacobian)
+        blocks = jacobian.transpose(0, 2, 1) @ of_contact @ jacobian
+        np.add.at(tangent, (dofs[:, :, None], dofs[:, None, :]), blocks)
         return tangent
 
     def _line_search(self, slope: float, curvature: float, relative: Floats, along: Floats) -> float:
@@ -261,12 +263,3 @@ class ContactNewton:
             slope_there = slope_at(longest)
         # An increment may end where the first node touches, which can be as near as rounding lets it be.
         return optimize.brentq(slope_at, 0.0, longest, xtol=1e-14) if slope_there > 0 else longest
-
-
-@njit(cache=True)
-def _add_blocks(matrix: Floats, dofs: Ints, blocks: Floats) -> None:
-    """Add blocks (c, 6, 6) to a matrix (n, n) at their dofs (c, 6)."""
-    for block, at in zip(blocks, dofs):  # noqa: B905
-        for i in range(len(at)):
-            for j in range(len(at)):
-                matrix[at[i], at[j]] += block[i, j]

@@ -1,7 +1,7 @@
 """Condensation of a gel's linear equation onto its kept vertices, by a multifrontal Cholesky factor of all others.
 
-One compiled call eliminates all dense fronts (Duff & Reid 1983, ACM Trans. Math. Softw. 9:302; Liu 1992, SIAM Rev.
-34:82); LAPACK does the arithmetic.
+One compiled call eliminates all dense fronts by LAPACK (Duff & Reid 1983, ACM Trans. Math. Softw. 9:302; Liu 1992,
+SIAM Rev. 34:82).
 """
 
 import ctypes
@@ -32,14 +32,8 @@ def _routine(library: str, name: str, arguments: int) -> Any:
     return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * arguments)(address)
 
 
-_DPOTRF, _DTRSM, _DSYRK = (
-    _routine("lapack", "dpotrf", 5),
-    _routine("blas", "dtrsm", 11),
-    _routine("blas", "dsyrk", 10),
-)
-_DGEMV, _DTRSV = _routine("blas", "dgemv", 11), _routine("blas", "dtrsv", 8)
-
-# Their options.
+_ELIMINATION = _routine("lapack", "dpotrf", 5), _routine("blas", "dtrsm", 11), _routine("blas", "dsyrk", 10)
+_SUBSTITUTION = _routine("blas", "dgemv", 11), _routine("blas", "dtrsv", 8)
 _RIGHT, _LOWER, _TRANSPOSED, _PLAIN = (np.frombuffer(letter, np.uint8) for letter in (b"R", b"L", b"T", b"N"))
 _ONE, _MINUS_ONE, _ZERO, _STEP = np.array([1.0]), np.array([-1.0]), np.array([0.0]), np.array([1], np.int32)
 
@@ -70,14 +64,12 @@ class Condensation:
         graph = sparse.coo_array((np.ones(coupled.sum(), bool), pairs), shape=(vertices, vertices)).tocsr()
         groups = assembly_tree(graph, kept)
         self._plan = plan = _plan(groups, first_dof, rows, columns)
-        self._factor, self._updates = (
-            np.zeros(plan.begin[-1]),
-            np.zeros(plan.update.max() + plan.below.max() ** 2),
-        )
+        self._factor = np.zeros(plan.begin[-1])
+        self._updates = np.zeros((plan.update + plan.below**2).max())
         self.kept_dofs = plan.own_dofs[-3 * kept :]
 
     def condense(self, values: Floats, diagonal: Floats, right_side: Floats) -> tuple[Floats, Floats]:
-        """Return the condensed matrix (k, k), of which only the lower triangle counts, and right side (k,).
+        """Return the lower triangle of the condensed matrix (k, k), with zeros above, and the right side (k,).
 
         `values` are the sparse matrix's in its own order, `diagonal` (n,) is added, `right_side` (n,) is b.
 
@@ -86,8 +78,9 @@ class Condensation:
         numpy.linalg.LinAlgError
             If the matrix is not positive definite.
         """
-        matrix = (values, diagonal, right_side)
-        if not _eliminate(self._plan, matrix, self._factor, self._updates, (_DPOTRF, _DTRSM, _DSYRK)):
+        if not _eliminate(
+            self._plan, (values, diagonal, right_side), self._factor, self._updates, _ELIMINATION
+        ):
             raise np.linalg.LinAlgError("the matrix is not positive definite")
         kept = len(self.kept_dofs)
         last = self._factor[self._plan.begin[-2] :].reshape(kept + 1, kept)
@@ -97,7 +90,7 @@ class Condensation:
         """Return x (n,) from its kept dofs (k,), after `condense`; 0 where there is no vertex."""
         solution = np.zeros(self._size)
         solution[self.kept_dofs] = kept
-        _substitute_back(self._plan, self._factor, solution, (_DGEMV, _DTRSV))
+        _substitute_back(self._plan, self._factor, solution, _SUBSTITUTION)
         return solution
 
 
@@ -169,14 +162,11 @@ def _postordered(root: _Branch) -> list[Group]:
         branches += branch.children
     order.reverse()
     number = {id(branch): index for index, branch in enumerate(order)}
-    return [
-        Group(
-            np.array(sorted(branch.columns)),
-            np.array(sorted(branch.rows), dtype=np.int64),
-            tuple(sorted(number[id(child)] for child in branch.children)),
-        )
-        for branch in order
-    ]
+    groups = []
+    for branch in order:
+        columns, rows = (np.array(sorted(part), dtype=np.int64) for part in (branch.columns, branch.rows))
+        groups.append(Group(columns, rows, tuple(sorted(number[id(child)] for child in branch.children))))
+    return groups
 
 
 class _Plan(NamedTuple):
@@ -195,8 +185,8 @@ class _Plan(NamedTuple):
     first_own: Ints
     own_dofs: Ints  # where the columns stand in A
     first_row: Ints
-    row_dofs: Ints  # where the rows below stand in A; a number without meaning for the right side
-    places: NDArray[np.uint64]  # unsigned, so that compiled code need not care for negative indices
+    row_dofs: Ints  # where the rows stand in A, −1 for the right side
+    places: NDArray[np.uint64]  # unsigned, since compiled code is slower if an index may be negative
     first_child: Ints
     children: Ints
     first_value: Ints
@@ -211,8 +201,7 @@ def _plan(groups: list[Group], first_dof: Ints, rows: Ints, columns: Ints) -> _P
     """
     vertices, number = len(first_dof), np.arange(len(groups))
     mine, later = np.array([(len(group.columns), len(group.rows)) for group in groups]).T
-    mine_of = np.concatenate([group.columns for group in groups])
-    later_of = np.concatenate([group.rows for group in groups])
+    mine_of, later_of = (np.concatenate([getattr(g, part) for g in groups]) for part in ("columns", "rows"))
     own, below = 3 * mine, 3 * later + 1
     begin, held = _ends(own * (own + below)), _ends(mine + later)
     # What the groups hold, one group after another, ascends if it is raised by the group's number.
@@ -292,22 +281,22 @@ def _eliminate(
     sizes = np.zeros(3, np.int32)
     c, r, failed = sizes[:1].ctypes, sizes[1:2].ctypes, sizes[2:].ctypes
     for front in range(len(plan.own)):
-        size, rows, first = plan.own[front], plan.below[front], plan.first_own[front]
+        size, rows, behind = plan.own[front], plan.below[front], np.uint64(plan.own[front])
         memory = factor[plan.begin[front] : plan.begin[front + 1]]
         memory[:] = 0
         for k in range(plan.first_value[front], plan.first_value[front + 1]):
             factor[plan.target[k]] = values[plan.source[k]]
         own, below = memory[: size * size].reshape(size, size), memory[size * size :].reshape(size, rows)
         for k in range(size):
-            own[k, k] += diagonal[plan.own_dofs[first + k]]
-            below[k, rows - 1] = right_side[plan.own_dofs[first + k]]
-        children, behind = (
-            plan.children[plan.first_child[front] : plan.first_child[front + 1]],
-            np.uint64(size),
-        )
+            dof = plan.own_dofs[plan.first_own[front] + k]
+            own[k, k] += diagonal[dof]
+            below[k, rows - 1] = right_side[dof]
+        children = plan.children[plan.first_child[front] : plan.first_child[front + 1]]
         for child in children:
             added, places = _update(plan, updates, child)
-            inner = np.searchsorted(places, behind)
+            inner = 0
+            while places[inner] < behind:
+                inner += 1
             for column in range(inner):
                 from_column, to_own, to_below = added[column], own[places[column]], below[places[column]]
                 for row in range(column, inner):
@@ -325,10 +314,11 @@ def _eliminate(
         dsyrk(lower, plain, r, c, minus_one, below.ctypes, r, zero, update.ctypes, r)
         for child in children:
             added, places = _update(plan, updates, child)
-            for column in range(np.searchsorted(places, behind), len(places)):
-                from_column, to_column = added[column], update[places[column] - behind]
-                for row in range(column, len(places)):
-                    to_column[places[row] - behind] += from_column[row]
+            for column in range(len(places)):
+                if places[column] >= behind:
+                    from_column, to_column = added[column], update[places[column] - behind]
+                    for row in range(column, len(places)):
+                        to_column[places[row] - behind] += from_column[row]
     return True
 
 
@@ -352,9 +342,13 @@ def _substitute_back(plan: _Plan, factor: Floats, solution: Floats, routines: tu
         sizes[0], sizes[1], sizes[2] = size, rows, rows - 1
         own = factor[plan.begin[front] :]
         below = own[size * size :]
-        own_dofs = plan.own_dofs[plan.first_own[front] : plan.first_own[front + 1]]
-        known = solution[plan.row_dofs[plan.first_row[front] : plan.first_row[front + 1] - 1]]
-        left = below[rows - 1 : size * rows : rows].copy()
+        own_dofs, row_dofs = plan.own_dofs[plan.first_own[front] :], plan.row_dofs[plan.first_row[front] :]
+        known, left = np.empty(rows - 1), np.empty(size)
+        for k in range(rows - 1):
+            known[k] = solution[row_dofs[k]]
+        for k in range(size):
+            left[k] = below[rows - 1 + k * rows]
         dgemv(transposed, others, c, minus_one, below.ctypes, r, known.ctypes, step, one, left.ctypes, step)
         dtrsv(lower, transposed, plain, c, own.ctypes, c, left.ctypes, step)
-        solution[own_dofs] = left
+        for k in range(size):
+            solution[own_dofs[k]] = left[k]

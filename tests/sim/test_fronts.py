@@ -1,5 +1,10 @@
 """The condensation of a sparse equation against a solver of whole ones."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -21,6 +26,10 @@ def mesh() -> GelMesh:
     return ordered_for_elimination(mesh, mesh.surface[nearest])
 
 
+def _first_dof(mesh: GelMesh) -> np.ndarray:
+    return FOREIGN_DOFS + 3 * np.arange(len(mesh.vertices_mm))
+
+
 def _stiffness(mesh: GelMesh, rng: np.random.Generator) -> tuple[sparse.csr_array, np.ndarray]:
     """Return a positive definite matrix with the mesh's couplings, behind dofs that belong to no vertex; a diagonal."""
     dofs = FOREIGN_DOFS + 3 * mesh.tetrahedra[:, :, None] + np.arange(3)
@@ -35,9 +44,8 @@ def _stiffness(mesh: GelMesh, rng: np.random.Generator) -> tuple[sparse.csr_arra
 
 def test_what_is_condensed_and_expanded_solves_the_whole_equation(mesh: GelMesh) -> None:
     rng = np.random.default_rng(0)
-    first_dof = FOREIGN_DOFS + 3 * np.arange(len(mesh.vertices_mm))
     matrix, diagonal = _stiffness(mesh, rng)
-    condensation = Condensation(matrix, first_dof[::-1], KEPT)
+    condensation = Condensation(matrix, _first_dof(mesh)[::-1], KEPT)
     np.testing.assert_array_equal(np.sort(condensation.kept_dofs), FOREIGN_DOFS + np.arange(3 * KEPT))
     # Twice, with other values, since memory is used again.
     for scale in (1.0, 3.0):
@@ -52,11 +60,42 @@ def test_what_is_condensed_and_expanded_solves_the_whole_equation(mesh: GelMesh)
 
 def test_a_matrix_that_is_not_positive_definite_is_refused(mesh: GelMesh) -> None:
     matrix, diagonal = _stiffness(mesh, np.random.default_rng(1))
-    first_dof = FOREIGN_DOFS + 3 * np.arange(len(mesh.vertices_mm))
-    condensation = Condensation(matrix, first_dof[::-1], KEPT)
+    condensation = Condensation(matrix, _first_dof(mesh)[::-1], KEPT)
     diagonal[-1] = -1e6
     with pytest.raises(np.linalg.LinAlgError, match="positive definite"):
         condensation.condense(matrix.data, diagonal, np.ones(len(diagonal)))
+
+
+def test_what_is_not_finite_leaves_nothing_behind(mesh: GelMesh) -> None:
+    matrix, diagonal = _stiffness(mesh, np.random.default_rng(2))
+    spoiled, fresh = (Condensation(matrix, _first_dof(mesh)[::-1], KEPT) for _ in range(2))
+    lower, _ = spoiled.condense(matrix.data, diagonal * np.nan, diagonal)
+    assert not np.isfinite(lower).all()
+    for found, expected in zip(
+        *(one.condense(matrix.data, diagonal, diagonal) for one in (spoiled, fresh)), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_compiled_code_that_another_process_has_cached_is_right(tmp_path: Path) -> None:
+    """LAPACK lies elsewhere in each process."""
+    script = (
+        "import numpy as np; from scipy import sparse; from gelgap.sim import fronts\n"
+        "matrix = sparse.csr_array(np.full((9, 9), 0.1) + np.eye(9))\n"
+        "condensation = fronts.Condensation(matrix, np.arange(0, 9, 3), 1)\n"
+        "lower, force = condensation.condense(matrix.data, np.zeros(9), np.arange(9.0))\n"
+        "kept = np.linalg.solve(lower + np.tril(lower, -1).T, force)\n"
+        "np.testing.assert_allclose(matrix @ condensation.expand(kept), np.arange(9.0), atol=1e-12)\n"
+        "print(sum(fronts._eliminate.stats.cache_hits.values()))\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    hits = [
+        subprocess.run(
+            [sys.executable, "-c", script], env=environment, capture_output=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    assert [int(hit) for hit in hits] == [0, 1]
 
 
 def test_groups_hold_each_vertex_once_and_pass_their_rows_on(mesh: GelMesh) -> None:
