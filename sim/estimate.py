@@ -14,16 +14,17 @@ from numpy.typing import NDArray
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.solution import Record, SolveDiagnostics
 
-CAUSES = ("always", "few cells", "stiff mesh", "sideways", "strain")
+CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
 ERRORS = ("Fz", "shear", "radius", "membrane")
 # A contact of fewer cells is not resolved at all.
 _FEWEST_CELLS = 0.25
-# How much of each error comes with each cause, by mesh: printed by `scripts/calibrate_estimate.py`.
-_COEFFICIENTS: dict[tuple[str, str], tuple[tuple[float, ...], ...]] = {
-    (quality, mesh): ((0.0,) * len(CAUSES),) * len(ERRORS)
-    for quality in ("draft", "standard", "fine")
-    for mesh in ("disc", "pad")
-}
+# The variance of each of `ERRORS`, as a share, over the square of each cause: printed by `scripts/calibrate_estimate.py`.
+_VARIANCE_PER_CAUSE = (
+    (0.0, 0.0, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0, 0.0, 0.0),
+)
 # Estimates of a component of force, as a share of the whole force, above which a quality does not keep its promise:
 # errors above twice the estimate are rare, and twice this is promised.
 LARGEST_ESTIMATE = {"draft": 0.025, "standard": 0.015, "fine": 0.01}
@@ -50,13 +51,15 @@ class Diagnostics(SolveDiagnostics):
 def causes_of_error(problem: ContactProblem, record: Record, contact_radius_mm: float) -> NDArray[np.float64]:
     """Return `CAUSES` (5,) as numbers that the error of a record's force grows with.
 
-    1; 1 over the square of the cells across the deformed contact's radius; the excess of the mesh's stiffness that is
-    taken out; the tangential share of the force over the cells; the square of depth over thickness.
+    1 over the cells across the radius that the mesh is made for; 1 over the square of those across the deformed
+    contact's; the excess of the mesh's stiffness that is taken out; the tangential share of the force over the cells;
+    the square of depth over thickness, over the first.
     """
     cells = max(contact_radius_mm / problem.cell_mm, _FEWEST_CELLS)
     tangential = math.hypot(*record.force_n[:2]) / max(float(np.linalg.norm(record.force_n)), 1e-300)
     strain = record.indenter_mm[2] / problem.thickness_mm
-    return np.array([1.0, cells**-2, problem.stiffness_excess, tangential / cells, strain**2])
+    coarse = 1 / problem.mesh_size.across
+    return np.array([coarse, cells**-2, problem.stiffness_excess, tangential / cells, strain**2 * coarse])
 
 
 def diagnose(
@@ -64,8 +67,7 @@ def diagnose(
 ) -> Diagnostics:
     """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's."""
     causes = causes_of_error(problem, record, contact_radius_mm)
-    mesh = "disc" if problem.mesh_size == problem.quality.disc else "pad"
-    share = np.sqrt(np.array(_COEFFICIENTS[problem.quality.name, mesh]) @ causes**2)
+    share = np.sqrt(np.array(_VARIANCE_PER_CAUSE) @ causes**2)
     of = dict(zip(ERRORS, share.tolist(), strict=True))
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     found = asdict(record.diagnostics)

@@ -19,7 +19,7 @@ import pandas as pd
 from gelgap.benchmarks.common import show, write_json
 from gelgap.benchmarks.fem import theory
 from gelgap.benchmarks.fem.spheres import Press
-from gelgap.benchmarks.physics.cases import Case, Floats, Solver
+from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
 from gelgap.benchmarks.physics.references import Descent, own_cases
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
 from gelgap.sim.estimate import CAUSES, ERRORS, causes_of_error
@@ -198,47 +198,53 @@ def descent_of(case: Case) -> Descent:
 
 @dataclass(frozen=True)
 class Expected:
-    """The true force (3,), contact radius and displacement (ny, nx, 3) of a pose, on the grid of the state compared."""
+    """The true force (3,), contact radius and displacement (ny, nx, 3) of a pose, on the grid of the state compared.
+
+    `causes` are those of its own error, if it comes from a finer mesh.
+    """
 
     force_n: Floats
     radius_mm: float
     displacement_mm: Floats
+    causes: Floats
 
 
-def expected_states(case: Case, truth: Case, found: Any, states: Sequence[Any]) -> Iterator[Expected]:
-    """Yield what the poses of a case should give: from its own truth, or from its solve on a fine mesh."""
+def expected_states(case: Case, truth: Truth | None, finer: Any, states: Sequence[Any]) -> Iterator[Expected]:
+    """Yield what the poses of a case should give: from its truth, or else from its solve on a finer mesh."""
     for index, state in enumerate(states):
-        if truth.truth is not None:
-            surface = truth.truth.displacement_mm(index, state.x_mm, state.y_mm)
-            yield Expected(truth.truth.force_n[index], float(truth.truth.radius_mm[index]), surface)
+        if truth is not None:
+            surface = truth.displacement_mm(index, state.x_mm, state.y_mm)
+            force_n, radius_mm = truth.force_n[index], float(truth.radius_mm[index])
+            yield Expected(force_n, radius_mm, surface, np.zeros(len(CAUSES)))
         else:
-            fine = found.states[index]
-            yield Expected(fine.force_n, fine.contact_radius_mm, fine.displacement_mm)
+            own = finer.states[index]
+            yield Expected(
+                own.force_n, own.contact_radius_mm, own.displacement_mm, causes(case, finer, index)
+            )
+
+
+def causes(case: Case, found: Any, index: int) -> Floats:
+    """Return the causes of error of one pose of a case."""
+    record = found.solution.records[case.plan.placements[index].record]
+    return causes_of_error(found.solution.problem, record, found.states[index].contact_radius_mm)
 
 
 def rows_of(case: Case, found: Any, expected: Iterator[Expected]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each pose: true errors beside estimates, and the causes that those are made of."""
-    solution = found.solution
+    """Yield a row for each pose: true errors beside estimates, and the causes of the difference."""
     for index, (state, right) in enumerate(zip(found.states, expected, strict=True)):
         size = float(np.linalg.norm(right.force_n))
         off = state.force_n - right.force_n
         pose = case.poses[index]
-        near = (
-            np.hypot(
-                *np.meshgrid(
-                    state.x_mm - pose.point_x_mm - pose.shear_x_mm,
-                    state.y_mm - pose.point_y_mm - pose.shear_y_mm,
-                )
-            )
-            < SURFACE_REACH_RADII * right.radius_mm
+        x_mm, y_mm = (
+            state.x_mm - pose.point_x_mm - pose.shear_x_mm,
+            state.y_mm - pose.point_y_mm - pose.shear_y_mm,
         )
+        near = np.hypot(*np.meshgrid(x_mm, y_mm)) < SURFACE_REACH_RADII * right.radius_mm
         apart = np.linalg.norm(state.displacement_mm - right.displacement_mm, axis=-1)[near]
-        record = solution.records[case.plan.placements[index].record]
-        problem = solution.problem
+        together = np.sqrt(causes(case, found, index) ** 2 + right.causes**2)
         yield {
             "case": case.name,
             "quality": case.quality,
-            "mesh": "disc" if problem.pad_mm is None and problem.symmetric else "pad",
             "pose": index,
             "converged": state.converged,
             "coarse": state.diagnostics.coarse,
@@ -247,10 +253,7 @@ def rows_of(case: Case, found: Any, expected: Iterator[Expected]) -> Iterator[di
             "radius": state.contact_radius_mm / max(right.radius_mm, 1e-9) - 1,
             "membrane": float(np.sqrt((apart**2).mean())) / pose.depth_mm if near.any() else 0.0,
             **_estimates(state, pose),
-            "force N": size,
-            "core s": found.solve_s,
-            "excess": problem.stiffness_excess,
-            **dict(zip(CAUSES, causes_of_error(problem, record, state.contact_radius_mm), strict=True)),
+            **dict(zip(CAUSES, together, strict=True)),
         }
 
 
@@ -265,23 +268,23 @@ def _estimates(state: MembraneState, pose: Pose) -> dict[str, float]:
     return {f"estimated {error}": share for error, share in zip(ERRORS, shares, strict=True)}
 
 
-def random_errors(numbers: Sequence[int], qualities: Sequence[str], solver: Solver) -> pd.DataFrame:
-    """Return the rows of random scenes at some qualities."""
+def random_errors(
+    numbers: Sequence[int], qualities: Sequence[str], solver: Solver, finest: str = "fine"
+) -> pd.DataFrame:
+    """Return the rows of random scenes at some qualities, beside the finest where there is no axisymmetric solution."""
     cases = [random_case(number) for number in numbers]
     presses = [case for case in cases if len(case.poses) == 1 and case.elastomer.pad_size_mm == WIDE_PAD_MM]
-    truths = dict(
-        zip(presses, own_cases("random", [descent_of(case) for case in presses], solver), strict=True)
-    )
-    fine = solver.cases(replace(case, quality="fine") for case in cases if case not in truths)
+    truths = own_cases("random", [descent_of(case) for case in presses], solver)
+    truth_of = {case: truth.truth for case, truth in zip(presses, truths, strict=True)}
+    finer = solver.cases(replace(case, quality=finest) for case in cases if case not in truth_of)
     rows = []
     for quality in qualities:
         solved = solver.cases(replace(case, quality=quality) for case in cases)
         for case in cases:
-            at = replace(case, quality=quality)
-            found, finest = solved[at], replace(case, quality="fine")
-            rows += rows_of(
-                at, found, expected_states(at, truths.get(case, case), fine.get(finest), found.states)
-            )
+            at, truth = replace(case, quality=quality), truth_of.get(case)
+            if truth is not None or quality != finest:
+                beside = finer.get(replace(case, quality=finest))
+                rows += rows_of(at, solved[at], expected_states(case, truth, beside, solved[at].states))
     return pd.DataFrame(rows)
 
 
