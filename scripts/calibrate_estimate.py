@@ -2,9 +2,9 @@
 
 python scripts/calibrate_estimate.py --first 300 --last 380    # an hour; one that was stopped goes on where it was
 
-Presses are compared with the axisymmetric solver, at draft and at standard; drags at draft with those at standard, whose
-own causes are added: the coefficients are those of all meshes. `gelgap benchmark physics --what estimate` takes scenes 0
-to 299, so that it checks what was not calibrated on.
+Presses are compared with the axisymmetric solver, at draft and at standard; drags at draft with those at standard,
+whose own causes are added: the coefficients are those of all meshes. `gelgap benchmark physics --what estimate` takes
+scenes 0 to 299, so that it checks what was not calibrated on.
 """
 
 import argparse

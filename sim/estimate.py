@@ -18,7 +18,7 @@ CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
 ERRORS = ("Fz", "shear", "radius", "membrane")
 # A contact of fewer cells is not resolved at all.
 _FEWEST_CELLS = 0.25
-# The variance of each of `ERRORS`, as a share, over the square of each cause: printed by `scripts/calibrate_estimate.py`.
+# The variance of each of `ERRORS`, as a share, over the square of each cause (`scripts/calibrate_estimate.py`).
 _VARIANCE_PER_CAUSE = (
     (0.0, 0.0, 0.0, 0.0, 0.0),
     (0.0, 0.0, 0.0, 0.0, 0.0),

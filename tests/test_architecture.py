@@ -31,14 +31,14 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 LINES = {
     "assets": 530,
-    "sim": 3710,
+    "sim": 3960,
     "render": 5070,
     "domains": 5740,
     "adapt": 4950,
     "view": 1560,
-    "cli": 2320,
-    "benchmarks": 8580,
-    "scripts": 760,
+    "cli": 2340,
+    "benchmarks": 8940,
+    "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 

@@ -47,10 +47,18 @@ def test_depths_share_a_descent_and_drags_branch_off_it() -> None:
         assert waypoint == (pose.radius_mm, 0.0, -pose.depth_mm)
 
 
-def test_depths_that_need_different_meshes_share_no_descent() -> None:
-    path = ContactPath("depths", (0.0,), (0.0,), (0.4, 0.6, 0.8, 1.0), (0.0,), (0.0,))
-    assert len(plan_solves(GEL, Sphere(diameter_mm=3.0), path, "draft").solves) == 2
-    assert len(plan_solves(GEL, Sphere(diameter_mm=6.0), path, "draft").solves) == 4
+def test_depths_whose_contacts_differ_much_in_size_share_no_descent() -> None:
+    path = ContactPath("depths", (0.0,), (0.0,), (0.02, 0.03, 0.4, 0.6, 1.0), (0.0,), (0.0,))
+    solves = plan_solves(GEL, Sphere(), path, "draft").solves
+    assert [[-z for _, _, z in solve.problem.waypoints_mm] for solve in solves] == [
+        [1.0],
+        [0.4, 0.6],
+        [0.03],
+        [0.02],
+    ]
+    for solve in solves:
+        narrowest = min(-z for _, _, z in solve.problem.waypoints_mm)
+        assert solve.problem.penetration_radius_mm < 2.7 * Sphere().penetration_radius_mm(narrowest)
 
 
 def test_a_small_pad_shares_by_reflection_alone() -> None:

@@ -1,0 +1,90 @@
+"""Estimates of a pose's error: what makes them larger, whom they flag, and membranes that lie on themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelgap.render import surface
+from gelgap.sim import Elastomer, Pose, Sharing, Sphere, solve_poses
+from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, causes_of_error, diagnose
+from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
+from gelgap.sim.plan import plan_visit
+from gelgap.sim.problem import ContactProblem
+from gelgap.sim.solution import Record, SolveDiagnostics
+
+GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5, strain_energy="stable-neo-hookean")
+
+
+def _problem(depth_mm: float = 0.6, quality: str = "draft") -> ContactProblem:
+    return plan_visit(GEL, Sphere(), [Pose(depth_mm=depth_mm)], quality).solves[0].problem
+
+
+def _record(depth_mm: float = 0.6, force_n: tuple[float, float, float] = (0.0, 0.0, -0.4)) -> Record:
+    return Record(
+        displacement_mm=np.zeros((1, 3), np.float32),
+        normal_force_n=np.zeros(1, np.float32),
+        indenter_mm=np.array([0.0, 0.0, -depth_mm]),
+        force_n=np.array(force_n),
+        converged=True,
+        diagnostics=SolveDiagnostics(elastic_energy_mj=0.5),
+    )
+
+
+def _causes(problem: ContactProblem, record: Record, radius_mm: float) -> dict[str, float]:
+    return dict(zip(CAUSES, causes_of_error(problem, record, radius_mm), strict=True))
+
+
+def test_an_estimate_grows_with_what_makes_a_mesh_inexact() -> None:
+    usual = _causes(_problem(), _record(), 0.7)
+    assert _causes(_problem(), _record(), 0.2)["few in contact"] > 4 * usual["few in contact"]
+    assert _causes(_problem(), _record(force_n=(0.3, 0.0, -0.4)), 0.7)["sideways"] > usual["sideways"] == 0
+    assert _causes(_problem(0.01), _record(), 0.7)["stiff mesh"] > 2 * usual["stiff mesh"]
+    finer = _causes(_problem(quality="fine"), _record(), 0.7)
+    assert all(finer[cause] <= usual[cause] for cause in CAUSES)
+    assert finer["cells"] < 0.5 * usual["cells"]
+
+
+def test_forces_errors_and_energy_are_those_of_the_gel_and_not_of_the_solved_one() -> None:
+    one, three = (diagnose(_problem(), _record(), 0.7, ratio, folded=False) for ratio in (1.0, 3.0))
+    assert three.fz_error_n == pytest.approx(3 * one.fz_error_n)
+    assert three.shear_error_n == pytest.approx(3 * one.shear_error_n)
+    assert three.elastic_energy_mj == pytest.approx(1.5)
+    assert three.membrane_error_mm == one.membrane_error_mm > 0
+    assert three.contact_radius_error_mm == one.contact_radius_error_mm > 0
+    assert 0.001 < one.fz_error_n / 0.4 < LARGEST_ESTIMATE["draft"]
+
+
+def test_a_contact_of_hardly_a_cell_is_flagged_and_one_of_many_is_not() -> None:
+    resolved, hardly = (diagnose(_problem(), _record(), radius, 1.0, folded=False) for radius in (0.9, 0.05))
+    assert hardly.coarse
+    assert not resolved.coarse
+
+
+def test_a_shallow_pose_on_the_mesh_of_a_deep_one_is_coarse_and_alone_is_not() -> None:
+    sharing = Sharing(cache=False)
+    shared, _ = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.01), Pose(depth_mm=1.0)], "draft", sharing)
+    (alone,) = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.01)], "draft", sharing)
+    assert shared.diagnostics.coarse
+    assert not alone.diagnostics.coarse
+    assert alone.converged
+    assert shared.diagnostics.fz_error_n > 2 * alone.diagnostics.fz_error_n
+
+
+def test_a_membrane_that_lies_on_itself_is_folded() -> None:
+    x_mm, y_mm = grid_axes()
+    flat = np.zeros((len(y_mm), len(x_mm), 3), np.float32)
+    for axis, middle in ((0, np.s_[50, 70]), (1, np.s_[40, 30])):
+        for moved, folded in ((0.09, False), (0.12, True)):
+            displacement = flat.copy()
+            displacement[(*middle, axis)] = moved
+            assert is_folded(x_mm, y_mm, displacement) == folded
+    assert surface.FOLDED_AREA == FOLDED_AREA
+
+
+def test_a_solved_state_that_is_folded_does_not_count_as_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gelgap.sim.plan.is_folded", lambda *_: True)
+    (state,) = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.3)], "draft")
+    assert state.diagnostics.folded
+    assert not state.converged
+    assert replace(state.diagnostics, folded=False).residual < 0.01
