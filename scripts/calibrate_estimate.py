@@ -1,6 +1,6 @@
 """How much error comes with each cause: the coefficients of `gelgap.sim.estimate`, from random scenes.
 
-python scripts/calibrate_estimate.py --first 300 --last 380    # an hour; one that was stopped goes on where it was
+python scripts/calibrate_estimate.py --first 300 --last 360    # an hour; one that was stopped goes on where it was
 
 Presses are compared with the axisymmetric solver, at draft and at standard; drags at draft with those at standard,
 whose own causes are added: the coefficients are those of all meshes. `gelgap benchmark physics --what estimate` takes
@@ -44,7 +44,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--first", type=int, default=300)
-    parser.add_argument("--last", type=int, default=380)
+    parser.add_argument("--last", type=int, default=360)
     chosen = parser.parse_args()
     solver = Solver(os.cpu_count() or 1, KEPT)
     numbers = range(chosen.first, chosen.last)

@@ -143,7 +143,7 @@ def _known_row(case: Case, found: Any, error: float, quantity: str) -> dict[str,
 
 
 def random_case(number: int) -> Case:
-    """Return random scene `number`: a press, and for every other one a drag that follows."""
+    """Return random scene `number`: a press, and for every third a drag that follows."""
     rng = np.random.default_rng(np.random.SeedSequence([20261, number]))
     radius, thickness = (float(np.exp(rng.uniform(*np.log(bounds)))) for bounds in (RADIUS_MM, THICKNESS_MM))
     deepest = min(0.4 * thickness, 0.8 * radius)
@@ -154,8 +154,8 @@ def random_case(number: int) -> Case:
     depth = round(share[number // 2 % 2], 4)
     poisson, friction = rng.uniform(0.3, 0.495), rng.choice([0.0, 10.0, *rng.uniform(0.05, 1.5, 4)])
     cut = math.sqrt(depth * (2 * radius - depth))
-    travel, angle = rng.uniform(0.0, min(2.0 * cut, 0.5 * thickness)), rng.uniform(0.0, 2 * math.pi)
-    inside = number % 8 != 3
+    travel, angle = rng.uniform(0.0, min(cut, 0.5 * thickness)), rng.uniform(0.0, 2 * math.pi)
+    inside = number % 9 != 8
     point = (0.0, 0.0) if inside else tuple(round(rng.uniform(-0.5, 0.5) * size, 3) for size in (24.0, 20.0))
     gel = Elastomer(
         young_modulus_mpa=0.3,
@@ -167,7 +167,7 @@ def random_case(number: int) -> Case:
     )
     places = {"point_x_mm": point[0], "point_y_mm": point[1], "depth_mm": depth}
     poses = [Pose(**places)]
-    if number % 2:
+    if number % 3 == 2:
         poses.append(
             Pose(
                 **places,

@@ -9,21 +9,21 @@ from gelgap.sim import Sphere
 from gelgap.sim.estimate import CAUSES, ERRORS
 
 
-def test_random_scenes_are_those_of_their_numbers_and_every_other_one_is_a_drag() -> None:
-    cases = [estimate.random_case(number) for number in range(40)]
-    assert cases == [estimate.random_case(number) for number in range(40)]
-    assert len({case.elastomer.thickness_mm for case in cases}) == 40
-    assert [len(case.poses) for case in cases] == [1, 2] * 20
+def test_random_scenes_are_those_of_their_numbers_and_every_third_is_a_drag() -> None:
+    cases = [estimate.random_case(number) for number in range(36)]
+    assert cases == [estimate.random_case(number) for number in range(36)]
+    assert len({case.elastomer.thickness_mm for case in cases}) == 36
+    assert [len(case.poses) for case in cases] == [1, 1, 2] * 12
     on_small_pads = [
         number for number, case in enumerate(cases) if case.elastomer.pad_size_mm == (24.0, 20.0)
     ]
-    assert on_small_pads == [3, 11, 19, 27, 35]
+    assert on_small_pads == [8, 17, 26, 35]
     for case in cases:
         press, drag = case.poses[0], case.poses[-1]
         assert isinstance(case.indenter, Sphere)
         assert 0.01 <= press.depth_mm <= 0.4 * case.elastomer.thickness_mm + 1e-4
         assert drag.depth_mm == press.depth_mm
-        assert drag.radius_mm <= 2 * case.indenter.penetration_radius_mm(press.depth_mm) + 1e-3
+        assert drag.radius_mm <= case.indenter.penetration_radius_mm(press.depth_mm) + 1e-3
 
 
 def test_the_truth_of_a_press_has_its_own_gel_and_elements_as_small_as_its_contact() -> None:
