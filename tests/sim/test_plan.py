@@ -56,9 +56,9 @@ def test_depths_whose_contacts_differ_much_in_size_share_no_descent() -> None:
         [0.03],
         [0.02],
     ]
-    for solve in solves:
-        narrowest = min(-z for _, _, z in solve.problem.waypoints_mm)
-        assert solve.problem.penetration_radius_mm < 2.7 * Sphere().penetration_radius_mm(narrowest)
+    for one in solves:
+        narrowest = min(-z for _, _, z in one.problem.waypoints_mm)
+        assert one.problem.penetration_radius_mm < 2.7 * Sphere().penetration_radius_mm(narrowest)
 
 
 def test_a_small_pad_shares_by_reflection_alone() -> None:
