@@ -113,7 +113,7 @@ QUALITIES = {
     "fine": Quality(
         name="fine",
         disc=MeshSize(9.0, 16, 1.7, 1.5, stiffness=(0.0073, 0.00023, 0.754)),
-        pad=MeshSize(5.5, 12, 1.8, 1.6, stiffness=(0.0, 0.0, 0.0)),
+        pad=MeshSize(5.5, 12, 1.8, 1.6, stiffness=(0.0068, 0.00029, 0.755)),
         press_step_mm=0.05,
         travel_step_mm=0.05,
         press_tolerance=3e-4,
