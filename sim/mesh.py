@@ -37,7 +37,7 @@ _LAST_LAYER = 0.12
 # Columns of cells along a drag become one where the cells beside the path are this many times as long as they are wide.
 _MERGED_RATIO = 2.5
 # Vertices up to this share of the contact's radius outside of what the indenter passes over can touch it, since the gel
-# bulges, but none further than so many mm.
+# bulges, but none further than 0.4 mm.
 _TOUCHING_MARGIN = 0.3
 _LARGEST_TOUCHING_MARGIN_MM = 0.4
 # A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.

@@ -34,7 +34,7 @@ PARTIAL_SLIP_DEPTHS_MM = (0.1, 0.3)
 RADIUS_MM, THICKNESS_MM = (0.5, 6.0), (1.0, 10.0)
 SHALLOWEST_MM = 0.01
 WIDE_PAD_MM = (100.0, 100.0)
-SURFACE_REACH_RADII = 4.0  # the membrane's error is that within so many contact radii
+SURFACE_REACH_RADII = 4.0  # the membrane's error is that within this many contact radii
 
 
 def _gel(thickness_mm: float, **given: Any) -> Elastomer:
