@@ -31,7 +31,7 @@ _VARIANCE_PER_CAUSE = (
 )
 # Estimates of a component of force, as a share of the whole force, above which a quality does not keep its promise:
 # errors above twice the estimate are rare, and twice this is promised.
-LARGEST_ESTIMATE = {"draft": 0.025, "standard": 0.015, "fine": 0.01}
+LARGEST_ESTIMATE = {"draft": 0.03, "standard": 0.02, "fine": 0.01}
 
 
 @dataclass(frozen=True)
