@@ -105,7 +105,6 @@ class Press(opt.Command):
             picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
             save_mesh(self.mesh, solved, point_mm, indenter, sensor.camera, picture)
         force_n, found = [float(component) for component in state.force_n], state.diagnostics
-        error_n = [found.shear_error_n, found.shear_error_n, found.fz_error_n]
         wall_s = time.perf_counter() - started
         if self.json:
             settings = {
@@ -116,7 +115,7 @@ class Press(opt.Command):
             }
             report = {
                 "force_n": force_n,
-                "force_error_n": error_n,
+                "force_error_n": found.force_error_n,
                 "converged": bool(state.converged),
                 "coarse": found.coarse,
                 "folded": found.folded,
@@ -129,7 +128,7 @@ class Press(opt.Command):
             print(json.dumps(report))
         else:
             print(f"depth           {pose.depth_mm:.4g} mm")
-            parts = zip("xyz", force_n, error_n, strict=True)
+            parts = zip("xyz", force_n, found.force_error_n, strict=True)
             print(f"force           {'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in parts)} N")
             print(f"contact radius  {state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm")
             print(f"membrane        ± {1e3 * found.membrane_error_mm:.1f} µm")

@@ -20,31 +20,15 @@ from gelgap.benchmarks.common import show
 from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS, SURFACE, errors
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver
-from gelgap.benchmarks.physics.references import Descent, own_cases, press_cases
+from gelgap.benchmarks.physics.references import own_cases, press_cases, stable_press
 from gelgap.sim import Sharing, Solve
 from gelgap.sim.problem import LARGEST_POISSON_RATIO, QUALITIES, MeshSize
 
 KEPT = Path("benchmark-results/mesh-solves")
 
 
-def descent(
-    radius_mm: float, thickness_mm: float, poisson_ratio: float, friction: float, *depths_mm: float
-) -> Descent:
-    """Return a press in MuJoCo's energy on elements that its contact at the deepest needs."""
-    press = Press(
-        energy="stable",
-        poisson_ratio=poisson_ratio,
-        friction=friction,
-        indenter_radius_mm=radius_mm,
-        thickness_mm=thickness_mm,
-        pad_radius_mm=radius_mm + 3.5 * thickness_mm,
-        element_mm=min(math.sqrt(radius_mm * max(depths_mm)) / 12, thickness_mm / 15),
-    )
-    return press, depths_mm
-
-
 CALIBRATION = tuple(
-    descent(*scene[:2], poisson_ratio, friction, *scene[2:])
+    stable_press(*scene[:2], poisson_ratio, friction, *scene[2:])
     for poisson_ratio, friction, scene in (
         *itertools.product((0.3, 0.45, 0.49), (0.0, math.inf), [(1.5, 3.0, 0.2, 0.6, 1.0)]),
         *itertools.product((0.3, 0.49), (0.0,), [(1.5, 3.0, 0.01), (1.5, 3.0, 0.1), (5.0, 20.0, 0.03)]),
@@ -52,13 +36,13 @@ CALIBRATION = tuple(
     )
 )
 CHECK = (
-    descent(1.0, 2.0, 0.47, 0.3, 0.15, 0.4, 0.65),
-    descent(2.5, 4.0, 0.485, math.inf, 0.3, 0.8, 1.3),
-    descent(3.0, 3.0, 0.46, 0.0, 0.2, 0.6, 1.0),
-    descent(1.0, 3.0, 0.495, 0.2, 0.15, 0.4, 0.65),
-    descent(5.0, 6.0, 0.48, 0.3, 0.02),
-    descent(3.0, 10.0, 0.49, math.inf, 0.1),
-    descent(10.0, 4.0, 0.48, 0.2, 0.4),
+    stable_press(1.0, 2.0, 0.47, 0.3, 0.15, 0.4, 0.65),
+    stable_press(2.5, 4.0, 0.485, math.inf, 0.3, 0.8, 1.3),
+    stable_press(3.0, 3.0, 0.46, 0.0, 0.2, 0.6, 1.0),
+    stable_press(1.0, 3.0, 0.495, 0.2, 0.15, 0.4, 0.65),
+    stable_press(5.0, 6.0, 0.48, 0.3, 0.02),
+    stable_press(3.0, 10.0, 0.49, math.inf, 0.1),
+    stable_press(10.0, 4.0, 0.48, 0.2, 0.4),
 )
 TABLES = ("nh49_no_slip", "nh49_frictionless", "nh499_no_slip")
 STANDARD = QUALITIES["standard"].disc
@@ -74,6 +58,7 @@ SIZES = {
 
 def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -> None:
     """Print the factors by quality and ν that remain, and the check; both are 1 where `mesh_moduli` is right."""
+    print(f"FORCE_RISE_PER_POISSON = {force_rise_per_poisson():.2f}")
     for title, descents in (("Calibration", CALIBRATION), ("Check: not used", CHECK)):
         truths = own_cases(title, descents, solver)
         presses = [press for press, _ in descents]

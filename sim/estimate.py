@@ -51,6 +51,11 @@ class Diagnostics(SolveDiagnostics):
     coarse: bool = False
     folded: bool = False
 
+    @property
+    def force_error_n(self) -> tuple[float, float, float]:
+        """The estimates of Fx, Fy and Fz."""
+        return self.shear_error_n, self.shear_error_n, self.fz_error_n
+
 
 def causes_of_error(problem: ContactProblem, record: Record, contact_radius_mm: float) -> NDArray[np.float64]:
     """Return `CAUSES` (5,) as numbers that the error of a record's force grows with.

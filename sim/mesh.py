@@ -13,7 +13,7 @@ import pymetis
 from numpy.typing import NDArray
 from scipy import sparse
 
-from gelgap.sim.problem import SMALLEST_CONTACT_MM, ContactProblem
+from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import PadEdges
 
 # Corners of each plane cell, counterclockwise.
@@ -101,7 +101,7 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
     size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
-    contact = max(problem.penetration_radius_mm, SMALLEST_CONTACT_MM)
+    contact = problem.meshed_radius_mm
     *axis, aside, direction = straightest_line(problem.segments_mm[:, :, :2])
     fine_radius = _FINE_MARGIN * contact + aside + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)

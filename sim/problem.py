@@ -18,7 +18,7 @@ from gelgap.sim.scene import Moduli, PadEdges, Scene
 # of a third of the thickness. So meshes get this ν at most, and a modulus that follows that rise.
 LARGEST_POISSON_RATIO = 0.49
 FORCE_RISE_PER_POISSON = 1.7
-SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
+_SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 # A contact wider than this many thicknesses needs no coarser cells: strains at its rim are as wide as the gel is thick.
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
@@ -199,21 +199,25 @@ class ContactProblem:
         return self.indenter.penetration_radius_mm(self.depth_mm)
 
     @property
+    def meshed_radius_mm(self) -> float:
+        """The radius of the contact that the mesh is made for."""
+        return max(self.penetration_radius_mm, _SMALLEST_CONTACT_MM)
+
+    @property
     def contact_width(self) -> float:
         """How wide the contact is, cut from the rest membrane, in thicknesses of the gel."""
-        return 2 * self.penetration_radius_mm / self.thickness_mm
+        return 2 * self.meshed_radius_mm / self.thickness_mm
 
     @property
     def cell_mm(self) -> float:
         """How far apart the membrane's vertices are where it is touched."""
-        contact_mm = max(self.penetration_radius_mm, SMALLEST_CONTACT_MM)
-        return min(contact_mm, _WIDEST_CONTACT_THICKNESSES * self.thickness_mm) / self.mesh_size.across
+        widest_mm = _WIDEST_CONTACT_THICKNESSES * self.thickness_mm
+        return min(self.meshed_radius_mm, widest_mm) / self.mesh_size.across
 
     @property
     def stiffness_excess(self) -> float:
         """By what share the mesh is stiffer than the gel."""
-        smallest = 2 * SMALLEST_CONTACT_MM / self.thickness_mm
-        return self.mesh_size.stiffness_excess(self.moduli, max(self.contact_width, smallest))
+        return self.mesh_size.stiffness_excess(self.moduli, self.contact_width)
 
     @property
     def mesh_moduli(self) -> Moduli:

@@ -51,8 +51,7 @@ def figures_html(shown: Shown, colours: str) -> str:
     """Return the figures of what is shown, and how far its physics can be trusted, as HTML."""
     state = shown.solved.state
     found = state.diagnostics
-    error_n = (found.shear_error_n, found.shear_error_n, found.fz_error_n)
-    forces = zip("xyz", state.force_n + 0.0, error_n, strict=True)
+    forces = zip("xyz", state.force_n + 0.0, found.force_error_n, strict=True)
     rows = [(f"F{axis}", f"{value:+.3f} ± {error:.3f} N") for axis, value, error in forces]
     rows.append(("contact radius", f"{state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm"))
     rows.append(("largest displacement", f"{np.linalg.norm(state.displacement_mm, axis=-1).max():.3f} mm"))

@@ -5,6 +5,7 @@ directions, partial slip. Then random scenes, each solved on a fine mesh as well
 pad's edges, by the project's own axisymmetric solver.
 """
 
+import itertools
 import math
 import os
 import shutil
@@ -18,9 +19,8 @@ import pandas as pd
 
 from gelgap.benchmarks.common import show, write_json
 from gelgap.benchmarks.fem import theory
-from gelgap.benchmarks.fem.spheres import Press
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.benchmarks.physics.references import Descent, own_cases
+from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION, Descent, own_cases, stable_press
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere
 from gelgap.sim.estimate import CAUSES, ERRORS, causes_of_error
 
@@ -60,18 +60,10 @@ def slide_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
 
 def touch_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
     """Yield the errors of shallow presses without friction, by the axisymmetric solver."""
-    cases = [
-        Case(
-            "touch",
-            f"touch, R {r:g} on {h:g}, {d:g} deep",
-            _gel(h),
-            (Pose(depth_mm=d),),
-            quality,
-            Sphere(diameter_mm=2 * r),
-        )
-        for r, h in TOUCHES
-        for d in TOUCH_DEPTHS_MM
-    ]
+    cases = []
+    for (radius, thickness), depth in itertools.product(TOUCHES, TOUCH_DEPTHS_MM):
+        name, poses = f"touch, R {radius:g} on {thickness:g}, {depth:g} deep", (Pose(depth_mm=depth),)
+        cases.append(Case("known", name, _gel(thickness), poses, quality, Sphere(diameter_mm=2 * radius)))
     truths = own_cases("touches", [descent_of(case) for case in cases], solver)
     solved = solver.cases(cases)
     for case, truth in zip(cases, truths, strict=True):
@@ -106,13 +98,13 @@ def partial_slip_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
     for depth in PARTIAL_SLIP_DEPTHS_MM:
         gel = _gel(10.0, friction=0.3, poisson_ratio=0.495)
         shear_mpa = gel.young_modulus_mpa / (2 * (1 + gel.poisson_ratio))
-        press = Case("known", "", gel, (Pose(depth_mm=depth),), quality, Sphere(diameter_mm=6.0))
         # By Hertz a press is μ d (2 − ν) / (2 (1 − ν)) short of slipping as a whole.
         full_mm = gel.friction * depth * (2 - gel.poisson_ratio) / (2 * (1 - gel.poisson_ratio))
         poses = tuple(
             Pose(depth_mm=depth, shear_x_mm=round(share * full_mm, 6)) for share in (0.0, 0.05, 0.4, 0.7)
         )
-        case = replace(press, name=f"partial slip, R 3 on 10, {depth:g} deep", poses=poses)
+        name = f"partial slip, R 3 on 10, {depth:g} deep"
+        case = Case("known", name, gel, poses, quality, Sphere(diameter_mm=6.0))
         found = solver.cases([case])[case]
         still, begun, *slipping = found.states
         radius, limit = still.contact_radius_mm, -gel.friction * still.force_n[2]
@@ -182,18 +174,10 @@ def random_case(number: int) -> Case:
 
 def descent_of(case: Case) -> Descent:
     """Return the axisymmetric press of a case that has no drag."""
-    gel, radius = case.elastomer, case.indenter.radius_mm
-    depth = case.poses[0].depth_mm
-    press = Press(
-        energy="stable",
-        poisson_ratio=gel.poisson_ratio,
-        friction=gel.friction if gel.friction < 10 else math.inf,
-        indenter_radius_mm=radius,
-        thickness_mm=gel.thickness_mm,
-        pad_radius_mm=radius + 3.5 * gel.thickness_mm,
-        element_mm=min(math.sqrt(radius * depth) / 12, gel.thickness_mm / 15),
-    )
-    return press, (depth,)
+    gel = case.elastomer
+    friction = gel.friction if gel.friction < NO_SLIP_FRICTION else math.inf
+    scene = case.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio, friction
+    return stable_press(*scene, case.poses[0].depth_mm)
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,22 @@ def _larger_sphere(radius: float, thickness: float, nu: float, friction: float, 
     return replace(press, pad_radius_mm=radius + 3.5 * thickness, element_mm=thickness / 20), depths_mm
 
 
+def stable_press(
+    radius_mm: float, thickness_mm: float, poisson_ratio: float, friction: float, *depths_mm: float
+) -> Descent:
+    """Return a press in MuJoCo's energy on elements that its contact at the deepest needs."""
+    press = Press(
+        energy="stable",
+        poisson_ratio=poisson_ratio,
+        friction=friction,
+        indenter_radius_mm=radius_mm,
+        thickness_mm=thickness_mm,
+        pad_radius_mm=radius_mm + 3.5 * thickness_mm,
+        element_mm=min(math.sqrt(radius_mm * max(depths_mm)) / 12, thickness_mm / 15),
+    )
+    return press, depths_mm
+
+
 HELD_BACK = (  # presses that no table and no calibration has: R, thickness, ν, friction
     _held_back(1.0, 2.0, 0.47, 0.3),
     _held_back(2.5, 4.0, 0.49, 0.8),

@@ -23,6 +23,7 @@ import pandas as pd
 
 from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere, solve_poses
+from gelgap.sim.estimate import LARGEST_ESTIMATE
 
 MODULE = "gelgap.benchmarks.physics.stability"
 SCENES = 300
@@ -42,7 +43,8 @@ CORNERS = 2**5
 POSES_DOWN, POSES_SIDEWAYS = 4, 3
 NOTHING_SHARED = Sharing(modulus=False, translation=False, reflection=False, path=False, cache=False)
 FORCE_TOLERANCE = 0.01  # of the sphere's force: monotony, scaling, symmetry
-FORCE_ERROR = {"draft": 0.06, "standard": 0.04, "fine": 0.02}  # what a quality promises
+# What a quality promises.
+FORCE_ERROR = {quality: 2 * largest for quality, largest in LARGEST_ESTIMATE.items()}
 
 
 @dataclass(frozen=True)
