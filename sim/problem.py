@@ -103,7 +103,7 @@ QUALITIES = {
     ),
     "standard": Quality(
         name="standard",
-        disc=MeshSize(6.4, 12, 2.0, 1.8, stiffness=(0.0102, 0.00035, 0.966)),
+        disc=MeshSize(6.0, 12, 2.0, 1.8, stiffness=(0.0109, 0.00034, 0.947)),
         pad=MeshSize(3.6, 8, 2.0, 1.8, stiffness=(0.0118, 0.00028, 0.851)),
         press_step_mm=0.1,
         travel_step_mm=0.1,
