@@ -156,6 +156,7 @@ def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symm
             edges.append((1, -1.0, -y_min))
         for axis, sign, distance in edges:
             plane, cells = _cut(plane, cells, axis, sign, distance)
+        plane, cells = _merged(plane, cells)
     vertices, tetrahedra = _split_prisms(plane, cells, layers_mm)
     return GelMesh(vertices, tetrahedra, symmetric)
 
@@ -314,6 +315,15 @@ def _cut(plane: Points, cells: Cells, axis: int, sign: float, distance_mm: float
     number = np.full(len(points), -1)
     number[used] = np.arange(len(used))
     return np.array(points)[used], [number[cell] for cell in kept]
+
+
+def _merged(plane: Points, cells: Cells) -> tuple[Points, Cells]:
+    """Make one vertex of those that two edges have moved onto the same corner of the pad."""
+    _, first, place = np.unique(plane.round(9), axis=0, return_index=True, return_inverse=True)
+    number = np.cumsum(np.isin(np.arange(len(plane)), first)) - 1
+    cells = [number[first[place.ravel()[cell]]] for cell in cells]
+    cells = [corners[corners != np.roll(corners, 1)] for corners in cells]
+    return plane[np.sort(first)], [corners for corners in cells if len(corners) > 2]
 
 
 def _split_prisms(plane: Points, cells: Cells, layers_mm: Points) -> tuple[Points, NDArray[np.int32]]:

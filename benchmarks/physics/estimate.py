@@ -92,8 +92,9 @@ def partial_slip_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
     """Yield stiffness and sticking share of a drag with friction beside Cattaneo and Mindlin's, R 3 mm on 10 mm.
 
     Theory is that of a half-space, with the measured normal force and contact radius: G = E / (2 (1 + ν)), the first
-    stiffness 16 a G / (3 (2 − ν)), and (c/a)³ = 1 − Q / μP for the radius c within which vertices stick. They carry
-    the share 1 − (1 − c²/a²)^1.5 of the load.
+    stiffness 8 a G / (2 − ν), and (c/a)³ = 1 − Q / μP for the radius c within which vertices stick. They carry
+    the share 1 − (1 − c²/a²)^1.5 of the load. A half-space's sphere would travel further by what the backing holds
+    back: (3 ln 2 / 8π) Q / (G h), to first order in a / h, for an incompressible gel.
     """
     for depth in PARTIAL_SLIP_DEPTHS_MM:
         gel = _gel(10.0, friction=0.3, poisson_ratio=0.495)
@@ -109,10 +110,13 @@ def partial_slip_rows(quality: str, solver: Solver) -> Iterator[dict[str, Any]]:
         still, begun, *slipping = found.states
         radius, limit = still.contact_radius_mm, -gel.friction * still.force_n[2]
         contact = (limit, radius, shear_mpa, gel.poisson_ratio)
-        expected = float(theory.partial_slip_force_n(*contact, poses[1].shear_x_mm))
-        yield _known_row(case, found, 100 * (begun.force_n[0] / expected - 1), "first stiffness, %")
-        for pose, state in zip(poses[2:], slipping, strict=True):
-            share = 1 - float(theory.partial_slip_force_n(*contact, pose.shear_x_mm)) / limit
+        expected_n = []
+        for pose, state in zip(poses[1:], found.states[1:], strict=True):
+            held_back_mm = 3 * math.log(2) / (8 * math.pi) * state.force_n[0] / (shear_mpa * gel.thickness_mm)
+            expected_n.append(float(theory.partial_slip_force_n(*contact, pose.shear_x_mm + held_back_mm)))
+        yield _known_row(case, found, 100 * (begun.force_n[0] / expected_n[0] - 1), "first stiffness, %")
+        for pose, state, force_n in zip(poses[2:], slipping, expected_n[1:], strict=True):
+            share = 1 - force_n / limit
             stick = 1 - (1 - share ** (2 / 3)) ** 1.5
             yield _known_row(
                 case,

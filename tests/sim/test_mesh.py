@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
@@ -72,6 +74,17 @@ def test_a_pad_is_filled_without_gaps(name: str) -> None:
     inside &= (np.abs(centres[:, 1] - [[y_min], [y_max]]) > 1e-9).all(axis=0)
     inside &= (np.abs(centres[:, 2] - [[0.0], [-3.0]]) > 1e-9).all(axis=0)
     assert (np.hypot(*centres[inside, :2].T) > 0.9 * 9.9).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.0, 11.0), st.floats(0.0, 11.0), st.floats(0.0, math.pi))
+@example(7.63, 6.44, 2.3)
+def test_a_corner_of_the_pad_may_cut_the_mesh_anywhere(to_x_mm: float, to_y_mm: float, turn: float) -> None:
+    """Two vertices near the corner may be moved onto it: they are one then, and no tetrahedron is flat."""
+    direction = (math.cos(turn), math.sin(turn))
+    grid = DiscGrid(29.6, 6.6, 1.39, 8, 2.2, 7.4, axis_mm=(0.0, 0.54), direction=direction)
+    volume = _volumes(pad_mesh(grid, LAYERS, (-30.0, to_x_mm, -30.0, to_y_mm), symmetric=False))
+    assert volume.min() > 1e-6 * np.median(volume)
 
 
 def test_half_a_pad_is_half_of_it() -> None:
