@@ -1,5 +1,4 @@
 from .estimate import Diagnostics as Diagnostics
-from .indenter import AnyIndenter as AnyIndenter
 from .indenter import Indenter as Indenter
 from .indenter import Sphere as Sphere
 from .membrane import MembraneState as MembraneState
@@ -27,6 +26,13 @@ from .scene import Elastomer as Elastomer
 from .scene import Pose as Pose
 from .scene import Sharing as Sharing
 from .scene import is_interior as is_interior
+from .shapes import AnyIndenter as AnyIndenter
+from .shapes import Box as Box
+from .shapes import Cone as Cone
+from .shapes import ConvexMesh as ConvexMesh
+from .shapes import Cylinder as Cylinder
+from .shapes import Edge as Edge
+from .shapes import Ellipsoid as Ellipsoid
 from .solution import CacheEntry as CacheEntry
 from .solution import Solution as Solution
 from .solution import cache_entries as cache_entries

@@ -9,13 +9,15 @@ from scipy import linalg, optimize, sparse
 
 from gelgap.sim.fronts import Condensation
 from gelgap.sim.indenter import Indenter
-from gelgap.sim.mujoco_model import GelModel
+from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # MuJoCo wants some friction at every contact; nodes that are not held get this.
 _FRICTIONLESS = 1e-5
+# MuJoCo takes the y axis for a contact's first tangent unless the normal is this near to it.
+_NOT_ALONG_Y = 0.5
 # Contacts with less than this share of the largest normal force are noise that says nothing about friction.
 _NEGLIGIBLE_LOAD_SHARE = 1e-2
 # A vertex sticks if its friction is below this share of Coulomb's bound.
@@ -69,6 +71,18 @@ class FrictionalContacts:
         """Whether each contact carries more than a negligible share of the largest normal force."""
         normal = self.normal_force_n
         return normal > _NEGLIGIBLE_LOAD_SHARE * normal.max(initial=0.0)
+
+    def place(self) -> None:
+        """Give each contact that MuJoCo found the gap and normal of the indenter's own surface."""
+        data, sign = self._data, self._sign()
+        nearest = self._indenter.project(self._places_mm()[self.nodes])
+        normal = nearest.outward_normal * sign
+        # The first tangent is as MuJoCo chooses it.
+        other = np.where(np.abs(normal[:, 1:2]) < _NOT_ALONG_Y, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]])
+        first = other - (other * normal).sum(axis=1, keepdims=True) * normal
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        data.contact.frame[:] = np.concatenate([normal, first, np.cross(normal, first)], axis=1)
+        data.contact.dist[:] = nearest.distance_mm - NODE_RADIUS_MM
 
     def begin_load_step(self) -> None:
         """Forget the last load step; the new one starts where the next contacts are found."""
@@ -144,7 +158,7 @@ class FrictionalContacts:
 
     def _places_mm(self) -> Floats:
         """Return where all geoms lie, from the indenter's origin, (geoms, 3)."""
-        return self._data.geom_xpos - self._data.geom_xpos[self._gel.indenter_geom]
+        return self._data.geom_xpos - self._data.xpos[self._gel.indenter_body]
 
 
 class ContactNewton:

@@ -185,6 +185,8 @@ class StaticNewton:
         data.qvel[:] = 0
         data.qvel[self.gel.indenter_dof] = indenter_step_mm
         mujoco.mj_fwdPosition(model, data)
+        if data.ncon:
+            self.contacts.place()
         gap_mm = np.abs(data.contact.dist)
         if data.ncon:
             data.contact.includemargin[:] = 0

@@ -1,0 +1,96 @@
+"""How large a mesh's cells are along an axis: as the contact and the indenter's surface need them, growing away from it.
+
+A sphere's contact has `MeshSize.across` cells across its radius. From one cell to the next the sphere's normal turns by
+at most 1/across, so that cells on another body are no wider than where its own normal turns by some of these.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelgap.sim.problem import ContactProblem
+
+Floats = NDArray[np.float64]
+
+# By how many times 1/across the normal of the indenter's surface may turn from one cell to the next.
+_TURN_PER_CELL = 2.0
+# Where cells are even they are counted on this many points.
+_SAMPLES = 4000
+# At most about so many places say where the surface is curved.
+_CURVED_PLACES = 60
+# The smallest radius of curvature that a mesh serves, in cells of a sphere's contact of the same radius.
+_SHARPEST_CELLS = 0.35
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Cells are `size_mm` (n,) wide between `first_mm` and `last_mm` (n,), and grow by `growth` per mm beyond them."""
+
+    first_mm: Floats
+    last_mm: Floats
+    size_mm: Floats
+    growth: float
+    largest_mm: float
+
+    def at(self, places_mm: Floats) -> Floats:
+        """Return the width (k,) of cells at places (k,)."""
+        place = places_mm[:, None]
+        away_mm = np.maximum(np.maximum(self.first_mm - place, place - self.last_mm), 0.0)
+        return np.minimum((self.size_mm + self.growth * away_mm).min(axis=1), self.largest_mm)
+
+    def positions_mm(self, start_mm: float, end_mm: float) -> Floats:
+        """Return positions from start to end, each further from the last one by the width of a cell there."""
+        place = np.linspace(start_mm, end_mm, _SAMPLES)
+        density = 1 / self.at(place)
+        passed = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
+        cells = max(1, math.ceil(passed[-1] - 1e-9))
+        return np.interp(np.linspace(0.0, passed[-1], cells + 1), passed, place)
+
+
+def sizes_along(
+    problem: ContactProblem, axis: int, largest_mm: float, swept_mm: tuple[float, float]
+) -> Sizes:
+    """Return the sizes of cells along x or y (axis 0, 1), around what the indenter touches between two places.
+
+    Where its surface is curved the cells are fine, and at the ends of the contact; from there to the contact's middle
+    they widen to those of a contact as wide as the gel is thick.
+    """
+    cell_mm, size = problem.cell_mm, problem.mesh_size
+    low, high = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))[axis]
+    growth = math.log(size.ring_growth)
+    places, radius = problem.indenter.curvature(problem.depth_mm, axis, cell_mm)
+    turned = _TURN_PER_CELL * radius / size.across
+    curved = np.flatnonzero(turned < cell_mm)
+    curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
+    middle = np.linspace(low, high, 9)
+    within = np.minimum(
+        cell_mm + growth / 4 * np.minimum(middle - low, high - middle), max(cell_mm, problem.widest_cell_mm)
+    )
+    margin = np.where((middle == low) | (middle == high), cell_mm, 0.0)
+    return Sizes(
+        np.concatenate([places[curved], middle - margin]) + swept_mm[0],
+        np.concatenate([places[curved], middle + margin]) + swept_mm[1],
+        np.concatenate([turned[curved], within]),
+        growth,
+        largest_mm,
+    )
+
+
+def sharpest_mm(problem: ContactProblem) -> float:
+    """Return the smallest radius of curvature that the problem's mesh serves."""
+    return _SHARPEST_CELLS * problem.cell_mm
+
+
+def check_sharpness(problem: ContactProblem) -> None:
+    """Raise ValueError if the indenter's surface, where it is pressed, has an edge that the mesh does not serve."""
+    served_mm, indenter = sharpest_mm(problem), problem.indenter
+    for axis in (0, 1):
+        _, radius = indenter.curvature(problem.depth_mm, axis, served_mm)
+        # Over such a step an edge of this radius turns by one radian, and any sharper one by more.
+        if radius.min(initial=np.inf) < 0.98 * served_mm:
+            raise ValueError(
+                f"indenter ({indenter.label}): has an edge sharper than the mesh at quality {problem.quality.name} "
+                f"serves; the smallest radius that it serves here is {served_mm:.2g} mm"
+            )
