@@ -26,6 +26,7 @@ from .scene import Elastomer as Elastomer
 from .scene import Pose as Pose
 from .scene import Sharing as Sharing
 from .scene import is_interior as is_interior
+from .shapes import SHAPES as SHAPES
 from .shapes import AnyIndenter as AnyIndenter
 from .shapes import Box as Box
 from .shapes import Cone as Cone
@@ -33,6 +34,7 @@ from .shapes import ConvexMesh as ConvexMesh
 from .shapes import Cylinder as Cylinder
 from .shapes import Edge as Edge
 from .shapes import Ellipsoid as Ellipsoid
+from .shapes import load_indenter as load_indenter
 from .solution import CacheEntry as CacheEntry
 from .solution import Solution as Solution
 from .solution import cache_entries as cache_entries

@@ -20,6 +20,10 @@ _TURN_PER_CELL = 2.0
 _SAMPLES = 4000
 # At most about so many places say where the surface is curved.
 _CURVED_PLACES = 60
+# Cells in the middle of a contact, where nothing changes much, in those of a contact as wide as the gel is thick.
+_MIDDLE_CELLS = 1.5
+# The contact's inside is looked at in this many places.
+_CONTACT_PLACES = 33
 # The smallest radius of curvature that a mesh serves, in cells of a sphere's contact of the same radius.
 _SHARPEST_CELLS = 0.35
 
@@ -55,7 +59,7 @@ def sizes_along(
     """Return the sizes of cells along x or y (axis 0, 1), around what the indenter touches between two places.
 
     Where its surface is curved the cells are fine, and at the ends of the contact; from there to the contact's middle
-    they widen to those of a contact as wide as the gel is thick.
+    they widen to half as much again as those of a contact as wide as the gel is thick.
     """
     cell_mm, size = problem.cell_mm, problem.mesh_size
     low, high = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))[axis]
@@ -64,11 +68,15 @@ def sizes_along(
     turned = _TURN_PER_CELL * radius / size.across
     curved = np.flatnonzero(turned < cell_mm)
     curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
-    middle = np.linspace(low, high, 9)
+    middle = np.linspace(low, high, _CONTACT_PLACES)
     within = np.minimum(
-        cell_mm + growth / 4 * np.minimum(middle - low, high - middle), max(cell_mm, problem.widest_cell_mm)
+        cell_mm + growth * np.minimum(middle - low, high - middle), max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm)
     )
+    # A less deep contact of a pointed body ends further in, and is to be as many cells wide.
+    further = np.abs(middle)[:, None] - np.abs(places[curved])
+    pointed = np.where(further > 0, turned[curved] + further / size.across, np.inf)
     margin = np.where((middle == low) | (middle == high), cell_mm, 0.0)
+    within = np.where(margin > 0, within, np.minimum(within, pointed.min(axis=1, initial=np.inf)))
     return Sizes(
         np.concatenate([places[curved], middle - margin]) + swept_mm[0],
         np.concatenate([places[curved], middle + margin]) + swept_mm[1],

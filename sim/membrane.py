@@ -196,7 +196,8 @@ def _press_onto(
     indenter: Indenter, rest_mm: Floats, displacement_mm: Floats, origin_mm: Floats
 ) -> NDArray[np.bool_]:
     """Move points (..., 3) that touch the indenter onto its surface, in place; return which do (...)."""
-    reach_mm = indenter.penetration_radius_mm(indenter.deepest_mm) + _BULGE_MM
+    depth_mm = min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm)
+    reach_mm = indenter.penetration_radius_mm(max(depth_mm, 0.0)) + _BULGE_MM
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
     near = np.flatnonzero((along_x < reach_mm) & (along_y < reach_mm))

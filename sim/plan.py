@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.sim.estimate import diagnose
+from gelgap.sim.grading import check_sharpness
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
@@ -168,7 +169,7 @@ class SolvePlan:
             return flat_state(extent_mm)
         record, ratio = solution.records[placement.record], self._modulus_ratio(solution)
         table, radius_mm = _table_and_radius(solution, placement.record)
-        on_indenter = pose, placement.frame, self.indenter, table, record.indenter_mm
+        on_indenter = pose, placement.frame, solution.problem.indenter, table, record.indenter_mm
         displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
         axes_mm = grid_axes(extent_mm)
         folded = is_folded(*axes_mm, displacement_mm)
@@ -254,6 +255,7 @@ def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
     for problem, served in (*_descent_problems(scene, poses), *_trajectory_problems(scene, poses)):
         for index, (record, frame) in served.items():
             placements[index] = Placement(len(solves), record, frame)
+        check_sharpness(problem)
         solves.append(Solve(problem, scene.sharing.cache))
     return SolvePlan(scene.elastomer, scene.indenter, poses, tuple(solves), tuple(placements))
 

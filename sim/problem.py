@@ -163,7 +163,7 @@ class ContactProblem:
             moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
             friction=gel.friction,
             thickness_mm=gel.thickness_mm,
-            indenter=scene.indenter,
+            indenter=scene.indenter_in_frame(edges=pad_mm is not None),
             mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
             pad_mm=pad_mm,
             # Adding 0 turns −0, which would have another key, into 0.

@@ -15,7 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from gelgap.assets import list_presets, load_preset
+from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import within
+from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.indenter import Floats, Indenter, Projection, Sphere, Symmetry
 
 LARGEST_TILT_DEG = 15.0
@@ -25,6 +28,7 @@ _OUTLINE_DIRECTIONS = 96
 _OUTLINE_HALVINGS = 26
 _STEPS_ALONG_PROFILE = 2000
 _FAR_BELOW_MM = 1e4
+_POINTS_AT_A_TIME = 500
 # Bodies whose height no field says are as high as they are wide, and at least this high.
 _SMALLEST_HEIGHT_MM = 10.0
 # A tilt is taken for none below this.
@@ -383,27 +387,9 @@ class RoundedHull(Shape):
         """The points (n, 3)."""
 
     def _nearest(self, points_mm: Floats) -> tuple[Floats, Floats]:
-        from scipy.spatial.distance import cdist
-        from trimesh.triangles import closest_point
-
-        triangles, normals, offsets = _facets(self)
-        heights = points_mm @ normals.T + offsets
-        face = heights.argmax(axis=1)
-        distance_mm, normal = heights[np.arange(len(face)), face], normals[face]
-        outside = np.flatnonzero(distance_mm > 0)
-        # No triangle is nearer than its centre less its size; one is as near as the nearest centre.
-        to_centre = cdist(points_mm[outside], triangles.mean(axis=1))
-        size_mm = np.linalg.norm(triangles - triangles.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-        pairs = np.argwhere(to_centre - size_mm <= to_centre.min(axis=1, keepdims=True))
-        at, of = outside[pairs[:, 0]], pairs[:, 1]
-        apart = points_mm[at] - closest_point(triangles[of], points_mm[at])
-        length = np.linalg.norm(apart, axis=1)
-        order = np.lexsort([length, at])
-        first = order[np.unique(at[order], return_index=True)[1]]
-        clear = first[length[first] > 1e-9]
-        distance_mm[at[clear]] = length[clear]
-        normal[at[clear]] = apart[clear] / length[clear, None]
-        return distance_mm - self._rounding_mm, normal
+        parts = np.array_split(points_mm, 1 + len(points_mm) // _POINTS_AT_A_TIME)
+        distance_mm, normal = zip(*(_onto_hull(part, _facets(self)) for part in parts), strict=True)
+        return np.concatenate(distance_mm) - self._rounding_mm, np.concatenate(normal)
 
     def _support_mm(self, directions: Floats) -> Floats:
         return (directions @ self._corners_mm.T).max(axis=1) + self._rounding_mm
@@ -463,7 +449,7 @@ class ConvexMesh(RoundedHull):
     hull_mm: tuple[tuple[float, float, float], ...] = Field(
         description="Corners of the convex hull, mm; the lowest is moved to z = 0."
     )
-    rounding_mm: Annotated[float, within(0.0, 25.0, "mm")] = Field(
+    edge_radius_mm: Annotated[float, within(0.0, 25.0, "mm")] = Field(
         default=0.0, description="Radius of the ball that rolls around the hull and rounds it, mm, 0 to 25."
     )
 
@@ -510,24 +496,75 @@ class ConvexMesh(RoundedHull):
     @property
     def _sizes(self) -> str:
         return f"{len(self.hull_mm)} corners, " + " × ".join(
-            f"{size:.3g}" for size in np.ptp(self._corners_mm, axis=0) + 2 * self.rounding_mm
+            f"{size:.3g}" for size in np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm
         ) + " mm"
 
     @property
     def _height_mm(self) -> float:
-        return float(np.ptp(self._corners_mm[:, 2])) + 2 * self.rounding_mm
+        return float(np.ptp(self._corners_mm[:, 2])) + 2 * self.edge_radius_mm
 
     @property
     def _rounding_mm(self) -> float:
         return self.rounding_mm
 
     @property
+    def _rounding_mm(self) -> float:
+        return self.edge_radius_mm
+
+    @property
     def _corners_mm(self) -> Floats:
-        return _hull_mm(self.hull_mm) + [0.0, 0.0, self.rounding_mm]
+        return _hull_mm(self.hull_mm) + [0.0, 0.0, self.edge_radius_mm]
 
 
 AnyIndenter = Sphere | Cylinder | Cone | Edge | Box | Ellipsoid | ConvexMesh
 """Type of a field that holds any shape; pydantic tells shapes apart by the names of their fields."""
+SHAPES: dict[str, type[Indenter]] = {
+    shape.shape: shape for shape in (Sphere, Cylinder, Cone, Edge, Box, Ellipsoid)
+}
+
+
+def load_indenter(name: str, **fields: Any) -> AnyIndenter:
+    """Return the indenter of a shape's name, a preset, a TOML file or a mesh file, with some fields given anew.
+
+    A TOML file has `shape`, or `mesh` as a path beside it, and the shape's fields.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If there is no such shape or preset, it has no such field, a value is out of range, or a mesh is not served.
+    """
+    if name in SHAPES:
+        return _made(SHAPES[name], fields)
+    if name.endswith(".toml"):
+        with named_in_errors(name):
+            return _from_table(read_toml(name), Path(name).parent, fields)
+    if "." in name:
+        return _made(ConvexMesh, fields, Path(name))
+    known = (*SHAPES, *list_presets("indenters"))
+    if name not in known:
+        hint = "known ones, or name a .toml or a mesh file"
+        raise ValueError(unknown_name("indenter", name, known, hint))
+    return _from_table(load_preset("indenters", name), Path(), fields)
+
+
+def _from_table(values: dict[str, Any], folder: Path, fields: dict[str, Any]) -> AnyIndenter:
+    values.pop("description", None)
+    mesh, shape = values.pop("mesh", None), values.pop("shape", None)
+    if mesh is not None and shape is None:
+        return _made(ConvexMesh, values | fields, folder / str(mesh))
+    if shape not in SHAPES:
+        raise ValueError(unknown_name("shape", str(shape), tuple(SHAPES), "known shapes"))
+    return _made(SHAPES[shape], values | fields)
+
+
+def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) -> Any:
+    for name in fields:
+        if name not in shape.model_fields:
+            known = ", ".join(field for field in shape.model_fields if field != "hull_mm")
+            raise ValueError(f"{name}: a {shape.shape} has none; it has {known}")
+    return shape(**fields) if mesh is None else shape.load(mesh, **fields)
 
 
 class _Facets(NamedTuple):
@@ -545,6 +582,31 @@ def _facets(body: RoundedHull) -> _Facets:
     corners = body._corners_mm
     hull = ConvexHull(corners)
     return _Facets(corners[hull.simplices], hull.equations[:, :3], hull.equations[:, 3])
+
+
+def _onto_hull(points_mm: Floats, facets: _Facets) -> tuple[Floats, Floats]:
+    """Return signed distance (n,) and gradient (n, 3) at points (n, 3) of a convex hull."""
+    from scipy.spatial.distance import cdist
+    from trimesh.triangles import closest_point
+
+    triangles, normals, offsets = facets
+    heights = points_mm @ normals.T + offsets
+    face = heights.argmax(axis=1)
+    distance_mm, normal = heights[np.arange(len(face)), face], normals[face]
+    outside = np.flatnonzero(distance_mm > 0)
+    # No triangle is nearer than its centre less its size; one is as near as the nearest centre.
+    to_centre = cdist(points_mm[outside], triangles.mean(axis=1))
+    size_mm = np.linalg.norm(triangles - triangles.mean(axis=1, keepdims=True), axis=2).max(axis=1)
+    pairs = np.argwhere(to_centre - size_mm <= to_centre.min(axis=1, keepdims=True))
+    at, of = outside[pairs[:, 0]], pairs[:, 1]
+    apart = points_mm[at] - closest_point(triangles[of], points_mm[at])
+    length = np.linalg.norm(apart, axis=1)
+    order = np.lexsort([length, at])
+    first = order[np.unique(at[order], return_index=True)[1]]
+    clear = first[length[first] > 1e-9]
+    distance_mm[at[clear]] = length[clear]
+    normal[at[clear]] = apart[clear] / length[clear, None]
+    return distance_mm, normal
 
 
 @lru_cache(maxsize=8)
