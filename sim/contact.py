@@ -143,11 +143,14 @@ class FrictionalContacts:
         sticks = np.linalg.norm(forces[:, 1:], axis=1) < _STICKING_SHARE * self._friction * normal
         return float(1.0 - normal[~sticks].sum() / normal.sum())
 
-    def vertex_normal_force_n(self) -> Floats:
-        """Return the normal force on each vertex of the mesh."""
-        forces = np.zeros(len(self._gel.mesh.vertices_mm))
-        forces[self._gel.vertex_of_geom[self.nodes]] = self.normal_force_n
-        return forces
+    def vertex_forces_n(self) -> tuple[Floats, Floats]:
+        """Return the normal force (n,) on each vertex of the mesh, and the whole contact force (n, 3)."""
+        vertices = self._gel.vertex_of_geom[self.nodes]
+        normal, whole = np.zeros(len(self._gel.mesh.vertices_mm)), np.zeros((len(self._gel.mesh.vertices_mm), 3))
+        normal[vertices] = self.normal_force_n
+        frames = self._data.contact.frame.reshape(-1, 3, 3)
+        whole[vertices] = np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign()
+        return normal, whole
 
     def _sign(self) -> Floats:
         """Return 1 where a contact's frame leads from the indenter to the node, −1 where it leads back, (contacts, 1).

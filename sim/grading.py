@@ -22,6 +22,7 @@ _SAMPLES = 4000
 _CURVED_PLACES = 60
 # Cells in the middle of a contact, where nothing changes much, in those of a contact as wide as the gel is thick.
 _MIDDLE_CELLS = 1.5
+_INWARDS = 0.5
 # The contact's inside is looked at in this many places.
 _CONTACT_PLACES = 33
 # The smallest radius of curvature that a mesh serves, in cells of a sphere's contact of the same radius.
@@ -30,19 +31,23 @@ _SHARPEST_CELLS = 0.35
 
 @dataclass(frozen=True)
 class Sizes:
-    """Cells are `size_mm` (n,) wide between `first_mm` and `last_mm` (n,), and grow by `growth` per mm beyond them."""
+    """Cells are `size_mm` (n,) wide between `first_mm` and `last_mm` (n,).
+
+    They grow by `below` and `above` (n,) per mm before the first and beyond the last place.
+    """
 
     first_mm: Floats
     last_mm: Floats
     size_mm: Floats
-    growth: float
+    below: Floats
+    above: Floats
     largest_mm: float
 
     def at(self, places_mm: Floats) -> Floats:
         """Return the width (k,) of cells at places (k,)."""
         place = places_mm[:, None]
-        away_mm = np.maximum(np.maximum(self.first_mm - place, place - self.last_mm), 0.0)
-        return np.minimum((self.size_mm + self.growth * away_mm).min(axis=1), self.largest_mm)
+        grown = np.maximum(self.below * (self.first_mm - place), self.above * (place - self.last_mm))
+        return np.minimum((self.size_mm + np.maximum(grown, 0.0)).min(axis=1), self.largest_mm)
 
     def positions_mm(self, start_mm: float, end_mm: float) -> Floats:
         """Return positions from start to end, each further from the last one by the width of a cell there."""
@@ -70,18 +75,23 @@ def sizes_along(
     curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
     middle = np.linspace(low, high, _CONTACT_PLACES)
     within = np.minimum(
-        cell_mm + growth * np.minimum(middle - low, high - middle), max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm)
+        cell_mm + growth * np.minimum(middle - low, high - middle),
+        max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm),
     )
     # A less deep contact of a pointed body ends further in, and is to be as many cells wide.
     further = np.abs(middle)[:, None] - np.abs(places[curved])
     pointed = np.where(further > 0, turned[curved] + further / size.across, np.inf)
     margin = np.where((middle == low) | (middle == high), cell_mm, 0.0)
     within = np.where(margin > 0, within, np.minimum(within, pointed.min(axis=1, initial=np.inf)))
+    place, margin = np.concatenate([places[curved], middle]), np.concatenate([0 * places[curved], margin])
+    # Towards the middle of the contact, where it carries load, cells grow half as fast as away from it.
+    beyond = place > (low + high) / 2
     return Sizes(
-        np.concatenate([places[curved], middle - margin]) + swept_mm[0],
-        np.concatenate([places[curved], middle + margin]) + swept_mm[1],
+        place - margin + swept_mm[0],
+        place + margin + swept_mm[1],
         np.concatenate([turned[curved], within]),
-        growth,
+        growth * np.where(beyond, _INWARDS, 1.0),
+        growth * np.where(beyond, 1.0, _INWARDS),
         largest_mm,
     )
 

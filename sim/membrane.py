@@ -25,7 +25,7 @@ GRID_HALF_EXTENT_MM = (7.0, 5.5)
 
 # The arrays of a saved state.
 _NEEDED = ("x_mm", "y_mm", "displacement_mm")
-_OPTIONAL = ("contact", "force_n", "contact_radius_mm", "converged")
+_OPTIONAL = ("contact", "force_n", "torque_n_mm", "contact_radius_mm", "converged")
 
 # A triangle of the grid is folded if its area, in cells and seen from the camera, is below minus this; the renderer
 # refuses the same.
@@ -66,7 +66,8 @@ class MembraneState:
     """The outer membrane on its rest grid, in the sensor's frame.
 
     `displacement_mm` is (ny, nx, 3), `contact` (ny, nx) bool, `force_n` (3,) the force of the indenter on the sensor,
-    `contact_radius_mm` the deformed radius where the normal pressure vanishes (0 without contact).
+    `torque_n_mm` (3,) its torque about the contact point p on the undeformed membrane; about the sensor's origin it is
+    `torque_n_mm` + p × `force_n`. `contact_radius_mm` the deformed radius where the normal pressure vanishes (0 without contact).
     """
 
     x_mm: NDArray[np.float64]
@@ -77,6 +78,7 @@ class MembraneState:
     contact_radius_mm: float = 0.0
     converged: bool = True
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
+    torque_n_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
@@ -114,6 +116,7 @@ class MembraneState:
             "displacement_mm": (*shape, 3),
             "contact": shape,
             "force_n": (3,),
+            "torque_n_mm": (3,),
             "contact_radius_mm": (),
             "converged": (),
         }

@@ -131,7 +131,8 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
         # Seen from the ends of the line that the axis is drawn out to, the rim on its way is nearer by up to its length.
         swept_mm = axis[0] - axis[1] - aside, aside
         sizes = sizes_along(problem, 0, _LARGEST_CELL * thickness, swept_mm)
-        spacing, finest = float(sizes.at(np.zeros(1))[0]), float(sizes.size_mm.min())
+        # The core is to end before the contact does.
+        spacing, finest = min(spacing, float(sizes.at(np.zeros(1))[0])), float(sizes.size_mm.min())
     grid = DiscGrid(
         radius,
         fine_radius,

@@ -178,6 +178,7 @@ class SolvePlan:
             displacement_mm,
             contact,
             force_n=placement.frame.on_sensor(record.force_n * ratio),
+            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * ratio),
             contact_radius_mm=radius_mm,
             converged=record.converged and not folded,
             diagnostics=diagnose(solution.problem, record, radius_mm, ratio, folded=folded),

@@ -263,6 +263,10 @@ class CanonicalFrame:
         """Return a vector (3,) of this frame, such as a force, in the sensor's."""
         return self.to_sensor_3d @ vector
 
+    def torque_on_sensor(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a torque (3,) of this frame in the sensor's: a reflection turns it round."""
+        return np.linalg.det(self.to_sensor).round() * self.on_sensor(torque) + 0.0
+
 
 def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
     """Return whether the pad's edges are too far from a contact point to matter."""
