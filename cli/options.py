@@ -231,7 +231,9 @@ class IndenterOptions:
     """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (see: gelgap presets indenters), TOML or mesh file."""
     indenter_diameter_mm: Annotated[float | None, optional("MM", "3; cone: 6"), between(0.5, 50, "mm")] = None
     """Diameter in mm, of sphere, cylinder, cone or edge."""
-    edge_radius_mm: Annotated[float | None, optional("MM", "0.2 or 0.3; mesh: 0"), between(0, 25, "mm")] = None
+    edge_radius_mm: Annotated[float | None, optional("MM", "0.2 or 0.3; mesh: 0"), between(0, 25, "mm")] = (
+        None
+    )
     """Rounding of a cylinder's face, of the ends of an edge, of a box, or of a mesh, in mm."""
     half_angle_deg: Annotated[float | None, optional("DEG", "60"), between(20, 85, "°")] = None
     """Angle between axis and flank of a cone, in degrees."""

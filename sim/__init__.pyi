@@ -46,3 +46,6 @@ from .solved_path import PATH_DEPTHS_MM as PATH_DEPTHS_MM
 from .solved_path import PATH_TRAVELS_MM as PATH_TRAVELS_MM
 from .solved_path import SolvedPath as SolvedPath
 from .solved_path import plan_path as plan_path
+from .traction import Traction as Traction
+from .traction import solve_traction as solve_traction
+from .traction import traction_map as traction_map

@@ -146,7 +146,10 @@ class FrictionalContacts:
     def vertex_forces_n(self) -> tuple[Floats, Floats]:
         """Return the normal force (n,) on each vertex of the mesh, and the whole contact force (n, 3)."""
         vertices = self._gel.vertex_of_geom[self.nodes]
-        normal, whole = np.zeros(len(self._gel.mesh.vertices_mm)), np.zeros((len(self._gel.mesh.vertices_mm), 3))
+        normal, whole = (
+            np.zeros(len(self._gel.mesh.vertices_mm)),
+            np.zeros((len(self._gel.mesh.vertices_mm), 3)),
+        )
         normal[vertices] = self.normal_force_n
         frames = self._data.contact.frame.reshape(-1, 3, 3)
         whole[vertices] = np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign()

@@ -305,6 +305,16 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
 
 def pressure_table(solution: Solution, record: Record) -> PolarTable:
     """Tabulate the normal pressure in MPa: the vertices' forces over their shares of the deformed surface's area."""
+    return _per_area(solution, record, np.maximum(record.normal_force_n, 0)[:, None])
+
+
+def traction_table(solution: Solution, record: Record) -> PolarTable:
+    """Tabulate the contact stress (3 components) in MPa in the same way."""
+    return _per_area(solution, record, record.contact_force_n.astype(float))
+
+
+def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable:
+    """Tabulate forces (n, k) of the solution's vertices over their shares of the deformed area."""
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import Delaunay
 
@@ -316,8 +326,8 @@ def pressure_table(solution: Solution, record: Record) -> PolarTable:
     first, second, third = (position[corners[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
     share = np.bincount(corners.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
-    pressure = np.maximum(record.normal_force_n, 0) / np.maximum(share, 1e-9)
-    values = LinearNDInterpolator(triangulation, pressure[:, None])(_polar_points(solution, rest))
+    per_area = force_n / np.maximum(share, 1e-9)[:, None]
+    values = LinearNDInterpolator(triangulation, per_area)(_polar_points(solution, rest))
     return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
 
 

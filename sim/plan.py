@@ -167,7 +167,7 @@ class SolvePlan:
         )
         if placement is None:
             return flat_state(extent_mm)
-        record, ratio = solution.records[placement.record], self._modulus_ratio(solution)
+        record, ratio = solution.records[placement.record], self.modulus_ratio(solution)
         table, radius_mm = _table_and_radius(solution, placement.record)
         on_indenter = pose, placement.frame, solution.problem.indenter, table, record.indenter_mm
         displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
@@ -184,7 +184,7 @@ class SolvePlan:
             diagnostics=diagnose(solution.problem, record, radius_mm, ratio, folded=folded),
         )
 
-    def _modulus_ratio(self, solution: Solution) -> float:
+    def modulus_ratio(self, solution: Solution) -> float:
         """Return by how much forces are larger than those of the solved gel, which stands for all moduli."""
         return self.elastomer.mujoco_moduli.young_modulus_mpa / solution.problem.moduli.young_modulus_mpa
 
@@ -205,7 +205,7 @@ def solved_pose(plan: SolvePlan, pose_index: int, solution: Solution | None) -> 
     table = pressure_table(solution, record)
     half_extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
     _, places = places_around(half_extent_mm, plan.poses[pose_index], placement.frame, table)
-    pressure = table.at(places)[..., 0] * plan._modulus_ratio(solution)
+    pressure = table.at(places)[..., 0] * plan.modulus_ratio(solution)
     return SolvedPose(state, pressure.astype(np.float32), placement.frame.on_sensor(record.indenter_mm))
 
 

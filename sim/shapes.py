@@ -161,7 +161,9 @@ class Shape(Indenter):
         return places_mm, 1 / np.maximum(turn_per_mm, 1e-9)
 
     def check(self, depth_mm: float) -> None:
-        lifted_mm = float((self._face_mm @ self._turn[2]).max()) - float((self._face_mm @ self._turn[2]).min())
+        lifted_mm = float((self._face_mm @ self._turn[2]).max()) - float(
+            (self._face_mm @ self._turn[2]).min()
+        )
         if any(self.tilt_deg) and lifted_mm > depth_mm:
             raise ValueError(
                 f"tilt_deg = {self.tilt_deg[0]:g} {self.tilt_deg[1]:g}: lifts the far side of the {self.shape} by "
@@ -495,9 +497,11 @@ class ConvexMesh(RoundedHull):
 
     @property
     def _sizes(self) -> str:
-        return f"{len(self.hull_mm)} corners, " + " × ".join(
-            f"{size:.3g}" for size in np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm
-        ) + " mm"
+        return (
+            f"{len(self.hull_mm)} corners, "
+            + " × ".join(f"{size:.3g}" for size in np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm)
+            + " mm"
+        )
 
     @property
     def _height_mm(self) -> float:
@@ -631,7 +635,10 @@ def _outline_mm(body: Shape, depth_mm: float) -> Floats:
     angle = np.linspace(0, 2 * np.pi, _OUTLINE_DIRECTIONS, endpoint=False)
     direction = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     centre = np.array([x, y, depth_mm - lowest_mm])
-    inside, beyond = np.zeros(len(angle)), np.full(len(angle), 2 * float(body.reach_mm(direction).max()) + 1.0)
+    inside, beyond = (
+        np.zeros(len(angle)),
+        np.full(len(angle), 2 * float(body.reach_mm(direction).max()) + 1.0),
+    )
     for _ in range(_OUTLINE_HALVINGS):
         middle = (inside + beyond) / 2
         is_inside = body.project(centre + middle[:, None] * direction).distance_mm < 0

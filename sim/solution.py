@@ -113,7 +113,10 @@ class Solution:
 def solution_bytes(solution: Solution) -> bytes:
     """Return a solution as the bytes of a file."""
     problem = _PROBLEM.dump_json(solution.problem)
-    stacked = {name: np.stack([getattr(record, name) for record in solution.records]) for name in (*_STACKED, *_LATER)}
+    stacked = {
+        name: np.stack([getattr(record, name) for record in solution.records])
+        for name in (*_STACKED, *_LATER)
+    }
     diagnostics = np.array([astuple(record.diagnostics) for record in solution.records], dtype=np.float64)
     buffer = io.BytesIO()
     np.savez(
