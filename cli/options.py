@@ -228,7 +228,7 @@ class IndenterOptions:
     """What is pressed into the gel: a shape, and those of its sizes that are not as by default."""
 
     indenter: Annotated[str, indenter_name] = "sphere"
-    """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (see: gelgap presets indenters), TOML or mesh file."""
+    """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (gelgap presets indenters), TOML or mesh file."""
     indenter_diameter_mm: Annotated[float | None, optional("MM", "3; cone: 6"), between(0.5, 50, "mm")] = None
     """Diameter in mm, of sphere, cylinder, cone or edge."""
     edge_radius_mm: Annotated[float | None, optional("MM", "0.2 or 0.3; mesh: 0"), between(0, 25, "mm")] = (

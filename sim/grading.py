@@ -1,4 +1,4 @@
-"""How large a mesh's cells are along an axis: as the contact and the indenter's surface need them, growing away from it.
+"""How wide a mesh's cells are along an axis: as contact and indenter's surface need them, growing away from them.
 
 A sphere's contact has `MeshSize.across` cells across its radius. From one cell to the next the sphere's normal turns by
 at most 1/across, so that cells on another body are no wider than where its own normal turns by some of these.

@@ -67,7 +67,8 @@ class MembraneState:
 
     `displacement_mm` is (ny, nx, 3), `contact` (ny, nx) bool, `force_n` (3,) the force of the indenter on the sensor,
     `torque_n_mm` (3,) its torque about the contact point p on the undeformed membrane; about the sensor's origin it is
-    `torque_n_mm` + p × `force_n`. `contact_radius_mm` the deformed radius where the normal pressure vanishes (0 without contact).
+    `torque_n_mm` + p × `force_n`. `contact_radius_mm` is the deformed radius where the normal pressure vanishes (0
+    without contact).
     """
 
     x_mm: NDArray[np.float64]

@@ -128,7 +128,7 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
         radius = max(radius, contact + aside + _BESIDE_WIDE_CONTACT_THICKNESSES * thickness)
     sizes, finest = None, spacing
     if not isinstance(problem.indenter, Sphere):
-        # Seen from the ends of the line that the axis is drawn out to, the rim on its way is nearer by up to its length.
+        # From the ends of the line that the axis is drawn out to, the rim on its way is nearer by up to its length.
         swept_mm = axis[0] - axis[1] - aside, aside
         sizes = sizes_along(problem, 0, _LARGEST_CELL * thickness, swept_mm)
         # The core is to end before the contact does.
@@ -148,7 +148,7 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
 
 
 def _between_lines(problem: ContactProblem) -> tuple[Points, Cells, float]:
-    """Return plane cells between lines along x and y, for a contact that is not round, and the width of the finest."""
+    """Return plane cells between lines along x and y, for any contact, and the width of the finest."""
     thickness, points = problem.thickness_mm, problem.segments_mm.reshape(-1, 3)
     cut_mm = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))
     beside = _BESIDE_WIDE_CONTACT_THICKNESSES if problem.contact_width > 1 else _DISC_THICKNESSES
@@ -188,7 +188,7 @@ def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symm
 
 
 def pad_cells(grid: DiscGrid, pad_mm: PadEdges | None, *, symmetric: bool) -> tuple[Points, Cells]:
-    """Divide the part of the pad that lies within a disc around the contact axis, or around the line it is drawn out to.
+    """Divide the part of the pad within a disc around the contact axis, or around the line it is drawn out to.
 
     `pad_mm` is (x min, x max, y min, y max), on whose edges the axis may lie, or None for a pad without edges. If the
     scene is `symmetric` about y = 0, only y ≥ 0 is divided.
@@ -416,8 +416,8 @@ def _split_prisms(plane: Points, cells: Cells, layers_mm: Points) -> tuple[Point
 def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
     """Return the surface vertices that the indenter can touch.
 
-    They lie within its penetration radius, and a margin, of the segments along which it travels over the plane, or this
-    near to the body at its deepest, if it is not one of revolution. What friction drags along is touched no further out.
+    They lie within its penetration radius, and a margin, of the segments along which it travels over the plane, or as
+    near to the body at its deepest, if it is not one of revolution. What friction drags along is touched no further.
     """
     points_mm, radius_mm = mesh.vertices_mm[mesh.surface, :2], problem.penetration_radius_mm
     margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)

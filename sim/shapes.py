@@ -1,4 +1,4 @@
-"""Indenters other than the sphere: rounded bodies of revolution, boxes, ellipsoids and convex meshes, turned and tilted.
+"""Indenters beside the sphere: rounded bodies of revolution, boxes, ellipsoids and convex meshes, turned and tilted.
 
 A shape is a signed distance with its gradient, and how far the body reaches in a direction. Most are the Minkowski sum
 of a sharp convex core and a ball: the distance from the core less the ball's radius. All else, such as where the body
@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gelgap.assets import list_presets, load_preset
@@ -517,7 +516,7 @@ class ConvexMesh(RoundedHull):
 
     @property
     def _corners_mm(self) -> Floats:
-        return _hull_mm(self.hull_mm) + [0.0, 0.0, self.edge_radius_mm]
+        return _hull_mm(self.hull_mm) + np.array([0.0, 0.0, self.edge_radius_mm])
 
 
 AnyIndenter = Sphere | Cylinder | Cone | Edge | Box | Ellipsoid | ConvexMesh

@@ -57,8 +57,8 @@ class Record:
 
     `displacement_mm` (n, 3) belongs to the solution's surface vertices, `normal_force_n` (n,) is the normal contact
     force at each of them, `contact_force_n` (n, 3) the whole one, `indenter_mm` (3,) the indenter's displacement from
-    touching the gel, `force_n` (3,) its force on the gel, and `torque_n_mm` (3,) its torque about the contact point, the
-    origin of the problem's frame.
+    touching the gel, `force_n` (3,) its force on the gel, and `torque_n_mm` (3,) its torque about the contact point,
+    the origin of the problem's frame.
     """
 
     displacement_mm: NDArray[np.float32]
@@ -198,7 +198,7 @@ class CacheEntry:
 
 
 def load_solution(key: str) -> Solution | None:
-    """Return the cached solution of that key; None if there is no complete one. A damaged file is named and set aside."""
+    """Return the cached, complete solution of that key, or None. A damaged file is named and set aside."""
     path = _path(key)
     try:
         data = path.read_bytes()

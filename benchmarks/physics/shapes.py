@@ -55,7 +55,7 @@ COLUMNS = (
     *("core s/pose", "vertices", "unconverged"),
 )
 SAME_DEPTHS_MM = (0.2, 0.4, 0.6)
-NOTE = "displacement within 5 mm; ref ±: the references' own uncertainty; core s: a process with imports, over its poses"
+NOTE = "displacement within 5 mm; ref ±: the references' own; core s: a process with imports, over its poses"
 TARGETS = "targets at standard: round bodies 3 % rms, 6 % worst, 8 µm; lying cylinder 4 % rms, 10 µm"
 
 

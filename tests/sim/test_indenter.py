@@ -18,9 +18,12 @@ class Capsule(Sphere):
     """A sphere drawn out along x: a cylinder with round ends."""
 
     shape: ClassVar[str] = "capsule"
-    symmetry: ClassVar[Symmetry] = Symmetry.MIRROR
 
     length_mm: float = 1.0
+
+    @property
+    def symmetry(self) -> Symmetry:
+        return Symmetry.MIRROR
 
     @property
     def label(self) -> str:
