@@ -12,6 +12,7 @@ from .path import PosePath as PosePath
 from .path import load_path as load_path
 from .plan import Solve as Solve
 from .plan import SolvePlan as SolvePlan
+from .plan import joined as joined
 from .plan import known_pace as known_pace
 from .plan import measured_pace as measured_pace
 from .plan import plan_solves as plan_solves

@@ -159,7 +159,8 @@ class SolvePlan:
         no further than the pad if that is larger than the grid by default.
         """
         pose, placement = self.poses[pose_index], self.placements[pose_index]
-        reach_mm = pose.radius_mm + _COVERED_RADII * self.indenter.penetration_radius_mm(pose.depth_mm)
+        indenter = self.indenter if placement is None else solution.problem.indenter
+        reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
         point_mm = pose.point_x_mm, pose.point_y_mm
         extent_mm = tuple(
             min(max(wanted, abs(point) + reach_mm), size / 2)
@@ -169,7 +170,7 @@ class SolvePlan:
             return flat_state(extent_mm)
         record, ratio = solution.records[placement.record], self.modulus_ratio(solution)
         table, radius_mm = _table_and_radius(solution, placement.record)
-        on_indenter = pose, placement.frame, solution.problem.indenter, table, record.indenter_mm
+        on_indenter = pose, placement.frame, indenter, table, record.indenter_mm
         displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
         axes_mm = grid_axes(extent_mm)
         folded = is_folded(*axes_mm, displacement_mm)
@@ -187,6 +188,18 @@ class SolvePlan:
     def modulus_ratio(self, solution: Solution) -> float:
         """Return by how much forces are larger than those of the solved gel, which stands for all moduli."""
         return self.elastomer.mujoco_moduli.young_modulus_mpa / solution.problem.moduli.young_modulus_mpa
+
+
+def joined(plans: Sequence[SolvePlan]) -> SolvePlan:
+    """Return the plans of one gel under several indenters as one, their poses one after another."""
+    solves: list[Solve] = []
+    placements: list[Placement | None] = []
+    for plan in plans:
+        shift = len(solves)
+        placements += [own and replace(own, solve=own.solve + shift) for own in plan.placements]
+        solves += plan.solves
+    poses = tuple(pose for plan in plans for pose in plan.poses)
+    return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))
 
 
 @lru_cache(maxsize=64)

@@ -67,16 +67,16 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
     ValueError
         If a contact cannot be solved.
     """
-    from gelgap.sim import plan_solves
+    from gelgap.sim import joined, plan_solves
 
     alike: dict[tuple[Any, ...], list[DomainRecipe]] = {}
     for recipe in recipes:
-        same = (recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality)
+        same = (recipe.elastomer, recipe.indenters, recipe.solved_path(), recipe.quality)
         alike.setdefault(same, []).append(recipe)
     solves: dict[str, Solve] = {}
     batches = []
-    for contacts, members in alike.items():
-        physics = plan_solves(*contacts)
+    for (elastomer, indenters, *contacts), members in alike.items():
+        physics = joined([plan_solves(elastomer, indenter, *contacts) for indenter in indenters])
         by_key = {solve.key: solve for solve in physics.solves}
         for number, (start, stop) in enumerate(shard_bounds(len(physics.poses))):
             serving = {physics.solve_key(frame) for frame in range(start, stop)}
@@ -147,7 +147,13 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         frames=plan.frames,
         shards=shards,
         contacts=len(
-            {(r.elastomer, pose) for r in recipes for pose in r.solved_path().poses if pose.depth_mm > 0}
+            {
+                (r.elastomer, indenter, pose)
+                for r in recipes
+                for indenter in r.indenters
+                for pose in r.solved_path().poses
+                if pose.depth_mm > 0
+            }
         ),
         solves=len(plan.solves),
         solves_cached=len(plan.solves) - len(to_solve),
