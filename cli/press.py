@@ -73,6 +73,9 @@ class Press(opt.Command):
     save: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
 
+    traction: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
+    """Write the contact stress on the membrane's grid, and the force on 24 × 32 cells, to this .npz."""
+
     mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the indenter as a mesh."""
 
@@ -101,6 +104,10 @@ class Press(opt.Command):
         state = solved.state
         if self.save is not None:
             state.save(self.save)
+        if self.traction is not None:
+            from gelgap.sim import solve_traction
+
+            solve_traction(elastomer, indenter, pose, self.quality).save(self.traction)
         if self.mesh is not None:
             from gelgap.render import Illumination, MembraneRenderer, Sensor
             from gelgap.view import save_mesh
@@ -121,6 +128,9 @@ class Press(opt.Command):
             report = {
                 "force_n": force_n,
                 "force_error_n": found.force_error_n,
+                "torque_n_mm": [float(component) for component in state.torque_n_mm],
+                "slip": found.slip,
+                "sticking_fraction": found.sticking_fraction,
                 "converged": bool(state.converged),
                 "coarse": found.coarse,
                 "folded": found.folded,
@@ -135,8 +145,13 @@ class Press(opt.Command):
             print(f"depth           {pose.depth_mm:.4g} mm")
             parts = zip("xyz", force_n, found.force_error_n, strict=True)
             print(f"force           {'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in parts)} N")
+            torque = zip("xyz", map(float, state.torque_n_mm), strict=True)
+            print(
+                f"torque          {'  '.join(f'T{axis} {t:+.4f}' for axis, t in torque)} N mm, contact point"
+            )
             print(f"contact radius  {state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm")
             print(f"membrane        ± {1e3 * found.membrane_error_mm:.1f} µm")
+            print(f"slip            {found.slip}: {100 * found.sticking_fraction:.0f} % of the load sticks")
             print(f"converged       {'yes' if state.converged else 'NO: do not trust these figures'}")
             if found.folded:
                 print(

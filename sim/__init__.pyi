@@ -1,6 +1,7 @@
 from .estimate import Diagnostics as Diagnostics
 from .indenter import Indenter as Indenter
 from .indenter import Sphere as Sphere
+from .indenter import Symmetry as Symmetry
 from .membrane import MembraneState as MembraneState
 from .membrane import SolvedPose as SolvedPose
 from .membrane import grid_axes as grid_axes
