@@ -55,7 +55,7 @@ class Diagnostics(SolveDiagnostics):
 
     @property
     def slip(self) -> str:
-        """`stick` or `gross` where nearly all of the normal force is on vertices that stick, or slide, else `partial`."""
+        """`stick` or `gross` if nearly all of the normal force is on vertices that stick or slide, else `partial`."""
         if self.sticking_fraction >= 1 - _NEGLIGIBLE_SLIP_SHARE:
             return "stick"
         return "gross" if self.sticking_fraction <= _NEGLIGIBLE_SLIP_SHARE else "partial"

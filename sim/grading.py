@@ -22,6 +22,8 @@ _SAMPLES = 4000
 _CURVED_PLACES = 60
 # Cells in the middle of a contact, where nothing changes much, in those of a contact as wide as the gel is thick.
 _MIDDLE_CELLS = 1.5
+# A surface is flat if its radius of curvature is this many times the contact's width.
+_FLAT_RADII = 20.0
 _INWARDS = 0.5
 # The contact's inside is looked at in this many places.
 _CONTACT_PLACES = 33
@@ -63,8 +65,8 @@ def sizes_along(
 ) -> Sizes:
     """Return the sizes of cells along x or y (axis 0, 1), around what the indenter touches between two places.
 
-    Where its surface is curved the cells are fine, and at the ends of the contact; from there to the contact's middle
-    they widen to half as much again as those of a contact as wide as the gel is thick.
+    Where its surface is curved the cells are fine, and at the ends of the contact; from there to the middle of a flat
+    face they widen to half as much again as those of a contact as wide as the gel is thick.
     """
     cell_mm, size = problem.cell_mm, problem.mesh_size
     low, high = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))[axis]
@@ -74,10 +76,12 @@ def sizes_along(
     curved = np.flatnonzero(turned < cell_mm)
     curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
     middle = np.linspace(low, high, _CONTACT_PLACES)
-    within = np.minimum(
-        cell_mm + growth * np.minimum(middle - low, high - middle),
-        max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm),
-    )
+    widest_mm = max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm)
+    widened = np.minimum(cell_mm + growth * np.minimum(middle - low, high - middle), widest_mm)
+    # Only under a flat face all of the contact is there from the first touch on.
+    order = np.argsort(places)
+    is_flat = np.interp(middle, places[order], radius[order]) > _FLAT_RADII * (high - low)
+    within = np.where(is_flat, widened, cell_mm)
     # A less deep contact of a pointed body ends further in, and is to be as many cells wide.
     further = np.abs(middle)[:, None] - np.abs(places[curved])
     pointed = np.where(further > 0, turned[curved] + further / size.across, np.inf)
