@@ -508,10 +508,6 @@ class ConvexMesh(RoundedHull):
 
     @property
     def _rounding_mm(self) -> float:
-        return self.rounding_mm
-
-    @property
-    def _rounding_mm(self) -> float:
         return self.edge_radius_mm
 
     @property

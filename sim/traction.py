@@ -92,8 +92,9 @@ class Traction:
         row = np.floor((place[..., 1] / half_extent_mm[1] + 1) / 2 * rows).clip(0, rows - 1)
         cell = (row * columns + column).astype(int).ravel()
         force = self.cell_force_n.reshape(-1, 3)
-        sums = [np.bincount(cell, force[:, axis], rows * columns) for axis in range(3)]
-        return np.stack(sums, axis=-1).reshape(rows, columns, 3)
+        sums = np.zeros((rows * columns, 3))
+        np.add.at(sums, cell, force)
+        return sums.reshape(rows, columns, 3)
 
     def save(self, path: str | Path) -> None:
         """Write an npz of x_mm, y_mm, traction_mpa, area_mm2, normal_mpa, tangential_mpa and coarse_n."""
