@@ -26,7 +26,7 @@ from gelgap.sim import (
 )
 from gelgap.sim.indenter import Symmetry
 from gelgap.sim.plan import plan_visit
-from gelgap.sim.shapes import Shape
+from gelgap.sim.rounded import Shape
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
 ALONE = Sharing(cache=False)
