@@ -24,8 +24,7 @@ class Press(opt.Command):
     For example:
       gelgap press --young-modulus-mpa 0.3 --poisson-ratio 0.49 --depth-mm 0.6 --shear-x-mm 0.3 --json
       gelgap press --elastomer b1 --force-n 0.5 --save state.npz
-      gelgap press --indenter cylinder --indenter-diameter-mm 3 --edge-radius-mm 0.3 --depth-mm 0.4 --quality draft
-      gelgap press --indenter box --size-mm 4 3 --yaw-deg 20 --tilt-deg 2 0 --depth-mm 0.5 --quality draft
+      gelgap press --indenter cone --half-angle-deg 60 --tip-radius-mm 0.4 --depth-mm 0.5 --traction map.npz
     """
 
     fills_cache: ClassVar[bool] = True
