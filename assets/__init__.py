@@ -8,7 +8,7 @@ from typing import Any
 
 from gelgap.assets.names import unknown_name
 
-PRESET_KINDS = ("elastomers", "paths", "illuminations", "sensors", "datasets", "profiles")
+PRESET_KINDS = ("elastomers", "indenters", "paths", "illuminations", "sensors", "datasets", "profiles")
 
 
 def asset_path(*parts: str) -> Path:

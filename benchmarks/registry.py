@@ -45,6 +45,7 @@ _MEASURED = {
     "physics": [
         ("accuracy", "error of forces and displacements against run time", "physics.accuracy"),
         ("estimate", "each pose's estimate of its error beside the true one", "physics.estimate", EXTRA),
+        ("shapes", "other indenters than spheres against finite elements", "physics.shapes", EXTRA),
     ],
     "render": [(None, "error of pictures against run time, beside a path tracer", "render.accuracy", ANEW)],
     "sensors": [

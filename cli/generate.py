@@ -13,7 +13,16 @@ if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
     from gelgap.domains.sweep import Variant
 
-OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
+OptionalColumn = Literal[
+    "height_map",
+    "contact_mask",
+    "marker_rest_mm",
+    "marker_px",
+    "diagnostics",
+    "indenter",
+    "torque",
+    "traction",
+]
 
 
 @dataclass(frozen=True)
@@ -27,6 +36,7 @@ class Generate(opt.Command):
       gelgap generate mb0i0 wmb1i1 --path cpu --out data
       gelgap generate --preset paper --out paper-data
       gelgap generate --preset paper --out paper-data --dry-run
+      gelgap generate mb0i0 --indenter sphere-4 --further-indenters cone-60 cylinder-3 --out data --dry-run
       gelgap generate mb0i0 --elastomer b1 --illumination i2 --name soft --out data --dry-run
     """
 
@@ -55,8 +65,13 @@ class Generate(opt.Command):
     """Another illumination than the named domain's: a preset or a TOML file; needs --name."""
     name: Annotated[str | None, opt.optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
-    indenter_diameter_mm: Annotated[float, opt.between(0.5, 50, "mm")] = 3.0
-    """Diameter of the sphere that is pressed, in mm; large ones may need a wider declared range of forces."""
+    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=opt.IndenterOptions
+    )
+    further_indenters: Annotated[
+        tuple[Annotated[str, opt.indenter_name], ...], opt.optional("[NAME ...]", "none")
+    ] = ()
+    """Indenters that go the whole path after the first: shapes, presets, TOML or mesh files; column `indenter`."""
     path: Annotated[str, opt.preset_or_file("paths")] = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: opt.Quality = "standard"
@@ -68,7 +83,7 @@ class Generate(opt.Command):
     size: opt.PictureSize = (320, 240)
     """Width and height of the pictures in pixels."""
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
-    """Optional columns to write as well; `diagnostics`: how each pose was solved."""
+    """Optional columns to write as well: pictures of the contact, how it was solved, six axes, force by cell."""
     contacts: Literal["paired", "independent"] = "paired"
     """The same poses in every domain, or a draw of its own for each domain."""
     rendered_without_markers: opt.Flag = False
@@ -119,12 +134,13 @@ class Generate(opt.Command):
         """Return the domains to make and, of a sweep, its variants."""
         from gelgap import domains
         from gelgap.render import Illumination, Sensor
-        from gelgap.sim import Elastomer, Sphere
+        from gelgap.sim import Elastomer, load_indenter
 
         settings = {
-            "indenter": Sphere(diameter_mm=self.indenter_diameter_mm),
+            "indenter": self.body.make(),
+            "further_indenters": tuple(map(load_indenter, self.further_indenters)),
             "sensor": opt.named(Sensor, self.sensor),
-            "columns": self.columns,
+            "columns": tuple(dict.fromkeys((*self.columns, *["indenter"] * bool(self.further_indenters)))),
             "quality": self.quality,
             "seed": self.seed,
             "size_px": self.size,

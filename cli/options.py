@@ -16,6 +16,7 @@ from gelgap.assets.names import quoted
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
     from gelgap.render import Illumination, Sensor
+    from gelgap.sim import AnyIndenter
 
 Check = Callable[[Any], object]
 """Raises ValueError or OSError for a value that cannot be used: what is wrong, and what would be right.
@@ -205,6 +206,61 @@ class GenerationOptions:
                 progress=progress,
             )
         print(report)
+
+
+def indenter_name(value: str) -> None:
+    """Check the name of a shape or a preset, or a file."""
+    if "." in value:
+        input_file("a TOML file or a mesh")(Path(value))
+        return
+    from gelgap.sim import SHAPES
+
+    if value not in SHAPES:
+        try:
+            load_preset("indenters", value)
+        except ValueError as error:
+            shapes = ", ".join(SHAPES)
+            raise ValueError(f"name a shape ({shapes}), a mesh file, or a TOML file; {error}") from None
+
+
+@dataclass(frozen=True)
+class IndenterOptions:
+    """What is pressed into the gel: a shape, and those of its sizes that are not as by default."""
+
+    indenter: Annotated[str, indenter_name] = "sphere"
+    """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (gelgap presets indenters), TOML or mesh file."""
+    indenter_diameter_mm: Annotated[float | None, optional("MM", "3; cone: 6"), between(0.5, 50, "mm")] = None
+    """Diameter in mm, of sphere, cylinder, cone or edge."""
+    edge_radius_mm: Annotated[float | None, optional("MM", "0.2 or 0.3; mesh: 0"), between(0, 25, "mm")] = (
+        None
+    )
+    """Rounding of a cylinder's face, of the ends of an edge, of a box, or of a mesh, in mm."""
+    half_angle_deg: Annotated[float | None, optional("DEG", "60"), between(20, 85, "°")] = None
+    """Angle between axis and flank of a cone, in degrees."""
+    tip_radius_mm: Annotated[float | None, optional("MM", "0.3"), between(0.01, 25, "mm")] = None
+    """Radius of a cone's tip in mm."""
+    length_mm: Annotated[float | None, optional("MM", "6"), between(0.5, 50, "mm")] = None
+    """Length of an edge, a lying cylinder, in mm."""
+    size_mm: Annotated[tuple[float, float] | None, optional("MM MM", "4 3"), between(0.5, 50, "mm")] = None
+    """Size of a box along x and y in mm."""
+    diameters_mm: Annotated[
+        tuple[float, float, float] | None, optional("MM MM MM", "4 3 3"), between(0.5, 50, "mm")
+    ] = None
+    """Diameters of an ellipsoid along x, y and z in mm."""
+    yaw_deg: Annotated[float | None, optional("DEG", "0"), between(-180, 180, "°")] = None
+    """Turn of the indenter about the vertical axis in degrees, from +x towards +y."""
+    tilt_deg: Annotated[tuple[float, float] | None, optional("DEG DEG", "0 0"), between(-15, 15, "°")] = None
+    """Tilt of the indenter about x and about y in degrees."""
+
+    def make(self) -> "AnyIndenter":
+        """Return the indenter."""
+        from gelgap.sim import load_indenter
+
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        name = given.pop("indenter")
+        if "indenter_diameter_mm" in given:
+            given["diameter_mm"] = given.pop("indenter_diameter_mm")
+        return load_indenter(name, **given)
 
 
 def named(kind: Any, name: str) -> Any:

@@ -1,10 +1,12 @@
-"""`gelgap press`: press a sphere into an elastomer and print or save what the contact does."""
+"""`gelgap press`: press an indenter into an elastomer and print or save what the contact does."""
 
 import json
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
+
+import tyro
 
 from gelgap.cli import options as opt
 
@@ -15,13 +17,14 @@ MESH_PICTURE_PX = (640, 480)
 
 @dataclass(frozen=True)
 class Press(opt.Command):
-    """Press a sphere straight down at one point, then drag it sideways, and report force and membrane.
+    """Press an indenter straight down at one point, then drag it sideways, and report force and membrane.
 
     Force is what the indenter exerts on the sensor, in N: Fz < 0 under compression, dragging towards +x gives Fx > 0.
 
     For example:
       gelgap press --young-modulus-mpa 0.3 --poisson-ratio 0.49 --depth-mm 0.6 --shear-x-mm 0.3 --json
       gelgap press --elastomer b1 --force-n 0.5 --save state.npz
+      gelgap press --indenter cone --half-angle-deg 60 --tip-radius-mm 0.4 --depth-mm 0.5 --traction map.npz
     """
 
     fills_cache: ClassVar[bool] = True
@@ -45,8 +48,9 @@ class Press(opt.Command):
         opt.optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
     ] = None
     """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
-    indenter_diameter_mm: Annotated[float, opt.between(0.5, 50, "mm")] = 3.0
-    """Diameter of the sphere in mm."""
+    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = field(
+        default_factory=opt.IndenterOptions
+    )
     depth_mm: Annotated[float | None, opt.optional("MM", "0.6, or what --force-n needs")] = None
     """Commanded depth below first contact in mm, at least 0."""
     normal_force_n: Annotated[
@@ -68,19 +72,22 @@ class Press(opt.Command):
     save: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
 
+    traction: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
+    """Write the contact stress on the membrane's grid, and the force on 24 × 32 cells, to this .npz."""
+
     mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
-    """Write the membrane, with the paper sensor's picture of it under illumination i0, and the sphere as a mesh."""
+    """Write the membrane, with the paper sensor's picture of it under illumination i0, and the indenter as a mesh."""
 
     def run(self, started: float) -> None:
         """Solve the scene and print it; `wall_s` counts from `started`, the start of the process."""
-        from gelgap.sim import Elastomer, Pose, Sphere, pose_for_force, solve_in_full
+        from gelgap.sim import Elastomer, Pose, pose_for_force, solve_in_full
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
         base = opt.named(Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
         given = {name: getattr(self, name, None) for name in Elastomer.model_fields}
         elastomer = Elastomer(**base | {name: value for name, value in given.items() if value is not None})
-        indenter = Sphere(diameter_mm=self.indenter_diameter_mm)
+        indenter = self.body.make()
         pose = Pose(
             point_x_mm=self.point_x_mm,
             point_y_mm=self.point_y_mm,
@@ -96,6 +103,10 @@ class Press(opt.Command):
         state = solved.state
         if self.save is not None:
             state.save(self.save)
+        if self.traction is not None:
+            from gelgap.sim import solve_traction
+
+            solve_traction(elastomer, indenter, pose, self.quality).save(self.traction)
         if self.mesh is not None:
             from gelgap.render import Illumination, MembraneRenderer, Sensor
             from gelgap.view import save_mesh
@@ -116,6 +127,9 @@ class Press(opt.Command):
             report = {
                 "force_n": force_n,
                 "force_error_n": found.force_error_n,
+                "torque_n_mm": [float(component) for component in state.torque_n_mm],
+                "slip": found.slip,
+                "sticking_fraction": found.sticking_fraction,
                 "converged": bool(state.converged),
                 "coarse": found.coarse,
                 "folded": found.folded,
@@ -130,8 +144,13 @@ class Press(opt.Command):
             print(f"depth           {pose.depth_mm:.4g} mm")
             parts = zip("xyz", force_n, found.force_error_n, strict=True)
             print(f"force           {'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in parts)} N")
+            torque = zip("xyz", map(float, state.torque_n_mm), strict=True)
+            print(
+                f"torque          {'  '.join(f'T{axis} {t:+.4f}' for axis, t in torque)} N mm, contact point"
+            )
             print(f"contact radius  {state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm")
             print(f"membrane        ± {1e3 * found.membrane_error_mm:.1f} µm")
+            print(f"slip            {found.slip}: {100 * found.sticking_fraction:.0f} % of the load sticks")
             print(f"converged       {'yes' if state.converged else 'NO: do not trust these figures'}")
             if found.folded:
                 print(

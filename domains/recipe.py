@@ -5,7 +5,7 @@ Acquisition errors, off by default, are those of a misplaced rig and an inaccura
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,6 +30,7 @@ from gelgap.sim import (
     PosePath,
     QualityName,
     Sphere,
+    load_indenter,
     load_path,
 )
 
@@ -157,6 +158,9 @@ class DomainRecipe(Settings):
     )
     elastomer: Elastomer
     indenter: AnyIndenter = Sphere()
+    further_indenters: tuple[AnyIndenter, ...] = Field(
+        default=(), description="indenters that go the whole path one after another, after the first"
+    )
     path: DrawnPath | ContactPath | PosePath
     quality: QualityName = Field(default="standard", description="quality of the physics")
     sensor: Sensor
@@ -180,8 +184,9 @@ class DomainRecipe(Settings):
     )
 
     def configuration(self) -> dict[str, Any]:
-        """Return the recipe as plain JSON values."""
-        return self.model_dump(mode="json")
+        """Return the recipe as plain JSON values; what only domains of several indenters have, only for these."""
+        several = set() if self.further_indenters else {"further_indenters"}
+        return self.model_dump(mode="json", exclude=several)
 
     @property
     def key(self) -> str:
@@ -193,8 +198,18 @@ class DomainRecipe(Settings):
         """The domain whose light falls on these frames: its name keys the sensor noise."""
         return self.inpainted_from or self.name
 
+    @property
+    def indenters(self) -> tuple[AnyIndenter, ...]:
+        """All indenters: each goes the whole path, and has as many frames."""
+        return self.indenter, *self.further_indenters
+
+    @property
+    def frames(self) -> int:
+        """The number of frames."""
+        return len(self.path.poses) * len(self.indenters)
+
     def commanded_poses(self) -> tuple[Pose, ...]:
-        """Return the poses as a rig would record them, one per frame."""
+        """Return the poses of each indenter as a rig would record them."""
         if self.contacts == "paired":
             return self.path.poses
         if isinstance(self.path, PosePath):
@@ -207,7 +222,7 @@ class DomainRecipe(Settings):
         return draw_errors(self.acquisition, self.seed, self.picture_name)
 
     def solved_path(self) -> ContactPath | PosePath:
-        """Return the contacts that really happen, one per frame."""
+        """Return the contacts of each indenter that really happen."""
         errors = self.drawn_errors()
         off = not any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg))
         if off and self.contacts == "paired":
@@ -338,8 +353,16 @@ def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:
     return tuple(
         recipe
         for group in values["groups"]
-        for recipe in make_recipes(group["domains"], group["path"], **settings)
+        for recipe in make_recipes(group["domains"], group["path"], **settings | _pressed_by(group))
     )
+
+
+def _pressed_by(group: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a group that names its indenters."""
+    if "indenters" not in group:
+        return {}
+    first, *further = map(load_indenter, group["indenters"])
+    return {"indenter": first, "further_indenters": tuple(further), "columns": ("indenter",)}
 
 
 class RecipeEntry(Settings):

@@ -1,7 +1,7 @@
 from .estimate import Diagnostics as Diagnostics
-from .indenter import AnyIndenter as AnyIndenter
 from .indenter import Indenter as Indenter
 from .indenter import Sphere as Sphere
+from .indenter import Symmetry as Symmetry
 from .membrane import MembraneState as MembraneState
 from .membrane import SolvedPose as SolvedPose
 from .membrane import grid_axes as grid_axes
@@ -13,6 +13,7 @@ from .path import PosePath as PosePath
 from .path import load_path as load_path
 from .plan import Solve as Solve
 from .plan import SolvePlan as SolvePlan
+from .plan import joined as joined
 from .plan import known_pace as known_pace
 from .plan import measured_pace as measured_pace
 from .plan import plan_solves as plan_solves
@@ -27,6 +28,15 @@ from .scene import Elastomer as Elastomer
 from .scene import Pose as Pose
 from .scene import Sharing as Sharing
 from .scene import is_interior as is_interior
+from .shapes import SHAPES as SHAPES
+from .shapes import AnyIndenter as AnyIndenter
+from .shapes import Box as Box
+from .shapes import Cone as Cone
+from .shapes import ConvexMesh as ConvexMesh
+from .shapes import Cylinder as Cylinder
+from .shapes import Edge as Edge
+from .shapes import Ellipsoid as Ellipsoid
+from .shapes import load_indenter as load_indenter
 from .solution import CacheEntry as CacheEntry
 from .solution import Solution as Solution
 from .solution import cache_entries as cache_entries
@@ -38,3 +48,6 @@ from .solved_path import PATH_DEPTHS_MM as PATH_DEPTHS_MM
 from .solved_path import PATH_TRAVELS_MM as PATH_TRAVELS_MM
 from .solved_path import SolvedPath as SolvedPath
 from .solved_path import plan_path as plan_path
+from .traction import Traction as Traction
+from .traction import solve_traction as solve_traction
+from .traction import traction_map as traction_map

@@ -9,13 +9,15 @@ from scipy import linalg, optimize, sparse
 
 from gelgap.sim.fronts import Condensation
 from gelgap.sim.indenter import Indenter
-from gelgap.sim.mujoco_model import GelModel
+from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # MuJoCo wants some friction at every contact; nodes that are not held get this.
 _FRICTIONLESS = 1e-5
+# MuJoCo takes the y axis for a contact's first tangent unless the normal is this near to it.
+_NOT_ALONG_Y = 0.5
 # Contacts with less than this share of the largest normal force are noise that says nothing about friction.
 _NEGLIGIBLE_LOAD_SHARE = 1e-2
 # A vertex sticks if its friction is below this share of Coulomb's bound.
@@ -71,6 +73,18 @@ class FrictionalContacts:
         """Whether each contact carries more than a negligible share of the largest normal force."""
         normal = self.normal_force_n
         return normal > _NEGLIGIBLE_LOAD_SHARE * normal.max(initial=0.0)
+
+    def place(self) -> None:
+        """Give each contact that MuJoCo found the gap and normal of the indenter's own surface."""
+        data, sign = self._data, self._sign()
+        nearest = self._indenter.project(self._places_mm()[self.nodes])
+        normal = nearest.outward_normal * sign
+        # The first tangent is as MuJoCo chooses it.
+        other = np.where(np.abs(normal[:, 1:2]) < _NOT_ALONG_Y, [[0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]])
+        first = other - (other * normal).sum(axis=1, keepdims=True) * normal
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        data.contact.frame[:] = np.concatenate([normal, first, np.cross(normal, first)], axis=1)
+        data.contact.dist[:] = nearest.distance_mm - NODE_RADIUS_MM
 
     def begin_load_step(self) -> None:
         """Forget the last load step; the new one starts where the next contacts are found."""
@@ -131,11 +145,17 @@ class FrictionalContacts:
         sticks = np.linalg.norm(forces[:, 1:], axis=1) < _STICKING_SHARE * self._friction * normal
         return float(1.0 - normal[~sticks].sum() / normal.sum())
 
-    def vertex_normal_force_n(self) -> Floats:
-        """Return the normal force on each vertex of the mesh."""
-        forces = np.zeros(len(self._gel.mesh.vertices_mm))
-        forces[self._gel.vertex_of_geom[self.nodes]] = self.normal_force_n
-        return forces
+    def vertex_forces_n(self) -> tuple[Floats, Floats]:
+        """Return the normal force (n,) on each vertex of the mesh, and the whole contact force (n, 3)."""
+        vertices = self._gel.vertex_of_geom[self.nodes]
+        normal, whole = (
+            np.zeros(len(self._gel.mesh.vertices_mm)),
+            np.zeros((len(self._gel.mesh.vertices_mm), 3)),
+        )
+        normal[vertices] = self.normal_force_n
+        frames = self._data.contact.frame.reshape(-1, 3, 3)
+        whole[vertices] = np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign()
+        return normal, whole
 
     def _sign(self) -> Floats:
         """Return 1 where a contact's frame leads from the indenter to the node, −1 where it leads back, (contacts, 1).
@@ -146,7 +166,7 @@ class FrictionalContacts:
 
     def _places_mm(self) -> Floats:
         """Return where all geoms lie, from the indenter's origin, (geoms, 3)."""
-        return self._data.geom_xpos - self._data.geom_xpos[self._gel.indenter_geom]
+        return self._data.geom_xpos - self._data.xpos[self._gel.indenter_body]
 
 
 class ContactNewton:

@@ -29,6 +29,8 @@ _VARIANCE_PER_CAUSE = (
     (0.00128, 0.00958, 0.0653, 0.0, 0.0),
     (0.0, 0.0, 0.206, 0.0, 0.0304),
 )
+# A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
+_NEGLIGIBLE_SLIP_SHARE = 0.02
 # Estimates of a component of force, as a share of the whole force, above which a quality does not keep its promise:
 # errors above twice the estimate are rare, and twice this is promised.
 LARGEST_ESTIMATE = {"draft": 0.03, "standard": 0.02, "fine": 0.01}
@@ -50,6 +52,13 @@ class Diagnostics(SolveDiagnostics):
     membrane_error_mm: float = 0.0
     coarse: bool = False
     folded: bool = False
+
+    @property
+    def slip(self) -> str:
+        """`stick` or `gross` if nearly all of the normal force is on vertices that stick or slide, else `partial`."""
+        if self.sticking_fraction >= 1 - _NEGLIGIBLE_SLIP_SHARE:
+            return "stick"
+        return "gross" if self.sticking_fraction <= _NEGLIGIBLE_SLIP_SHARE else "partial"
 
     @property
     def force_error_n(self) -> tuple[float, float, float]:

@@ -1,9 +1,9 @@
-"""The rigid bodies that can be pressed into the gel: what each must answer, and the sphere."""
+"""What a rigid body that is pressed into the gel must answer, and the sphere; other shapes are in `shapes.py`."""
 
 import math
 from abc import ABC, abstractmethod
 from enum import Enum
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,11 @@ class Indenter(Settings, ABC):
     """
 
     shape: ClassVar[str]
-    symmetry: ClassVar[Symmetry]
+
+    @property
+    @abstractmethod
+    def symmetry(self) -> Symmetry:
+        """Which contacts of the body can share a solution."""
 
     @property
     @abstractmethod
@@ -66,7 +70,7 @@ class Indenter(Settings, ABC):
     @property
     @abstractmethod
     def mujoco_geom(self) -> str:
-        """Attributes of MuJoCo's geom, in mm."""
+        """Attributes of MuJoCo's geom, in mm: the body, or a box around it; near it, MuJoCo looks for contacts."""
 
     @abstractmethod
     def penetration_radius_mm(self, depth_mm: float) -> float:
@@ -76,16 +80,43 @@ class Indenter(Settings, ABC):
     def project(self, points_mm: Floats) -> Projection:
         """Project points (…, 3) onto the surface."""
 
+    def cut_mm(self, depth_mm: float) -> tuple[float, float, float, float]:
+        """Return (x min, x max, y min, y max) of where the body, at a depth, cuts the undeformed membrane."""
+        radius_mm = self.penetration_radius_mm(depth_mm)
+        return -radius_mm, radius_mm, -radius_mm, radius_mm
+
+    def curvature(self, depth_mm: float, axis: int, step_mm: float) -> tuple[Floats, Floats]:
+        """Return where along x or y (axis 0, 1) the surface that a press reaches is more curved than a sphere's.
+
+        The places (n,) in mm, and the radius of curvature (n,) there, taken over a step; none for a sphere.
+        """
+        return np.zeros(0), np.zeros(0)
+
+    def check(self, depth_mm: float) -> None:
+        """Raise ValueError if the body cannot be pressed to a depth as it is turned."""
+
+    @property
+    def yaw(self) -> float:
+        """How far the body is turned about the vertical axis, degrees from +x towards +y."""
+        return 0.0
+
+    def yawed(self, yaw_deg: float) -> Self:
+        """Return the body turned about the vertical axis by so much more."""
+        return self
+
 
 class Sphere(Indenter):
     """A rigid sphere; its origin is its centre."""
 
     shape: ClassVar[str] = "sphere"
-    symmetry: ClassVar[Symmetry] = Symmetry.REVOLUTION
 
     diameter_mm: Annotated[float, within(0.5, 50.0, "mm")] = Field(
         default=3.0, description="Diameter, mm, 0.5 to 50."
     )
+
+    @property
+    def symmetry(self) -> Symmetry:
+        return Symmetry.REVOLUTION
 
     @property
     def radius_mm(self) -> float:
@@ -118,7 +149,3 @@ class Sphere(Indenter):
             points_mm / from_centre[..., None],
             from_centre - self.radius_mm,
         )
-
-
-AnyIndenter = Sphere
-"""Type of a field that holds any shape, `Sphere | …`; pydantic tells shapes apart by the names of their fields."""

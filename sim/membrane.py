@@ -25,7 +25,7 @@ GRID_HALF_EXTENT_MM = (7.0, 5.5)
 
 # The arrays of a saved state.
 _NEEDED = ("x_mm", "y_mm", "displacement_mm")
-_OPTIONAL = ("contact", "force_n", "contact_radius_mm", "converged")
+_OPTIONAL = ("contact", "force_n", "torque_n_mm", "contact_radius_mm", "converged")
 
 # A triangle of the grid is folded if its area, in cells and seen from the camera, is below minus this; the renderer
 # refuses the same.
@@ -66,7 +66,9 @@ class MembraneState:
     """The outer membrane on its rest grid, in the sensor's frame.
 
     `displacement_mm` is (ny, nx, 3), `contact` (ny, nx) bool, `force_n` (3,) the force of the indenter on the sensor,
-    `contact_radius_mm` the deformed radius where the normal pressure vanishes (0 without contact).
+    `torque_n_mm` (3,) its torque about the contact point p on the undeformed membrane; about the sensor's origin it is
+    `torque_n_mm` + p × `force_n`. `contact_radius_mm` is the deformed radius where the normal pressure vanishes (0
+    without contact).
     """
 
     x_mm: NDArray[np.float64]
@@ -77,6 +79,7 @@ class MembraneState:
     contact_radius_mm: float = 0.0
     converged: bool = True
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
+    torque_n_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
@@ -114,6 +117,7 @@ class MembraneState:
             "displacement_mm": (*shape, 3),
             "contact": shape,
             "force_n": (3,),
+            "torque_n_mm": (3,),
             "contact_radius_mm": (),
             "converged": (),
         }
@@ -196,7 +200,8 @@ def _press_onto(
     indenter: Indenter, rest_mm: Floats, displacement_mm: Floats, origin_mm: Floats
 ) -> NDArray[np.bool_]:
     """Move points (..., 3) that touch the indenter onto its surface, in place; return which do (...)."""
-    reach_mm = indenter.penetration_radius_mm(indenter.deepest_mm) + _BULGE_MM
+    depth_mm = min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm)
+    reach_mm = indenter.penetration_radius_mm(max(depth_mm, 0.0)) + _BULGE_MM
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
     near = np.flatnonzero((along_x < reach_mm) & (along_y < reach_mm))
@@ -301,6 +306,16 @@ def polar_table(solution: Solution, record: Record) -> PolarTable:
 
 def pressure_table(solution: Solution, record: Record) -> PolarTable:
     """Tabulate the normal pressure in MPa: the vertices' forces over their shares of the deformed surface's area."""
+    return _per_area(solution, record, np.maximum(record.normal_force_n, 0)[:, None])
+
+
+def traction_table(solution: Solution, record: Record) -> PolarTable:
+    """Tabulate the contact stress (3 components) in MPa in the same way."""
+    return _per_area(solution, record, record.contact_force_n.astype(float))
+
+
+def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable:
+    """Tabulate forces (n, k) of the solution's vertices over their shares of the deformed area."""
     from scipy.interpolate import LinearNDInterpolator
     from scipy.spatial import Delaunay
 
@@ -312,8 +327,8 @@ def pressure_table(solution: Solution, record: Record) -> PolarTable:
     first, second, third = (position[corners[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(second - first, third - first), axis=1) / 2
     share = np.bincount(corners.ravel(), np.repeat(area / 3, 3), minlength=len(rest))
-    pressure = np.maximum(record.normal_force_n, 0) / np.maximum(share, 1e-9)
-    values = LinearNDInterpolator(triangulation, pressure[:, None])(_polar_points(solution, rest))
+    per_area = force_n / np.maximum(share, 1e-9)[:, None]
+    values = LinearNDInterpolator(triangulation, per_area)(_polar_points(solution, rest))
     return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
 
 

@@ -5,6 +5,7 @@ layers of prisms, which are split into tetrahedra that do not lock.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,8 @@ import pymetis
 from numpy.typing import NDArray
 from scipy import sparse
 
+from gelgap.sim.grading import Sizes, sizes_along
+from gelgap.sim.indenter import Sphere, Symmetry
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import PadEdges
 
@@ -40,6 +43,8 @@ _MERGED_RATIO = 2.5
 # bulges, but none further than 0.4 mm.
 _TOUCHING_MARGIN = 0.3
 _LARGEST_TOUCHING_MARGIN_MM = 0.4
+# What a body passes over is looked for this often.
+_TOUCHING_STEP_MM = 0.1
 # A vertex that an edge of the pad misses by less than this share of a cell is moved onto it.
 _SNAPPED_SHARE = 0.35
 
@@ -80,6 +85,7 @@ class DiscGrid:
     `spacing_mm` is the distance of the vertices up to there, `sectors` the number of cells around half a circle, a
     multiple of 4; each coarser ring is `ring_growth` wider than the one before, none wider than `largest_mm`. The
     disc's centre is drawn out into the line from (x, 0) to (x, 0), x in `axis_mm`, turned by `direction` (cos, sin).
+    With `sizes` the rings are as wide as these want them instead, and the core is of `spacing_mm` all the same.
     """
 
     radius_mm: float
@@ -90,6 +96,7 @@ class DiscGrid:
     largest_mm: float = 2.5
     axis_mm: tuple[float, float] = (0.0, 0.0)
     direction: tuple[float, float] = (1.0, 0.0)
+    sizes: Sizes | None = None
 
 
 def mesh_for(problem: ContactProblem) -> GelMesh:
@@ -100,6 +107,18 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
+    if problem.indenter.symmetry is Symmetry.REVOLUTION:
+        plane, cells, finest_mm = _around_axis(problem)
+    else:
+        plane, cells, finest_mm = _between_lines(problem)
+    size, thickness = problem.mesh_size, problem.thickness_mm
+    last_mm = _LAST_LAYER * thickness / max(1.0, problem.contact_width)
+    layers = layer_heights_mm(thickness, _FIRST_LAYER * finest_mm, size.layer_growth, last_mm)
+    return GelMesh(*_split_prisms(plane, cells, layers), problem.symmetric)
+
+
+def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
+    """Return plane cells for a contact that is round, and the width of the finest."""
     size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
     contact = problem.meshed_radius_mm
     *axis, aside, direction = straightest_line(problem.segments_mm[:, :, :2])
@@ -107,6 +126,13 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
     if problem.contact_width > 1:
         radius = max(radius, contact + aside + _BESIDE_WIDE_CONTACT_THICKNESSES * thickness)
+    sizes, finest = None, spacing
+    if not isinstance(problem.indenter, Sphere):
+        # From the ends of the line that the axis is drawn out to, the rim on its way is nearer by up to its length.
+        swept_mm = axis[0] - axis[1] - aside, aside
+        sizes = sizes_along(problem, 0, _LARGEST_CELL * thickness, swept_mm)
+        # The core is to end before the contact does.
+        spacing, finest = min(spacing, float(sizes.at(np.zeros(1))[0])), float(sizes.size_mm.min())
     grid = DiscGrid(
         radius,
         fine_radius,
@@ -116,10 +142,31 @@ def unordered_mesh(problem: ContactProblem) -> GelMesh:
         largest_mm=_LARGEST_CELL * thickness,
         axis_mm=tuple(axis),
         direction=direction,
+        sizes=sizes,
     )
-    last_mm = _LAST_LAYER * thickness / max(1.0, problem.contact_width)
-    layers = layer_heights_mm(thickness, _FIRST_LAYER * spacing, size.layer_growth, last_mm)
-    return pad_mesh(grid, layers, problem.pad_mm, symmetric=problem.symmetric)
+    return *pad_cells(grid, problem.pad_mm, symmetric=problem.symmetric), finest
+
+
+def _between_lines(problem: ContactProblem) -> tuple[Points, Cells, float]:
+    """Return plane cells between lines along x and y, for any contact, and the width of the finest."""
+    thickness, points = problem.thickness_mm, problem.segments_mm.reshape(-1, 3)
+    cut_mm = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))
+    beside = _BESIDE_WIDE_CONTACT_THICKNESSES if problem.contact_width > 1 else _DISC_THICKNESSES
+    lines, finest = [], np.inf
+    for axis in (0, 1):
+        swept_mm = float(points[:, axis].min()), float(points[:, axis].max())
+        sizes = sizes_along(problem, axis, _LARGEST_CELL * thickness, swept_mm)
+        start, end = cut_mm[axis] + swept_mm + [-beside * thickness, beside * thickness]
+        if problem.pad_mm is not None:
+            start, end = max(start, problem.pad_mm[2 * axis]), min(end, problem.pad_mm[2 * axis + 1])
+        if axis == 1 and problem.symmetric:
+            start = 0.0
+        lines.append(sizes.positions_mm(start, end))
+        finest = min(finest, float(sizes.size_mm.min()))
+    plane = np.stack(np.meshgrid(*lines, indexing="ij"), -1).reshape(-1, 2)
+    index = np.arange(len(plane)).reshape(len(lines[0]), len(lines[1]))
+    quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], -1).reshape(-1, 4)
+    return plane, list(quads), finest
 
 
 def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[float, float]]:
@@ -136,10 +183,15 @@ def straightest_line(segments_mm: Points) -> tuple[float, float, float, tuple[fl
 
 
 def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symmetric: bool) -> GelMesh:
-    """Mesh the part of the pad that lies within a disc around the contact axis, or around the line it is drawn out to.
+    """Stack the cells of `pad_cells` in layers, `layers_mm` the z of these from 0 down."""
+    return GelMesh(*_split_prisms(*pad_cells(grid, pad_mm, symmetric=symmetric), layers_mm), symmetric)
 
-    `layers_mm` are the z of the layers from 0 down; `pad_mm` is (x min, x max, y min, y max), on whose edges the axis
-    may lie, or None for a pad without edges. If the scene is `symmetric` about y = 0, only y ≥ 0 is meshed.
+
+def pad_cells(grid: DiscGrid, pad_mm: PadEdges | None, *, symmetric: bool) -> tuple[Points, Cells]:
+    """Divide the part of the pad within a disc around the contact axis, or around the line it is drawn out to.
+
+    `pad_mm` is (x min, x max, y min, y max), on whose edges the axis may lie, or None for a pad without edges. If the
+    scene is `symmetric` about y = 0, only y ≥ 0 is divided.
     """
     plane, cells = half_stadium(grid)
     if not symmetric:
@@ -157,8 +209,7 @@ def pad_mesh(grid: DiscGrid, layers_mm: Points, pad_mm: PadEdges | None, *, symm
         for axis, sign, distance in edges:
             plane, cells = _cut(plane, cells, axis, sign, distance)
         plane, cells = _merged(plane, cells)
-    vertices, tetrahedra = _split_prisms(plane, cells, layers_mm)
-    return GelMesh(vertices, tetrahedra, symmetric)
+    return plane, cells
 
 
 def layer_heights_mm(thickness_mm: float, first_mm: float, growth: float, last_mm: float) -> Points:
@@ -183,13 +234,16 @@ def half_disc(grid: DiscGrid) -> tuple[Points, Ints]:
     """
     k = grid.sectors // 4
     core_mm = 1.1 * k * grid.spacing_mm
-    rings_mm = core_mm + _graded_positions_mm(
-        grid.radius_mm - core_mm,
-        grid.spacing_mm,
-        grid.fine_radius_mm - core_mm,
-        grid.ring_growth,
-        grid.largest_mm,
-    )
+    if grid.sizes is not None:
+        rings_mm = grid.sizes.positions_mm(core_mm, grid.radius_mm)
+    else:
+        rings_mm = core_mm + _graded_positions_mm(
+            grid.radius_mm - core_mm,
+            grid.spacing_mm,
+            grid.fine_radius_mm - core_mm,
+            grid.ring_growth,
+            grid.largest_mm,
+        )
     u, v = np.meshgrid(np.linspace(-1, 1, 2 * k + 1), np.linspace(0, 1, k + 1), indexing="ij")
     shell = np.maximum(np.abs(u), np.abs(v))
     scale = np.where(shell > 0, shell, 1.0)
@@ -372,18 +426,25 @@ def _split_prisms(plane: Points, cells: Cells, layers_mm: Points) -> tuple[Point
 def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
     """Return the surface vertices that the indenter can touch.
 
-    They lie within its penetration radius, and a margin, of the segments along which it travels over the plane. What
-    friction drags along is touched no further out.
+    They lie within its penetration radius, and a margin, of the segments along which it travels over the plane, or as
+    near to the body at its deepest, if it is not one of revolution. What friction drags along is touched no further.
     """
     points_mm, radius_mm = mesh.vertices_mm[mesh.surface, :2], problem.penetration_radius_mm
-    distance_mm = np.full(len(points_mm), np.inf)
+    margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)
+    round_ = problem.indenter.symmetry is Symmetry.REVOLUTION
+    beyond_mm = np.full(len(points_mm), np.inf)
     for start, end in problem.segments_mm[:, :, :2]:
         along = end - start
-        share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)
-        from_segment_mm = np.linalg.norm(points_mm - start - share[:, None] * along, axis=1)
-        distance_mm = np.minimum(distance_mm, from_segment_mm)
-    margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)
-    return mesh.surface[distance_mm <= radius_mm + margin_mm]
+        if round_:
+            share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)
+            from_axis_mm = np.linalg.norm(points_mm - start - share[:, None] * along, axis=1)
+            beyond_mm = np.minimum(beyond_mm, from_axis_mm - radius_mm)
+            continue
+        for share in np.linspace(0, 1, 1 + math.ceil(np.hypot(*along) / _TOUCHING_STEP_MM)):
+            aside = points_mm - start - share * along
+            from_origin = np.column_stack([aside, np.full(len(aside), problem.origin_at_deepest_mm)])
+            beyond_mm = np.minimum(beyond_mm, problem.indenter.project(from_origin).distance_mm)
+    return mesh.surface[beyond_mm <= margin_mm]
 
 
 def ordered_for_elimination(mesh: GelMesh, touchable: Ints) -> GelMesh:

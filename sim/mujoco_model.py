@@ -27,7 +27,8 @@ _CONTACT_MARGIN_MM = 0.2
 # Vertices have no extent; MuJoCo wants some inertia, which nothing turns: that of a box of half this edge.
 _INERTIA_BOX_MM = 1e-3
 _BODIES_PER_PART = 200
-_NODE = 'type="sphere" size="1e-5" mass="0" contype="2" conaffinity="1" condim="3"'
+NODE_RADIUS_MM = 1e-5
+_NODE = f'type="sphere" size="{NODE_RADIUS_MM}" mass="0" contype="2" conaffinity="1" condim="3"'
 _CONTACT = 'solref="1e-3 1" solimp="0.9999 0.9999 0.001 0.5 2"'
 
 
@@ -47,6 +48,7 @@ class GelModel:
     indenter_dof: slice
     indenter_qpos: slice
     indenter_geom: int
+    indenter_body: int
 
     def dofs(self, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the dofs (3 n,) of nodes (n,)."""
@@ -91,6 +93,7 @@ def build_gel_model(problem: ContactProblem, mesh: GelMesh, moduli: Moduli) -> G
         indenter_dof=slice(first_dof, first_dof + 3),
         indenter_qpos=slice(first_qpos, first_qpos + 3),
         indenter_geom=model.geom("indenter").id,
+        indenter_body=model.body("indenter").id,
     )
 
 

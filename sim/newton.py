@@ -185,6 +185,8 @@ class StaticNewton:
         data.qvel[:] = 0
         data.qvel[self.gel.indenter_dof] = indenter_step_mm
         mujoco.mj_fwdPosition(model, data)
+        if data.ncon:
+            self.contacts.place()
         gap_mm = np.abs(data.contact.dist)
         if data.ncon:
             data.contact.includemargin[:] = 0
@@ -300,11 +302,17 @@ class StaticNewton:
             and found.coulomb_excess <= _LARGEST_COULOMB_EXCESS
             and found.min_volume_ratio > 0
         )
+        normal_force_n, contact_force_n = (values[mesh.surface] for values in self.contacts.vertex_forces_n())
+        torque = np.cross(vertices_mm[mesh.surface], contact_force_n).sum(axis=0)
+        if mesh.symmetric:
+            torque = np.array([0.0, 2 * torque[1], 0.0])
         return Record(
             displacement_mm=(vertices_mm - mesh.vertices_mm)[mesh.surface].astype(np.float32),
-            normal_force_n=self.contacts.vertex_normal_force_n()[mesh.surface].astype(np.float32),
+            normal_force_n=normal_force_n.astype(np.float32),
+            contact_force_n=contact_force_n.astype(np.float32),
             indenter_mm=indenter_mm,
             force_n=force,
+            torque_n_mm=torque,
             converged=converged and finite and sound and not self.snapped,
             diagnostics=found,
         )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.sim.estimate import diagnose
+from gelgap.sim.grading import check_sharpness
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
@@ -158,7 +159,8 @@ class SolvePlan:
         no further than the pad if that is larger than the grid by default.
         """
         pose, placement = self.poses[pose_index], self.placements[pose_index]
-        reach_mm = pose.radius_mm + _COVERED_RADII * self.indenter.penetration_radius_mm(pose.depth_mm)
+        indenter = self.indenter if placement is None else solution.problem.indenter
+        reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
         point_mm = pose.point_x_mm, pose.point_y_mm
         extent_mm = tuple(
             min(max(wanted, abs(point) + reach_mm), size / 2)
@@ -166,9 +168,9 @@ class SolvePlan:
         )
         if placement is None:
             return flat_state(extent_mm)
-        record, ratio = solution.records[placement.record], self._modulus_ratio(solution)
+        record, ratio = solution.records[placement.record], self.modulus_ratio(solution)
         table, radius_mm = _table_and_radius(solution, placement.record)
-        on_indenter = pose, placement.frame, self.indenter, table, record.indenter_mm
+        on_indenter = pose, placement.frame, indenter, table, record.indenter_mm
         displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
         axes_mm = grid_axes(extent_mm)
         folded = is_folded(*axes_mm, displacement_mm)
@@ -177,14 +179,27 @@ class SolvePlan:
             displacement_mm,
             contact,
             force_n=placement.frame.on_sensor(record.force_n * ratio),
+            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * ratio),
             contact_radius_mm=radius_mm,
             converged=record.converged and not folded,
             diagnostics=diagnose(solution.problem, record, radius_mm, ratio, folded=folded),
         )
 
-    def _modulus_ratio(self, solution: Solution) -> float:
+    def modulus_ratio(self, solution: Solution) -> float:
         """Return by how much forces are larger than those of the solved gel, which stands for all moduli."""
         return self.elastomer.mujoco_moduli.young_modulus_mpa / solution.problem.moduli.young_modulus_mpa
+
+
+def joined(plans: Sequence[SolvePlan]) -> SolvePlan:
+    """Return the plans of one gel under several indenters as one, their poses one after another."""
+    solves: list[Solve] = []
+    placements: list[Placement | None] = []
+    for plan in plans:
+        shift = len(solves)
+        placements += [own and replace(own, solve=own.solve + shift) for own in plan.placements]
+        solves += plan.solves
+    poses = tuple(pose for plan in plans for pose in plan.poses)
+    return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))
 
 
 @lru_cache(maxsize=64)
@@ -203,7 +218,7 @@ def solved_pose(plan: SolvePlan, pose_index: int, solution: Solution | None) -> 
     table = pressure_table(solution, record)
     half_extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
     _, places = places_around(half_extent_mm, plan.poses[pose_index], placement.frame, table)
-    pressure = table.at(places)[..., 0] * plan._modulus_ratio(solution)
+    pressure = table.at(places)[..., 0] * plan.modulus_ratio(solution)
     return SolvedPose(state, pressure.astype(np.float32), placement.frame.on_sensor(record.indenter_mm))
 
 
@@ -254,6 +269,7 @@ def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
     for problem, served in (*_descent_problems(scene, poses), *_trajectory_problems(scene, poses)):
         for index, (record, frame) in served.items():
             placements[index] = Placement(len(solves), record, frame)
+        check_sharpness(problem)
         solves.append(Solve(problem, scene.sharing.cache))
     return SolvePlan(scene.elastomer, scene.indenter, poses, tuple(solves), tuple(placements))
 

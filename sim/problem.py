@@ -10,8 +10,9 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.indenter import AnyIndenter, Indenter, Symmetry
+from gelgap.sim.indenter import Indenter, Symmetry
 from gelgap.sim.scene import Moduli, PadEdges, Scene
+from gelgap.sim.shapes import AnyIndenter
 
 # Above this ν, meshes of linear tetrahedra lock steeply while the gel itself hardly changes: its force rises by 1.7 %
 # per hundredth of ν (1.5 without friction, 1.6 to 2.2 without slip), and the membrane moves by some 5 µm rms at a depth
@@ -162,7 +163,7 @@ class ContactProblem:
             moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
             friction=gel.friction,
             thickness_mm=gel.thickness_mm,
-            indenter=scene.indenter,
+            indenter=scene.indenter_in_frame(edges=pad_mm is not None),
             mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
             pad_mm=pad_mm,
             # Adding 0 turns −0, which would have another key, into 0.
@@ -199,14 +200,30 @@ class ContactProblem:
         return self.indenter.penetration_radius_mm(self.depth_mm)
 
     @property
+    def origin_at_deepest_mm(self) -> float:
+        """The height of the rest membrane above the indenter's origin at its deepest."""
+        return self.depth_mm - self.indenter.origin_height_mm
+
+    @property
+    def half_cut_mm(self) -> tuple[float, float]:
+        """Half of how far, along x and y, the indenter at its deepest cuts the undeformed membrane."""
+        x_min, x_max, y_min, y_max = self.indenter.cut_mm(self.depth_mm)
+        return max((x_max - x_min) / 2, _SMALLEST_CONTACT_MM), max((y_max - y_min) / 2, _SMALLEST_CONTACT_MM)
+
+    @property
     def meshed_radius_mm(self) -> float:
-        """The radius of the contact that the mesh is made for."""
-        return max(self.penetration_radius_mm, _SMALLEST_CONTACT_MM)
+        """The radius of the contact that the mesh is made for: half of its width, if it is longer than wide."""
+        return min(self.half_cut_mm)
 
     @property
     def contact_width(self) -> float:
         """How wide the contact is, cut from the rest membrane, in thicknesses of the gel."""
-        return 2 * self.meshed_radius_mm / self.thickness_mm
+        return 2 * math.sqrt(math.prod(self.half_cut_mm)) / self.thickness_mm
+
+    @property
+    def widest_cell_mm(self) -> float:
+        """How far apart the membrane's vertices are in a contact that is as wide as the gel is thick."""
+        return _WIDEST_CONTACT_THICKNESSES * self.thickness_mm / self.mesh_size.across
 
     @property
     def cell_mm(self) -> float:

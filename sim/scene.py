@@ -204,6 +204,11 @@ class Scene:
     quality: str
     sharing: Sharing
 
+    def indenter_in_frame(self, *, edges: bool) -> Indenter:
+        """Return the indenter as its contacts are solved: not turned, unless the pad has `edges` that matter."""
+        upright = self.indenter.yawed(-self.indenter.yaw)
+        return self.indenter if edges and upright.symmetry is not Symmetry.REVOLUTION else upright
+
     def check(self, pose: Pose) -> None:
         """Raise ValueError if a pose lies off the pad, or deeper or further sideways than can be solved."""
         gel, indenter = self.elastomer, self.indenter
@@ -217,6 +222,14 @@ class Scene:
                 f"depth_mm = {pose.depth_mm:g}: must be in [0, {deepest:g}] mm, at most {_DEEPEST_THICKNESSES:g} of "
                 f"the pad's thickness and {indenter.deepest_mm:g} mm for the indenter ({indenter.label})"
             )
+        indenter.check(pose.depth_mm)
+        x_min, x_max, y_min, y_max = indenter.cut_mm(pose.depth_mm)
+        for axis, width, size in zip("xy", (x_max - x_min, y_max - y_min), gel.pad_size_mm, strict=True):
+            if width > size:
+                raise ValueError(
+                    f"indenter ({indenter.label}): is {width:.3g} mm wide along {axis} at a depth of {pose.depth_mm:g} "
+                    f"mm, must be at most the pad's {size:g} mm"
+                )
         if pose.radius_mm > gel.thickness_mm:
             raise ValueError(
                 f"shear = {pose.radius_mm:g} mm: must be at most the pad's thickness, {gel.thickness_mm:g} mm"
@@ -250,6 +263,10 @@ class CanonicalFrame:
         """Return a vector (3,) of this frame, such as a force, in the sensor's."""
         return self.to_sensor_3d @ vector
 
+    def torque_on_sensor(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a torque (3,) of this frame in the sensor's: a reflection turns it round."""
+        return np.linalg.det(self.to_sensor).round() * self.on_sensor(torque) + 0.0
+
 
 def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
     """Return whether the pad's edges are too far from a contact point to matter."""
@@ -263,23 +280,30 @@ def is_interior(elastomer: Elastomer, pose: Pose) -> bool:
 def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     """Return the frame of a pose, by the symmetries that pad and indenter have and `scene.sharing` allows.
 
-    The travel of an interior pose under a body of revolution is turned to +x. Other poses are mirrored to the pad's
-    first quadrant, where their travel decides if they lie on an axis of the pad.
+    The travel of an interior pose under a body of revolution is turned to +x; another body that is turned is solved as
+    if it was not, in a frame that is. Other poses are mirrored to the pad's first quadrant, where their travel decides
+    if they lie on an axis of the pad.
     """
-    elastomer, sharing, symmetry = scene.elastomer, scene.sharing, scene.indenter.symmetry
+    elastomer, sharing = scene.elastomer, scene.sharing
     half_x, half_y = elastomer.pad_size_mm[0] / 2, elastomer.pad_size_mm[1] / 2
     x, y = pose.point_x_mm, pose.point_y_mm
     interior = sharing.translation and is_interior(elastomer, pose)
-    if interior and symmetry is Symmetry.REVOLUTION:
-        angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
-        cosine, sine = math.cos(angle), math.sin(angle)
-        return CanonicalFrame(None, np.array([[cosine, -sine], [sine, cosine]]))
+    indenter = scene.indenter_in_frame(edges=not interior)
+    if interior and indenter.symmetry is Symmetry.REVOLUTION:
+        return CanonicalFrame(None, _turn(math.atan2(pose.shear_y_mm, pose.shear_x_mm)))
+    turn = _turn(math.radians(scene.indenter.yaw - indenter.yaw))
     x, y = (0.0, 0.0) if interior else (x, y)
+    shear_x, shear_y = turn.T @ [pose.shear_x_mm, pose.shear_y_mm]
     mirror = np.ones(2)
-    if sharing.reflection and symmetry is not Symmetry.NONE:
-        mirror[0] = -1.0 if x < 0 or (x == 0 and pose.shear_x_mm < -1e-12) else 1.0
-        mirror[1] = -1.0 if y < 0 or (y == 0 and pose.shear_y_mm < -1e-12) else 1.0
+    if sharing.reflection and indenter.symmetry is not Symmetry.NONE:
+        mirror[0] = -1.0 if x < 0 or (x == 0 and shear_x < -1e-12) else 1.0
+        mirror[1] = -1.0 if y < 0 or (y == 0 and shear_y < -1e-12) else 1.0
     x, y = x * mirror[0] + 0.0, y * mirror[1] + 0.0
     edges = (-half_x - x, half_x - x, -half_y - y, half_y - y)
     pad = None if interior else tuple(round(edge, 9) + 0.0 for edge in edges)
-    return CanonicalFrame(pad, np.diag(mirror))
+    return CanonicalFrame(pad, turn @ np.diag(mirror))
+
+
+def _turn(angle: float) -> NDArray[np.float64]:
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([[cosine, -sine], [sine, cosine]])

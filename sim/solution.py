@@ -24,6 +24,8 @@ _SUFFIX = ".solution"
 _MARK = b"gelgap solution 1\n"
 _PROBLEM = TypeAdapter(ContactProblem)
 _STACKED = ("displacement_mm", "normal_force_n", "indenter_mm", "force_n", "converged")
+# What files of earlier versions lack: they are read, with NaN for it, and solved again where they are needed.
+_LATER = ("contact_force_n", "torque_n_mm")
 
 
 @dataclass(frozen=True)
@@ -54,14 +56,17 @@ class Record:
     """Equilibrium at one waypoint: what the surface, the labels and the diagnostics are made from.
 
     `displacement_mm` (n, 3) belongs to the solution's surface vertices, `normal_force_n` (n,) is the normal contact
-    force at each of them, `indenter_mm` (3,) the indenter's displacement from touching the gel, `force_n` (3,) its
-    force on the gel.
+    force at each of them, `contact_force_n` (n, 3) the whole one, `indenter_mm` (3,) the indenter's displacement from
+    touching the gel, `force_n` (3,) its force on the gel, and `torque_n_mm` (3,) its torque about the contact point,
+    the origin of the problem's frame.
     """
 
     displacement_mm: NDArray[np.float32]
     normal_force_n: NDArray[np.float32]
+    contact_force_n: NDArray[np.float32]
     indenter_mm: NDArray[np.float64]
     force_n: NDArray[np.float64]
+    torque_n_mm: NDArray[np.float64]
     converged: bool
     diagnostics: SolveDiagnostics
 
@@ -78,7 +83,10 @@ class Solution:
     records: tuple[Record, ...]
 
     def whole_surface(self, record: Record) -> tuple[NDArray[np.float64], ...]:
-        """Return (rest_mm, displacement_mm, normal_force_n) of a record, with the mirror image of a symmetric half."""
+        """Return (rest_mm, displacement_mm, normal_force_n) of a record, with the mirror image of a symmetric half.
+
+        Vertices in the plane of symmetry keep the force on one half.
+        """
         rest, displacement = self.rest_mm, record.displacement_mm.astype(float)
         force = record.normal_force_n.astype(float)
         if not self.problem.symmetric:
@@ -90,6 +98,11 @@ class Solution:
             np.concatenate([force, force[off_plane]]),
         )
 
+    @property
+    def complete(self) -> bool:
+        """Whether all is known that this version makes labels of."""
+        return all(np.isfinite(record.torque_n_mm).all() or not record.converged for record in self.records)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Solution) and self.problem == other.problem
 
@@ -100,7 +113,10 @@ class Solution:
 def solution_bytes(solution: Solution) -> bytes:
     """Return a solution as the bytes of a file."""
     problem = _PROBLEM.dump_json(solution.problem)
-    stacked = {name: np.stack([getattr(record, name) for record in solution.records]) for name in _STACKED}
+    stacked = {
+        name: np.stack([getattr(record, name) for record in solution.records])
+        for name in (*_STACKED, *_LATER)
+    }
     diagnostics = np.array([astuple(record.diagnostics) for record in solution.records], dtype=np.float64)
     buffer = io.BytesIO()
     np.savez(
@@ -123,14 +139,17 @@ def solution_from_bytes(data: bytes) -> Solution | None:
     try:
         arrays = read_arrays(content)
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
+        for name, like in zip(_LATER, ("displacement_mm", "force_n"), strict=True):
+            arrays.setdefault(name, np.full_like(arrays[like], np.nan))
         _check_shapes(arrays, len(problem.waypoints_mm))
     except (ValueError, KeyError):
         return None
     kinds = [type(field.default) for field in fields(SolveDiagnostics)]
-    columns = zip(*(arrays[name] for name in (*_STACKED, "diagnostics")), strict=True)
+    names = [name for name in (*_STACKED, *_LATER) if name != "converged"]
+    columns = zip(*(arrays[name] for name in (*names, "converged", "diagnostics")), strict=True)
     records = tuple(
         Record(
-            *values,
+            **dict(zip(names, values, strict=True)),
             converged=bool(converged),
             diagnostics=SolveDiagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True))),
         )
@@ -148,6 +167,8 @@ def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
         "normal_force_n": (n, vertices),
         "indenter_mm": (n, 3),
         "force_n": (n, 3),
+        "contact_force_n": (n, vertices, 3),
+        "torque_n_mm": (n, 3),
         "converged": (n,),
         "diagnostics": (n, len(fields(SolveDiagnostics))),
     }
@@ -177,7 +198,7 @@ class CacheEntry:
 
 
 def load_solution(key: str) -> Solution | None:
-    """Return the cached solution of that key; None if there is none. A damaged file is named and set aside."""
+    """Return the cached, complete solution of that key, or None. A damaged file is named and set aside."""
     path = _path(key)
     try:
         data = path.read_bytes()
@@ -185,7 +206,7 @@ def load_solution(key: str) -> Solution | None:
         return None
     solution = solution_from_bytes(data)
     if solution is not None and solution.problem.key == key:
-        return solution
+        return solution if solution.complete else None
     if solution is None and data.startswith(_MARK):
         set_aside(path, "is damaged (its checksum does not match)")
     return None

@@ -31,20 +31,20 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 LINES = {
     "assets": 530,
-    "sim": 3970,
+    "sim": 5135,
     "render": 5070,
-    "domains": 5740,
+    "domains": 5850,
     "adapt": 4950,
-    "view": 1560,
-    "cli": 2340,
-    "benchmarks": 8940,
+    "view": 1570,
+    "cli": 2435,
+    "benchmarks": 9230,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 
 A room that grows gives something back first.
 """
-MOST_FILES = 195
+MOST_FILES = 200
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")

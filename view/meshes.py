@@ -11,7 +11,7 @@ from PIL import Image
 
 from gelgap.assets.whole_file import write_whole
 from gelgap.render import Camera
-from gelgap.sim import MembraneState, SolvedPose, Sphere
+from gelgap.sim import AnyIndenter, MembraneState, SolvedPose
 
 MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]
@@ -20,6 +20,8 @@ _INDENTER_RGBA = (176, 184, 196, 255)
 # glTF counts in metres; PLY has no unit and gets millimetres.
 _METRES_PER_MM = 1e-3
 _ROUNDING = 1e-3
+# From so far away, the points of the indenter nearest to points all around it are spread over all of it.
+_FAR_MM = 1e3
 # Of the page's membrane the first share shines by itself, in the very colours of its texture; the second is shaded. The
 # page's lights are bright, so that both together are less than 1.
 _SHINING_SHARE, _SHADED_SHARE = 0.55, 0.25
@@ -55,22 +57,28 @@ def coloured_mesh(
     return _textured(points, np.stack([u, v], axis=-1), np.ones((rows, columns), bool), texture)
 
 
-def indenter_centre_mm(solved: SolvedPose, point_mm: tuple[float, float], indenter: Sphere) -> NDArray:
-    """Return where the centre (3,) of the indenter is."""
+def indenter_centre_mm(solved: SolvedPose, point_mm: tuple[float, float], indenter: AnyIndenter) -> NDArray:
+    """Return where the origin (3,) of the indenter is, a sphere's centre."""
     return np.array([*point_mm, indenter.origin_height_mm]) + solved.indenter_mm
+
+
+def indenter_mesh(indenter: AnyIndenter) -> trimesh.Trimesh:
+    """Return the surface of the indenter around its origin: the hull of what is nearest to points far around it."""
+    around = trimesh.creation.icosphere(subdivisions=3 if indenter.shape == "sphere" else 5, radius=_FAR_MM)
+    return trimesh.convex.convex_hull(indenter.project(around.vertices.view(np.ndarray)).points_mm)
 
 
 def mesh_bytes(
     solved: SolvedPose,
     point_mm: tuple[float, float],
-    indenter: Sphere,
+    indenter: AnyIndenter,
     camera: Camera,
     picture: NDArray[np.uint8],
     suffix: str,
 ) -> bytes:
     """Return membrane and indenter as a file: `.glb`, textured, in metres, or `.ply`, coloured by vertex, in mm."""
     membrane = membrane_mesh(solved.state, camera, picture)
-    body = trimesh.creation.icosphere(subdivisions=3, radius=indenter.radius_mm)
+    body = indenter_mesh(indenter)
     body.apply_translation(indenter_centre_mm(solved, point_mm, indenter))
     body.visual.vertex_colors = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(body.vertices), 1))
     if suffix == ".glb":
@@ -84,7 +92,7 @@ def save_mesh(
     path: str | Path,
     solved: SolvedPose,
     point_mm: tuple[float, float],
-    indenter: Sphere,
+    indenter: AnyIndenter,
     camera: Camera,
     picture: NDArray[np.uint8],
 ) -> None:

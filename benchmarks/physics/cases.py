@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gelgap import sim
 from gelgap.benchmarks import fem
 from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
-from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Solve, SolvePlan, Sphere
+from gelgap.sim import AnyIndenter, Elastomer, MembraneState, Pose, Sharing, Solve, SolvePlan, Sphere
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
 
@@ -63,7 +63,7 @@ class Case:
     elastomer: Elastomer
     poses: tuple[Pose, ...]
     quality: str = "standard"
-    indenter: Sphere = field(default_factory=Sphere)
+    indenter: AnyIndenter = field(default_factory=Sphere)
     sharing: Sharing = field(default_factory=lambda: Sharing(cache=False))
     truth: Truth | None = field(default=None, compare=False, repr=False)
 

@@ -31,6 +31,7 @@ ROWS_PER_GROUP = 32
 PICTURE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """A picture as Hugging Face `datasets` reads it."""
 POINTS = pa.list_(pa.list_(pa.float32(), 2))
+FORCES = pa.list_(pa.float32())
 
 # 16-bit height maps: 0.1 µm steps from 0.5 mm outwards (the membrane bulges) to 6 mm inwards.
 HEIGHT_MAP_STEP_MM = 1e-4
@@ -47,6 +48,7 @@ class Contact(NamedTuple):
     split: str
     state: "MembraneState"
     force_n: tuple[float, ...]
+    indenter: str
 
     @property
     def angle_deg(self) -> float | None:
@@ -54,11 +56,12 @@ class Contact(NamedTuple):
 
 
 class View(NamedTuple):
-    """One contact as a sensor sees it."""
+    """One contact as a sensor sees it; `coarse_n` is its contact force by cells of the view, if that is wanted."""
 
     renderer: "MembraneRenderer"
     sensor: "Sensor"
     state: "MembraneState"
+    coarse_n: np.ndarray | None = None
 
     @property
     def membrane(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,6 +106,10 @@ def _marker_px(view: View) -> list[list[float]]:
     return _point_list(view.renderer.marker_px(*view.membrane))
 
 
+def _traction(view: View) -> list[float] | None:
+    return None if view.coarse_n is None else view.coarse_n.astype(np.float32).ravel().tolist()
+
+
 def picture_cell(picture: np.ndarray) -> dict[str, Any]:
     """Return the value of a picture column."""
     return {"bytes": encode_png(picture), "path": None}
@@ -119,6 +126,8 @@ _RADIUS = "deformed radius where the normal pressure vanishes"
 _HEIGHT = f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGHT_MAP_STEP_MM:g} × code"
 _REST = "(x, y) of each dot on the undeformed membrane"
 _SEEN = "(x, y) of each dot in the picture, pixel centres at +0.5"
+_TORQUE = "torque of the indenter on the sensor about the contact point on the undeformed membrane"
+_TRACTION = "force (Fx, Fy, Fz) on each cell of 24 rows × 32 columns of the view; null without a picture"
 LABELS = (
     Column("frame_id", _INT, "", "position on the path", lambda c: c.frame),
     Column("point_id", _INT, "", "number of the contact point", lambda c: c.pose.point_id),
@@ -142,7 +151,16 @@ LABELS = (
 )
 IMAGE = Column("image", PICTURE, "", "what the camera sees")
 
-OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
+OptionalColumn = Literal[
+    "height_map",
+    "contact_mask",
+    "marker_rest_mm",
+    "marker_px",
+    "diagnostics",
+    "indenter",
+    "torque",
+    "traction",
+]
 OPTIONAL: dict[str, tuple[Column, ...]] = {
     "height_map": (Column("height_map", PICTURE, "mm", _HEIGHT, cell=_height_map),),
     "contact_mask": (
@@ -160,6 +178,12 @@ OPTIONAL: dict[str, tuple[Column, ...]] = {
         )
         for field in dataclasses.fields(Diagnostics)
     ),
+    "indenter": (Column("indenter", _TEXT, "", "shape and size of the indenter", lambda c: c.indenter),),
+    "torque": tuple(
+        Column(f"t{axis}_n_mm", _FLOAT, "N mm", _TORQUE, lambda c, k=k: float(c.state.torque_n_mm[k]))
+        for k, axis in enumerate("xyz")
+    ),
+    "traction": (Column("traction_n", FORCES, "N", _TRACTION, cell=_traction),),
 }
 """What a domain may also hold, by the names by which it is asked for."""
 
@@ -179,6 +203,8 @@ def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
 def _huggingface_feature(kind: pa.DataType) -> dict[str, Any]:
     if kind == PICTURE:
         return {"_type": "Image"}
+    if kind == FORCES:
+        return {"feature": {"dtype": "float32", "_type": "Value"}, "_type": "List"}
     if kind == POINTS:
         pair = {"feature": {"dtype": "float32", "_type": "Value"}, "length": 2, "_type": "List"}
         return {"feature": pair, "_type": "List"}
@@ -191,7 +217,7 @@ def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColu
     import pyarrow.parquet as pq
 
     # Labels are few, and noise leaves pictures nothing to gain: only optional columns are compressed.
-    leaves = {PICTURE: "bytes", POINTS: "list.element.list.element"}
+    leaves = {PICTURE: "bytes", POINTS: "list.element.list.element", FORCES: "list.element"}
     packed = (column for name in optional for column in OPTIONAL[name] if column.type in leaves)
     table = pa.Table.from_pylist(list(rows), schema=frame_schema(optional))
     sink = io.BytesIO()
@@ -210,7 +236,7 @@ _MOST_ROWS = 100_000
 # More entries than any list in the footer has, and more bytes than any text there.
 _FOOTER_LIMITS = {"thrift_container_size_limit": 10_000, "thrift_string_size_limit": 2**20}
 # A label is a number or the name of a part; headers come on top.
-_LABEL_BYTES, _HEADER_BYTES = 64, 2**16
+_LABEL_BYTES, _HEADER_BYTES = 128, 2**16
 # Coded pictures hardly become smaller; those that are nearly empty do, but are small.
 _MOST_GROWTH, _SMALL_BYTES = 8, 2**25
 

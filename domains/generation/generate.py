@@ -179,7 +179,7 @@ def generate_recipes(
             out_dir=out_dir,
             domains=names,
             skipped=skipped,
-            frames=sum(len(recipe.path.poses) for recipe in recipes),
+            frames=sum(recipe.frames for recipe in recipes),
             frames_written=plan.frames,
             unconverged=sum(writer.total("unconverged") for writer in writers.values()),
             unrenderable=unrenderable,
@@ -261,7 +261,7 @@ class DomainWriter:
 
     def _write_manifest(self) -> None:
         recipe, shards = self.recipe, self.files.values()
-        complete = self.complete and len(self.finished) == len(shard_bounds(len(recipe.path.poses)))
+        complete = self.complete and len(self.finished) == len(shard_bounds(recipe.frames))
         lows, highs = ([e[name] for e in shards if e.get(name)] for name in ("force_min_n", "force_max_n"))
         manifest = {
             "schema_version": SCHEMA_VERSION,
@@ -269,7 +269,7 @@ class DomainWriter:
             "complete": complete,
             "configuration": recipe.configuration(),
             "seed": recipe.seed,
-            "frames": len(recipe.path.poses),
+            "frames": recipe.frames,
             "unconverged": self.total("unconverged"),
             "outside_range": self.total("outside_range"),
             "force_range_n": recipe.force_range_n,

@@ -67,16 +67,16 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
     ValueError
         If a contact cannot be solved.
     """
-    from gelgap.sim import plan_solves
+    from gelgap.sim import joined, plan_solves
 
     alike: dict[tuple[Any, ...], list[DomainRecipe]] = {}
     for recipe in recipes:
-        same = (recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality)
+        same = (recipe.elastomer, recipe.indenters, recipe.solved_path(), recipe.quality)
         alike.setdefault(same, []).append(recipe)
     solves: dict[str, Solve] = {}
     batches = []
-    for contacts, members in alike.items():
-        physics = plan_solves(*contacts)
+    for (elastomer, indenters, *contacts), members in alike.items():
+        physics = joined([plan_solves(elastomer, indenter, *contacts) for indenter in indenters])
         by_key = {solve.key: solve for solve in physics.solves}
         for number, (start, stop) in enumerate(shard_bounds(len(physics.poses))):
             serving = {physics.solve_key(frame) for frame in range(start, stop)}
@@ -103,6 +103,8 @@ class Estimate:
     wall_s: float
     disk_bytes: float
     workers: int
+    indenters: tuple[str, ...] = ()
+    """What the solves of each indenter take, if they are not all of one sphere."""
 
     def __str__(self) -> str:
         kilobytes = self.disk_bytes / self.frames / 1e3
@@ -114,6 +116,7 @@ class Estimate:
                 f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
                 f"time     about {wall} with {self.workers} workers",
                 f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
+                *(f"indenter {line}" for line in self.indenters),
             ]
         )
 
@@ -134,8 +137,8 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     plan = plan_generation(recipes)
     processes = plan.processes(workers)
     shards = sum(len(batch.recipes) for batch in plan.batches)
-    to_solve = {key: solve.problem for key, solve in plan.solves.items() if not has_solution(key)}
-    solve_s = [_STEP_S[problem.quality.name] * problem.load_steps for problem in to_solve.values()]
+    to_solve = {key: solve for key, solve in plan.solves.items() if not has_solution(key)}
+    solve_s = list(map(_expected_s, to_solve.values()))
     pixels = max(recipe.size_px[0] * recipe.size_px[1] for recipe in recipes)
     # One solve is not shared; frames are shared as shards.
     solving_s = max(sum(solve_s) / processes, *solve_s, 0.0)
@@ -147,13 +150,49 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         frames=plan.frames,
         shards=shards,
         contacts=len(
-            {(r.elastomer, pose) for r in recipes for pose in r.solved_path().poses if pose.depth_mm > 0}
+            {
+                (r.elastomer, indenter, pose)
+                for r in recipes
+                for indenter in r.indenters
+                for pose in r.solved_path().poses
+                if pose.depth_mm > 0
+            }
         ),
         solves=len(plan.solves),
         solves_cached=len(plan.solves) - len(to_solve),
         wall_s=_START_S + solving_s + rendering_s,
         disk_bytes=frame_bytes * plan.frames,
         workers=processes,
+        indenters=_by_indenter(plan),
+    )
+
+
+def _expected_s(solve: "Solve") -> float:
+    """Return the seconds of a core that a solve takes; the meshes of other shapes than spheres are of all sizes."""
+    problem = solve.problem
+    if problem.indenter.shape == "sphere":
+        return _STEP_S[problem.quality.name] * problem.load_steps
+    return solve.expected_core_s
+
+
+def _by_indenter(plan: GenerationPlan) -> tuple[str, ...]:
+    """Return what the solves of each indenter take and share, if they are not all of one sphere."""
+    from gelgap.sim import Symmetry
+
+    shared = {
+        Symmetry.REVOLUTION: "all directions share solves",
+        Symmetry.MIRROR: "only mirrored directions share solves",
+        Symmetry.NONE: "no directions share solves",
+    }
+    by_label: dict[str, list[Solve]] = {}
+    for solve in plan.solves.values():
+        by_label.setdefault(solve.problem.indenter.label, []).append(solve)
+    if len(by_label) == 1 and next(iter(plan.solves.values())).problem.indenter.shape == "sphere":
+        return ()
+    return tuple(
+        f"{label}: {len(own)} solves, {sum(map(_expected_s, own)):.0f} s of a core; "
+        f"{shared[own[0].problem.indenter.symmetry]}"
+        for label, own in by_label.items()
     )
 
 

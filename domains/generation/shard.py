@@ -102,6 +102,8 @@ def _shards_of_groups(
 
     Cameras with the same extent of view share their membranes, whose grid it decides.
     """
+    from gelgap.sim import traction_map
+
     recipes, physics = batch.recipes, batch.contacts
     rows: dict[int, list[Row]] = {index: [] for members in groups for index in members}
     label_cells = {index: _label_cells_of(recipes[index]) for index in rows}
@@ -116,7 +118,12 @@ def _shards_of_groups(
             cells: list[Row] = [{"image": None, "converged": False} for _ in own]
             if state.converged:
                 try:
-                    cells = picture_cells(own, frame, state)
+                    coarse_n = None
+                    if any("traction" in recipe.columns for recipe in own):
+                        coarse_n = traction_map(physics, place, solution, state).coarse_n(
+                            half_extent_mm=extent
+                        )
+                    cells = picture_cells(own, frame, state, coarse_n)
                 except (MemoryError, OSError):
                     raise  # the machine's trouble, not this frame's
                 except Exception as error:
@@ -137,12 +144,15 @@ def _shards_of_groups(
 
 
 def picture_cells(
-    recipes: Sequence[DomainRecipe], frame: int, state: "MembraneState"
+    recipes: Sequence[DomainRecipe],
+    frame: int,
+    state: "MembraneState",
+    coarse_n: np.ndarray | None = None,
 ) -> list[dict[str, Any]]:
     """Return the picture columns of one contact for recipes that are one group of `group_by_picture`, rendered once."""
     first = recipes[0]
     renderer = renderer_of(first)
-    view = View(renderer, first.sensor, state)
+    view = View(renderer, first.sensor, state, coarse_n)
     picture = renderer.picture(
         *view.membrane,
         markers=_shows_markers(first),
@@ -197,7 +207,8 @@ def _label_cells_of(recipe: DomainRecipe) -> "Callable[[int, MembraneState], Row
     optional = (column for name in recipe.columns for column in OPTIONAL[name])
     columns = (*LABELS, *(column for column in optional if column.value))
     poses, travels = recipe.commanded_poses(), trajectories(recipe.path.poses)
-    split = draw_parts(len(poses), recipe.seed)
+    split = draw_parts(recipe.frames, recipe.seed)
+    last_travel = max(number for number, _ in travels) + 1
     bias_n, noise_n = recipe.drawn_errors().force_bias_n, recipe.acquisition.force_noise_n
 
     def cells(frame: int, state: "MembraneState") -> Row:
@@ -207,7 +218,12 @@ def _label_cells_of(recipe: DomainRecipe) -> "Callable[[int, MembraneState], Row
             force_n = force_n + noise_n * rng.standard_normal(3)
         # Adding zero turns −0.0, which some readers show, into 0.0.
         force_n = tuple(float(value) + 0.0 for value in force_n)
-        contact = Contact(frame, poses[frame], *travels[frame], PARTS[split[frame]], state, force_n)
+        turn, place = divmod(frame, len(poses))
+        (travel, step), indenter = travels[place], recipe.indenters[turn]
+        travel += turn * last_travel
+        contact = Contact(
+            frame, poses[place], travel, step, PARTS[split[frame]], state, force_n, indenter.label
+        )
         return {column.name: column.value(contact) for column in columns}
 
     return cells

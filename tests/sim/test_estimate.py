@@ -24,7 +24,9 @@ def _record(depth_mm: float = 0.6, force_n: tuple[float, float, float] = (0.0, 0
     return Record(
         displacement_mm=np.zeros((1, 3), np.float32),
         normal_force_n=np.zeros(1, np.float32),
+        contact_force_n=np.zeros((1, 3), np.float32),
         indenter_mm=np.array([0.0, 0.0, -depth_mm]),
+        torque_n_mm=np.zeros(3),
         force_n=np.array(force_n),
         converged=True,
         diagnostics=SolveDiagnostics(elastic_energy_mj=0.5),

@@ -68,7 +68,9 @@ def _pressed(rest_mm: np.ndarray, normal_force_n: np.ndarray) -> float:
     record = Record(
         displacement_mm=np.zeros((len(rest_mm), 3), dtype=np.float32),
         normal_force_n=normal_force_n.astype(np.float32),
+        contact_force_n=np.zeros((len(rest_mm), 3), dtype=np.float32),
         indenter_mm=np.array([0.0, 0.0, -0.1]),
+        torque_n_mm=np.zeros(3),
         force_n=np.array([0.0, 0.0, -1.0]),
         converged=True,
         diagnostics=SolveDiagnostics(),

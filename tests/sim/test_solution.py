@@ -42,7 +42,9 @@ def solution() -> Solution:
         Record(
             displacement_mm=rng.normal(size=(5, 3)).astype(np.float32),
             normal_force_n=rng.normal(size=5).astype(np.float32),
+            contact_force_n=rng.normal(size=(5, 3)).astype(np.float32),
             indenter_mm=rng.normal(size=3),
+            torque_n_mm=rng.normal(size=3),
             force_n=np.array([-0.0, np.nan, 1e-310]),
             converged=converged,
             diagnostics=SolveDiagnostics(*rng.normal(size=1), 7, *rng.normal(size=7)),
@@ -60,7 +62,14 @@ def test_every_bit_comes_back(solution: Solution) -> None:
     assert type(loaded.problem.indenter) is Sphere
     assert loaded.rest_mm.tobytes() == solution.rest_mm.tobytes()
     for found, record in zip(loaded.records, solution.records, strict=True):
-        for name in ("displacement_mm", "normal_force_n", "indenter_mm", "force_n"):
+        for name in (
+            "displacement_mm",
+            "normal_force_n",
+            "contact_force_n",
+            "indenter_mm",
+            "torque_n_mm",
+            "force_n",
+        ):
             assert getattr(found, name).dtype == getattr(record, name).dtype
             assert getattr(found, name).tobytes() == getattr(record, name).tobytes()
         assert found.converged is record.converged

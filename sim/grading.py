@@ -1,0 +1,118 @@
+"""How wide a mesh's cells are along an axis: as contact and indenter's surface need them, growing away from them.
+
+A sphere's contact has `MeshSize.across` cells across its radius. From one cell to the next the sphere's normal turns by
+at most 1/across, so that cells on another body are no wider than where its own normal turns by some of these.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelgap.sim.problem import ContactProblem
+
+Floats = NDArray[np.float64]
+
+# By how many times 1/across the normal of the indenter's surface may turn from one cell to the next.
+_TURN_PER_CELL = 2.0
+# Where cells are even they are counted on this many points.
+_SAMPLES = 4000
+# At most about so many places say where the surface is curved.
+_CURVED_PLACES = 60
+# Cells in the middle of a contact, where nothing changes much, in those of a contact as wide as the gel is thick.
+_MIDDLE_CELLS = 1.5
+# A surface is flat if its radius of curvature is this many times the contact's width.
+_FLAT_RADII = 20.0
+_INWARDS = 0.5
+# The contact's inside is looked at in this many places.
+_CONTACT_PLACES = 33
+# The smallest radius of curvature that a mesh serves, in cells of a sphere's contact of the same radius.
+_SHARPEST_CELLS = 0.35
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Cells are `size_mm` (n,) wide between `first_mm` and `last_mm` (n,).
+
+    They grow by `below` and `above` (n,) per mm before the first and beyond the last place.
+    """
+
+    first_mm: Floats
+    last_mm: Floats
+    size_mm: Floats
+    below: Floats
+    above: Floats
+    largest_mm: float
+
+    def at(self, places_mm: Floats) -> Floats:
+        """Return the width (k,) of cells at places (k,)."""
+        place = places_mm[:, None]
+        grown = np.maximum(self.below * (self.first_mm - place), self.above * (place - self.last_mm))
+        return np.minimum((self.size_mm + np.maximum(grown, 0.0)).min(axis=1), self.largest_mm)
+
+    def positions_mm(self, start_mm: float, end_mm: float) -> Floats:
+        """Return positions from start to end, each further from the last one by the width of a cell there."""
+        place = np.linspace(start_mm, end_mm, _SAMPLES)
+        density = 1 / self.at(place)
+        passed = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(place))])
+        cells = max(1, math.ceil(passed[-1] - 1e-9))
+        return np.interp(np.linspace(0.0, passed[-1], cells + 1), passed, place)
+
+
+def sizes_along(
+    problem: ContactProblem, axis: int, largest_mm: float, swept_mm: tuple[float, float]
+) -> Sizes:
+    """Return the sizes of cells along x or y (axis 0, 1), around what the indenter touches between two places.
+
+    Where its surface is curved the cells are fine, and at the ends of the contact; from there to the middle of a flat
+    face they widen to half as much again as those of a contact as wide as the gel is thick.
+    """
+    cell_mm, size = problem.cell_mm, problem.mesh_size
+    low, high = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))[axis]
+    growth = math.log(size.ring_growth)
+    places, radius = problem.indenter.curvature(problem.depth_mm, axis, cell_mm)
+    turned = _TURN_PER_CELL * radius / size.across
+    curved = np.flatnonzero(turned < cell_mm)
+    curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
+    middle = np.linspace(low, high, _CONTACT_PLACES)
+    widest_mm = max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm)
+    widened = np.minimum(cell_mm + growth * np.minimum(middle - low, high - middle), widest_mm)
+    # Only under a flat face all of the contact is there from the first touch on.
+    order = np.argsort(places)
+    is_flat = np.interp(middle, places[order], radius[order]) > _FLAT_RADII * (high - low)
+    within = np.where(is_flat, widened, cell_mm)
+    # A less deep contact of a pointed body ends further in, and is to be as many cells wide.
+    further = np.abs(middle)[:, None] - np.abs(places[curved])
+    pointed = np.where(further > 0, turned[curved] + further / size.across, np.inf)
+    margin = np.where((middle == low) | (middle == high), cell_mm, 0.0)
+    within = np.where(margin > 0, within, np.minimum(within, pointed.min(axis=1, initial=np.inf)))
+    place, margin = np.concatenate([places[curved], middle]), np.concatenate([0 * places[curved], margin])
+    # Towards the middle of the contact, where it carries load, cells grow half as fast as away from it.
+    beyond = place > (low + high) / 2
+    return Sizes(
+        place - margin + swept_mm[0],
+        place + margin + swept_mm[1],
+        np.concatenate([turned[curved], within]),
+        growth * np.where(beyond, _INWARDS, 1.0),
+        growth * np.where(beyond, 1.0, _INWARDS),
+        largest_mm,
+    )
+
+
+def sharpest_mm(problem: ContactProblem) -> float:
+    """Return the smallest radius of curvature that the problem's mesh serves."""
+    return _SHARPEST_CELLS * problem.cell_mm
+
+
+def check_sharpness(problem: ContactProblem) -> None:
+    """Raise ValueError if the indenter's surface, where it is pressed, has an edge that the mesh does not serve."""
+    served_mm, indenter = sharpest_mm(problem), problem.indenter
+    for axis in (0, 1):
+        _, radius = indenter.curvature(problem.depth_mm, axis, served_mm)
+        # Over such a step an edge of this radius turns by one radian, and any sharper one by more.
+        if radius.min(initial=np.inf) < 0.98 * served_mm:
+            raise ValueError(
+                f"indenter ({indenter.label}): has an edge sharper than the mesh at quality {problem.quality.name} "
+                f"serves; the smallest radius that it serves here is {served_mm:.2g} mm"
+            )

@@ -1,0 +1,323 @@
+"""Indenters beside the sphere: cylinder, cone, edge, box, ellipsoid and convex meshes, by name or from files."""
+
+import math
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import Field
+
+from gelgap.assets import list_presets, load_preset
+from gelgap.assets.names import unknown_name
+from gelgap.assets.settings import within
+from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.sim.indenter import Floats, Indenter, Sphere, Symmetry
+from gelgap.sim.rounded import RoundedHull, RoundedProfile, Shape
+
+MOST_HULL_POINTS = 4000
+# Bodies whose height no field says are as high as they are wide, and at least this high.
+_SMALLEST_HEIGHT_MM = 10.0
+# A mesh is convex if its volume is this share of its hull's.
+_CONVEX_VOLUME_SHARE = 0.995
+
+Size = Annotated[float, within(0.5, 50.0, "mm")]
+Rounding = Annotated[float, within(0.01, 25.0, "mm")]
+
+
+class Cylinder(RoundedProfile):
+    """A flat-ended cylinder that stands on the gel; the edge of its face is rounded."""
+
+    shape: ClassVar[str] = "cylinder"
+
+    diameter_mm: Size = Field(default=3.0, description="Diameter, mm, 0.5 to 50.")
+    edge_radius_mm: Rounding = Field(
+        default=0.2, description="Radius of the face's edge, mm, 0.01 to half the diameter."
+    )
+
+    @property
+    def _height_mm(self) -> float:
+        return max(self.diameter_mm, _SMALLEST_HEIGHT_MM)
+
+    @property
+    def _core_mm(self) -> Floats:
+        f, r, top = self.edge_radius_mm, self.diameter_mm / 2 - self.edge_radius_mm, self._height_mm
+        return np.array([[0.0, f], [r, f], [r, top - f], [0.0, top - f]])
+
+    @property
+    def _face_mm(self) -> Floats:
+        angle, r = np.linspace(0, 2 * np.pi, 33), self.diameter_mm / 2 - self.edge_radius_mm
+        return np.stack([r * np.cos(angle), r * np.sin(angle), 0 * angle], 1)
+
+
+class Cone(RoundedProfile):
+    """A cone that stands on its rounded tip."""
+
+    shape: ClassVar[str] = "cone"
+
+    diameter_mm: Size = Field(default=6.0, description="Diameter where it is widest, mm, 0.5 to 50.")
+    half_angle_deg: Annotated[float, within(20.0, 85.0, "°")] = Field(
+        default=60.0, description="Angle between axis and flank, degrees, 20 to 85."
+    )
+    tip_radius_mm: Rounding = Field(
+        default=0.3, description="Radius of the tip, mm, 0.01 to half the diameter."
+    )
+
+    @property
+    def _flank_mm(self) -> float:
+        """Height of the flank, without the rounding."""
+        return (self.diameter_mm / 2 - self.tip_radius_mm) / math.tan(math.radians(self.half_angle_deg))
+
+    @property
+    def _height_mm(self) -> float:
+        return max(2 * (self._flank_mm + self.tip_radius_mm), _SMALLEST_HEIGHT_MM)
+
+    @property
+    def deepest_mm(self) -> float:
+        return self._flank_mm + self.tip_radius_mm
+
+    @property
+    def _rounding_mm(self) -> float:
+        return self.tip_radius_mm
+
+    @property
+    def _core_mm(self) -> Floats:
+        t, r = self.tip_radius_mm, self.diameter_mm / 2 - self.tip_radius_mm
+        top = self._height_mm - t
+        return np.array([[0.0, t], [r, t + self._flank_mm], [r, top], [0.0, top]])
+
+
+class Edge(RoundedProfile):
+    """A cylinder that lies on the gel, along x as long as it is not turned; the edges of its ends are rounded."""
+
+    shape: ClassVar[str] = "edge"
+
+    diameter_mm: Size = Field(default=3.0, description="Diameter, mm, 0.5 to 50.")
+    length_mm: Size = Field(default=6.0, description="Length, mm, 0.5 to 50.")
+    edge_radius_mm: Rounding = Field(
+        default=0.3, description="Radius of the ends' edges, mm, 0.01 to half of diameter and length."
+    )
+
+    @property
+    def _upright_symmetry(self) -> Symmetry:
+        return Symmetry.MIRROR
+
+    @property
+    def _height_mm(self) -> float:
+        return self.diameter_mm
+
+    @property
+    def _core_mm(self) -> Floats:
+        r, end = self.diameter_mm / 2 - self.edge_radius_mm, self.length_mm / 2 - self.edge_radius_mm
+        return np.array([[0.0, -end], [r, -end], [r, end], [0.0, end]])
+
+    @property
+    def _face_mm(self) -> Floats:
+        end = self.length_mm / 2 - self.edge_radius_mm
+        return np.array([[-end, 0.0, 0.0], [end, 0.0, 0.0]])
+
+    def _nearest(self, points_mm: Floats) -> tuple[Floats, Floats]:
+        """Have the axis lie along x, a radius above the gel."""
+        from_axis = points_mm - [0.0, 0.0, self.diameter_mm / 2]
+        distance_mm, normal = super()._nearest(from_axis[:, [1, 2, 0]])
+        return distance_mm, normal[:, [2, 0, 1]]
+
+    def _support_mm(self, directions: Floats) -> Floats:
+        return super()._support_mm(directions[:, [1, 2, 0]]) + self.diameter_mm / 2 * directions[:, 2]
+
+
+class Ellipsoid(Shape):
+    """An ellipsoid whose axes are x, y and z as long as it is not turned."""
+
+    shape: ClassVar[str] = "ellipsoid"
+
+    diameters_mm: tuple[Size, Size, Size] = Field(
+        default=(4.0, 3.0, 3.0), description="Diameters along x, y and z, mm, 0.5 to 50 each."
+    )
+
+    @property
+    def _half_mm(self) -> Floats:
+        return np.array(self.diameters_mm) / 2
+
+    @property
+    def _upright_symmetry(self) -> Symmetry:
+        x, y, _ = self.diameters_mm
+        return Symmetry.REVOLUTION if x == y else Symmetry.MIRROR
+
+    @property
+    def _height_mm(self) -> float:
+        return self.diameters_mm[2]
+
+    @property
+    def _rounding_mm(self) -> float:
+        half = self._half_mm
+        return float(half.min() ** 2 / half.max())
+
+    def _nearest(self, points_mm: Floats) -> tuple[Floats, Floats]:
+        """Newton's method on Eberly's equation, Σ (a p / (t + a²))² = 1, from its left, where it is convex."""
+        square = self._half_mm**2
+        point = points_mm - [0.0, 0.0, self._half_mm[2]]
+        scaled = self._half_mm * np.maximum(np.abs(point), 1e-9)
+        t = (scaled - square).max(axis=1)
+        for _ in range(60):
+            term = (scaled / (t[:, None] + square)) ** 2
+            step = (term.sum(axis=1) - 1) / (2 * (term / (t[:, None] + square)).sum(axis=1))
+            t = t + step
+            if np.abs(step).max(initial=0.0) < 1e-13:
+                break
+        nearest = square * point / (t[:, None] + square)
+        normal = nearest / square
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return ((point - nearest) * normal).sum(axis=1), normal
+
+    def _support_mm(self, directions: Floats) -> Floats:
+        return np.linalg.norm(directions * self._half_mm, axis=1) + self._half_mm[2] * directions[:, 2]
+
+
+class Box(RoundedHull):
+    """A box that stands on the gel; all of its edges are rounded."""
+
+    shape: ClassVar[str] = "box"
+
+    size_mm: tuple[Size, Size] = Field(
+        default=(4.0, 3.0), description="Size along x and y, mm, 0.5 to 50 each."
+    )
+    edge_radius_mm: Rounding = Field(
+        default=0.3, description="Radius of the edges, mm, 0.01 to half the size."
+    )
+
+    @property
+    def _height_mm(self) -> float:
+        return max(*self.size_mm, _SMALLEST_HEIGHT_MM)
+
+    @property
+    def _corners_mm(self) -> Floats:
+        f, (x, y) = self.edge_radius_mm, self.size_mm
+        # A core without width has no facets.
+        half = np.maximum([x / 2 - f, y / 2 - f], 1e-6)
+        ends = [(-half[0], half[0]), (-half[1], half[1]), (f, self._height_mm - f)]
+        return np.array(np.meshgrid(*ends)).reshape(3, -1).T
+
+
+class ConvexMesh(RoundedHull):
+    """A convex body of any shape, by its corners, which stands on the gel as it is in its file."""
+
+    shape: ClassVar[str] = "mesh"
+
+    hull_mm: tuple[tuple[float, float, float], ...] = Field(
+        description="Corners of the convex hull, mm; the lowest is moved to z = 0."
+    )
+    edge_radius_mm: Annotated[float, within(0.0, 25.0, "mm")] = Field(
+        default=0.0, description="Radius of the ball that rolls around the hull and rounds it, mm, 0 to 25."
+    )
+
+    @classmethod
+    def load(cls, path: str | Path, **fields: Any) -> Self:
+        """Read a mesh file (STL, PLY, OBJ, …) in mm, centred over its lowest point's face.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is no mesh, or one that is open or not convex, or has too many corners.
+        """
+        import trimesh
+
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"mesh {path} does not exist")
+        try:
+            mesh = trimesh.load_mesh(path)
+            mesh.merge_vertices()
+            watertight, volume, hull = mesh.is_watertight, abs(mesh.volume), mesh.convex_hull
+        except Exception as error:  # readers of other people's formats raise whatever they like
+            raise ValueError(f"indenter = {str(path)!r}: is not a mesh that can be read ({error})") from None
+        if not watertight:
+            raise ValueError(f"indenter = {str(path)!r}: the mesh is open; close it")
+        if volume < _CONVEX_VOLUME_SHARE * hull.volume:
+            share = 100 * volume / hull.volume
+            raise ValueError(
+                f"indenter = {str(path)!r}: must be convex; it fills {share:.1f} % of its convex hull"
+            )
+        corners = np.array(hull.vertices)
+        if len(corners) > MOST_HULL_POINTS:
+            raise ValueError(f"indenter = {str(path)!r}: has {len(corners)} corners, of {MOST_HULL_POINTS}")
+        lowest = corners[corners[:, 2] < corners[:, 2].min() + 1e-6]
+        corners -= [*lowest[:, :2].mean(axis=0), corners[:, 2].min()]
+        return cls(hull_mm=tuple(map(tuple, np.round(corners, 6).tolist())), **fields)
+
+    @property
+    def label(self) -> str:
+        size = " × ".join(
+            f"{side:.3g}" for side in np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm
+        )
+        return super().label.replace(self.shape, f"mesh of {len(self.hull_mm)} corners, size {size}", 1)
+
+    @property
+    def _upright_symmetry(self) -> Symmetry:
+        return Symmetry.NONE
+
+    @property
+    def _height_mm(self) -> float:
+        return float(np.ptp(self._corners_mm[:, 2])) + 2 * self.edge_radius_mm
+
+    @property
+    def _corners_mm(self) -> Floats:
+        return _hull_mm(self.hull_mm) + np.array([0.0, 0.0, self.edge_radius_mm])
+
+
+AnyIndenter = Sphere | Cylinder | Cone | Edge | Box | Ellipsoid | ConvexMesh
+"""Type of a field that holds any shape; pydantic tells shapes apart by the names of their fields."""
+SHAPES: dict[str, type[Indenter]] = {
+    shape.shape: shape for shape in (Sphere, Cylinder, Cone, Edge, Box, Ellipsoid)
+}
+
+
+def load_indenter(name: str, **fields: Any) -> AnyIndenter:
+    """Return the indenter of a shape's name, a preset, a TOML file or a mesh file, with some fields given anew.
+
+    A TOML file has `shape`, or `mesh` as a path beside it, and the shape's fields.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If there is no such shape or preset, it has no such field, a value is out of range, or a mesh is not served.
+    """
+    if name in SHAPES:
+        return _made(SHAPES[name], fields)
+    if name.endswith(".toml"):
+        with named_in_errors(name):
+            return _from_table(read_toml(name), Path(name).parent, fields)
+    if "." in name:
+        return _made(ConvexMesh, fields, Path(name))
+    known = (*SHAPES, *list_presets("indenters"))
+    if name not in known:
+        hint = "known ones, or name a .toml or a mesh file"
+        raise ValueError(unknown_name("indenter", name, known, hint))
+    return _from_table(load_preset("indenters", name), Path(), fields)
+
+
+def _from_table(values: dict[str, Any], folder: Path, fields: dict[str, Any]) -> AnyIndenter:
+    values.pop("description", None)
+    mesh, shape = values.pop("mesh", None), values.pop("shape", None)
+    if mesh is not None and shape is None:
+        return _made(ConvexMesh, values | fields, folder / str(mesh))
+    if shape not in SHAPES:
+        raise ValueError(unknown_name("shape", str(shape), tuple(SHAPES), "known shapes"))
+    return _made(SHAPES[shape], values | fields)
+
+
+def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) -> Any:
+    for name in fields:
+        if name not in shape.model_fields:
+            known = ", ".join(field for field in shape.model_fields if field != "hull_mm")
+            raise ValueError(f"{name}: a {shape.shape} has none; it has {known}")
+    return shape(**fields) if mesh is None else shape.load(mesh, **fields)
+
+
+@lru_cache(maxsize=8)
+def _hull_mm(points: tuple[tuple[float, float, float], ...]) -> Floats:
+    return np.array(points)

@@ -1,0 +1,171 @@
+"""How the indenter's force is spread over the membrane: contact stress on the rest grid, and forces on a coarse grid.
+
+The stress is that of the vertices' contact forces over their shares of the deformed surface, interpolated. What that
+loses of the force and the torque is given back where the stress is, so that the map's integrals are the labels.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelgap.sim.membrane import (
+    GRID_HALF_EXTENT_MM,
+    MembraneState,
+    places_around,
+    traction_table,
+)
+from gelgap.sim.plan import SolvePlan, plan_visit
+from gelgap.sim.scene import Elastomer, Pose
+from gelgap.sim.shapes import AnyIndenter
+from gelgap.sim.solution import Solution
+
+Floats = NDArray[np.float64]
+COARSE_SHAPE = (24, 32)
+
+
+@dataclass(frozen=True, eq=False)
+class Traction:
+    """Contact stress on a state's rest grid.
+
+    `traction_mpa` (ny, nx, 3) is the indenter's force on the membrane per deformed area, in the sensor's axes, and
+    `area_mm2` (ny, nx) that area: the sum of their product is the state's force, and of its moment the torque, to
+    1e-6. `correction` is the share of the map that was added for this.
+    """
+
+    state: MembraneState
+    point_mm: tuple[float, float]
+    traction_mpa: Floats
+    area_mm2: Floats
+    correction: float
+
+    @property
+    def cell_force_n(self) -> Floats:
+        """The force (ny, nx, 3) of each grid point's part of the membrane."""
+        return self.traction_mpa * self.area_mm2[..., None]
+
+    @property
+    def force_n(self) -> Floats:
+        """The map's integral (3,)."""
+        return self.cell_force_n.sum(axis=(0, 1))
+
+    @property
+    def torque_n_mm(self) -> Floats:
+        """The map's torque (3,) about the contact point."""
+        return np.cross(self.places_mm, self.cell_force_n).sum(axis=(0, 1))
+
+    @cached_property
+    def places_mm(self) -> Floats:
+        """Where the grid's points (ny, nx, 3) are, from the contact point."""
+        return _places_mm(self.state) - [*self.point_mm, 0.0]
+
+    @property
+    def normal_mpa(self) -> Floats:
+        """The pressure (ny, nx): the stress against the deformed membrane's outward normal."""
+        return -(self.traction_mpa * self._normals).sum(axis=-1)
+
+    @property
+    def tangential_mpa(self) -> Floats:
+        """The size of the stress along the deformed membrane, (ny, nx)."""
+        along = self.traction_mpa + self.normal_mpa[..., None] * self._normals
+        return np.linalg.norm(along, axis=-1)
+
+    @cached_property
+    def _normals(self) -> Floats:
+        area = _area_vectors_mm2(_places_mm(self.state))
+        return area / np.linalg.norm(area, axis=-1, keepdims=True)
+
+    def coarse_n(
+        self,
+        shape: tuple[int, int] = COARSE_SHAPE,
+        half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
+    ) -> Floats:
+        """Return the force (rows, columns, 3) in N on each cell of a coarse grid around the sensor's centre.
+
+        A point's force goes to the cell that the point is in, as deformed, or to the outermost ones beyond the extent:
+        the sum is the force.
+        """
+        place, (rows, columns) = _places_mm(self.state), shape
+        column = np.floor((place[..., 0] / half_extent_mm[0] + 1) / 2 * columns).clip(0, columns - 1)
+        row = np.floor((place[..., 1] / half_extent_mm[1] + 1) / 2 * rows).clip(0, rows - 1)
+        cell = (row * columns + column).astype(int).ravel()
+        force = self.cell_force_n.reshape(-1, 3)
+        sums = np.zeros((rows * columns, 3))
+        np.add.at(sums, cell, force)
+        return sums.reshape(rows, columns, 3)
+
+    def save(self, path: str | Path) -> None:
+        """Write an npz of x_mm, y_mm, traction_mpa, area_mm2, normal_mpa, tangential_mpa and coarse_n."""
+        names = ("traction_mpa", "area_mm2", "normal_mpa", "tangential_mpa")
+        arrays = {name: getattr(self, name) for name in names}
+        with Path(path).open("wb") as file:
+            np.savez_compressed(
+                file, x_mm=self.state.x_mm, y_mm=self.state.y_mm, coarse_n=self.coarse_n(), **arrays
+            )
+
+
+def traction_map(
+    plan: SolvePlan, pose_index: int, solution: Solution | None, state: MembraneState | None = None
+) -> Traction:
+    """Return the contact stress of a pose, from the solution of its solve; its `state` is made if it is not given."""
+    state = state or plan.state(pose_index, solution)
+    pose, placement = plan.poses[pose_index], plan.placements[pose_index]
+    point_mm, places = (pose.point_x_mm, pose.point_y_mm), _places_mm(state)
+    area_mm2 = np.linalg.norm(_area_vectors_mm2(places), axis=-1)
+    if placement is None:
+        return Traction(state, point_mm, np.zeros_like(places), area_mm2, 0.0)
+    table = traction_table(solution, solution.records[placement.record])
+    extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
+    _, in_table = places_around(extent_mm, pose, placement.frame, table)
+    found = table.at(in_table) * plan.modulus_ratio(solution)
+    found = (found.reshape(-1, 3) @ placement.frame.to_sensor_3d.T).reshape(places.shape)
+    return _balanced(Traction(state, point_mm, found, area_mm2, 0.0))
+
+
+def solve_traction(
+    elastomer: Elastomer, indenter: AnyIndenter, pose: Pose, quality: str = "standard"
+) -> Traction:
+    """Solve one pose, the same solve as that of `solve_pose`, and return its contact stress.
+
+    Raises
+    ------
+    ValueError
+        If the pose lies off the pad or deeper than it allows, or there is no such quality.
+    """
+    plan = plan_visit(elastomer, indenter, (pose,), quality)
+    return traction_map(plan, 0, plan.solves[0].run() if plan.solves else None)
+
+
+def _balanced(found: Traction) -> Traction:
+    """Add to a map what makes its integrals the state's force and torque: |t| (a + b × x), with a and b constant."""
+    weight = np.linalg.norm(found.traction_mpa, axis=-1)
+    touched = np.nonzero(weight > 0)
+    weight, place, area = weight[touched], found.places_mm[touched], found.area_mm2[touched]
+    # Columns: what each of the six components of (a, b) adds to the map.
+    shapes = np.stack([*np.broadcast_to(np.eye(3)[:, None], (3, len(place), 3))])
+    turns = np.stack([np.cross(axis, place) for axis in np.eye(3)])
+    modes = np.concatenate([shapes, turns]) * weight[:, None]
+    forces = modes * area[:, None]
+    sums = np.concatenate([forces.sum(axis=1), np.cross(place, forces).sum(axis=1)], axis=1)
+    wanted = np.concatenate([found.state.force_n, found.state.torque_n_mm])
+    missing = wanted - np.concatenate([found.force_n, found.torque_n_mm])
+    factors = np.linalg.lstsq(sums.T, missing, rcond=1e-12)[0]
+    added = np.tensordot(factors, modes, 1)
+    traction = found.traction_mpa.copy()
+    traction[touched] += added
+    share = np.abs(added).sum() / max(np.abs(traction).sum(), 1e-300)
+    return Traction(found.state, found.point_mm, traction, found.area_mm2, float(share))
+
+
+def _places_mm(state: MembraneState) -> Floats:
+    """Return where the points of a state's grid are, (ny, nx, 3)."""
+    rest = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
+    return rest + state.displacement_mm
+
+
+def _area_vectors_mm2(places_mm: Floats) -> Floats:
+    """Return the deformed area (ny, nx, 3) of each grid point's part of the membrane, along its outward normal."""
+    along_y, along_x = np.gradient(places_mm, axis=(0, 1))
+    return np.cross(along_x, along_y)

@@ -1,0 +1,53 @@
+"""The benchmark of shapes: what it compares a press with, and that its rows say what is off."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gelgap.benchmarks.physics.shapes import (
+    first,
+    lying_case,
+    map_row,
+    middle_errors,
+    middle_force_n,
+    round_cases,
+    row,
+)
+from gelgap.sim import Cone, Cylinder, Edge, MembraneState, Traction
+
+
+def test_the_tables_bodies_are_as_the_tables_say() -> None:
+    flat, _, cone = (case.indenter for case in round_cases())
+    assert flat == Cylinder(diameter_mm=3.0, edge_radius_mm=0.2)
+    assert cone == Cone(diameter_mm=6.0, half_angle_deg=60.0, tip_radius_mm=0.3)
+    assert [case.elastomer.friction for case in round_cases()] == [10.0, 0.0, 10.0]
+    assert isinstance(lying_case().indenter, Edge)
+    assert len(lying_case().truth.profiles) == len(lying_case().poses) == 4
+
+
+def test_a_press_is_near_its_table() -> None:
+    case = replace(first(round_cases()[1], 1), quality="draft")
+    solution = case.solve.run()
+    solved = SimpleNamespace(states=case.states(solution), solution=solution, core_s=1.0)
+    found = row(case, solved)
+    assert found["unconverged"] == 0
+    assert found["worst %"] < 5
+    assert found["u_z rms µm"] < 5
+    integrals = map_row(case, solved)
+    assert integrals["force, share"] < 1e-6
+    assert integrals["torque, N mm"] < 1e-6
+
+
+def test_the_middle_of_a_long_body_is_measured_per_length() -> None:
+    x_mm, y_mm = np.linspace(-3, 3, 61), np.linspace(-2, 2, 41)
+    displacement = np.zeros((41, 61, 3), np.float32)
+    displacement[..., 2] = -0.01
+    state = MembraneState(x_mm, y_mm, displacement, np.zeros((41, 61), bool), np.zeros(3))
+    stress = np.zeros((41, 61, 3))
+    stress[18:23, :, 2] = -0.2
+    found = Traction(state, (0.0, 0.0), stress, np.full((41, 61), 0.01), 0.0)
+    assert middle_force_n(found) == pytest.approx(-0.2 * 5 * 0.1)
+    profile = np.array([[0.0, 5.0], [0.0, 0.0], [-0.01, -0.01]])
+    assert middle_errors(state, profile)["u_z rms µm"] == pytest.approx(0.0, abs=1e-3)

@@ -1,0 +1,70 @@
+"""Domains of several indenters: frames, columns and splits."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gelgap.domains import generate_recipes, make_recipes, open_domain, preset_recipes, split_frames
+from gelgap.domains.generation.plan import estimate, plan_generation
+from gelgap.sim import Cone, PosePath, Sphere
+
+PATH = PosePath.from_trajectories("two", [{"waypoints_mm": [(0.0, 0.0, 0.2), (0.0, 0.1, 0.2)]}])
+BODIES = {"indenter": Sphere(diameter_mm=4.0), "further_indenters": (Sphere(diameter_mm=6.0), Sphere())}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("indenters")
+    columns = ("indenter", "torque", "traction")
+    settings = {"quality": "draft", "size_px": (64, 48), "columns": columns, "render_quality": "draft"}
+    generate_recipes(make_recipes(["mb0i0"], PATH, **BODIES, **settings), out, scheduler="synchronous")
+    return out / "mb0i0"
+
+
+def test_each_indenter_goes_the_whole_path(folder: Path) -> None:
+    frames = open_domain(folder)
+    columns = frames.columns
+    assert list(columns["indenter"]) == [f"sphere {size} mm" for size in (4, 6, 3) for _ in range(3)]
+    assert list(columns["depth_mm"]) == [0.0, 0.2, 0.2] * 3
+    assert len(set(columns["trajectory_id"])) == 6
+    force_n = columns["fz_n"].reshape(3, 3)[:, 1]
+    assert force_n[1] < force_n[0] < force_n[2] < 0
+
+
+def test_six_axes_and_forces_by_cell_belong_together(folder: Path) -> None:
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(next(folder.glob("*.parquet"))).to_pydict()
+    force = np.stack([table[f"f{axis}_n"] for axis in "xyz"], axis=1)
+    cells = np.array(table["traction_n"]).reshape(9, 24, 32, 3)
+    np.testing.assert_allclose(cells.sum(axis=(1, 2)), force, atol=1e-6)
+    # Dragged along y, the force's line passes beside the contact point.
+    torque = np.stack([table[f"t{axis}_n_mm"] for axis in "xyz"], axis=1)[2::3]
+    assert (torque[:, 0] < 0).all()
+    np.testing.assert_allclose(torque[:, 2], 0.0, atol=1e-9)
+
+
+def test_frames_of_an_indenter_stay_in_one_part(folder: Path) -> None:
+    frames = open_domain(folder)
+    parts = split_frames(frames, by="indenter", shares=(0.34, 0.33, 0.33))
+    assert [len(set(frames.columns["indenter"][part])) for part in parts] == [1, 1, 1]
+
+
+def test_one_indenter_is_configured_as_before() -> None:
+    (recipe,) = make_recipes(["mb0i0"], PATH)
+    assert "further_indenters" not in recipe.configuration()
+    assert type(recipe)(**recipe.configuration()).key == recipe.key
+    (several,) = make_recipes(["mb0i0"], PATH, indenter=Sphere(), further_indenters=(Cone(),))
+    assert several.frames == 2 * recipe.frames
+    assert type(several)(**several.configuration()).key == several.key
+
+
+def test_the_preset_says_what_each_shape_shares() -> None:
+    recipes = preset_recipes("shapes", quality="draft")
+    plan = plan_generation(recipes)
+    assert plan.frames == 1950
+    lines = estimate(recipes, 2).indenters
+    assert len(lines) == 5
+    assert "all directions" in lines[0]
+    assert "mirrored" in lines[3]

@@ -1,0 +1,218 @@
+"""Shapes: signed distances, cuts and turns of each, meshes from files, and what is pressed is what was asked for."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelgap.sim import (
+    AnyIndenter,
+    Box,
+    Cone,
+    ConvexMesh,
+    Cylinder,
+    Edge,
+    Elastomer,
+    Ellipsoid,
+    Pose,
+    Sharing,
+    Sphere,
+    load_indenter,
+    solve_pose,
+    solve_poses,
+)
+from gelgap.sim.indenter import Symmetry
+from gelgap.sim.plan import plan_visit
+from gelgap.sim.rounded import Shape
+
+GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
+ALONE = Sharing(cache=False)
+TETRAHEDRON = ((0.0, 0.0, 0.0), (3.0, 0.0, 3.0), (-2.0, 2.0, 3.0), (-2.0, -2.0, 3.0))
+BODIES = (
+    Cylinder(edge_radius_mm=0.3),
+    Cone(),
+    Edge(),
+    Box(),
+    Ellipsoid(),
+    ConvexMesh(hull_mm=TETRAHEDRON, edge_radius_mm=0.3),
+)
+turned = st.builds(
+    lambda body, yaw, x, y: body.model_copy(update={"yaw_deg": yaw, "tilt_deg": (x, y)}),
+    st.sampled_from(BODIES),
+    st.floats(-180, 180),
+    st.floats(-15, 15),
+    st.floats(-15, 15),
+)
+directions = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).filter(
+    lambda v: np.linalg.norm(v) > 0.1
+)
+
+
+@settings(deadline=None, max_examples=60)
+@given(body=turned, point=st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 5)))
+def test_a_distance_has_a_unit_gradient_and_leads_to_the_surface(
+    body: Shape, point: tuple[float, ...]
+) -> None:
+    found = body.project(np.array([point]))
+    assert np.linalg.norm(found.outward_normal[0]) == pytest.approx(1)
+    assert abs(body.project(found.points_mm).distance_mm[0]) < 1e-9
+    outside = found.points_mm + 0.01 * found.outward_normal
+    assert body.project(outside).distance_mm[0] == pytest.approx(0.01, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=40)
+@given(body=turned, direction=directions)
+def test_no_point_of_the_surface_lies_beyond_what_the_body_reaches(
+    body: Shape, direction: tuple[float, ...]
+) -> None:
+    unit = np.array([direction]) / np.linalg.norm(direction)
+    reach_mm = body.reach_mm(unit)[0]
+    around = 30 * trimesh.creation.icosphere(subdivisions=2).vertices
+    assert (body.project(around).points_mm @ unit[0]).max() <= reach_mm + 1e-9
+    # Far away in that direction, the distance is that from the plane that bounds the body there.
+    assert body.project(1e5 * unit).distance_mm[0] == pytest.approx(1e5 - reach_mm, abs=1e-3)
+
+
+@settings(deadline=None, max_examples=30)
+@given(body=turned)
+def test_the_lowest_point_touches_and_the_cut_lies_on_the_surface(body: Shape) -> None:
+    assert body.origin_height_mm == pytest.approx(
+        -body.project(np.array([[0, 0, -1e6]])).points_mm[0, 2], abs=1e-6
+    )
+    x_min, x_max, y_min, y_max = body.cut_mm(0.3)
+    assert x_min < x_max
+    assert y_min < y_max
+    assert body.penetration_radius_mm(0.3) <= np.hypot(max(-x_min, x_max), max(-y_min, y_max)) + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("body", "symmetry"),
+    [
+        (Cylinder(yaw_deg=20), Symmetry.REVOLUTION),
+        (Cylinder(tilt_deg=(2, 0)), Symmetry.NONE),
+        (Box(), Symmetry.MIRROR),
+        (Box(yaw_deg=90), Symmetry.MIRROR),
+        (Box(yaw_deg=20), Symmetry.NONE),
+        (Ellipsoid(diameters_mm=(3, 3, 2)), Symmetry.REVOLUTION),
+    ],
+)
+def test_a_turn_or_a_tilt_takes_symmetries_away(body: Shape, symmetry: Symmetry) -> None:
+    assert body.symmetry is symmetry
+
+
+def test_a_meshs_rounded_corners_are_a_box() -> None:
+    box = Box(size_mm=(4, 3), edge_radius_mm=0.5)
+    core = trimesh.creation.box((3, 2, 9)).vertices + np.array([0, 0, 4.5])
+    mesh = ConvexMesh(hull_mm=tuple(map(tuple, core.tolist())), edge_radius_mm=0.5)
+    points = np.random.default_rng(0).uniform(-4, 4, (200, 3))
+    points[:, 2] = np.abs(points[:, 2])
+    np.testing.assert_allclose(mesh.project(points).distance_mm, box.project(points).distance_mm, atol=1e-9)
+
+
+def test_a_curve_is_as_sharp_as_it_is() -> None:
+    _, radius = Cylinder(edge_radius_mm=0.2).curvature(0.3, 0, 0.05)
+    assert radius.min() == pytest.approx(0.2, rel=0.02)
+    places, radius = Cone(tip_radius_mm=0.3).curvature(0.4, 0, 0.05)
+    assert radius.min() == pytest.approx(0.3, rel=0.02)
+    assert np.abs(places[radius < 0.31]).max() < 0.2
+
+
+@pytest.mark.parametrize("body", [Sphere(), *BODIES])
+def test_a_shape_comes_back_from_json(body: AnyIndenter) -> None:
+    from pydantic import TypeAdapter
+
+    kind = TypeAdapter(AnyIndenter)
+    back = kind.validate_json(kind.dump_json(body))
+    assert type(back) is type(body)
+    assert back == body
+
+
+def test_presets_and_files_name_indenters(tmp_path: Path) -> None:
+    assert load_indenter("box", size_mm=(5, 4)).size_mm == (5, 4)
+    assert load_indenter("cylinder-3", edge_radius_mm=0.4) == Cylinder(edge_radius_mm=0.4)
+    trimesh.creation.icosphere(radius=2).export(tmp_path / "ball.stl")
+    ball = load_indenter(str(tmp_path / "ball.stl"), yaw_deg=10)
+    assert ball.cut_mm(2.0)[1] == pytest.approx(2.0, abs=0.02)
+    (tmp_path / "ball.toml").write_text('mesh = "ball.stl"\nedge_radius_mm = 0.1\n')
+    assert load_indenter(str(tmp_path / "ball.toml")).edge_radius_mm == 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "message"),
+    [
+        ("blob", {}, "blob"),
+        ("cone", {"edge_radius_mm": 0.1}, "edge_radius_mm: a cone has none"),
+        ("cylinder", {"edge_radius_mm": 2.0}, "at most 1.5 mm"),
+        ("box", {"tilt_deg": (20, 0)}, r"\[-15, 15\]"),
+        ("none.stl", {}, "does not exist"),
+    ],
+)
+def test_what_is_not_served_is_refused(name: str, fields: dict, message: str) -> None:
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        load_indenter(name, **fields)
+
+
+def test_meshes_that_are_open_hollow_or_no_meshes_are_refused(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(radius=2)
+    trimesh.Trimesh(ball.vertices, ball.faces[:-5]).export(tmp_path / "open.stl")
+    trimesh.creation.torus(3, 1).export(tmp_path / "torus.stl")
+    (tmp_path / "text.stl").write_text("no mesh")
+    for name, message in (("open", "open"), ("torus", "convex"), ("text", "not a mesh")):
+        with pytest.raises(ValueError, match=message):
+            ConvexMesh.load(tmp_path / f"{name}.stl")
+
+
+@pytest.mark.parametrize(
+    ("body", "depth_mm", "message"),
+    [
+        (Cylinder(edge_radius_mm=0.02), 0.3, "smallest radius that it serves"),
+        (ConvexMesh(hull_mm=TETRAHEDRON), 0.3, "sharper"),
+        (Box(tilt_deg=(10, 0)), 0.2, "lifts the far side"),
+        (Box(size_mm=(40, 30)), 0.2, "at most the pad's"),
+        (Cylinder(), 6.0, "depth_mm"),
+    ],
+)
+def test_a_pose_that_a_body_does_not_allow_is_refused(body: Shape, depth_mm: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        plan_visit(GEL, body, (Pose(depth_mm=depth_mm),), "draft")
+
+
+def test_an_ellipsoid_that_is_nearly_a_sphere_presses_like_one() -> None:
+    poses = (Pose(depth_mm=0.3), Pose(depth_mm=0.3, shear_x_mm=0.1))
+    other, sphere = (
+        solve_poses(GEL, body, poses, "draft", ALONE)
+        for body in (Ellipsoid(diameters_mm=(3.002, 3.0, 3.0)), Sphere())
+    )
+    for one, two in zip(other, sphere, strict=True):
+        assert one.converged
+        np.testing.assert_allclose(one.force_n, two.force_n, rtol=0.03, atol=2e-3)
+        assert np.abs(one.displacement_mm - two.displacement_mm).max() < 0.02
+
+
+def test_a_cylinder_presses_as_finite_elements_say() -> None:
+    """The table's force at 0.3 mm is 0.608557 N (assets/reference/shapes)."""
+    state = solve_pose(GEL, Cylinder(edge_radius_mm=0.2), Pose(depth_mm=0.3), "draft", ALONE)
+    assert state.converged
+    assert -state.force_n[2] == pytest.approx(0.608557, rel=0.05)
+    inside = np.hypot(*np.meshgrid(state.x_mm, state.y_mm)) < 1.2
+    assert state.contact[inside].all()
+    np.testing.assert_allclose(state.displacement_mm[inside, 2], -0.3, atol=2e-3)
+
+
+def test_a_turned_body_is_solved_once_and_its_answer_is_turned() -> None:
+    body, pose = Ellipsoid(diameters_mm=(5.0, 3.0, 3.0)), Pose(depth_mm=0.3, shear_y_mm=0.05)
+    straight = plan_visit(GEL, body, (pose,), "draft", ALONE)
+    turned = plan_visit(GEL, body.yawed(90.0), (Pose(depth_mm=0.3, shear_x_mm=-0.05),), "draft", ALONE)
+    assert straight.solves[0].key == turned.solves[0].key
+    solution = straight.solves[0].run()
+    one, two = straight.state(0, solution), turned.state(0, solution)
+    np.testing.assert_allclose(two.force_n, [-one.force_n[1], one.force_n[0], one.force_n[2]], atol=1e-9)
+    np.testing.assert_allclose(
+        two.torque_n_mm, [-one.torque_n_mm[1], one.torque_n_mm[0], one.torque_n_mm[2]], atol=1e-9
+    )
+    long, wide = (np.ptp(np.argwhere(one.contact), axis=0) for one in (one, two))
+    assert long[1] > long[0]
+    assert wide[0] > wide[1]
