@@ -8,12 +8,23 @@ import tyro
 
 from gelgap.assets import load_preset
 from gelgap.cli import options as opt
+from gelgap.cli.adapt import label_ranges
 
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
     from gelgap.domains.sweep import Variant
 
 OptionalColumn = Literal["height_map", "contact_mask", "marker_rest_mm", "marker_px", "diagnostics"]
+
+
+def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
+    """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
+    from gelgap.domains import FORCE_COLUMNS, PAPER_FORCE_RANGE_N
+
+    given = label_ranges(texts)
+    if others := sorted(given.keys() - set(FORCE_COLUMNS)):
+        raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(FORCE_COLUMNS)}")
+    return tuple((dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True)) | given).values())
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,7 @@ class Generate(opt.Command):
     name: Annotated[str | None, opt.optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
     indenter_diameter_mm: Annotated[float, opt.between(0.5, 50, "mm")] = 3.0
-    """Diameter of the sphere that is pressed, in mm; large ones may need a wider declared range of forces."""
+    """Diameter of the sphere that is pressed, in mm; large ones may need a wider --force-range."""
     path: Annotated[str, opt.preset_or_file("paths")] = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: opt.Quality = "standard"
@@ -69,6 +80,12 @@ class Generate(opt.Command):
     """Width and height of the pictures in pixels."""
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Optional columns to write as well; `diagnostics`: how each pose was solved."""
+    force_range: Annotated[
+        tuple[str, ...] | None,
+        opt.optional("NAME=LOW:HIGH ...", "the paper's"),
+        force_ranges,
+    ] = None
+    """Declared ranges of forces in N, as fz_n=-40:0, by which training normalises; it refuses forces outside."""
     contacts: Literal["paired", "independent"] = "paired"
     """The same poses in every domain, or a draw of its own for each domain."""
     rendered_without_markers: opt.Flag = False
@@ -130,6 +147,8 @@ class Generate(opt.Command):
             "size_px": self.size,
             "contacts": self.contacts,
         }
+        if self.force_range is not None:
+            settings["force_range_n"] = force_ranges(self.force_range)
         if self.rendered_without_markers:
             settings["inpainted"] = ()
         if self.sweep:

@@ -18,6 +18,8 @@ from .plan import measured_pace as measured_pace
 from .plan import plan_solves as plan_solves
 from .plan import plan_visit as plan_visit
 from .plan import solved_pose as solved_pose
+from .press import bonded_layer_force_n as bonded_layer_force_n
+from .press import expected_force_n as expected_force_n
 from .press import pose_for_force as pose_for_force
 from .press import solve_in_full as solve_in_full
 from .press import solve_pose as solve_pose

@@ -1,8 +1,9 @@
-"""Solve one scene: a pose, several poses in a row, or a press to a given force."""
+"""Solve one scene: a pose, several poses in a row, or a press to a given force; and what force to expect unsolved."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from gelgap.sim.indenter import Indenter
 from gelgap.sim.membrane import MembraneState, SolvedPose
@@ -115,3 +116,33 @@ def pose_for_force(
     raise RuntimeError(
         f"load control did not come within {100 * _FORCE_TOLERANCE:g} % of {normal_force_n:g} N"
     )
+
+
+def bonded_layer_force_n(
+    young_modulus_mpa: ArrayLike, indenter_radius_mm: ArrayLike, thickness_mm: ArrayLike, depth_mm: ArrayLike
+) -> NDArray[np.float64]:
+    """Return the force (positive) on an incompressible layer bonded to a rigid backing, N; arguments broadcast.
+
+    F = 16/9 · E · √R · d^1.5 · (1 + 1.133χ + 1.283χ² + 0.769χ³ + 0.0975χ⁴) with χ = √(R d)/h
+    (Dimitriadis et al. 2002, Biophys. J. 82:2798). Small strain, no friction, paraboloid, χ ≤ 1. Against
+    converged finite elements of R = 1.5 mm on 3 mm it is within 0.7 % at d ≤ 0.2 mm.
+    """
+    radius_mm, depth_mm = np.asarray(indenter_radius_mm, float), np.asarray(depth_mm, float)
+    chi = np.sqrt(radius_mm * depth_mm) / np.asarray(thickness_mm)
+    correction = 1 + 1.133 * chi + 1.283 * chi**2 + 0.769 * chi**3 + 0.0975 * chi**4
+    return 16 / 9 * np.asarray(young_modulus_mpa) * np.sqrt(radius_mm) * depth_mm**1.5 * correction
+
+
+def expected_force_n(elastomer: Elastomer, indenter: Indenter, depth_mm: float) -> float:
+    """Return about what normal force (positive, N) a press takes, without solving it.
+
+    It is the bonded layer's, under the paraboloid that cuts the membrane where the indenter does, in series with the
+    mount. Solved presses have up to a quarter more, from large strain and friction.
+    """
+    depths = np.linspace(0.0, depth_mm, 101)[1:]
+    cut_mm = np.array([indenter.penetration_radius_mm(depth) for depth in depths.tolist()])
+    modulus_mpa, thickness_mm = elastomer.young_modulus_mpa, elastomer.thickness_mm
+    force = bonded_layer_force_n(modulus_mpa, cut_mm**2 / (2 * depths), thickness_mm, depths)
+    if elastomer.mount_stiffness_n_per_mm is None:
+        return float(force[-1])
+    return float(np.interp(depth_mm, depths + force / elastomer.mount_stiffness_n_per_mm, force))

@@ -6,10 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.fem.theory import bonded_layer_force_n
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState
-from gelgap.sim.press import pose_for_force, solve_in_full, solve_pose, solve_poses
+from gelgap.sim.press import (
+    bonded_layer_force_n,
+    expected_force_n,
+    pose_for_force,
+    solve_in_full,
+    solve_pose,
+    solve_poses,
+)
 from gelgap.sim.scene import Elastomer, Pose, Sharing
 from gelgap.sim.solution import cache_use
 
@@ -66,6 +72,13 @@ def test_dragging_to_positive_x_gives_positive_fx(descent: tuple[MembraneState, 
     assert force[0] > 0
     assert abs(force[1]) < 1e-6
     assert np.hypot(*force[:2]) < 0.8 * 1.1 * abs(force[2])
+
+
+def test_the_force_to_expect_is_a_solved_presss_within_a_quarter() -> None:
+    softly = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8, mount_stiffness_n_per_mm=1.0)
+    for gel in (GEL, softly):
+        solved_n = -solve_pose(gel, BALL, Pose(depth_mm=0.6), "draft").force_n[2]
+        assert 0.75 * solved_n < expected_force_n(gel, BALL, 0.6) < 1.1 * solved_n
 
 
 def test_the_press_agrees_with_the_bonded_layer_at_small_depth(descent: tuple[MembraneState, ...]) -> None:
