@@ -175,8 +175,8 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
                 client = Client(cluster, timeout=LOCAL_TIMEOUT_S, set_as_default=False)
             except (OSError, TimeoutError) as error:
                 raise RuntimeError(
-                    f"no local workers could be started ({str(error) or type(error).__name__}), as on a very busy machine; "
-                    "what is written is safe: run the same command again, or with fewer --workers"
+                    f"no local workers could be started ({str(error) or type(error).__name__}), as on a very busy "
+                    "machine; what is written is safe: run the same command again, or with fewer --workers"
                 ) from error
             entered.callback(_close, client)
         yield client
