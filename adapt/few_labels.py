@@ -208,8 +208,8 @@ class Pretraining:
             lines.append(f"{self.left_out} frames with a force outside the declared range were left out")
         if self.held_out.mean_mae_percent >= self.held_out_constant_mean.mean_mae_percent:
             lines.append(
-                "the network is no better than the constant mean: it has learnt nothing that carries over; give it more "
-                "domains, frames or epochs"
+                "the network is no better than the constant mean: it has learnt nothing that carries over; give it "
+                "more domains, frames or epochs"
             )
         return "\n".join(lines)
 
