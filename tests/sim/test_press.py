@@ -8,9 +8,11 @@ import pytest
 
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState
+from gelgap.sim.path import ContactPath, ForcePath
 from gelgap.sim.press import (
     bonded_layer_force_n,
     expected_force_n,
+    path_on_gel,
     pose_for_force,
     solve_in_full,
     solve_pose,
@@ -236,3 +238,24 @@ def test_impossible_poses_are_refused(pose: Pose, field: str) -> None:
 def test_an_unknown_quality_lists_the_known_ones() -> None:
     with pytest.raises(ValueError, match="standard"):
         solve_pose(GEL, BALL, Pose(depth_mm=0.2), "perfect")
+
+
+def test_a_path_of_forces_reaches_them_on_its_gel() -> None:
+    path = ForcePath(ContactPath("forces", (0.0,), (0.0,), (0.3, 1.0), (0.0,), (0.0,)))
+    pressed = path_on_gel(path, GEL, BALL, "draft")
+    for force, depth in zip((0.3, 1.0), pressed.depths_mm, strict=True):
+        assert -solve_pose(GEL, BALL, Pose(depth_mm=depth), "draft").force_n[2] == pytest.approx(
+            force, rel=0.05
+        )
+    with pytest.raises(ValueError, match=r"force_n = 90 of path forces: must be at most .* N on this gel"):
+        path_on_gel(
+            ForcePath(ContactPath("forces", (0.0,), (0.0,), (90.0,), (0.0,), (0.0,))), GEL, BALL, "draft"
+        )
+
+
+def test_the_gel_of_a_gelsight_mini_takes_the_force_that_was_measured_at_a_millimetre() -> None:
+    """5.964 N of a 15 mm ball 1 mm deep, from feats-ai/feats."""
+    state = solve_pose(
+        Elastomer.preset("gelsight-mini"), Sphere(diameter_mm=15.0), Pose(depth_mm=1.0), "draft"
+    )
+    assert -state.force_n[2] == pytest.approx(5.964, rel=0.05)
