@@ -192,6 +192,32 @@ def test_a_domain_with_fz_alone_and_references_of_its_own_is_shown(page: Any, tm
 
 
 @needs_browser
+def test_arrow_keys_on_a_slider_leave_the_camera_where_it_is(page: Any) -> None:
+    settled(page, lambda: page.shown is not None)
+
+    def cameras() -> list[list[float]]:
+        return [client.camera.position.tolist() for client in page._server.get_clients().values()]
+
+    with PICTURES.browser_page(page.address) as browser:
+        before, depth_mm = cameras(), page.controls.depth.value
+        browser.locator("[role=slider]").first.focus()
+        browser.keyboard.down("ArrowRight")
+        browser.wait_for_timeout(1500)
+        browser.keyboard.up("ArrowRight")
+        settled(page, lambda: page.controls.depth.value > depth_mm)
+        assert cameras() == before
+
+
+def test_a_narrow_window_has_picture_and_force_above_the_knobs_and_no_negative_zero(page: Any) -> None:
+    settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
+    text = page._narrow.content
+    assert "@media (min-width" in text
+    assert "data:image/jpeg;base64," in text
+    assert "-0.000" not in text
+    assert "Fz" in text
+
+
+@needs_browser
 def test_in_a_browser(page: Any) -> None:
     with PICTURES.browser_page(page.address) as browser:
         browser.get_by_text("interpolated").first.wait_for()
