@@ -49,8 +49,8 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     rows = [_name(run) | {"error": _mean_mae(run.target_test)} for run in runs]
     baselines = {(run.group, run.seed): run.oracles | {CONSTANT: run.target_constant_mean} for run in runs}
     known = {row["method"] for row in rows}
-    for (group, seed), errors in baselines.items():
-        for name, error in errors.items():
+    for (group, seed), others in baselines.items():
+        for name, error in others.items():
             if name not in known:
                 rows.append({"group": group, "method": name, "seed": seed, "error": _mean_mae(error)})
     errors = pd.DataFrame(rows).groupby(["group", "method"], sort=False)["error"]
@@ -58,7 +58,8 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     # A method that lacks a group has no mean.
     means = errors.mean().unstack(sort=False).mean(skipna=False)
     table.loc["mean"] = means.map("{:.3f}".format, na_action="ignore")
-    table = table[sorted(means.index, key=lambda name: (name not in known, means[name]))]
+    order = list(means.sort_values().index)
+    table = table[[name for name in order if name in known] + [name for name in order if name not in known]]
     unit = runs[0].target_test.unit or "% of the range"
     failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
     note = f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""

@@ -254,7 +254,7 @@ def _croissant(folder: Path) -> str:
     return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
-FORMATS: dict[str, Callable[[list[StoredFrames], Path], None]] = {
+FORMATS: dict[str, Callable[..., None]] = {
     "paper": _paper,
     "webdataset": _webdataset,
     "huggingface": _huggingface,
