@@ -75,7 +75,8 @@ format: setup
 docs: setup
 	$(BIN)/python scripts/set_up.py '.[docs]'
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --conf-dir docs --doctree-dir build/doctrees . build/site
-	@echo "open build/site/docs/index.html"
+	@echo '<meta http-equiv="refresh" content="0; url=docs/index.html">' > build/site/index.html
+	@echo "open build/site/index.html"
 
 links: docs
 	$(BIN)/python scripts/check_links.py

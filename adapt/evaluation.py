@@ -8,16 +8,19 @@ Neither is a lower bound: shrinkage or luck can beat them.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel, input_statistics, with_statistics_of
-from gelgap.domains import FORCE_COLUMNS, QUANTITIES, LabelledFrames, paired_contacts, with_labels
-
-if TYPE_CHECKING:
-    from gelgap.domains import GeneratedDomain
+from gelgap.domains import (
+    FORCE_COLUMNS,
+    QUANTITIES,
+    GeneratedDomain,
+    LabelledFrames,
+    paired_contacts,
+    with_labels,
+)
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,12 @@ def errors_text(errors: Mapping[str, Evaluation]) -> str:
     return pd.DataFrame.from_dict(table, "index").to_string()
 
 
+def worse_than_constant(errors: Evaluation) -> str:
+    """Return a sentence on the labels that a constant, the mean of these frames, predicts better; empty if none."""
+    names = [QUANTITIES[name].symbol for name, r2 in zip(errors.labels, errors.r2, strict=True) if r2 < 0]
+    return f"{', '.join(names)}: worse than a constant, these frames' mean (R² below 0)" if names else ""
+
+
 @dataclass(frozen=True)
 class Presses:
     """The frames of a domain with what was commanded, and how far the rig yields.
@@ -159,12 +168,12 @@ class Presses:
     mount_n_per_mm: float | None
 
     @classmethod
-    def of(cls, domain: "GeneratedDomain") -> "Presses":
-        """Read a generated domain's labels."""
-        names = ("shear_x_mm", "shear_y_mm", "commanded_z_mm")
+    def of(cls, domain: GeneratedDomain, frames: LabelledFrames | None = None) -> "Presses":
+        """Read a generated domain's labels, or those of some of its frames."""
+        names, frames = ("shear_x_mm", "shear_y_mm", "commanded_z_mm"), domain if frames is None else frames
         return cls(
-            frames=domain,
-            command_mm=np.stack([domain.columns[name] for name in names], axis=1),
+            frames=frames,
+            command_mm=np.stack([frames.columns[name] for name in names], axis=1),
             mount_n_per_mm=domain.recipe.elastomer.mount_stiffness_n_per_mm,
         )
 
@@ -217,6 +226,15 @@ def geometry_oracle(source: Presses, target: Presses) -> Evaluation:
         guess_n[members] = _force_along(source, own, trajectory[1:], actual_mm[members])
     truth = target.frames.force_n[in_target]
     return evaluate_predictions(truth, guess_n, target.frames.force_range_n)
+
+
+def oracles_on(source: LabelledFrames, target: LabelledFrames, test: LabelledFrames) -> dict[str, Evaluation]:
+    """Return both oracles by name, on the target's frames `test`; none but of generated domains that share contacts."""
+    generated = isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain)
+    if not generated or test.labels.names != FORCE_COLUMNS or not len(paired_contacts(source, test)[0]):
+        return {}
+    presses = Presses.of(source), Presses.of(target, test)
+    return {"pose oracle": pose_oracle(source, test), "geometry oracle": geometry_oracle(*presses)}
 
 
 def _pairs(source: LabelledFrames, target: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:

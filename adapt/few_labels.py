@@ -43,6 +43,8 @@ _BATCH = 32
 _MOMENTUM = 0.9
 # Of the ridge: the weakest leaves an exact relation as it is, the strongest leaves the predictions.
 _PENALTIES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
+# Labels that span less of the network's range than this are too small for it to tell well.
+_NARROW = 0.05
 # The last of the domains are kept for judging: one in this many.
 _HELD_OUT_OF = 10
 
@@ -204,6 +206,11 @@ class Pretraining:
         lines = [f"{self.checkpoint}: trained on {self.frames} frames", errors_text(errors)]
         if self.left_out:
             lines.append(f"{self.left_out} frames with a force outside the declared range were left out")
+        if self.held_out.mean_mae_percent >= self.held_out_constant_mean.mean_mae_percent:
+            lines.append(
+                "the network is no better than the constant mean: it has learnt nothing that carries over; give it "
+                "more domains, frames or epochs"
+            )
         return "\n".join(lines)
 
 
@@ -250,7 +257,8 @@ def pretrain(
 class Finetuning:
     """A fine-tuned model, how many frames taught it, and errors on other frames: of their mean, before, and after.
 
-    `left_out` frames have a label that the model's range does not hold.
+    `left_out` frames have a label that the model's range does not hold; `range_used` is the share of each label's range
+    that the labels of the others span.
     """
 
     model: ForceModel
@@ -259,6 +267,7 @@ class Finetuning:
     constant_mean: Evaluation
     before: Evaluation
     after: Evaluation
+    range_used: tuple[float, ...]
 
     def __str__(self) -> str:
         errors = {
@@ -269,6 +278,19 @@ class Finetuning:
         lines = [f"errors on {self.after.n} other frames", errors_text(errors)]
         if self.left_out:
             lines.append(f"left out: {self.left_out} frames with a label outside {self.model.labels}")
+        if narrow := [
+            f"{quantity.symbol} {100 * share:.2g} %"
+            for quantity, share in zip(self.model.labels.quantities, self.range_used, strict=True)
+            if share < _NARROW
+        ]:
+            lines.append(
+                f"labels fill little of the network's ranges ({', '.join(narrow)} of {self.model.labels}), and its "
+                "errors are a share of those: train one whose ranges are like these labels'"
+            )
+        if self.after.mean_mae_percent >= self.constant_mean.mean_mae_percent:
+            lines.append(
+                "fine-tuning is no better than the mean of the labelled frames: use that, or more labels"
+            )
         return "\n".join(lines)
 
 
@@ -333,6 +355,9 @@ def finetune(
         constant_mean=evaluate_constant_mean(few, others),
         before=evaluate(model, others),
         after=evaluate(tuned, others),
+        range_used=tuple(
+            (np.ptp(others.label_values, axis=0) / (tuned.labels.high - tuned.labels.low)).tolist()
+        ),
     )
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gelgap.adapt.evaluation import Evaluation
+from gelgap.adapt.evaluation import Evaluation, worse_than_constant
 from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
 from gelgap.adapt.runs import Run, load_predictions, load_runs
 from gelgap.domains import FORCE_COLUMNS, QUANTITIES
@@ -14,6 +14,8 @@ from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import Series
+
+CONSTANT = "constant mean"
 
 
 def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Path:
@@ -29,6 +31,7 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
     for labels in dict.fromkeys(run.labels for run in runs):
         own = [run for run in runs if run.labels == labels]
         tables += [error_table(own), axis_table(own), training_table(own)]
+    tables += unseen_tables(runs)
     for group, labels in dict.fromkeys((run.group, run.labels) for run in runs):
         figures += _figures([run for run in runs if (run.group, run.labels) == (group, labels)])
     out = Path(runs_dir if out_dir is None else out_dir)
@@ -38,16 +41,25 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
 def error_table(runs: Sequence[Run]) -> ResultTable:
     """Return the target's mean MAE, mean ± deviation over seeds: a row per group, a column per method, their means.
 
-    The runs have the same labels; where these have several units, it is in % of their ranges.
+    The best method comes first; of the constant mean and the oracles, one value a seed. The runs have the same labels;
+    where these have several units, it is in % of their ranges.
     """
     import pandas as pd
 
-    frame = pd.DataFrame([_name(run) | {"error": _mean_mae(run.target_test)} for run in runs])
-    errors = frame.groupby(["group", "method"], sort=False)["error"]
+    rows = [_name(run) | {"error": _mean_mae(run.target_test)} for run in runs]
+    baselines = {(run.group, run.seed): run.oracles | {CONSTANT: run.target_constant_mean} for run in runs}
+    known = {row["method"] for row in rows}
+    for (group, seed), others in baselines.items():
+        for name, error in others.items():
+            if name not in known:
+                rows.append({"group": group, "method": name, "seed": seed, "error": _mean_mae(error)})
+    errors = pd.DataFrame(rows).groupby(["group", "method"], sort=False)["error"]
     table = errors.agg(mean_and_deviation).unstack(sort=False)
     # A method that lacks a group has no mean.
     means = errors.mean().unstack(sort=False).mean(skipna=False)
     table.loc["mean"] = means.map("{:.3f}".format, na_action="ignore")
+    order = list(means.sort_values().index)
+    table = table[[name for name in order if name in known] + [name for name in order if name not in known]]
     unit = runs[0].target_test.unit or "% of the range"
     failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
     note = f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
@@ -68,7 +80,16 @@ def axis_table(runs: Sequence[Run]) -> ResultTable:
             row[f"R² {what.symbol.removeprefix('F')}"] = f"{r2:.2f}"
         rows.append(row | {f"constant mean, {unit}": f"{_mean_mae(run.target_constant_mean):.3f}"})
     kind = "axis" if labels == FORCE_COLUMNS else "label"
-    return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows))
+    notes = {f"{run.method} on {run.group}": worse_than_constant(run.target_test) for run in runs}
+    note = "; ".join(f"{run}: {what}" for run, what in notes.items() if what)
+    return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows), note)
+
+
+def unseen_tables(runs: Sequence[Run]) -> list[ResultTable]:
+    """Return what of each group's gap no picture shows, so that no adaptation without labels can learn it."""
+    rows = list(dict.fromkeys((run.group, note) for run in runs for note in run.unseen))
+    note = "Only labels of the target teach it: see `gelgap finetune`."
+    return [ResultTable("What no picture shows", ("group", "what"), rows, note)] if rows else []
 
 
 def training_table(runs: Sequence[Run]) -> ResultTable:

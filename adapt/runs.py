@@ -23,7 +23,13 @@ from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, Valid
 
 from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
 from gelgap.adapt.epochs import Progress, silent
-from gelgap.adapt.evaluation import Evaluation, as_judged_on_source, evaluate_constant_mean, evaluate_frames
+from gelgap.adapt.evaluation import (
+    Evaluation,
+    as_judged_on_source,
+    evaluate_constant_mean,
+    evaluate_frames,
+    oracles_on,
+)
 from gelgap.adapt.methods import registry
 from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
 from gelgap.adapt.model import ForceModel
@@ -36,7 +42,15 @@ from gelgap.assets.locks import sole_use
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import set_aside, whole_file, write_whole
-from gelgap.domains import FORCE_COLUMNS, LabelledFrames, label_notes, open_domain, open_domains
+from gelgap.domains import (
+    FORCE_COLUMNS,
+    GeneratedDomain,
+    LabelledFrames,
+    label_notes,
+    open_domain,
+    open_domains,
+    unseen_differences,
+)
 
 LOG = logging.getLogger(__name__)
 FEATURES_KEPT = 400
@@ -92,6 +106,9 @@ class Run:
     problem
         Why stage 2 failed: the features collapsed, or losses were not finite. Such a run has no model and counts with
         the errors of the source's mean force.
+    oracles, unseen
+        Of generated domains: the errors of both oracles on the same frames, by name, and what of the gap no picture
+        shows.
     """
 
     key: str
@@ -111,6 +128,8 @@ class Run:
     history: tuple[dict[str, Any], ...]
     versions: dict[str, str]
     problem: str | None = None
+    oracles: dict[str, RecordedEvaluation] = field(default_factory=dict)
+    unseen: tuple[str, ...] = ()
     folder: Annotated[Path | None, Field(exclude=True)] = field(default=None, compare=False)
 
     @property
@@ -209,8 +228,19 @@ def adapt_folders(
             if missing and name != "target_validation":
                 part.images(profile.image_size_px)
         load_s = time.perf_counter() - start
-        done = {method: run_method(frames, stage1, method, folders[method], load_s)[0] for method in missing}
+        oracles = oracles_on(source, target, frames.target_test) if missing else {}
+        unseen = _unseen(source, target)
+        done = {
+            method: run_method(frames, stage1, method, folders[method], load_s, oracles, unseen)[0]
+            for method in missing
+        }
     return [done[method] if method in done else load_run(folders[method]) for method in methods]
+
+
+def _unseen(source: LabelledFrames, target: LabelledFrames) -> tuple[str, ...]:
+    if not (isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain)):
+        return ()
+    return tuple(unseen_differences(source.recipe, target.recipe))
 
 
 adapt_frames = adapt_folders
@@ -306,8 +336,13 @@ def run_method(
     method: str,
     folder: Path | None = None,
     load_s: float = 0.0,
+    oracles: Mapping[str, Evaluation] | None = None,
+    unseen: tuple[str, ...] = (),
 ) -> tuple[Run, ForceModel | None]:
-    """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed."""
+    """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed.
+
+    `oracles` and `unseen` are recorded with it.
+    """
     train, profile = frames.source_train, stage1.profile
     adapted = stage1.adapt(frames.target_train, method, folder and folder / _RESUME)
     model, judged, begun = adapted.model, {}, time.perf_counter()
@@ -340,6 +375,8 @@ def run_method(
         history=adapted.history,
         versions=versions(),
         problem=adapted.problem,
+        oracles=dict(oracles or {}),
+        unseen=unseen,
         folder=folder,
     )
     if folder is not None:

@@ -1,10 +1,14 @@
 """Frozen configuration objects whose bad values fail with one sentence: field, value, allowed range."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from gelgap.assets.names import quoted
+from gelgap.assets.names import closest_name, quoted
+
+# As pydantic has them.
+_LACKS, _UNKNOWN, _FROM_VALUE_ERROR = "field required", "extra inputs are not permitted", "Value error, "
 
 
 class Settings(BaseModel):
@@ -16,7 +20,7 @@ class Settings(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise ValueError(one_sentence(error)) from None
+            raise ValueError(one_sentence(error, type(self))) from None
 
 
 def within(low: float, high: float, unit: str, *, high_open: bool = False) -> AfterValidator:
@@ -31,12 +35,55 @@ def within(low: float, high: float, unit: str, *, high_open: bool = False) -> Af
     return AfterValidator(check)
 
 
-def one_sentence(error: ValidationError) -> str:
-    """Return field, value and what is allowed for each problem that pydantic found."""
-    return "; ".join(_sentence(detail) for detail in error.errors())
+def one_sentence(error: ValidationError, model: type[BaseModel] | None = None) -> str:
+    """Return field, value and what is allowed for each problem that pydantic found in the values of a model.
+
+    Of a field that takes one of several models, only the problems of the one that was meant are told.
+    """
+    sentences: dict[tuple[Any, ...], list[tuple[type[BaseModel] | None, Any]]] = {}
+    found = error.errors()
+    for number, detail in enumerate(found):
+        place = detail["loc"]
+        # A list that lost its wrong items is not too short.
+        lost = detail["type"] == "too_short" and any(
+            other["loc"][: len(place)] == place for other in found[:number]
+        )
+        option = None if model is None else _option(model, place)
+        if not lost:
+            sentences.setdefault(place[:-1] if option else (number,), []).append((option, detail))
+    return "; ".join(
+        _of_the_meant(group) if group[0][0] else _sentence(group[0][1], model) for group in sentences.values()
+    )
 
 
-def _sentence(detail: Any) -> str:
+def _option(model: type[BaseModel], place: Sequence[Any]) -> type[BaseModel] | None:
+    """Return which of several models a problem is of; None where the field takes one kind of value."""
+    field = model.model_fields.get(place[0]) if place else None
+    options = [] if field is None else _models(field.annotation)
+    tag = str(place[-1]) if place else ""
+    names = (option for option in options if tag == option.__name__ or tag.endswith(f", {option.__name__}]"))
+    return next(names, None) if len(options) > 1 else None
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
+
+
+def _of_the_meant(group: Sequence[tuple[type[BaseModel], Any]]) -> str:
+    """Return the problems of the model that lacks the fewest fields, or which fields are needed if all lack some."""
+    _, nearest = min(group, key=lambda one: (one[1]["msg"].count(_LACKS), one[1]["msg"].count(_UNKNOWN)))
+    place = ".".join(map(str, nearest["loc"][:-1]))
+    if _LACKS not in nearest["msg"]:
+        return f"{place}: {nearest['msg'].removeprefix(_FROM_VALUE_ERROR)}"
+    needed = [
+        " and ".join(n for n, f in option.model_fields.items() if f.is_required()) for option, _ in group
+    ]
+    return f"{place}: must have {', or '.join(needed)}"
+
+
+def _sentence(detail: Any, model: type[BaseModel] | None = None) -> str:
     field = ".".join(str(part) for part in detail["loc"]) or "settings"
     # A table given for a field would fill the screen; the field's name says where it stands.
     is_table = isinstance(detail["input"], dict | list | tuple) and "{" in repr(detail["input"])
@@ -45,7 +92,9 @@ def _sentence(detail: Any) -> str:
         if is_table or detail["type"] in ("missing", "extra_forbidden")
         else f" = {quoted(detail['input'])}"
     )
-    message = detail["msg"].removeprefix("Value error, ")
+    message = detail["msg"].removeprefix(_FROM_VALUE_ERROR)
     if not message[:2].isupper():  # an abbreviation keeps its capitals
         message = message[0].lower() + message[1:]
+    if detail["type"] == "extra_forbidden" and model and (near := closest_name(field, model.model_fields)):
+        message += f",{near}"
     return f"{field}{value}: {message}"

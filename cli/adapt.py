@@ -129,15 +129,19 @@ class Adapt(opt.Command):
 
 
 def _table(runs: "Sequence[Run]") -> str:
-    """Return the error of each run that did not fail beside that of the constant mean, and what went wrong."""
-    from gelgap.adapt.evaluation import errors_text
+    """Return the error of each run that did not fail beside the constant mean and the oracles, and what went wrong."""
+    from gelgap.adapt.evaluation import errors_text, worse_than_constant
 
     done = [run for run in runs if run.method != CONSTANT_MEAN and not run.problem]
-    errors = {"constant mean": runs[0].target_constant_mean} | {run.method: run.target_test for run in done}
+    errors = {"constant mean": runs[0].target_constant_mean} | runs[0].oracles
+    errors |= {run.method: run.target_test for run in done}
     lines = [f"{runs[0].group}, target test frames", errors_text(errors)]
     for run in runs:
+        if not run.problem and (note := worse_than_constant(run.target_test)):
+            lines.append(f"{run.method}: {note}")
         if run.problem:
             lines.append(f"{run.method}: {run.problem}")
         if run.skipped_steps:
             lines.append(f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite")
+    lines += [f"no picture shows: {note}" for note in runs[0].unseen]
     return "\n".join(lines)

@@ -133,9 +133,9 @@ def force_curve(quality: str) -> "ForceCurve":
     import numpy as np
     import pandas as pd
 
-    from gelgap.benchmarks.fem.theory import bonded_layer_force_n, hertz_force_n
+    from gelgap.benchmarks.fem.theory import hertz_force_n
     from gelgap.cli.demo_page import ForceCurve
-    from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
+    from gelgap.sim import Elastomer, Pose, Sphere, bonded_layer_force_n, solve_poses
 
     gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
     modulus_mpa, radius_mm, depth_mm = gel.young_modulus_mpa, Sphere().radius_mm, np.array(CURVE_DEPTHS_MM)

@@ -64,13 +64,21 @@ class DemoResult:
     @property
     def headline(self) -> str:
         """The report's first line: whether the networks learned and whether adaptation helped."""
+        from gelgap.adapt.evaluation import worse_than_constant
+
         mae_n = {(row.predictor, row.domain): row.evaluation.mean_mae_n for row in self.rows}
         plain, adapted = mae_n["source-only", TARGET], mae_n["dsan", TARGET]
         verdict = "DSAN beats source-only" if adapted < plain else "DSAN does NOT beat source-only"
-        change = f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %)"
+        change = (
+            f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %); AdaBN, the target's "
+            f"normalisation statistics alone, has {mae_n['adabn', TARGET]:.3f} N"
+        )
+        (dsan,) = (row.evaluation for row in self.rows if (row.predictor, row.domain) == ("dsan", TARGET))
+        worse = worse_than_constant(dsan)
         learned = mae_n["source-only", SOURCE] < 0.5 * mae_n["constant mean", SOURCE]
         warning = " Source-only did NOT learn: its error on the source is over half the mean's."
-        return f"{verdict} on the target: mean error {change}.{'' if learned else warning}"
+        told = f"{verdict} on the target: mean error {change}.{'' if learned else warning}"
+        return f"{told} DSAN's {worse}." if worse else told
 
 
 def write_page(result: DemoResult, out_dir: Path, page: Path) -> None:

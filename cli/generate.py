@@ -8,6 +8,7 @@ import tyro
 
 from gelgap.assets import load_preset
 from gelgap.cli import options as opt
+from gelgap.cli.adapt import label_ranges
 
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
@@ -23,6 +24,16 @@ OptionalColumn = Literal[
     "torque",
     "traction",
 ]
+
+
+def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
+    """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
+    from gelgap.domains import FORCE_COLUMNS, PAPER_FORCE_RANGE_N
+
+    given = label_ranges(texts)
+    if others := sorted(given.keys() - set(FORCE_COLUMNS)):
+        raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(FORCE_COLUMNS)}")
+    return tuple((dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True)) | given).values())
 
 
 @dataclass(frozen=True)
@@ -84,6 +95,12 @@ class Generate(opt.Command):
     """Width and height of the pictures in pixels."""
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Optional columns to write as well: pictures of the contact, how it was solved, six axes, force by cell."""
+    force_range: Annotated[
+        tuple[str, ...] | None,
+        opt.optional("NAME=LOW:HIGH ...", "the paper's"),
+        force_ranges,
+    ] = None
+    """Declared ranges of forces in N, as fz_n=-40:0, by which training normalises; it refuses forces outside."""
     contacts: Literal["paired", "independent"] = "paired"
     """The same poses in every domain, or a draw of its own for each domain."""
     rendered_without_markers: opt.Flag = False
@@ -146,6 +163,8 @@ class Generate(opt.Command):
             "size_px": self.size,
             "contacts": self.contacts,
         }
+        if self.force_range is not None:
+            settings["force_range_n"] = force_ranges(self.force_range)
         if self.rendered_without_markers:
             settings["inpainted"] = ()
         if self.sweep:

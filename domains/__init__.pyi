@@ -65,4 +65,5 @@ from .sweep import Factor as Factor
 from .sweep import Sweep as Sweep
 from .sweep import domain_gap as domain_gap
 from .sweep import sweep_variants as sweep_variants
+from .sweep import unseen_differences as unseen_differences
 from .sweep import write_sweep as write_sweep

@@ -26,7 +26,7 @@ from gelgap.domains.frames.labels import (
 )
 from gelgap.domains.frames.splits import paired_contacts
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
-from gelgap.domains.sweep import domain_gap
+from gelgap.domains.sweep import domain_gap, unseen_differences
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -224,6 +224,7 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
             change = np.abs(frames.force_n[mine] - base.force_n[theirs]).mean(axis=0)
             text = ", ".join(f"F{axis} {value:.4f}" for axis, value in zip("xyz", change, strict=True))
             rows.append((f"mean force difference of {len(mine)} paired contacts, N", text))
+        rows += [("no picture shows", note) for note in unseen_differences(base.recipe, frames.recipe)]
     return rows
 
 

@@ -4,6 +4,7 @@ Acquisition errors, off by default, are those of a misplaced rig and an inaccura
 """
 
 import itertools
+import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,14 +27,17 @@ from gelgap.sim import (
     ContactPath,
     DrawnPath,
     Elastomer,
+    ForcePath,
     Pose,
     PosePath,
     QualityName,
     Sphere,
     load_indenter,
     load_path,
+    path_on_gel,
 )
 
+LOG = logging.getLogger(__name__)
 Interval = tuple[float, float]
 Side = Annotated[int, Field(ge=16, le=4096)]
 ContactSampling = Literal["paired", "independent"]
@@ -251,7 +255,7 @@ def differing_fields(one: Any, other: Any) -> list[str]:
 
 def make_recipes(
     domains: Iterable[str | Domain],
-    path: str | ContactPath | PosePath = "cpu",
+    path: str | ContactPath | PosePath | ForcePath = "cpu",
     *,
     inpainted: Sequence[str] = INPAINTED_IN_THE_PAPER,
     sensor: str | Sensor = "paper",
@@ -297,10 +301,11 @@ def make_recipes(
                 f"domain {domain.name}: sensor {seen_through.name!r} has no LEDs of its own; give it an "
                 "[illumination], choose another sensor, or name an illumination preset"
             )
+        elastomer = Elastomer.preset(domain.elastomer)
         recipe = DomainRecipe(
             name=domain.name,
-            elastomer=Elastomer.preset(domain.elastomer),
-            path=contact_path,
+            elastomer=elastomer,
+            path=_on_gel(contact_path, elastomer, settings),
             sensor=seen_through,
             illumination=light,
             markers=domain.markers,
@@ -312,9 +317,20 @@ def make_recipes(
     return tuple(recipes)
 
 
+def _on_gel(
+    path: ContactPath | PosePath | ForcePath, elastomer: Elastomer, settings: dict[str, Any]
+) -> ContactPath | PosePath:
+    """Return a path of forces as depths, which are each gel's and indenter's own; other paths as they are."""
+    if not isinstance(path, ForcePath):
+        return path
+    LOG.info("solving the descent that gives the depths of the path's forces")
+    indenter, quality = settings.get("indenter", Sphere()), settings.get("quality", "standard")
+    return path_on_gel(path, elastomer, indenter, quality)
+
+
 def own_recipe(
     name: str,
-    path: str | ContactPath | PosePath = "cpu",
+    path: str | ContactPath | PosePath | ForcePath = "cpu",
     *,
     base: str | Domain = "mb0i0",
     elastomer: Elastomer | None = None,
@@ -335,6 +351,8 @@ def own_recipe(
         raise ValueError(
             f"name = {name!r}: means a domain of presets; choose another, for example {name}-own"
         )
+    gel = elastomer or Elastomer.preset(Domain.parse(str(base)).elastomer)
+    path = _on_gel(load_path(path) if isinstance(path, str) else path, gel, settings)
     (recipe,) = make_recipes([base], path, **settings)
     own = {"elastomer": elastomer, "illumination": illumination}
     given = {part: value for part, value in own.items() if value is not None}

@@ -227,3 +227,43 @@ def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
         markers={(True, False): "added", (False, True): "removed"}.get(changed, "equal"),
         fields=tuple(differing_fields(base.configuration(), other.configuration())),
     )
+
+
+def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
+    """Return what of a gap no picture shows, in sentences; from the recipes alone.
+
+    A camera sees the membrane. Two gels with the same membrane and other forces cannot be told apart by it, whatever
+    the network and however it is adapted: only labels of the target can.
+    """
+    one, other, notes = source.elastomer, target.elastomer, []
+    if one.young_modulus_mpa != other.young_modulus_mpa:
+        ratio = other.young_modulus_mpa / one.young_modulus_mpa
+        mounts = {one.mount_stiffness_n_per_mm, other.mount_stiffness_n_per_mm}
+        notes.append(
+            f"modulus {one.young_modulus_mpa:g} and {other.young_modulus_mpa:g} MPa: the same dent takes × {ratio:.3g} "
+            f"the force on {target.name}"
+            + (
+                ""
+                if mounts == {None}
+                else "; how far the rig yields only makes its dents shallower or deeper"
+            )
+        )
+    if (one.thickness_mm, one.poisson_ratio) != (other.thickness_mm, other.poisson_ratio):
+        notes.append(
+            f"thickness {one.thickness_mm:g} and {other.thickness_mm:g} mm, Poisson's ratio {one.poisson_ratio:g} and "
+            f"{other.poisson_ratio:g}: the same dent takes another force, and only the bulge around it looks different"
+        )
+    if one.friction != other.friction:
+        notes.append(
+            f"friction {one.friction:g} and {other.friction:g}: as long as a contact sticks, no picture shows how much "
+            "shear it would bear; where one gel slips and the other sticks, shear differs"
+        )
+    if bare := [recipe.name for recipe in (source, target) if not recipe.markers]:
+        notes.append(
+            f"no markers on {' and '.join(bare)}: shear is seen only in how the dent and its shading lean, not in a "
+            "displacement field"
+        )
+    if target.acquisition.force_bias_n:
+        bias = ", ".join(f"{value:.2g}" for value in target.drawn_errors().force_bias_n)
+        notes.append(f"the force gauge of {target.name} is off by ({bias}) N, which no picture shows")
+    return notes

@@ -31,12 +31,14 @@ def main(
         }
     )
     generate_recipes([source, target], out_dir, scheduler="synchronous")
-    panels = plt.figure(figsize=(8, 3.2), layout="constrained").subplots(1, 2)
+    figure = plt.figure(figsize=(8, 3.2), layout="constrained")
+    panels = figure.subplots(1, 2)
     for panel, recipe in zip(panels, (source, target), strict=True):
         domain = open_domain(Path(out_dir) / recipe.name)
         panel.imshow(domain.picture(len(domain) - 1))
         panel.set(title=recipe.name, xticks=[], yticks=[])
         print(f"{recipe.name}: {len(domain)} frames, Fz down to {domain.force_n[:, 2].min():.2f} N")
+    figure.savefig(Path(out_dir) / "own_gap.png")
 
 
 if __name__ == "__main__":

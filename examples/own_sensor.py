@@ -15,9 +15,11 @@ import numpy as np
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, Pose, Sphere, solve_pose
 
+SENSOR = Path(__file__).with_suffix(".toml")
+
 
 def main(
-    sensor_file: Path | str = "examples/own_sensor.toml",
+    sensor_file: Path | str = SENSOR,
     picture: Path | str = "own_sensor.png",
     quality: str = "standard",
 ) -> np.ndarray:

@@ -9,6 +9,7 @@ from .path import CLASS_DEPTHS_MM as CLASS_DEPTHS_MM
 from .path import CLASS_RADII_MM as CLASS_RADII_MM
 from .path import ContactPath as ContactPath
 from .path import DrawnPath as DrawnPath
+from .path import ForcePath as ForcePath
 from .path import PosePath as PosePath
 from .path import load_path as load_path
 from .plan import Solve as Solve
@@ -19,6 +20,9 @@ from .plan import measured_pace as measured_pace
 from .plan import plan_solves as plan_solves
 from .plan import plan_visit as plan_visit
 from .plan import solved_pose as solved_pose
+from .press import bonded_layer_force_n as bonded_layer_force_n
+from .press import expected_force_n as expected_force_n
+from .press import path_on_gel as path_on_gel
 from .press import pose_for_force as pose_for_force
 from .press import solve_in_full as solve_in_full
 from .press import solve_pose as solve_pose

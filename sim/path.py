@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -190,11 +190,37 @@ class PosePath:
         return cls(name, tuple(poses))
 
 
-def load_path(name: str) -> ContactPath | PosePath:
+@dataclass(frozen=True)
+class ForcePath:
+    """Contacts that are pressed to normal forces: `path_on_gel` finds the depths, which are another gel's own.
+
+    `in_newtons` is the path with a force (positive, N) where each depth would stand.
+    """
+
+    in_newtons: ContactPath | PosePath
+
+    @property
+    def forces_n(self) -> tuple[float, ...]:
+        """The different forces, rising, without 0."""
+        return tuple(sorted({pose.depth_mm for pose in self.in_newtons.poses} - {0.0}))
+
+    def at_depths(self, depths_mm: Sequence[float]) -> ContactPath | PosePath:
+        """Return the path with each of `forces_n` replaced by its depth."""
+        depth_of = dict(zip(self.forces_n, depths_mm, strict=True)) | {0.0: 0.0}
+        path = self.in_newtons
+        if isinstance(path, ContactPath):
+            return replace(path, depths_mm=tuple(depth_of[force] for force in path.depths_mm))
+        return replace(
+            path, poses=tuple(replace(pose, depth_mm=depth_of[pose.depth_mm]) for pose in path.poses)
+        )
+
+
+def load_path(name: str) -> ContactPath | PosePath | ForcePath:
     """Return the path of a TOML file (a name that ends in .toml) or of a preset.
 
     The TOML holds the lists of a `ContactPath`, with `contacts_per_point` those of a `DrawnPath`, or `[[trajectories]]`
-    as `PosePath.from_trajectories` takes them, or `[random]` with the arguments of `PosePath.random`.
+    as `PosePath.from_trajectories` takes them, or `[random]` with the arguments of `PosePath.random`. A grid with
+    `forces_n` instead of `depths_mm`, or `[random]` with `force_n` instead of `depth_mm`, is a `ForcePath`.
 
     Raises
     ------
@@ -209,8 +235,11 @@ def load_path(name: str) -> ContactPath | PosePath:
         return _path(Path(name).stem, read_toml(name))
 
 
-def _path(name: str, values: dict[str, Any]) -> ContactPath | PosePath:
+def _path(name: str, values: dict[str, Any]) -> ContactPath | PosePath | ForcePath:
     values.pop("description", None)
+    random = values.get("random")
+    if "forces_n" in values or (isinstance(random, dict) and "force_n" in random):
+        return _force_path(name, values)
     if values.keys() == {"trajectories"}:
         if not isinstance(values["trajectories"], list):
             raise ValueError(f"trajectories of path {name}: must be tables [[trajectories]]")
@@ -236,6 +265,26 @@ def _path(name: str, values: dict[str, Any]) -> ContactPath | PosePath:
     if not isinstance(number, int) or isinstance(number, bool):
         raise ValueError(f"contacts_per_point of path {name} = {number!r}: must be a whole number")
     return DrawnPath(name, **numbers, contacts_per_point=number)
+
+
+def _force_path(name: str, values: dict[str, Any]) -> ForcePath:
+    """Return the path whose depths are forces; messages call them so."""
+    if "forces_n" in values:
+        given = values | {"depths_mm": values["forces_n"]}
+        del given["forces_n"]
+        both = "depths_mm" in values
+    else:
+        given = {"random": values["random"] | {"depth_mm": values["random"]["force_n"]}}
+        del given["random"]["force_n"]
+        both = "depth_mm" in values["random"]
+    if both:
+        raise ValueError(f"path {name} has forces and depths: give one of them")
+    try:
+        path = _path(name, given)
+    except ValueError as error:
+        message = str(error).replace("depths_mm", "forces_n").replace("depth_mm", "force_n")
+        raise ValueError(message) from None
+    return ForcePath(path)
 
 
 def _check_number(poses: int, name: str) -> None:

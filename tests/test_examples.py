@@ -36,6 +36,7 @@ def test_own_gap_makes_two_domains_that_differ_in_force_and_light(own_gap: Path)
     assert len(source) == len(target) == 14
     assert target.force_n[:, 2].min() < source.force_n[:, 2].min()
     assert target.reference[..., 0].mean() > source.reference[..., 0].mean()
+    assert (own_gap / "own_gap.png").stat().st_size > 1000
 
 
 def test_own_method_trains(own_gap: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,8 +44,9 @@ def test_own_method_trains(own_gap: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "linear-mmd" in capsys.readouterr().out
 
 
-def test_own_sensor_sees_the_contact(tmp_path: Path) -> None:
-    pixels = load("own_sensor").main(EXAMPLES / "own_sensor.toml", tmp_path / "own.png", "draft")
+def test_own_sensor_sees_the_contact_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    pixels = load("own_sensor").main(picture=tmp_path / "own.png", quality="draft")
     assert (tmp_path / "own.png").stat().st_size > 1000
     assert pixels.shape == (240, 320, 3)
     assert 20 < pixels.mean() < 235

@@ -13,7 +13,7 @@ import viser
 from gelgap.assets.names import quoted
 from gelgap.render import difference_picture
 from gelgap.view.controls import Controls
-from gelgap.view.panels import ComparePanel, DataPanel, Readout
+from gelgap.view.panels import ComparePanel, DataPanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
 from gelgap.view.scene3d import Scene3d, colours_mean
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
@@ -21,6 +21,11 @@ from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
 
 _PICTURES_WIDTH_PX = 360
 _KNOBS_WIDTH_PX = 330
+# viser's camera turns with the arrow keys of the whole document, also those that a slider has taken.
+_KEYS_STAY_WITH_SLIDERS = """<img src="data:," alt="" style="display:none" onerror="
+window.gelgapKeys ||= (document.body.addEventListener('keydown', (event) => {
+  if (event.target.closest('[role=slider], input')) event.stopPropagation();
+}), true)">"""
 
 
 def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -> "Page":
@@ -71,9 +76,11 @@ class Page:
             self._readout = Readout(gui)
         pictures.dock_left()
         pictures.set_width(_PICTURES_WIDTH_PX)
+        gui.add_html(_KEYS_STAY_WITH_SLIDERS)
         self._scene = Scene3d(self._server, lambda number, place: self.controls.move_led(number, place))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Turn"):
+            self._narrow = gui.add_html("")
             self.controls = Controls(gui, start, self._want, lambda said: self._readout.say(said, bad=True))
         with tabs.add_tab("Compare"):
             self._compare = ComparePanel(gui, self._model.pictures)
@@ -133,9 +140,9 @@ class Page:
         shown = self.shown = self._model.show(configuration)
         reference = self._model.pictures.reference(configuration.light, configuration.markers)
         colouring = self.controls.colouring.value
-        self._readout.show(
-            shown, difference_picture(shown.picture, reference, 2.0), colours_mean(shown, colouring)
-        )
+        colours = colours_mean(shown, colouring)
+        self._readout.show(shown, difference_picture(shown.picture, reference, 2.0), colours)
+        self._narrow.content = narrow_html(shown, colours)
         self._scene.show(shown, colouring, self.controls.chosen_led)
         if not self._wanted:
             self._compare.update(shown)

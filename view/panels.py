@@ -1,5 +1,6 @@
 """Parts of the page that show things: camera and figures, a source beside the target, and a domain on disk."""
 
+from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from html import escape
@@ -9,6 +10,7 @@ import numpy as np
 import viser
 
 from gelgap.domains import QUANTITIES, LabelledFrames, open_domain
+from gelgap.domains.formats.pictures import encode_jpeg
 from gelgap.domains.sweep import DomainGap
 from gelgap.render import difference_picture
 from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker
@@ -16,6 +18,7 @@ from gelgap.view.state import Configuration, Shown
 
 _GOOD, _BAD, _MIDDLING = "#2b8a3e", "#c92a2a", "#b08900"
 _GREY = np.full((SIZE_PX[1], SIZE_PX[0], 3), 128, np.uint8)
+_NARROW_PX = 700
 # What is told of a frame beside its labels, where the data set has it.
 _COLUMNS = ("shear_x_mm", "shear_y_mm", "contact_class", "clip", "object", "session")
 
@@ -47,11 +50,22 @@ class Readout:
         self.progress.value = 100.0 * done / max(total, 1)
 
 
+def narrow_html(shown: Shown, colours: str) -> str:
+    """Return picture and figures as HTML for windows too narrow for panels side by side; hidden in wider ones."""
+    picture = b64encode(encode_jpeg(shown.picture, 85)).decode()
+    return (
+        f"<style>@media (min-width: {_NARROW_PX}px) {{ .gelgap-narrow {{ display: none }} }}</style>"
+        f'<div class="gelgap-narrow"><img alt="camera" style="width:100%" src="data:image/jpeg;base64,{picture}">'
+        f"{figures_html(shown, colours)}</div>"
+    )
+
+
 def figures_html(shown: Shown, colours: str) -> str:
     """Return the figures of what is shown, and how far its physics can be trusted, as HTML."""
     state = shown.solved.state
     found = state.diagnostics
-    forces = zip("xyz", state.force_n + 0.0, found.force_error_n, strict=True)
+    # Adding zero turns −0.000 into 0.000.
+    forces = zip("xyz", state.force_n.round(3) + 0.0, found.force_error_n, strict=True)
     rows = [(f"F{axis}", f"{value:+.3f} ± {error:.3f} N") for axis, value, error in forces]
     rows.append(("contact radius", f"{state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm"))
     rows.append(("largest displacement", f"{np.linalg.norm(state.displacement_mm, axis=-1).max():.3f} mm"))
@@ -132,6 +146,9 @@ class DataPanel:
     """The tab that opens a folder's frames, one at a time: picture, difference to the frame's reference, and labels."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
+        gui.add_markdown(
+            "Frames of a data set; the other panel and the scene go on showing the **live press**."
+        )
         self._frames: LabelledFrames | None = None
         self._references = np.empty((0, 0, 0, 3), np.uint8)
         self._folder = gui.add_text("folder", "", hint="The folder of one domain, such as data/mb0i0")
@@ -188,8 +205,13 @@ def labels_html(frames: LabelledFrames, index: int) -> str:
     columns = frames.columns
     for name, (symbol, unit) in QUANTITIES.items():
         if name in columns:
-            rows.append((f"{symbol}, {unit}", f"{columns[name][index]:+.3f}"))
-    return _table_html([*rows, *((name, str(columns[name][index])) for name in _COLUMNS if name in columns)])
+            rows.append((f"{symbol}, {unit}", f"{round(columns[name][index], 3) + 0.0:+.3f}"))
+    for name in _COLUMNS:
+        if name in columns:
+            value = columns[name][index]
+            is_float = isinstance(value, float | np.floating)
+            rows.append((name, f"{round(float(value), 4) + 0.0:g}" if is_float else str(value)))
+    return _table_html(rows)
 
 
 def _table_html(rows: Iterable[tuple[str, str]], font_size_px: int = 12) -> str:

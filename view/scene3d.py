@@ -43,7 +43,7 @@ class Scene3d:
         self._held: int | None = None
         server.scene.set_up_direction("+z")
         server.scene.configure_default_lights(cast_shadow=False)
-        server.initial_camera.position = (0.0, -31.0, 29.0)
+        server.initial_camera.position = (0.0, -40.0, 37.0)
         server.initial_camera.look_at = (0.0, -1.0, -1.0)
         server.initial_camera.fov = float(np.radians(31))
         self._scene.add_grid(

@@ -1,4 +1,4 @@
-"""Closed forms of sphere contact: Hertz, the bonded layer and Cattaneo–Mindlin. They are approximate checks.
+"""Closed forms of sphere contact: Hertz and Cattaneo–Mindlin (`gelgap.sim` has the bonded layer). Approximate checks.
 
 Units are mm, N and MPa. Forces are magnitudes (positive under compression); the rest of gelgap counts
 compression as Fz < 0. Every argument may be an array; arguments broadcast.
@@ -28,20 +28,6 @@ def hertz_force_n(
     """
     plane_modulus = np.asarray(young_modulus_mpa) / (1 - np.asarray(poisson_ratio) ** 2)
     return 4 / 3 * plane_modulus * np.sqrt(indenter_radius_mm) * np.asarray(depth_mm) ** 1.5
-
-
-def bonded_layer_force_n(
-    young_modulus_mpa: ArrayLike, indenter_radius_mm: ArrayLike, thickness_mm: ArrayLike, depth_mm: ArrayLike
-) -> Floats:
-    """Return the force on an incompressible layer bonded to a rigid backing, N.
-
-    F = 16/9 · E · √R · d^1.5 · (1 + 1.133χ + 1.283χ² + 0.769χ³ + 0.0975χ⁴) with χ = √(R d)/h
-    (Dimitriadis et al. 2002, Biophys. J. 82:2798). Small strain, no friction, paraboloid, χ ≤ 1. Against
-    converged finite elements of R = 1.5 mm on 3 mm it is within 0.7 % at d ≤ 0.2 mm.
-    """
-    chi = hertz_contact_radius_mm(indenter_radius_mm, depth_mm) / np.asarray(thickness_mm)
-    correction = 1 + 1.133 * chi + 1.283 * chi**2 + 0.769 * chi**3 + 0.0975 * chi**4
-    return hertz_force_n(young_modulus_mpa, 0.5, indenter_radius_mm, depth_mm) * correction
 
 
 def full_slip_mm(

@@ -1,4 +1,7 @@
-"""A data set in other formats: the paper's folders, WebDataset tars, a folder for Hugging Face, arrays for skada."""
+"""A data set in other formats: the paper's folders, WebDataset tars, a folder for Hugging Face, arrays for skada.
+
+Those of other tactile data sets and of robot learning are in `public_layouts`.
+"""
 
 import csv
 import io
@@ -17,6 +20,7 @@ from gelgap.assets import html_page
 from gelgap.assets.checksums import file_sha256
 from gelgap.domains.formats.domain_folder import check_is_new, new_folder
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
+from gelgap.domains.formats.public_layouts import write_feats, write_lerobot, write_mini_pretrain
 from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
 from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import (
@@ -26,7 +30,7 @@ from gelgap.domains.frames.folders import (
     UNSPLIT,
     open_domain,
 )
-from gelgap.domains.frames.splits import PARTS
+from gelgap.domains.frames.splits import PARTS, split_frames
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.inspection import domain_folders, inspect_domain
 
@@ -52,22 +56,36 @@ Axis = Literal["x", "y", "z"]
 _SOURCE, _TARGET = 1, -2
 
 
-def export(folder: Path | str, format_name: str, out_dir: Path | str) -> tuple[Path, ...]:
+def export(
+    folder: Path | str, format_name: str, out_dir: Path | str, *, split_by: str | None = None
+) -> tuple[Path, ...]:
     """Write the domains at a path in another format and return what was written, one path per domain.
 
     `paper` is the published layout (JPEG pictures), `webdataset` tars of PNG and JSON, `huggingface` one folder with a
-    data card, Croissant metadata and one configuration per domain. Frames that did not converge are left out.
+    data card, Croissant metadata and one configuration per domain, `feats` FEATS's dictionaries, `mini-pretrain`
+    Parquet in the columns of the Hugging Face set yxma/gelsight-mini-pretrain, `lerobot-v3` LeRobot's format v3.0.
+    Frames that did not converge are left out. Parts are those that the data set states, or drawn anew as `split_frames`
+    draws them by `split_by`: `point` keeps each contact point in one part.
 
     Raises
     ------
     ValueError
-        If the format is unknown, or the output exists.
+        If the format is unknown, the output exists, the format is only for generated domains, or the split cannot be
+        made.
     """
     if format_name not in FORMATS:
         raise ValueError(f"format {format_name!r} is unknown; known formats: {', '.join(FORMATS)}")
     out_dir = Path(out_dir)
     check_is_new(out_dir)
     domains = [open_domain(path) for path in domain_folders(folder)]
+    others = [frames.name for frames in domains if not isinstance(frames, GeneratedDomain)]
+    if others and format_name in _OF_GENERATED:
+        raise ValueError(
+            f"data set {others[0]} is not in gelgap's format; only generated domains are exported so"
+        )
+    if split_by is not None:
+        for frames in domains:
+            frames.columns["split"] = _drawn_split(frames, split_by)
     with new_folder(out_dir) as building:
         LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
         FORMATS[format_name](domains, building)
@@ -145,20 +163,22 @@ def _stated_split(frames: LabelledFrames) -> np.ndarray:
     return frames.columns.get("split", np.full(len(frames), "train", dtype=object))
 
 
+def _drawn_split(frames: LabelledFrames, by: str) -> np.ndarray:
+    split = np.empty(len(frames), dtype=object)
+    for part, indices in zip(PARTS, split_frames(frames, by), strict=True):
+        split[indices] = part
+    return split
+
+
 def _by_split(frames: LabelledFrames) -> dict[str, np.ndarray]:
     split = _stated_split(frames)
     return {part: np.flatnonzero(split == part) for part in PARTS if (split == part).any()}
 
 
-def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
+def _huggingface(generated: Sequence[GeneratedDomain], out_dir: Path) -> None:
     """`<domain>/<split>-00000.parquet`, references, a data card that `datasets` reads, and `croissant.json`."""
     import pyarrow.parquet as pq
 
-    generated = [frames for frames in domains if isinstance(frames, GeneratedDomain)]
-    if others := [frames.name for frames in domains if frames not in generated]:
-        raise ValueError(
-            f"data set {others[0]} is not in gelgap's format; only generated domains are exported so"
-        )
     for frames in generated:
         folder = out_dir / frames.name
         folder.mkdir()
@@ -169,12 +189,15 @@ def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
             )
             for part in _by_split(frames)
         }
+        part_of = dict(zip(frames.columns["frame_id"].tolist(), _stated_split(frames).tolist(), strict=True))
         for table in (shard.table() for shard in frames.shards):
+            table = table.filter(table["converged"])
+            split = pa.array([part_of[frame] for frame in table["frame_id"].to_pylist()], pa.string())
+            table = table.set_column(
+                table.schema.get_field_index("split"), table.schema.field("split"), split
+            )
             for part, writer in writers.items():
-                rows = table.filter(
-                    pa.compute.and_(table["converged"], pa.compute.equal(table["split"], part))
-                )
-                writer.write_table(rows, row_group_size=100)
+                writer.write_table(table.filter(pa.compute.equal(table["split"], part)), row_group_size=100)
         for writer in writers.values():
             writer.close()
     used = {name for frames in generated for name in frames.optional_columns}
@@ -184,10 +207,17 @@ def _huggingface(domains: Sequence[LabelledFrames], out_dir: Path) -> None:
         domains=[(frames, inspect_domain(frames.folder), list(_by_split(frames))) for frames in generated],
         # The height map's scale is in no other file of the export.
         optional=[columns for name, columns in OPTIONAL.items() if name in used],
+        points_apart=all(map(_keeps_points_apart, generated)),
         versions=generated[0].manifest["versions"],
     )
     (out_dir / "README.md").write_text(f"{card}\n", encoding="utf-8")
     (out_dir / "croissant.json").write_text(_croissant(out_dir), encoding="utf-8")
+
+
+def _keeps_points_apart(frames: GeneratedDomain) -> bool:
+    """Return whether every contact point is in one part of the split."""
+    pairs = set(zip(frames.point_id.tolist(), _stated_split(frames).tolist(), strict=True))
+    return len(pairs) == len(np.unique(frames.point_id))
 
 
 def _croissant(folder: Path) -> str:
@@ -224,12 +254,16 @@ def _croissant(folder: Path) -> str:
     return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
-FORMATS: dict[str, Callable[[list[StoredFrames], Path], None]] = {
+FORMATS: dict[str, Callable[..., None]] = {
     "paper": _paper,
     "webdataset": _webdataset,
     "huggingface": _huggingface,
+    "feats": write_feats,
+    "mini-pretrain": write_mini_pretrain,
+    "lerobot-v3": write_lerobot,
 }
 """Export formats by name."""
+_OF_GENERATED = ("huggingface", "feats", "mini-pretrain", "lerobot-v3")
 
 
 def to_skada(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets.checksums import sha256
-from gelgap.assets.names import stays_inside
+from gelgap.assets.names import quoted, stays_inside
 from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.formats.pictures import resized, without_markers
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames, join_domains
@@ -96,6 +96,9 @@ def layout_problem(folder: Path) -> str | None:
     )
 
 
+_LARGEST_LIKELY_N = 150.0
+
+
 class PictureFiles(StoredFrames):
     """A data set whose pictures are files of their own, `picture_paths`, one per frame.
 
@@ -157,9 +160,15 @@ def read_table(path: Path) -> list[dict[str, str]]:
     """Return the rows of a CSV table by the names of its columns, without spaces around names and values."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            header = reader.fieldnames or ()
+            if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+                raise ValueError(
+                    f"{path} has no comma in its header {quoted(header[0])}: separate columns by commas"
+                )
             return [
                 {name.strip(): (value or "").strip() for name, value in row.items() if name is not None}
-                for row in csv.DictReader(file, skipinitialspace=True)
+                for row in reader
             ]
     except (csv.Error, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None
@@ -263,6 +272,15 @@ def _picture_folder(folder: Path) -> PictureFiles:
     columns = {"frame_id": np.arange(len(rows))}
     columns |= {ours: _values(ours, found[ours], rows, table) for ours in found if ours != "reference"}
     notes = []
+    if repeated := len(paths) - len(set(paths)):
+        notes.append(f"{repeated} rows name a picture that a row before them names")
+    forces_n = [
+        np.abs(columns[name]).max(initial=0, where=np.isfinite(columns[name]))
+        for name in FORCE_COLUMNS
+        if name in columns
+    ]
+    if forces_n and max(forces_n) > _LARGEST_LIKELY_N:
+        notes.append(f"forces reach {max(forces_n):g} N, beyond any such sensor's: are they in mN?")
     ranges = LabelledFrames.force_range_n.copy()
     for axis, name in enumerate(FORCE_COLUMNS):
         if name in columns:
@@ -305,10 +323,15 @@ def _values(ours: str, theirs: str, rows: list[dict[str, str]], table: Path) -> 
         if ours in GROUPS and not all(values):
             raise ValueError(f"{table}, column {theirs!r}: every row must hold a name")
         return np.array(values, dtype=object)
-    try:
-        numbers = np.array([float(value) for value in values])
-    except ValueError:
-        raise ValueError(f"{table}, column {theirs!r}: every row must hold a number") from None
+    numbers = np.empty(len(values))
+    for row, value in enumerate(values):
+        try:
+            numbers[row] = float(value)
+        except ValueError:
+            raise ValueError(
+                f"{table}, column {theirs!r}: every row must hold a number, and row {row + 1} below the header holds "
+                f"{quoted(value) if value else 'nothing'}"
+            ) from None
     if ours not in WHOLE_NUMBERS:
         return numbers
     if not (np.abs(numbers) < 2**31).all():

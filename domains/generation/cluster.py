@@ -1,6 +1,7 @@
 """Where the tasks of a plan run: in this process, on a local Dask cluster, or on one at an address."""
 
 import contextlib
+import logging
 import os
 import re
 from collections import Counter
@@ -14,14 +15,17 @@ from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import FrameBatch, Shard, render_batch
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
+LOG = logging.getLogger(__name__)
 SYNCHRONOUS = "synchronous"
 """Scheduler name for running in this process: no cluster is started."""
 
 # A worker that dies takes its task with it; the task is tried this many times again before it gets the blame.
 _RETRIES_AFTER_WORKER_DEATH = 5
 CONNECTION_TIMEOUT_S = 20
+# On a machine with far more to do than cores, processes of one's own take a while to answer.
+LOCAL_TIMEOUT_S = 120
 _ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^\s/]+:\d{1,5}/?|inproc://\S+")
 
 
@@ -126,12 +130,10 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
     Raises
     ------
     RuntimeError
-        If nothing answers at the address.
+        If nothing answers at the address, or a local cluster does not start in time.
     ValueError
         If a number of workers is given for a cluster that is already there.
     """
-    import logging
-
     import dask
     from distributed import Client, LocalCluster
 
@@ -149,20 +151,40 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
                 f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler` "
                 "and workers with `dask worker ADDRESS --nthreads 1`"
             ) from error
-        with client:
+        try:
             yield client
+        finally:
+            _close(client)
         return
-    settings = {"distributed.scheduler.allowed-failures": _RETRIES_AFTER_WORKER_DEATH}
+    settings = {
+        "distributed.scheduler.allowed-failures": _RETRIES_AFTER_WORKER_DEATH,
+        "distributed.comm.timeouts.connect": LOCAL_TIMEOUT_S,
+    }
     with contextlib.ExitStack() as entered:
         entered.enter_context(dask.config.set(settings))
         # Half a cluster cannot be closed.
         with defer_signals():
-            cluster = LocalCluster(
-                n_workers=workers or len(os.sched_getaffinity(0)),
-                threads_per_worker=1,
-                dashboard_address="127.0.0.1:0",
-                silence_logs=logging.CRITICAL,
-            )
-            entered.enter_context(cluster)
-            client = entered.enter_context(Client(cluster, set_as_default=False))
+            try:
+                cluster = LocalCluster(
+                    n_workers=workers or len(os.sched_getaffinity(0)),
+                    threads_per_worker=1,
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
+                entered.callback(_close, cluster)
+                client = Client(cluster, timeout=LOCAL_TIMEOUT_S, set_as_default=False)
+            except (OSError, TimeoutError) as error:
+                raise RuntimeError(
+                    f"no local workers could be started ({str(error) or type(error).__name__}), as on a very busy "
+                    "machine; what is written is safe: run the same command again, or with fewer --workers"
+                ) from error
+            entered.callback(_close, client)
         yield client
+
+
+def _close(opened: "Client | LocalCluster") -> None:
+    """Close a client or a cluster; a busy machine may take longer than Dask waits, and all results are here by then."""
+    try:
+        opened.close()
+    except TimeoutError:
+        LOG.warning("a Dask %s did not close in time; its processes end with this one", type(opened).__name__)

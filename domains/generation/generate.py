@@ -21,7 +21,7 @@ from gelgap.domains.domain import Domain
 from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import check_scheduler, run
-from gelgap.domains.generation.plan import plan_generation, shard_bounds
+from gelgap.domains.generation.plan import force_notes, plan_generation, shard_bounds
 from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, reference_png
 from gelgap.domains.recipe import DomainRecipe, differences, make_recipes
@@ -71,7 +71,7 @@ class GenerationReport:
         if self.outside_range:
             told += (
                 f"\n{self.outside_range} frames have a force outside the declared range; training will refuse them: "
-                "declare a wider range (force_range_n) or change the gel"
+                "declare a wider range (--force-range, or force_range_n) or change the gel"
             )
         return told
 
@@ -145,6 +145,8 @@ def generate_recipes(
         raise ValueError(f"two domains have one name in {', '.join(names)}; give each its own")
     LOG.info("planning %s", comma_list(names))
     plan = plan_generation(recipes)  # refuses contacts that cannot be solved before anything is written
+    for note in force_notes(recipes):
+        LOG.warning("%s", note)
     with sole_use(out_dir):
         writers = {recipe.name: DomainWriter(recipe, out_dir / recipe.name) for recipe in recipes}
         # Nothing is changed on disk unless all folders are free or resumable.
@@ -162,6 +164,7 @@ def generate_recipes(
             LOG.info("rendering the reference pictures")
             for writer in writers.values():
                 writer.write_reference()
+            _check_space(out_dir, writers.values())
             LOG.info("starting workers")
             local = plan.processes(workers) if scheduler is None else workers
             for shard in run(plan, progress, scheduler, local):
@@ -255,6 +258,12 @@ class DomainWriter:
             self.complete = True
             self._write_manifest()
 
+    @property
+    def bytes_left(self) -> int:
+        """About how many bytes are still to be written: every frame takes as much as the reference picture."""
+        frames = len(self.recipe.path.poses) - self.total("frames")
+        return 0 if self.complete else frames * self.files[REFERENCE]["bytes"]
+
     def total(self, count: str) -> int:
         """Return the sum of one count over all shards."""
         return sum(entry.get(count, 0) for entry in self.files.values())
@@ -280,6 +289,16 @@ class DomainWriter:
             "files": dict(sorted(self.files.items())),
         }
         self.folder.write_manifest(manifest)
+
+
+def _check_space(out_dir: Path, writers: Iterable[DomainWriter]) -> None:
+    """Raise RuntimeError, before anything is solved, if the disk has no room for the frames."""
+    needed, free = sum(writer.bytes_left for writer in writers), shutil.disk_usage(out_dir).free
+    if needed > free:
+        raise RuntimeError(
+            f"about {needed / 1e6:.0f} MB are needed in {out_dir}, and {free / 1e6:.0f} MB are free; make room, "
+            "choose another folder or smaller pictures, and run the command again"
+        )
 
 
 @lru_cache(maxsize=1)

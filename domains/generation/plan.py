@@ -1,6 +1,7 @@
 """What has to be done for a set of domains: distinct solves, batches of frames, each once; and what that takes."""
 
 import logging
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,6 +22,8 @@ FRAMES_PER_SHARD = 128
 _START_S = 4.0
 _STEP_S = {"draft": 0.3, "standard": 1.1, "fine": 3.0}
 _FRAME_S, _FRAME_PIXEL_S = 0.006, 1e-7
+# A range that is proposed is wider than the force that is expected, by what the expectation may be short of.
+_ROOM_FOR_FORCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,7 @@ class Estimate:
     workers: int
     indenters: tuple[str, ...] = ()
     """What the solves of each indenter take, if they are not all of one sphere."""
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         kilobytes = self.disk_bytes / self.frames / 1e3
@@ -117,6 +121,7 @@ class Estimate:
                 f"time     about {wall} with {self.workers} workers",
                 f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
                 *(f"indenter {line}" for line in self.indenters),
+                *(f"note     {note}" for note in self.notes),
             ]
         )
 
@@ -164,6 +169,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         disk_bytes=frame_bytes * plan.frames,
         workers=processes,
         indenters=_by_indenter(plan),
+        notes=tuple(force_notes(recipes)),
     )
 
 
@@ -194,6 +200,29 @@ def _by_indenter(plan: GenerationPlan) -> tuple[str, ...]:
         f"{shared[own[0].problem.indenter.symmetry]}"
         for label, own in by_label.items()
     )
+
+
+def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:
+    """Return which domains will probably have forces outside their declared range, in sentences; nothing is solved."""
+    from gelgap.sim import expected_force_n
+
+    expected_n: dict[str, float] = {}
+    for recipe in recipes:
+        deepest_mm = max(pose.depth_mm for pose in recipe.path.poses)
+        force_n = expected_force_n(recipe.elastomer, recipe.indenter, deepest_mm)
+        if force_n > -recipe.force_range_n[2][0]:
+            expected_n[recipe.name] = force_n
+    if not expected_n:
+        return []
+    name, force_n = max(expected_n.items(), key=lambda item: item[1])
+    (declared_n,) = {recipe.force_range_n[2][0] for recipe in recipes if recipe.name == name}
+    others = f" (and {len(expected_n) - 1} other domains)" if len(expected_n) > 1 else ""
+    wide = math.ceil(_ROOM_FOR_FORCE * force_n)
+    return [
+        f"the deepest press of {name}{others} takes about {force_n:.3g} N, beyond the declared Fz = {declared_n:g} N: "
+        "training refuses such frames; declare a wider range, as "
+        f"--force-range fx_n=-{wide}:{wide} fy_n=-{wide}:{wide} fz_n=-{wide}:0"
+    ]
 
 
 def _dent() -> "MembraneState":

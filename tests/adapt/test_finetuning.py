@@ -1,11 +1,13 @@
 """A network on a few labelled frames or clips of other data, as somebody's own recordings."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import pytest
 
-from gelgap.adapt import ForceModel, evaluate, finetune, train_source
+from gelgap.adapt import Evaluation, ForceModel, evaluate, finetune, train_source
+from gelgap.adapt.few_labels import Pretraining
 from gelgap.cli.main import main
 from gelgap.domains import open_domain
 
@@ -37,6 +39,17 @@ def test_a_few_labelled_clips_lower_the_error_on_the_others(checkpoint, recordin
     assert (found.frames, found.after.n) == (24, 72)
     assert found.after.mae[0] < 0.7 * found.before.mae[0]
     assert found.after.mae[0] < found.constant_mean.mae[0]
+    assert "no better" not in str(found)
+    assert "fill little" not in str(found)
+    small = replace(found, after=found.constant_mean, range_used=(0.012,))
+    assert "labels fill little of the network's ranges (Fz 1.2 % of fz_n=-3:0)" in str(small)
+    assert "fine-tuning is no better than the mean of the labelled frames" in str(small)
+
+
+def test_a_pretrained_network_that_learnt_nothing_says_so(checkpoint):
+    good, poor = (Evaluation(9, (e,) * 3, (100 * e,) * 3, (0.5,) * 3) for e in (0.1, 0.2))
+    assert "no better than the constant mean" in str(Pretraining(checkpoint, 90, 0, poor, good))
+    assert "no better" not in str(Pretraining(checkpoint, 90, 0, good, poor))
 
 
 def test_frames_beyond_the_range_of_the_network_are_left_out_and_counted(checkpoint, recordings, tmp_path):

@@ -1,6 +1,7 @@
 """Runs on other labels than the three axes of the force: they train, are judged, kept, reported and asked for."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -21,6 +22,7 @@ from gelgap.adapt import (
     write_report,
 )
 from gelgap.adapt.report import axis_table, error_table
+from gelgap.assets.checksums import SUMS
 from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames, Labels, with_labels
 
@@ -93,6 +95,22 @@ def test_the_report_has_tables_of_each_set_of_labels(fz_runs, source, target, sh
     assert "| group | method | seed | Fz, N | R² z | constant mean, N |" in text
     assert "scatter-mb0i0-wmb1i1-fz_n.png" in text
     assert forces.labels == ("fx_n", "fy_n", "fz_n")
+
+
+def test_a_run_of_generated_domains_keeps_its_oracles_and_what_no_picture_shows(
+    source, target, short, tmp_path
+):
+    (run,) = adapt_frames(source, target, ["constant-mean"], short, out_dir=tmp_path)
+    assert (run.oracles, run.unseen) == ({}, ())
+    told = replace(run, oracles={"pose oracle": run.target_test}, unseen=("modulus 1 and 2 MPa",))
+    record = json.loads((run.folder / "run.json").read_text())
+    record |= {"oracles": {"pose oracle": record["target_test"]}, "unseen": list(told.unseen)}
+    (run.folder / "run.json").write_text(json.dumps(record))
+    (run.folder / SUMS).unlink()
+    assert load_run(run.folder) == told
+    text = write_report(tmp_path).with_suffix(".md").read_text()
+    assert "| mb0i0 → wmb1i1 | modulus 1 and 2 MPa |" in text
+    assert "pose oracle" in text
 
 
 def test_labels_of_several_units_are_not_averaged(source, target, short, tmp_path):

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from gelgap.adapt.evaluation import Presses, gap_closed, geometry_oracle, pose_oracle
-from gelgap.domains import ArrayFrames
+from gelgap.adapt.evaluation import (
+    Presses,
+    evaluate_predictions,
+    gap_closed,
+    geometry_oracle,
+    pose_oracle,
+    worse_than_constant,
+)
+from gelgap.domains import ArrayFrames, make_recipes, unseen_differences
 
 
 def labelled(force_n: np.ndarray, contact_class: np.ndarray, point_id: np.ndarray) -> ArrayFrames:
@@ -79,3 +86,32 @@ def test_gap_closed_is_not_capped():
     assert gap_closed(0.4, 0.2, 0.1) == pytest.approx(2 / 3)
     assert gap_closed(0.4, 0.05, 0.1) > 1
     assert np.isnan(gap_closed(0.1, 0.2, 0.2))
+
+
+def test_adaptation_says_what_no_picture_of_its_gap_shows():
+    """Own gel, own friction, no markers on the target: a sentence each, and none for a gap of light alone."""
+    (source,) = make_recipes(["mb0i0"], "smoke")
+    assert unseen_differences(source, source) == []
+    (light,) = make_recipes(["mb0i2"], "smoke")
+    assert unseen_differences(source, light) == []
+    gel = source.elastomer.model_copy(update={"young_modulus_mpa": 0.15, "friction": 0.5})
+    other = source.model_copy(update={"name": "own", "elastomer": gel, "markers": False})
+    modulus, friction, markers = unseen_differences(source, other)
+    assert "modulus 0.7 and 0.15 MPa: the same dent takes × 0.214 the force on own" in modulus
+    assert "friction 0.24 and 0.5" in friction
+    assert "no markers on own" in markers
+    thick = gel.model_copy(update={"thickness_mm": 4.0})
+    assert any(
+        "thickness 3 and 4 mm" in n
+        for n in unseen_differences(other, other.model_copy(update={"elastomer": thick}))
+    )
+
+
+def test_worse_than_a_constant_is_said_of_the_labels_concerned():
+    truth = np.array([[0.0, 0.0, -1.0], [0.1, 0.2, -2.0], [0.2, 0.4, -3.0]])
+    ranges = np.array([[-1.0, 1.0], [-1.0, 1.0], [-3.0, 0.0]])
+    bad = truth * [1, -1, 1]
+    assert worse_than_constant(evaluate_predictions(truth, truth, ranges)) == ""
+    assert worse_than_constant(evaluate_predictions(truth, bad, ranges)).startswith(
+        "Fy: worse than a constant"
+    )

@@ -50,6 +50,25 @@ def test_an_own_gel_and_light_make_a_domain_with_a_name(
     assert not (tmp_path / "data").exists()
 
 
+def test_forces_beyond_the_declared_range_are_told_before_solving_and_a_range_mends_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    command = ["generate", "mb0i0", "--path", "cpu", "--indenter-diameter-mm", "20", "--dry-run"]
+    main([*command, "--size", "64", "48", "--out", str(tmp_path / "data")])
+    (note,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note")]
+    assert "the deepest press of mb0i0 takes about" in note
+    assert "declared Fz = -3 N" in note
+    ranges = note.partition("--force-range ")[2].split()
+    main([*command, "--size", "64", "48", "--out", str(tmp_path / "data"), "--force-range", *ranges])
+    assert "note" not in capsys.readouterr().out
+    (recipe,), _ = Generate(("mb0i0",), force_range=("fz_n=-40:0",))._recipes()
+    assert recipe.force_range_n == ((-0.75, 0.75), (-0.75, 0.75), (-40.0, 0.0))
+    with pytest.raises(SystemExit) as stop:
+        main([*command, "--out", str(tmp_path / "data"), "--force-range", "depth_mm=0:1"])
+    assert stop.value.code == 2
+    assert "depth_mm is no axis of the force" in capsys.readouterr().err
+
+
 def test_another_sphere_makes_the_domain_and_one_too_small_for_the_path_is_refused(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

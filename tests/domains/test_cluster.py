@@ -1,11 +1,12 @@
 """A cluster of separately started processes on loopback, as on any machine where Dask runs."""
 
-import contextlib
+import json
 import signal
 import socket
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -77,19 +78,48 @@ def test_a_scheduler_that_does_not_answer_is_an_error_that_says_how_to_start_one
 def test_ctrl_c_waits_until_a_local_cluster_can_be_closed(monkeypatch: pytest.MonkeyPatch):
     events = []
 
-    class Cluster(contextlib.AbstractContextManager):
+    class Cluster:
         def __init__(self, **_: object) -> None:
             signal.raise_signal(signal.SIGINT)
             events.append("started")
 
-        def __exit__(self, *_: object) -> None:
+        def close(self) -> None:
             events.append("closed")
 
     monkeypatch.setattr("distributed.LocalCluster", Cluster)
-    monkeypatch.setattr("distributed.Client", lambda *_, **__: contextlib.nullcontext())
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: SimpleNamespace(close=lambda: None))
     with pytest.raises(KeyboardInterrupt), dask_client(None, 1):
         events.append("used")
     assert events == ["started", "closed"]
+
+
+def test_a_domain_is_finished_although_the_cluster_does_not_close_in_time(
+    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    """A busy machine answers late; every frame is there by then."""
+    from distributed import Client
+
+    close = Client.close
+
+    def late(client: Client, *arguments: object) -> None:
+        if client.status != "closed":
+            close(client, *arguments)
+            raise TimeoutError
+
+    monkeypatch.setattr(Client, "close", late)
+    make(tmp_path, ("mb1i2",), scheduler=None, workers=1)
+    assert json.loads((tmp_path / "mb1i2" / "manifest.json").read_text())["complete"]
+    assert "did not close in time" in caplog.text
+
+
+def test_a_local_cluster_that_does_not_start_says_that_nothing_is_lost(monkeypatch: pytest.MonkeyPatch):
+    def late(**_: object) -> None:
+        raise TimeoutError
+
+    monkeypatch.setattr("distributed.LocalCluster", late)
+    told = r"TimeoutError.*what is written is safe: run the same command"
+    with pytest.raises(RuntimeError, match=told), dask_client(None, 1):
+        pass
 
 
 def test_no_worker_is_started_that_has_nothing_to_do(make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -161,6 +161,17 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(
     assert contents(tmp_path / "mb0i0") == contents(finished / "mb0i0")
 
 
+def test_too_small_a_disk_is_told_before_anything_is_solved(
+    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    import shutil
+
+    monkeypatch.setattr("gelgap.domains.generation.generate.run", lambda *_: pytest.fail("solved"))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 6000))
+    with pytest.raises(RuntimeError, match=r"about \d+ MB are needed in .*make room"):
+        make(tmp_path)
+
+
 def test_a_pose_that_did_not_converge_is_written_without_a_picture(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

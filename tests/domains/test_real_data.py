@@ -118,3 +118,30 @@ def test_a_table_without_forces_says_what_it_has(tmp_path: Path):
     table(tmp_path / "t.csv", [{"image": "a.png", "torque": 1}])
     with pytest.raises(ValueError, match=r"has no label.*\(fx_n, .*depth_mm\); it has image, torque"):
         open_domain(tmp_path)
+
+
+def picture_folder(folder: Path, text: str) -> Path:
+    for number in range(3):
+        picture(folder / f"{number}.png", 60 * number)
+    (folder / "labels.csv").write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("picture,fz_n\n0.png,0\n1.png,\n2.png,-1\n", "row 2 below the header holds nothing"),
+        ("picture,fz_n\n0.png,0\n1.png,-0.5\n2.png,soft\n", "row 3 below the header holds 'soft'"),
+        ("picture;fz_n\n0.png;0\n1.png;-0.5\n", "'picture;fz_n': separate columns by commas"),
+    ],
+)
+def test_a_table_that_cannot_be_read_names_the_row_or_the_separator(text: str, problem: str, tmp_path: Path):
+    with pytest.raises(ValueError, match=problem):
+        open_domain(picture_folder(tmp_path, text))
+
+
+def test_millinewtons_and_repeated_pictures_are_noted(tmp_path: Path):
+    text = "picture,fz_n\n0.png,0\n1.png,-2500\n1.png,-2500\n"
+    notes = " ".join(open_domain(picture_folder(tmp_path, text)).notes)
+    assert "1 rows name a picture that a row before them names" in notes
+    assert "forces reach 2500 N, beyond any such sensor's: are they in mN?" in notes

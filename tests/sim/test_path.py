@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.sim.path import ContactPath, DrawnPath, PosePath, load_path
+from gelgap.sim.path import ContactPath, DrawnPath, ForcePath, PosePath, load_path
 from gelgap.sim.scene import Pose
 
 GRID = "points_x_mm = [0]\npoints_y_mm = [0]\ndepths_mm = [0.2]\nradii_mm = [0.1]\nangles_deg = [0, 90, 180, 270]"
@@ -143,4 +143,37 @@ def test_what_is_wrong_with_a_path_is_told_in_words_that_fit_any_name(tmp_path: 
     with pytest.raises(
         ValueError, match=r"path\.toml: speed in path 'path': must be points_x_mm, .* or \[random\]"
     ):
+        load_path(str(file))
+
+
+def test_forces_stand_for_depths_until_a_gel_is_known(tmp_path: Path) -> None:
+    grid, random = tmp_path / "grid.toml", tmp_path / "random.toml"
+    grid.write_text(GRID.replace("depths_mm = [0.2]", "forces_n = [2.0, 0.5]"))
+    random.write_text("[random]\nnumber = 5\nforce_n = [0.1, 3.0]\n")
+    path = load_path(str(grid))
+    assert isinstance(path, ForcePath)
+    assert path.forces_n == (0.5, 2.0)
+    pressed = path.at_depths((0.3, 0.9))
+    assert pressed == ContactPath("grid", (0.0,), (0.0,), (0.9, 0.3), (0.1,), (0.0, 90.0, 180.0, 270.0))
+    path = load_path(str(random))
+    forces = path.forces_n
+    assert len(forces) == 5
+    assert 0.1 <= forces[0] <= forces[-1] <= 3.0
+    poses = path.at_depths([force / 10 for force in forces]).poses
+    assert poses[0].depth_mm == 0
+    assert sorted(pose.depth_mm for pose in poses[1:]) == pytest.approx([force / 10 for force in forces])
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (GRID + "\nforces_n = [1]", "has forces and depths"),
+        ("[random]\nnumber = 2\nforce_n = [3.0, 1.0]", r"force_n = \[3.0, 1.0\] of path own: must rise"),
+        (GRID.replace("depths_mm = [0.2]", "forces_n = [-1]"), "forces_n of path own = .* must be 0 or more"),
+    ],
+)
+def test_bad_forces_are_called_forces(content: str, problem: str, tmp_path: Path) -> None:
+    file = tmp_path / "own.toml"
+    file.write_text(content)
+    with pytest.raises(ValueError, match=problem):
         load_path(str(file))

@@ -6,10 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.fem.theory import bonded_layer_force_n
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.membrane import MembraneState
-from gelgap.sim.press import pose_for_force, solve_in_full, solve_pose, solve_poses
+from gelgap.sim.path import ContactPath, ForcePath
+from gelgap.sim.press import (
+    bonded_layer_force_n,
+    expected_force_n,
+    path_on_gel,
+    pose_for_force,
+    solve_in_full,
+    solve_pose,
+    solve_poses,
+)
 from gelgap.sim.scene import Elastomer, Pose, Sharing
 from gelgap.sim.solution import cache_use
 
@@ -66,6 +74,13 @@ def test_dragging_to_positive_x_gives_positive_fx(descent: tuple[MembraneState, 
     assert force[0] > 0
     assert abs(force[1]) < 1e-6
     assert np.hypot(*force[:2]) < 0.8 * 1.1 * abs(force[2])
+
+
+def test_the_force_to_expect_is_a_solved_presss_within_a_quarter() -> None:
+    softly = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8, mount_stiffness_n_per_mm=1.0)
+    for gel in (GEL, softly):
+        solved_n = -solve_pose(gel, BALL, Pose(depth_mm=0.6), "draft").force_n[2]
+        assert 0.75 * solved_n < expected_force_n(gel, BALL, 0.6) < 1.1 * solved_n
 
 
 def test_the_press_agrees_with_the_bonded_layer_at_small_depth(descent: tuple[MembraneState, ...]) -> None:
@@ -223,3 +238,24 @@ def test_impossible_poses_are_refused(pose: Pose, field: str) -> None:
 def test_an_unknown_quality_lists_the_known_ones() -> None:
     with pytest.raises(ValueError, match="standard"):
         solve_pose(GEL, BALL, Pose(depth_mm=0.2), "perfect")
+
+
+def test_a_path_of_forces_reaches_them_on_its_gel() -> None:
+    path = ForcePath(ContactPath("forces", (0.0,), (0.0,), (0.3, 1.0), (0.0,), (0.0,)))
+    pressed = path_on_gel(path, GEL, BALL, "draft")
+    for force, depth in zip((0.3, 1.0), pressed.depths_mm, strict=True):
+        assert -solve_pose(GEL, BALL, Pose(depth_mm=depth), "draft").force_n[2] == pytest.approx(
+            force, rel=0.05
+        )
+    with pytest.raises(ValueError, match=r"force_n = 90 of path forces: must be at most .* N on this gel"):
+        path_on_gel(
+            ForcePath(ContactPath("forces", (0.0,), (0.0,), (90.0,), (0.0,), (0.0,))), GEL, BALL, "draft"
+        )
+
+
+def test_the_gel_of_a_gelsight_mini_takes_the_force_that_was_measured_at_a_millimetre() -> None:
+    """5.964 N of a 15 mm ball 1 mm deep, from feats-ai/feats."""
+    state = solve_pose(
+        Elastomer.preset("gelsight-mini"), Sphere(diameter_mm=15.0), Pose(depth_mm=1.0), "draft"
+    )
+    assert -state.force_n[2] == pytest.approx(5.964, rel=0.05)

@@ -192,6 +192,32 @@ def test_a_domain_with_fz_alone_and_references_of_its_own_is_shown(page: Any, tm
 
 
 @needs_browser
+def test_arrow_keys_on_a_slider_do_not_reach_the_camera(page: Any) -> None:
+    """viser's camera listens to the keys of the document."""
+    settled(page, lambda: page.shown is not None)
+    depth_mm = page.controls.depth.value
+    with PICTURES.browser_page(page.address) as browser:
+        browser.evaluate(
+            "window.heard = 0; document.addEventListener('keydown', () => { window.heard += 1; })"
+        )
+        browser.locator("[role=slider]").first.press("ArrowRight")
+        settled(page, lambda: page.controls.depth.value > depth_mm)
+        assert browser.evaluate("window.heard") == 0
+        browser.evaluate("document.activeElement.blur()")
+        browser.keyboard.press("ArrowRight")
+        assert browser.evaluate("window.heard") == 1
+
+
+def test_a_narrow_window_has_picture_and_force_above_the_knobs_and_no_negative_zero(page: Any) -> None:
+    settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
+    text = page._narrow.content
+    assert "@media (min-width" in text
+    assert "data:image/jpeg;base64," in text
+    assert "-0.000" not in text
+    assert "Fz" in text
+
+
+@needs_browser
 def test_in_a_browser(page: Any) -> None:
     with PICTURES.browser_page(page.address) as browser:
         browser.get_by_text("interpolated").first.wait_for()
