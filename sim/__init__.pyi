@@ -5,6 +5,7 @@ from .indenter import Sphere as Sphere
 from .membrane import MembraneState as MembraneState
 from .membrane import SolvedPose as SolvedPose
 from .membrane import grid_axes as grid_axes
+from .membrane import table_radius_mm as table_radius_mm
 from .path import CLASS_DEPTHS_MM as CLASS_DEPTHS_MM
 from .path import CLASS_RADII_MM as CLASS_RADII_MM
 from .path import ContactPath as ContactPath
@@ -37,4 +38,5 @@ from .solution import load_solution as load_solution
 from .solved_path import PATH_DEPTHS_MM as PATH_DEPTHS_MM
 from .solved_path import PATH_TRAVELS_MM as PATH_TRAVELS_MM
 from .solved_path import SolvedPath as SolvedPath
+from .solved_path import equilibrium as equilibrium
 from .solved_path import plan_path as plan_path

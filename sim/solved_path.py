@@ -69,7 +69,7 @@ class SolvedPath:
     def from_solutions(cls, plan: SolvePlan, solutions: dict[str, Solution]) -> Self:
         """Return the path of `plan_path`'s plan, from the solutions of its solves by their keys."""
         equilibria = [
-            _equilibrium(solutions[plan.solves[placement.solve].key], placement)
+            equilibrium(solutions[plan.solves[placement.solve].key], placement)
             for placement in plan.placements[1:]
         ]
         rows = max(len(fields["displacement_mm"]) for fields in equilibria)
@@ -156,8 +156,8 @@ def _between(values: np.ndarray, depth: _Bracket, travel: _Bracket) -> np.ndarra
     )
 
 
-def _equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarray]:
-    """Return the fields of a `SolvedPath` for one equilibrium."""
+def equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarray]:
+    """Return the fields of a `SolvedPath`, tables and numbers for a modulus of 1 MPa, for one solved pose."""
     record = solution.records[placement.record]
     per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
     radius_mm = contact_radius_mm(solution, record)
