@@ -71,6 +71,8 @@ class Generate(opt.Command):
     """Optional columns to write as well; `diagnostics`: how each pose was solved."""
     contacts: Literal["paired", "independent"] = "paired"
     """The same poses in every domain, or a draw of its own for each domain."""
+    exact: opt.Flag = False
+    """Solve every pose of a random path, instead of interpolating it from a library of a few solves."""
     rendered_without_markers: opt.Flag = False
     """Render wmb0i0 without markers instead of inpainting the markers of mb0i0 (the paper's way)."""
     generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
@@ -129,6 +131,7 @@ class Generate(opt.Command):
             "seed": self.seed,
             "size_px": self.size,
             "contacts": self.contacts,
+            "exact": self.exact,
         }
         if self.rendered_without_markers:
             settings["inpainted"] = ()

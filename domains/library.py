@@ -115,7 +115,8 @@ class LibraryPlan:
     def depths_mm(self) -> tuple[float, ...]:
         low, high = self.ranges.shallowest_mm, self.ranges.deepest_mm
         number = _DEPTHS if high > 1.05 * low else 1
-        return tuple(np.round(np.linspace(low**0.5, high**0.5, number) ** 2, 6).tolist()[:-1]) + (high,)
+        evenly_wide_mm = np.round(np.linspace(low**0.5, high**0.5, number) ** 2, 6)
+        return (*evenly_wide_mm[:-1].tolist(), high)
 
     @cached_property
     def solved(self) -> SolvePlan:
@@ -315,9 +316,7 @@ class PoseLibrary:
         travels, by_travel = _weights(places, self.plan.place_of(pose.depth_mm, pose.radius_mm))
         # Node 0 is the undeformed membrane: a zero table, and the shallowest press's numbers at its growth with depth.
         loaded, own = depths > 0, np.maximum(depths - 1, 0)
-        table = _combined(
-            self.displacement_mm, own[loaded], travels, np.outer(by_depth[loaded], by_travel)
-        )
+        table = _combined(self.displacement_mm, own[loaded], travels, np.outer(by_depth[loaded], by_travel))
         both = np.ix_(own, travels)
         of = {
             name: pose.depth_mm**power
@@ -342,7 +341,9 @@ class PoseLibrary:
             force_n=force_n,
             contact_radius_mm=float(of["contact_radius_mm"]),
             converged=bool(self.numbers["converged"][around].all()),
-            diagnostics=self._diagnostics(pose, modulus, of["errors"], float(np.linalg.norm(force_n)), around),
+            diagnostics=self._diagnostics(
+                pose, modulus, of["errors"], float(np.linalg.norm(force_n)), around
+            ),
         )
 
     def _press_onto(
@@ -427,7 +428,7 @@ class PoseLibrary:
 
     @cached_property
     def holds(self) -> bool:
-        """Whether the errors on held-out poses are within the bounds; so, too, if no depth lies between those solved."""
+        """Whether the errors on held-out poses are within the bounds; so they are if none was held out."""
         if self.held_out is None:
             return True
         table = self.held_out[self.held_out["converged"]]

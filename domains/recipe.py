@@ -174,14 +174,18 @@ class DomainRecipe(Settings):
         default="paired", description="the same poses in every domain, or poses of its own"
     )
     acquisition: AcquisitionError = AcquisitionError()
+    interpolated: bool = Field(
+        default=False,
+        description="poses from a library of few solves, where it reaches, not each from its own",
+    )
     force_range_n: tuple[Interval, Interval, Interval] = Field(
         default=PAPER_FORCE_RANGE_N,
         description="declared range of Fx, Fy, Fz in N, by which labels are normalised",
     )
 
     def configuration(self) -> dict[str, Any]:
-        """Return the recipe as plain JSON values."""
-        return self.model_dump(mode="json")
+        """Return the recipe as plain JSON values; `interpolated` is told only of those that are."""
+        return self.model_dump(mode="json", exclude=None if self.interpolated else {"interpolated"})
 
     @property
     def key(self) -> str:
@@ -218,6 +222,15 @@ class DomainRecipe(Settings):
         )
 
 
+def _asks_for_a_library(path: ContactPath | PosePath) -> bool:
+    """Return whether the poses of a path are at so many depths that a library takes fewer solves than they."""
+    from gelgap.domains.library import MOST_SOLVES
+    from gelgap.sim import DEPTHS_PER_DESCENT
+
+    depths = {pose.depth_mm for pose in path.poses if pose.depth_mm > 0 and pose.trajectory is None}
+    return len(depths) > DEPTHS_PER_DESCENT * MOST_SOLVES
+
+
 def differences(one: Any, other: Any, field: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Yield each field in which two configurations differ: its dotted name and both values, None where it is absent."""
     if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
@@ -241,6 +254,7 @@ def make_recipes(
     inpainted: Sequence[str] = INPAINTED_IN_THE_PAPER,
     sensor: str | Sensor = "paper",
     columns: Iterable[OptionalColumn] = (),
+    exact: bool = False,
     **settings: Any,
 ) -> tuple[DomainRecipe, ...]:
     """Return the recipes of domains by their names, on one contact path.
@@ -258,6 +272,9 @@ def make_recipes(
         A sensor preset's name, or a sensor.
     columns
         Optional columns.
+    exact
+        Solve each pose; by default a path of more depths than a library takes, as a random one, is interpolated
+        (`gelgap.domains.PoseLibrary`).
     settings
         Further fields of `DomainRecipe`: seed, quality, size_px, contacts, acquisition, ….
 
@@ -272,6 +289,7 @@ def make_recipes(
     if len(set(parsed)) < len(parsed):
         raise ValueError(f"a domain is named twice in {', '.join(map(str, parsed))}; name each once")
     contact_path = load_path(path) if isinstance(path, str) else path
+    interpolated = not exact and _asks_for_a_library(contact_path)
     seen_through = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
     recipes = []
     for domain in parsed:
@@ -291,7 +309,7 @@ def make_recipes(
             markers=domain.markers,
             inpainted_from=domain.name.removeprefix("w") if domain.name in inpainted else None,
             columns=tuple(sorted(columns)),
-            **settings,
+            **{"interpolated": interpolated, **settings},
         )
         recipes.append(recipe)
     return tuple(recipes)

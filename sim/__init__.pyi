@@ -12,6 +12,7 @@ from .path import ContactPath as ContactPath
 from .path import DrawnPath as DrawnPath
 from .path import PosePath as PosePath
 from .path import load_path as load_path
+from .plan import DEPTHS_PER_DESCENT as DEPTHS_PER_DESCENT
 from .plan import Solve as Solve
 from .plan import SolvePlan as SolvePlan
 from .plan import known_pace as known_pace

@@ -13,7 +13,8 @@ from gelgap.domains.generation.shard import FrameBatch, picture_cells
 from gelgap.domains.recipe import DomainRecipe
 
 if TYPE_CHECKING:
-    from gelgap.sim import MembraneState, Solve
+    from gelgap.domains.library import LibraryPlan, PoseLibrary
+    from gelgap.sim import MembraneState, Pose, Solution, Solve, SolvePlan
 
 LOG = logging.getLogger(__name__)
 FRAMES_PER_SHARD = 128
@@ -25,11 +26,12 @@ _FRAME_S, _FRAME_PIXEL_S = 0.006, 1e-7
 
 @dataclass(frozen=True)
 class GenerationPlan:
-    """Solves by the hash of their physics, and the batches that wait for them."""
+    """Solves by the hash of their physics, libraries of poses that are made of some, and batches that wait for them."""
 
     recipes: tuple[DomainRecipe, ...]
     solves: "dict[str, Solve]" = field(repr=False)
     batches: tuple[FrameBatch, ...] = field(repr=False)
+    libraries: "dict[str, LibraryPlan]" = field(default_factory=dict, repr=False)
 
     @property
     def frames(self) -> int:
@@ -48,7 +50,65 @@ class GenerationPlan:
             if recipes:
                 batches.append(replace(batch, recipes=recipes))
         needed = dict.fromkeys(key for batch in batches for key in batch.solve_keys)
-        return GenerationPlan(self.recipes, {key: self.solves[key] for key in needed}, tuple(batches))
+        libraries = {key: library for key, library in self.libraries.items() if key in needed}
+        needed |= dict.fromkeys(solve.key for library in libraries.values() for solve in library.solves)
+        solves = {key: solve for key, solve in self.solves.items() if key in needed}
+        return GenerationPlan(self.recipes, solves, tuple(batches), libraries)
+
+
+@dataclass(frozen=True)
+class LibraryPoses:
+    """Poses that a library serves, and those that it does not reach, by solves of their own: as a `SolvePlan`."""
+
+    library: "LibraryPlan"
+    own: "SolvePlan"
+    poses: "tuple[Pose, ...]"
+
+    @classmethod
+    def of(cls, recipe: DomainRecipe) -> "LibraryPoses | SolvePlan":
+        """Return the contacts of a recipe: without a library if it serves none of them."""
+        from gelgap.domains.library import LibraryPlan, PoseRanges
+        from gelgap.sim import PosePath, is_interior, plan_solves
+
+        gel, path = recipe.elastomer, recipe.solved_path()
+        served = [p.depth_mm > 0 and p.trajectory is None and is_interior(gel, p) for p in path.poses]
+        of_library = [pose for pose, is_served in zip(path.poses, served, strict=True) if is_served]
+        left = [
+            replace(pose, depth_mm=0.0) if is_served else pose
+            for pose, is_served in zip(path.poses, served, strict=True)
+        ]
+        own = plan_solves(gel, recipe.indenter, PosePath(path.name, tuple(left)), recipe.quality)
+        if not of_library:
+            return own
+        library = LibraryPlan(gel, recipe.indenter, PoseRanges.of(of_library), recipe.quality)
+        return cls(library, own, path.poses)
+
+    @property
+    def solves(self) -> "tuple[Solve, ...]":
+        return (*self.library.solves, *self.own.solves)
+
+    def solve_key(self, pose_index: int) -> str:
+        """Return the key of the solve, or of the library, that serves a pose."""
+        is_own = self.own.placements[pose_index] is not None
+        return self.own.solve_key(pose_index) if is_own else self.library.key
+
+    def part(self, start: int, stop: int) -> "LibraryPoses":
+        return replace(self, own=_part(self.own, start, stop), poses=self.poses[start:stop])
+
+    def state(
+        self, pose_index: int, source: "PoseLibrary | Solution", half_extent_mm: tuple[float, float]
+    ) -> "MembraneState":
+        """Return the membrane of a pose from what `solve_key` names."""
+        if self.own.placements[pose_index] is not None:
+            return self.own.state(pose_index, source, half_extent_mm)
+        return source.state(self.own.elastomer, self.poses[pose_index], half_extent_mm)
+
+
+def _part(contacts: "LibraryPoses | SolvePlan", start: int, stop: int) -> "LibraryPoses | SolvePlan":
+    """Return the contacts of some frames."""
+    if isinstance(contacts, LibraryPoses):
+        return contacts.part(start, stop)
+    return replace(contacts, poses=contacts.poses[start:stop], placements=contacts.placements[start:stop])
 
 
 def shard_bounds(frames: int) -> list[tuple[int, int]]:
@@ -71,27 +131,32 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
 
     alike: dict[tuple[Any, ...], list[DomainRecipe]] = {}
     for recipe in recipes:
-        same = (recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality)
+        same = (recipe.elastomer, recipe.indenter, recipe.solved_path(), recipe.quality, recipe.interpolated)
         alike.setdefault(same, []).append(recipe)
     solves: dict[str, Solve] = {}
+    libraries: dict[str, LibraryPlan] = {}
     batches = []
-    for contacts, members in alike.items():
-        physics = plan_solves(*contacts)
-        by_key = {solve.key: solve for solve in physics.solves}
+    for (*contacts, interpolated), members in alike.items():
+        physics = LibraryPoses.of(members[0]) if interpolated else plan_solves(*contacts)
+        by_key: dict[str, Any] = {solve.key: solve for solve in physics.solves}
+        if isinstance(physics, LibraryPoses):
+            libraries[physics.library.key] = by_key[physics.library.key] = physics.library
+            solves |= {solve.key: solve for solve in physics.library.solves}
         for number, (start, stop) in enumerate(shard_bounds(len(physics.poses))):
             serving = {physics.solve_key(frame) for frame in range(start, stop)}
             keys = tuple(key for key in by_key if key in serving)
-            solves |= {key: by_key[key] for key in keys}
-            own = replace(physics, poses=physics.poses[start:stop], placements=physics.placements[start:stop])
+            solves |= {key: by_key[key] for key in keys if key not in libraries}
+            own = _part(physics, start, stop)
             batches.append(FrameBatch(tuple(members), number, start, stop, own, keys))
-    return GenerationPlan(tuple(recipes), solves, tuple(batches))
+    return GenerationPlan(tuple(recipes), solves, tuple(batches), libraries)
 
 
 @dataclass(frozen=True)
 class Estimate:
     """The size of a plan; `contacts` is what would be solved if nothing were shared.
 
-    `wall_s` is the time on an idle machine whose cores are like a server's of 2023.
+    `wall_s` is the time on an idle machine whose cores are like a server's of 2023. `exact` is the estimate of the same
+    domains with each pose solved, None where they are so anyway.
     """
 
     domains: tuple[str, ...]
@@ -103,16 +168,27 @@ class Estimate:
     wall_s: float
     disk_bytes: float
     workers: int
+    exact: "Estimate | None" = None
+
+    @property
+    def wall(self) -> str:
+        return f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
 
     def __str__(self) -> str:
         kilobytes = self.disk_bytes / self.frames / 1e3
-        wall = f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
+        by_itself = []
+        if self.exact:
+            by_itself = [
+                "library  poses are interpolated, at most two solves more where its error is too large; each solved "
+                f"by itself (--exact): {self.exact.solves} solves, about {self.exact.wall}"
+            ]
         return "\n".join(
             [
                 f"domains  {comma_list(self.domains)}",
                 f"frames   {self.frames} in {self.shards} shards",
                 f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
-                f"time     about {wall} with {self.workers} workers",
+                *by_itself,
+                f"time     about {self.wall} with {self.workers} workers",
                 f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
             ]
         )
@@ -142,6 +218,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, shards or 1)
     (sample,) = picture_cells(recipes[:1], 0, _dent())
     frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
+    exact = [recipe.model_copy(update={"interpolated": False}) for recipe in recipes]
     return Estimate(
         domains=tuple(recipe.name for recipe in recipes),
         frames=plan.frames,
@@ -154,6 +231,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         wall_s=_START_S + solving_s + rendering_s,
         disk_bytes=frame_bytes * plan.frames,
         workers=processes,
+        exact=estimate(exact, workers) if plan.libraries else None,
     )
 
 
