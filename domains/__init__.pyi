@@ -64,6 +64,8 @@ from .recipe import load_recipes as load_recipes
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
+from .stream import PressSample as PressSample
+from .stream import PressStream as PressStream
 from .sweep import Factor as Factor
 from .sweep import Sweep as Sweep
 from .sweep import domain_gap as domain_gap

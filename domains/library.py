@@ -34,6 +34,7 @@ from gelgap.sim import (
     SolvePlan,
     equilibrium,
     grid_axes,
+    is_folded,
     is_interior,
     plan_solves,
     table_radius_mm,
@@ -281,7 +282,7 @@ class PoseLibrary:
         """Return the membrane of a pose, the forces those of the elastomer's modulus.
 
         It lies on `axes_mm` (x, y), or on a grid of 0.1 mm that reaches `half_extent_mm` from the sensor's centre. It
-        counts as converged if the equilibria around it are, and as coarse if one of them is. Estimates of its error are
+        counts as converged if the equilibria around it are and it is not folded, and as coarse if one of them is. Estimates of its error are
         theirs and the error measured on held-out poses, added as squares.
 
         Raises
@@ -333,16 +334,16 @@ class PoseLibrary:
         _place(table, self.radius_mm, x_mm, y_mm, math.cos(angle), math.sin(angle), displacement_mm)
         contact = self._press_onto(pose, turn @ of["indenter_mm"], x_mm, y_mm, displacement_mm)
         around = np.ix_(own[np.abs(by_depth) > 1e-9], travels[np.abs(by_travel) > 1e-9])
-        force_n = modulus * (turn @ of["force_n"])
+        force_n, folded = modulus * (turn @ of["force_n"]), is_folded(*axes_mm, displacement_mm)
         return MembraneState(
             *axes_mm,
             displacement_mm,
             contact,
             force_n=force_n,
             contact_radius_mm=float(of["contact_radius_mm"]),
-            converged=bool(self.numbers["converged"][around].all()),
+            converged=bool(self.numbers["converged"][around].all()) and not folded,
             diagnostics=self._diagnostics(
-                pose, modulus, of["errors"], float(np.linalg.norm(force_n)), around
+                modulus * of["errors"][:2], of["errors"][2:], force_n, around, folded
             ),
         )
 
@@ -367,21 +368,20 @@ class PoseLibrary:
         return contact
 
     def _diagnostics(
-        self, pose: Pose, modulus: float, mesh: Floats, force_n: float, around: tuple
+        self, mesh_n: Floats, mesh_mm: Floats, force_n: Floats, around: tuple, folded: bool
     ) -> Diagnostics:
-        of_force, membrane_mm = 0.0, 0.0
+        """Return the estimates of the mesh's errors with those that were measured, unless none was held out."""
+        off_n, off_mm = 0.0, 0.0
         if self.held_out is not None:
-            of_force, membrane_mm = (
-                self.errors["force_rms_percent"] / 100,
-                self.errors["membrane_rms_um"] / 1000,
-            )
-        fz, shear, radius, membrane = mesh.tolist()
+            off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
+            off_mm = self.errors["membrane_rms_um"] / 1000
         return Diagnostics(
-            fz_error_n=math.hypot(modulus * fz, of_force * force_n),
-            shear_error_n=math.hypot(modulus * shear, of_force * force_n),
-            contact_radius_error_mm=radius,
-            membrane_error_mm=math.hypot(membrane, membrane_mm),
+            fz_error_n=math.hypot(mesh_n[0], off_n),
+            shear_error_n=math.hypot(mesh_n[1], off_n),
+            contact_radius_error_mm=float(mesh_mm[0]),
+            membrane_error_mm=math.hypot(mesh_mm[1], off_mm),
             coarse=bool(self.numbers["coarse"][around].any()),
+            folded=folded,
         )
 
     def errors_of(self, plan: SolvePlan, solutions: Mapping[str, Solution]) -> pd.DataFrame:
@@ -397,7 +397,8 @@ class PoseLibrary:
             off_n = served.force_n - exact.force_n
             near = np.hypot(exact.x_mm, exact.y_mm[:, None]) < 4 * exact.contact_radius_mm
             off_mm = np.linalg.norm(served.displacement_mm - exact.displacement_mm, axis=-1)
-            codes = [_picture(state) for state in (served, exact)]
+            seen = exact.converged and served.converged
+            codes = [_picture(state) if seen else np.full(1, np.nan) for state in (served, exact)]
             row = {
                 "depth_mm": pose.depth_mm,
                 "travel_mm": pose.radius_mm,
@@ -405,7 +406,7 @@ class PoseLibrary:
                 "force_share": float(np.linalg.norm(off_n) / np.linalg.norm(exact.force_n)),
                 "membrane_um": 1e3 * _rms(off_mm[near]),
                 "picture_codes": _rms(codes[0] - codes[1]),
-                "converged": exact.converged,
+                "converged": seen,
             }
             rows.append(row)
         return pd.DataFrame(rows)
@@ -418,6 +419,7 @@ class PoseLibrary:
             "solves": self.solves,
             "depths_mm": self.depths_mm.tolist(),
             "held_out_poses": len(table),
+            "held_out_folded": len(self.held_out) - len(table),
             "force_rms_percent": 100 * _rms(table["force_share"]),
             "force_largest_percent": 100 * float(table["force_share"].max()),
             "membrane_rms_um": _rms(table["membrane_um"]),

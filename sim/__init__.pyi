@@ -5,6 +5,7 @@ from .indenter import Sphere as Sphere
 from .membrane import MembraneState as MembraneState
 from .membrane import SolvedPose as SolvedPose
 from .membrane import grid_axes as grid_axes
+from .membrane import is_folded as is_folded
 from .membrane import table_radius_mm as table_radius_mm
 from .path import CLASS_DEPTHS_MM as CLASS_DEPTHS_MM
 from .path import CLASS_RADII_MM as CLASS_RADII_MM
