@@ -71,3 +71,5 @@ from .sweep import Sweep as Sweep
 from .sweep import domain_gap as domain_gap
 from .sweep import sweep_variants as sweep_variants
 from .sweep import write_sweep as write_sweep
+from .tactile import Reading as Reading
+from .tactile import TactileSensor as TactileSensor

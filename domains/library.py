@@ -193,15 +193,15 @@ class LibraryPlan:
         more solves, in this process: the depth between, and a held-out depth in the deeper half. No more than
         `MOST_SOLVES` are made.
         """
-        plans, solutions = dict(zip(pairwise(self.depths_mm), self.held_out, strict=True)), dict(solutions)
+        plans = dict(zip(pairwise(self.depths_mm), self.held_out, strict=True))
+        solutions = {solve.key: solutions[solve.key] for solve in self.solves}
         added: list[SolvePlan] = [self.solved]
         while True:
             library = PoseLibrary.of(self, _together(added), solutions)
             errors = [library.errors_of(plan, solutions) for plan in plans.values()]
-            number = len({solve.key for plan in (*added, *plans.values()) for solve in plan.solves})
             table = pd.concat(errors, ignore_index=True) if errors else None
-            library = replace(library, held_out=table, solves=number)
-            if library.holds or number + 2 > MOST_SOLVES:
+            library = replace(library, held_out=table, solves=len(solutions))
+            if library.holds or len(solutions) + 2 > MOST_SOLVES or not table["converged"].any():
                 return library
             worst = max(plans, key=lambda between: _excess(library, between))
             depth = plans.pop(worst).poses[0].depth_mm
@@ -215,7 +215,9 @@ class LibraryPlan:
 
 def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
     """Return the largest error between two depths, over its bound."""
-    rows = library.held_out.query(f"{between[0]} < depth_mm < {between[1]}")
+    rows = library.held_out.query(f"converged and {between[0]} < depth_mm < {between[1]}")
+    if rows.empty:
+        return 0.0
     return max(_rms(rows["force_share"]) / FORCE_BOUND, _rms(rows["membrane_um"]) / MEMBRANE_BOUND_UM)
 
 
@@ -282,8 +284,8 @@ class PoseLibrary:
         """Return the membrane of a pose, the forces those of the elastomer's modulus.
 
         It lies on `axes_mm` (x, y), or on a grid of 0.1 mm that reaches `half_extent_mm` from the sensor's centre. It
-        counts as converged if the equilibria around it are and it is not folded, and as coarse if one of them is. Estimates of its error are
-        theirs and the error measured on held-out poses, added as squares.
+        counts as converged if the equilibria around it are and it is not folded, and as coarse if one of them is.
+        Estimates of its error are theirs and the error measured on held-out poses, added as squares.
 
         Raises
         ------

@@ -1,7 +1,6 @@
 """A library serves any pose in its ranges from a few solves, says how far off it is, and generation uses it."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,15 +18,7 @@ RANGES = PoseRanges(0.05, 0.1, travel_mm=0.06)
 SMALL = {"size_px": (64, 48), "render_quality": "draft", "quality": "draft"}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def few_solves() -> Iterator[None]:
-    """Libraries of two depths and two drags at each."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(library, "_DEPTHS", 2)
-        patch.setattr(library, "_STICKING_TRAVELS", 1)
-        patch.setattr(library, "_SLIDING_TRAVELS", 1)
-        patch.setattr(library, "_HELD_OUT_TRAVELS", (0.0, 1.5))
-        yield
+pytestmark = pytest.mark.usefixtures("few_solves")
 
 
 @pytest.fixture(scope="module")
