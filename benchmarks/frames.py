@@ -29,6 +29,8 @@ PATH = {
     "depth_mm": (0.1, 1.0),
     "radius_mm": (0, 0.6),
 }
+FRAMES = (200, 1000)
+"""How many are taken from the stream, and steps made: in the quick form, and else."""
 SIZES_PX = ((160, 120), (320, 240))
 AIMS = "aims: at most 8 solves, 2 % and 4 µm rms; 60 frames/s a core at 320×240; a step in 15 ms"
 
@@ -38,9 +40,8 @@ def run(quick: bool, out_dir: Path) -> None:
 
     Solves are made anew, in a cache below `out_dir`. The quick form solves fewer poses by themselves, at draft.
     """
-    quality, own, frames, workers = (
-        ("draft", 6, 100, (0, 1)) if quick else ("standard", 30, 1000, (0, 1, 2, 4))
-    )
+    quality, own, workers = ("draft", 6, (0, 1)) if quick else ("standard", 30, (0, 1, 2, 4))
+    frames = FRAMES[0] if quick else FRAMES[1]
     cache = out_dir / "frames-cache"
     with patch.dict(os.environ, GELGAP_CACHE=str(cache)):
         for old in cache.glob("*.solution"):

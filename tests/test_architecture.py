@@ -33,18 +33,18 @@ LINES = {
     "assets": 530,
     "sim": 3960,
     "render": 5070,
-    "domains": 5740,
-    "adapt": 4950,
+    "domains": 6980,
+    "adapt": 5010,
     "view": 1560,
-    "cli": 2340,
-    "benchmarks": 8940,
+    "cli": 2380,
+    "benchmarks": 9125,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 
 A room that grows gives something back first.
 """
-MOST_FILES = 195
+MOST_FILES = 201
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")

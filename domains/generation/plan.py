@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.assets.names import comma_list
+from gelgap.domains.generation.contacts import LibraryPoses, part_of
 from gelgap.domains.generation.shard import FrameBatch, picture_cells
 from gelgap.domains.recipe import DomainRecipe
 
 if TYPE_CHECKING:
-    from gelgap.domains.library import LibraryPlan, PoseLibrary
-    from gelgap.sim import MembraneState, Pose, Solution, Solve, SolvePlan
+    from gelgap.domains.library import LibraryPlan
+    from gelgap.sim import MembraneState, Solve
 
 LOG = logging.getLogger(__name__)
 FRAMES_PER_SHARD = 128
@@ -56,61 +57,6 @@ class GenerationPlan:
         return GenerationPlan(self.recipes, solves, tuple(batches), libraries)
 
 
-@dataclass(frozen=True)
-class LibraryPoses:
-    """Poses that a library serves, and those that it does not reach, by solves of their own: as a `SolvePlan`."""
-
-    library: "LibraryPlan"
-    own: "SolvePlan"
-    poses: "tuple[Pose, ...]"
-
-    @classmethod
-    def of(cls, recipe: DomainRecipe) -> "LibraryPoses | SolvePlan":
-        """Return the contacts of a recipe: without a library if it serves none of them."""
-        from gelgap.domains.library import LibraryPlan, PoseRanges
-        from gelgap.sim import PosePath, is_interior, plan_solves
-
-        gel, path = recipe.elastomer, recipe.solved_path()
-        served = [p.depth_mm > 0 and p.trajectory is None and is_interior(gel, p) for p in path.poses]
-        of_library = [pose for pose, is_served in zip(path.poses, served, strict=True) if is_served]
-        left = [
-            replace(pose, depth_mm=0.0) if is_served else pose
-            for pose, is_served in zip(path.poses, served, strict=True)
-        ]
-        own = plan_solves(gel, recipe.indenter, PosePath(path.name, tuple(left)), recipe.quality)
-        if not of_library:
-            return own
-        library = LibraryPlan(gel, recipe.indenter, PoseRanges.of(of_library), recipe.quality)
-        return cls(library, own, path.poses)
-
-    @property
-    def solves(self) -> "tuple[Solve, ...]":
-        return (*self.library.solves, *self.own.solves)
-
-    def solve_key(self, pose_index: int) -> str:
-        """Return the key of the solve, or of the library, that serves a pose."""
-        is_own = self.own.placements[pose_index] is not None
-        return self.own.solve_key(pose_index) if is_own else self.library.key
-
-    def part(self, start: int, stop: int) -> "LibraryPoses":
-        return replace(self, own=_part(self.own, start, stop), poses=self.poses[start:stop])
-
-    def state(
-        self, pose_index: int, source: "PoseLibrary | Solution", half_extent_mm: tuple[float, float]
-    ) -> "MembraneState":
-        """Return the membrane of a pose from what `solve_key` names."""
-        if self.own.placements[pose_index] is not None:
-            return self.own.state(pose_index, source, half_extent_mm)
-        return source.state(self.own.elastomer, self.poses[pose_index], half_extent_mm)
-
-
-def _part(contacts: "LibraryPoses | SolvePlan", start: int, stop: int) -> "LibraryPoses | SolvePlan":
-    """Return the contacts of some frames."""
-    if isinstance(contacts, LibraryPoses):
-        return contacts.part(start, stop)
-    return replace(contacts, poses=contacts.poses[start:stop], placements=contacts.placements[start:stop])
-
-
 def shard_bounds(frames: int) -> list[tuple[int, int]]:
     """Return the first frame of each shard of a domain, and the one after its last."""
     return [(start, min(start + FRAMES_PER_SHARD, frames)) for start in range(0, frames, FRAMES_PER_SHARD)]
@@ -137,7 +83,7 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
     libraries: dict[str, LibraryPlan] = {}
     batches = []
     for (*contacts, interpolated), members in alike.items():
-        physics = LibraryPoses.of(members[0]) if interpolated else plan_solves(*contacts)
+        physics = (LibraryPoses.of if interpolated else plan_solves)(*contacts)
         by_key: dict[str, Any] = {solve.key: solve for solve in physics.solves}
         if isinstance(physics, LibraryPoses):
             libraries[physics.library.key] = by_key[physics.library.key] = physics.library
@@ -146,7 +92,7 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
             serving = {physics.solve_key(frame) for frame in range(start, stop)}
             keys = tuple(key for key in by_key if key in serving)
             solves |= {key: by_key[key] for key in keys if key not in libraries}
-            own = _part(physics, start, stop)
+            own = part_of(physics, start, stop)
             batches.append(FrameBatch(tuple(members), number, start, stop, own, keys))
     return GenerationPlan(tuple(recipes), solves, tuple(batches), libraries)
 

@@ -24,7 +24,7 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, Sensor, view_half_extent_mm
 
 if TYPE_CHECKING:
-    from gelgap.domains.generation.plan import LibraryPoses
+    from gelgap.domains.generation.contacts import LibraryPoses
     from gelgap.render import MembraneRenderer
     from gelgap.sim import MembraneState, Pose, SolvePlan
 
