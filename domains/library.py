@@ -115,7 +115,7 @@ class LibraryPlan:
     @cached_property
     def depths_mm(self) -> tuple[float, ...]:
         low, high = self.ranges.shallowest_mm, self.ranges.deepest_mm
-        number = _DEPTHS if high > 1.05 * low else 1
+        number = _DEPTHS if high > low + 1e-3 else 1
         evenly_wide_mm = np.round(np.linspace(low**0.5, high**0.5, number) ** 2, 6)
         return (*evenly_wide_mm[:-1].tolist(), high)
 
