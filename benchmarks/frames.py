@@ -132,7 +132,7 @@ def stream_rates(frames: int, workers: tuple[int, ...]) -> pd.DataFrame:
             for _ in range(max(number, 1)):
                 next(batches)
             started, own_s = time.perf_counter(), time.process_time()
-            rest = sum(len(batch.index) for batch in batches)
+            rest = sum(len(batch.number) for batch in batches)
             wall_s, own_s = time.perf_counter() - started, time.process_time() - own_s
             row = {"size": "{}×{}".format(*size_px), "workers": number, "frames/s": rest / wall_s}
             row["frames/s of a free core"] = rest / own_s if number == 0 else np.nan

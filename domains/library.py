@@ -223,9 +223,10 @@ def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
 
 def _together(plans: Sequence[SolvePlan]) -> SolvePlan:
     """Return one plan of the poses of several of one gel."""
-    solves, placements = [], []
+    solves: list[Solve] = []
+    placements = []
     for plan in plans:
-        placements += [replace(own, solve=own.solve + len(solves)) for own in plan.placements]
+        placements += [replace(own, solve=own.solve + len(solves)) for own in plan.placements if own]
         solves += plan.solves
     poses = tuple(pose for plan in plans for pose in plan.poses)
     return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))

@@ -38,7 +38,7 @@ class PressSample(NamedTuple):
     `tries`, above 1 if contacts before it could not be seen (their membranes fold).
     """
 
-    index: int
+    number: int
     picture: np.ndarray
     reference: np.ndarray
     force_n: np.ndarray
@@ -194,7 +194,7 @@ class PressStream(IterableDataset):
                 "poisson_ratio": gel.poisson_ratio,
                 "friction": gel.friction,
                 "thickness_mm": gel.thickness_mm,
-                "sphere_diameter_mm": library.plan.indenter.diameter_mm,
+                "sphere_diameter_mm": self._draws.press(press).indenter.diameter_mm,
                 "contact_radius_mm": state.contact_radius_mm,
                 "fz_error_n": state.diagnostics.fz_error_n,
                 "shear_error_n": state.diagnostics.shear_error_n,

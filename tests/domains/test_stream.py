@@ -18,7 +18,7 @@ def drawn(few_solves: None, solve_cache: None) -> PressStream:
 
 
 def assert_same(one: PressSample, other: PressSample) -> None:
-    assert one.index == other.index
+    assert one.number == other.number
     assert one.draw == other.draw
     for name in ("picture", "reference", "force_n"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
@@ -26,7 +26,7 @@ def assert_same(one: PressSample, other: PressSample) -> None:
 
 def test_a_sample_is_a_picture_of_a_press_and_tells_it(drawn: PressStream) -> None:
     samples = list(drawn)
-    assert [sample.index for sample in samples] == list(range(12))
+    assert [sample.number for sample in samples] == list(range(12))
     assert {sample.picture.shape for sample in samples} == {(36, 48, 3)}
     pressed = [sample for sample in samples if sample.draw["depth_mm"] > 0]
     assert len(pressed) > 8
@@ -51,7 +51,7 @@ def test_sample_n_is_the_same_whatever_came_before(drawn: PressStream) -> None:
 @pytest.mark.parametrize("workers", [0, 2])
 def test_batches_are_the_same_whatever_the_workers(drawn: PressStream, workers: int) -> None:
     batches = list(drawn.loader(workers))
-    assert [batch.index.tolist() for batch in batches] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
+    assert [batch.number.tolist() for batch in batches] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
     np.testing.assert_array_equal(batches[1].picture[2].numpy(), drawn.sample(6).picture)
     assert batches[2].draw["depth_mm"][1] == drawn.sample(9).draw["depth_mm"]
 
