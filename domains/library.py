@@ -105,17 +105,18 @@ class PoseRanges:
 
 @dataclass(frozen=True)
 class LibraryPlan:
-    """The solves of a library: those of its poses, and one for each depth that is held out."""
+    """The solves of a library: those of its poses at `depths` depths, and one for each depth that is held out."""
 
     elastomer: Elastomer
     indenter: Indenter
     ranges: PoseRanges
     quality: str = "draft"
+    depths: int = field(default_factory=lambda: _DEPTHS)
 
     @cached_property
     def depths_mm(self) -> tuple[float, ...]:
         low, high = self.ranges.shallowest_mm, self.ranges.deepest_mm
-        number = _DEPTHS if high > low + 1e-3 else 1
+        number = self.depths if high > low + 1e-3 else 1
         evenly_wide_mm = np.round(np.linspace(low**0.5, high**0.5, number) ** 2, 6)
         return (*evenly_wide_mm[:-1].tolist(), high)
 

@@ -27,6 +27,8 @@ _SPAN, _LOOKS_PER_SPAN = 32, 4
 _KEPT_LOOKS = 2 * _LOOKS_PER_SPAN
 # Depths begin at this share of the deepest, and are drawn so that forces are about evenly spread.
 _SHALLOWEST = 0.15
+# Fewer than a library has otherwise, so that the first picture comes sooner.
+_DEPTHS = 4
 _UNTOUCHED = 1 / 32
 _MOST_TRIES = 16
 
@@ -157,7 +159,7 @@ class PressStream(IterableDataset):
         deepest_mm = drawn.contacts_mm[-1][0]
         ranges = PoseRanges(_SHALLOWEST * deepest_mm, deepest_mm, farthest * deepest_mm, farthest)
         gel = Elastomer(young_modulus_mpa=self._draws.at("young_modulus_mpa", 0.5), **drawn.gel)
-        return LibraryPlan(gel, drawn.indenter, ranges, self.quality)
+        return LibraryPlan(gel, drawn.indenter, ranges, self.quality, _DEPTHS)
 
     def sample(self, index: int) -> PressSample:
         """Return sample `index`.

@@ -301,6 +301,7 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
         patch.setattr("gelgap.adapt.few_labels.NEW_SENSOR_STEPS", 4)
         for name, value in FEWEST_POSES.items():
             patch.setattr(f"gelgap.domains.library.{name}", value)
+        patch.setattr("gelgap.domains.stream._DEPTHS", 2)
         run_all(snippets(README), folder)
         yield folder
 

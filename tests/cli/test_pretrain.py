@@ -72,6 +72,7 @@ def test_a_network_is_pretrained_on_a_stream_without_a_data_set(
     fewest = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1}
     for name, value in fewest.items():
         monkeypatch.setattr(f"gelgap.domains.library.{name}", value)
+    monkeypatch.setattr("gelgap.domains.stream._DEPTHS", 2)
     (tmp_path / "profile.toml").write_text('base = "smoke"\nwidth = 0.125\nfeature_dim = 16\n')
     command = f"pretrain --stream --quick --profile {tmp_path}/profile.toml --out {tmp_path}/out"
     main([*command.split(), "--dry-run"])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.domains import library
+from gelgap.domains import library, stream
 from gelgap.domains.generation.generate import GenerationReport, generate
 from gelgap.sim import ContactPath
 
@@ -59,6 +59,7 @@ def few_solves() -> Iterator[None]:
     """Libraries of two depths and two drags at each."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(library, "_DEPTHS", 2)
+        patch.setattr(stream, "_DEPTHS", 2)
         patch.setattr(library, "_STICKING_TRAVELS", 1)
         patch.setattr(library, "_SLIDING_TRAVELS", 1)
         patch.setattr(library, "_HELD_OUT_TRAVELS", (0.0, 1.5))
