@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -185,6 +186,9 @@ class _Press:
     contacts_mm: tuple[tuple[float, float], ...]
 
 
+_sensor = lru_cache(Sensor.preset)
+
+
 @dataclass(frozen=True)
 class Draws:
     """What is drawn, by its number; of the factors left out, everything has the middle."""
@@ -249,7 +253,7 @@ class Draws:
         """Return a sensor without light of its own, and its light: varied, and its colours change places."""
         rng, ranges = self.stream("light", number), self.ranges
         is_drawn = "light" not in self.without
-        sensor = Sensor.preset(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
+        sensor = _sensor(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
         other = str(rng.choice(ranges.illuminations)) if is_drawn else ranges.illuminations[0]
         illumination = sensor.illumination or Illumination.preset(other)
         sensor = sensor.model_copy(update={"illumination": None})
