@@ -89,6 +89,8 @@ def train_source(
     trainer = Trainer(model.network, profile, seed, source, frames_of_epoch=frames_of_epoch, **how)
     with torch_threads(profile.threads):
         trainer.train()
+        # A training that was resumed at its end has no other frames at hand than the first.
+        trainer._take(source)
         pictures = trainer.source_domain.pictures
         if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
             estimate_statistics(model.network, pictures, seed)
@@ -275,8 +277,7 @@ class Trainer(Adaptation):
         """
         stage = Draw.STAGE_1 if target is None else Draw.STAGE_2
         if self.frames_of_epoch is not None and epoch > 0:
-            self.source = self.frames_of_epoch(epoch)
-            self.__dict__.pop("source_domain", None)
+            self._take(self.frames_of_epoch(epoch))
         of_source = starmap(self.source_domain.batch, self._order(self.source_domain, stage, epoch))
         if target is None:
             return zip(of_source, repeat(None), strict=False)
@@ -285,6 +286,12 @@ class Trainer(Adaptation):
         cycles = (self._order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
         of_target = starmap(target.batch, islice(chain.from_iterable(cycles), offset, None))
         return zip(of_source, of_target, strict=False)
+
+    def _take(self, source: LabelledFrames) -> None:
+        """Go on with other frames of the source."""
+        if source is not self.source:
+            self.source = source
+            self.__dict__.pop("source_domain", None)
 
     def _order(self, domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
         """Return which frames make the batches of one pass over a domain, and which are shown without markers."""

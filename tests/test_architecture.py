@@ -33,7 +33,7 @@ LINES = {
     "assets": 530,
     "sim": 3960,
     "render": 5070,
-    "domains": 6980,
+    "domains": 6990,
     "adapt": 5010,
     "view": 1560,
     "cli": 2380,
