@@ -17,6 +17,7 @@ from .few_labels import draw_labelled as draw_labelled
 from .few_labels import fine_tune as fine_tune
 from .few_labels import finetune as finetune
 from .few_labels import pretrain as pretrain
+from .few_labels import pretrain_on_stream as pretrain_on_stream
 from .methods.base import Adaptation as Adaptation
 from .methods.base import FeatureCollapse as FeatureCollapse
 from .methods.base import Method as Method

@@ -21,9 +21,11 @@ from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import Stage1
+from gelgap.adapt.trainer import train_source
 from gelgap.domains import (
     LabelledFrames,
     Labels,
+    PressStream,
     join_domains,
     open_domain,
     with_labels,
@@ -39,6 +41,7 @@ NEW_SENSOR_LEARNING_RATE = 4e-3
 """Of a network from elsewhere, whose outputs may be far off: at 0.01 some end as a constant, on few and like frames."""
 CLIP = "clip"
 CHECKPOINT = "pretrained.pt"
+STREAM_STATE = "stream-state.pt"
 _BATCH = 32
 _MOMENTUM = 0.9
 # Of the ridge: the weakest leaves an exact relation as it is, the strongest leaves the predictions.
@@ -47,6 +50,8 @@ _PENALTIES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
 _NARROW = 0.05
 # The last of the domains are kept for judging: one in this many.
 _HELD_OUT_OF = 10
+# Of a stream, samples from this one on: further than any training comes.
+_UNSEEN_FROM = 10**9
 
 
 def draw_labelled(frames: LabelledFrames, k: int, seed: int) -> LabelledFrames:
@@ -250,6 +255,52 @@ def pretrain(
         left_out=sum(map(len, domains)) - sum(map(len, within)),
         held_out=evaluate(model, unseen),
         held_out_constant_mean=evaluate_constant_mean(seen, unseen),
+    )
+
+
+def pretrain_on_stream(
+    stream: PressStream,
+    out_dir: str | Path,
+    profile: str | Profile = "cpu",
+    seed: int = 0,
+    *,
+    frames_per_epoch: int = 3600,
+    progress: Progress = silent,
+) -> Pretraining:
+    """Train stage 1 on a stream, every epoch on samples that it has not seen, and judge it on others of other lights.
+
+    Nothing is stored but the checkpoint, as that of `pretrain`, and the state after each epoch, from which an
+    interrupted training is resumed.
+
+    Raises
+    ------
+    ValueError
+        If the profile is unknown, or no force of an epoch is within the declared range.
+    """
+    profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
+    out_dir, n = Path(out_dir), frames_per_epoch
+    out_dir.mkdir(parents=True, exist_ok=True)
+
+    def frames_of_epoch(epoch: int) -> LabelledFrames:
+        return stream.frames(epoch * n, (epoch + 1) * n)
+
+    first = frames_of_epoch(0)
+    model = train_source(
+        first,
+        profile,
+        seed,
+        resume_file=out_dir / STREAM_STATE,
+        progress=progress,
+        frames_of_epoch=frames_of_epoch,
+    )
+    model.save(out_dir / CHECKPOINT)
+    unseen = stream.frames(_UNSEEN_FROM, _UNSEEN_FROM + max(n // _HELD_OUT_OF, 1))
+    return Pretraining(
+        checkpoint=out_dir / CHECKPOINT,
+        frames=n * profile.source_epochs,
+        left_out=n - len(first),
+        held_out=evaluate(model, unseen),
+        held_out_constant_mean=evaluate_constant_mean(first, unseen),
     )
 
 

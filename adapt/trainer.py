@@ -59,6 +59,7 @@ def train_source(
     weights: str | Path | None = None,
     resume_file: Path | None = None,
     progress: Progress = silent,
+    frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
 ) -> ForceModel:
     """Train a network on the source's labels alone: its forces, or which `with_labels` gave it.
 
@@ -70,6 +71,8 @@ def train_source(
         A gelgap checkpoint to start from, or a torchvision ResNet state dictionary for the backbone.
     resume_file
         State after each epoch; a training that finds it is resumed.
+    frames_of_epoch
+        Gives the training frames of each epoch after the first, where they are drawn anew.
 
     Raises
     ------
@@ -83,9 +86,11 @@ def train_source(
     if weights is not None:
         load_start(model.network, Path(weights), source.labels.names)
     how = {"title": f"source {source.name}", "resume_file": resume_file, "progress": progress}
-    trainer = Trainer(model.network, profile, seed, source, **how)
+    trainer = Trainer(model.network, profile, seed, source, frames_of_epoch=frames_of_epoch, **how)
     with torch_threads(profile.threads):
         trainer.train()
+        # A training that was resumed at its end has no other frames at hand than the first.
+        trainer._take(source)
         pictures = trainer.source_domain.pictures
         if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
             estimate_statistics(model.network, pictures, seed)
@@ -176,6 +181,8 @@ class Trainer(Adaptation):
         Written after every epoch, read at the start if it exists.
     watch
         Called after each epoch of stage 2 with its number and a copy of the network as stopping there would leave it.
+    frames_of_epoch
+        Gives the source's frames of each epoch after the first, where they are drawn anew.
     records
         What the epochs did.
     """
@@ -184,6 +191,7 @@ class Trainer(Adaptation):
     resume_file: Path | None = None
     progress: Progress = silent
     watch: Callable[[int, ForceNetwork], None] | None = None
+    frames_of_epoch: Callable[[int], LabelledFrames] | None = None
     records: list[EpochRecord] = field(default_factory=list)
 
     def train(self, method: Method | None = None) -> None:
@@ -268,6 +276,8 @@ class Trainer(Adaptation):
         An epoch is one pass over the source. The target is cycled, permutation after permutation.
         """
         stage = Draw.STAGE_1 if target is None else Draw.STAGE_2
+        if self.frames_of_epoch is not None and epoch > 0:
+            self._take(self.frames_of_epoch(epoch))
         of_source = starmap(self.source_domain.batch, self._order(self.source_domain, stage, epoch))
         if target is None:
             return zip(of_source, repeat(None), strict=False)
@@ -276,6 +286,12 @@ class Trainer(Adaptation):
         cycles = (self._order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
         of_target = starmap(target.batch, islice(chain.from_iterable(cycles), offset, None))
         return zip(of_source, of_target, strict=False)
+
+    def _take(self, source: LabelledFrames) -> None:
+        """Go on with other frames of the source."""
+        if source is not self.source:
+            self.source = source
+            self.__dict__.pop("source_domain", None)
 
     def _order(self, domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
         """Return which frames make the batches of one pass over a domain, and which are shown without markers."""

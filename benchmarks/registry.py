@@ -65,6 +65,7 @@ _MEASURED = {
     "view": [(None, "from a knob of gelgap view to the picture", "view", ANEW)],
     "throughput": [
         ("generation", "time to generate and to read domains", "throughput"),
+        ("frames", "random contacts from a library, a stream, a sensor in a loop", "frames", EXTRA, ANEW),
         ("stages", "where the time of a data set goes, and how it scales", "stages", EXTRA, ANEW),
     ],
     "adaptation": [

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 METHODS = ("source-only", "adabn", "dsan")
 SEED = 0
+# Of the source's frames, by Fz, for DSAN: contacts at random are on no grid that would class them.
+CLASSES = 10
 # The contact whose force is compared with theory and the reference tables (assets/reference).
 CURVE_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
 _MEMORY_PERIOD_S = 0.2
@@ -38,7 +40,7 @@ class Demo(opt.Command):
 
     out: Annotated[Path, opt.output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    path: Annotated[str, opt.preset_or_file("paths")] = "smoke"
+    path: Annotated[str, opt.preset_or_file("paths")] = "smoke-random"
     """Contact path of both domains (see: gelgap presets paths)."""
     profile: Annotated[str, lambda name: load_preset("profiles", name)] = "smoke"
     """Training profile (see: gelgap presets profiles)."""
@@ -106,6 +108,7 @@ class Demo(opt.Command):
                         (method,),
                         profile=self.profile,
                         seed=SEED,
+                        classes_from_force=CLASSES,
                         out_dir=self.out / "runs",
                         progress=progress,
                     )

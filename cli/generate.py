@@ -103,6 +103,8 @@ class Generate(opt.Command):
     """Declared ranges of forces in N, as fz_n=-40:0, by which training normalises; it refuses forces outside."""
     contacts: Literal["paired", "independent"] = "paired"
     """The same poses in every domain, or a draw of its own for each domain."""
+    exact: opt.Flag = False
+    """Solve every pose of a random path, instead of interpolating it from a library of a few solves."""
     rendered_without_markers: opt.Flag = False
     """Render wmb0i0 without markers instead of inpainting the markers of mb0i0 (the paper's way)."""
     generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
@@ -162,6 +164,7 @@ class Generate(opt.Command):
             "seed": self.seed,
             "size_px": self.size,
             "contacts": self.contacts,
+            "exact": self.exact,
         }
         if self.force_range is not None:
             settings["force_range_n"] = force_ranges(self.force_range)

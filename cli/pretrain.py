@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
 from gelgap.cli import options as opt
+
+if TYPE_CHECKING:
+    from gelgap.adapt import Profile
+    from gelgap.domains import PretrainingRanges
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
 # Of --quick: a network that learns little.
@@ -23,6 +27,7 @@ class Pretrain(opt.Command):
     For example:
       gelgap pretrain --domains 60 --frames-per-domain 60 --out pretrained
       gelgap pretrain --domains 60 --frames-per-domain 60 --without light --out without-light --dry-run
+      gelgap pretrain --domains 60 --frames-per-domain 60 --stream --out streamed
     """
 
     when_stopped: ClassVar[str] = (
@@ -48,6 +53,9 @@ class Pretrain(opt.Command):
     """Width and height of the pictures in pixels."""
     seed: opt.Seed = 0
     """Seed of all draws and of the training."""
+    stream: opt.Flag = False
+    """Make the frames while training, every epoch as many new ones, and store no data set: any contact, and a new light
+    every sixteen frames. Nothing is written but the checkpoint and what resuming needs."""
     quick: opt.Flag = False
     """Two domains of twelve frames and two epochs: to see that all works, not to learn."""
     generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
@@ -73,6 +81,9 @@ class Pretrain(opt.Command):
                 f"--size = {size_px[0]} {size_px[1]}: must be at least the {width} × {height} px of profile "
                 f"{profile.name}"
             )
+        if self.stream:
+            self._train_on_stream(ranges, profile, domains * frames, size_px)
+            return
         recipes = pretraining_recipes(
             domains,
             frames,
@@ -92,3 +103,30 @@ class Pretrain(opt.Command):
         with console_progress() as progress:
             folders = [self.out / "domains" / recipe.name for recipe in recipes]
             print(pretrain(folders, self.out, profile, self.seed, progress=progress))
+
+    def _train_on_stream(
+        self, ranges: "PretrainingRanges", profile: "Profile", frames: int, size_px: tuple[int, int]
+    ) -> None:
+        """Train on frames that are made meanwhile, or say what that takes."""
+        from gelgap.domains import PressStream
+
+        stream = PressStream(
+            ranges, seed=self.seed, size_px=size_px, quality=self.quality, without=self.without
+        )
+        solves = [solve for press in range(ranges.presses) for solve in stream.plan(press).solved.solves]
+        print(
+            f"solves   {len(solves)} for {ranges.presses} gels and spheres, as they are drawn, about "
+            f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
+            f"training {profile.source_epochs} epochs of {frames} new frames each",
+            flush=True,
+        )
+        if self.generation.dry_run:
+            return
+        from gelgap.adapt import console_progress, pretrain_on_stream
+
+        with console_progress() as progress:
+            print(
+                pretrain_on_stream(
+                    stream, self.out, profile, self.seed, frames_per_epoch=frames, progress=progress
+                )
+            )

@@ -51,6 +51,9 @@ from .inspection import inspect_domain as inspect_domain
 from .inspection import label_notes as label_notes
 from .inspection import verify_domain as verify_domain
 from .inspection import write_overview as write_overview
+from .library import LibraryPlan as LibraryPlan
+from .library import PoseLibrary as PoseLibrary
+from .library import PoseRanges as PoseRanges
 from .pretraining import RANDOM_FACTORS as RANDOM_FACTORS
 from .pretraining import PretrainingRanges as PretrainingRanges
 from .pretraining import pretraining_recipes as pretraining_recipes
@@ -61,9 +64,13 @@ from .recipe import load_recipes as load_recipes
 from .recipe import make_recipes as make_recipes
 from .recipe import own_recipe as own_recipe
 from .recipe import preset_recipes as preset_recipes
+from .stream import PressSample as PressSample
+from .stream import PressStream as PressStream
 from .sweep import Factor as Factor
 from .sweep import Sweep as Sweep
 from .sweep import domain_gap as domain_gap
 from .sweep import sweep_variants as sweep_variants
 from .sweep import unseen_differences as unseen_differences
 from .sweep import write_sweep as write_sweep
+from .tactile import Reading as Reading
+from .tactile import TactileSensor as TactileSensor

@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
@@ -41,7 +42,7 @@ PositiveInterval = Annotated[tuple[_Positive, _Positive], AfterValidator(_rises)
 # Contacts are interior wherever they lie in view, so that all of a press share its solves.
 _PAD_MM = (80.0, 80.0)
 # Contact points lie within this share of the view.
-_SHARE_OF_VIEW = 0.7
+SHARE_OF_VIEW = 0.7
 # Deeper than this share of its radius a sphere is not pressed.
 _DEEPEST_BY_RADIUS = 0.6
 _DOTS_BY_PITCH = 0.35
@@ -143,8 +144,7 @@ def pretraining_recipes(
         of its press.
     """
     ranges = ranges or PretrainingRanges.default()
-    if unknown := sorted(set(without) - set(RANDOM_FACTORS)):
-        raise ValueError(f"without = {unknown[0]!r}: known are {', '.join(RANDOM_FACTORS)}")
+    draws = Draws.of(ranges, seed, without)
     if domains < 1:
         raise ValueError(f"domains = {domains}: must be 1 or more")
     if frames_per_domain <= ranges.contacts:
@@ -152,15 +152,11 @@ def pretraining_recipes(
             f"frames_per_domain = {frames_per_domain}: must be {ranges.contacts + 1} or more, a reference and "
             f"{ranges.contacts} contacts at {ranges.depths} depths"
         )
-    draws = _Draws(ranges, seed, frozenset(without))
     presses = [draws.press(number) for number in range(min(ranges.presses, domains))]
     recipes = []
     for number in range(domains):
         name, press = f"pretraining-{number:04d}", presses[number % len(presses)]
-        sensor, illumination = draws.light(number)
-        markers = draws.markers(number)
-        parts = {"camera": draws.camera(number, sensor.camera)} | ({"markers": markers} if markers else {})
-        sensor = sensor.model_copy(update=parts)
+        sensor, illumination, markers = draws.seen_by(number)
         (modulus_mpa,) = draws.values("gel", "modulus", number, "young_modulus_mpa")
         poses = draws.poses(number, press, frames_per_domain, sensor.camera.footprint_mm(size_px))
         recipe = DomainRecipe(
@@ -171,7 +167,7 @@ def pretraining_recipes(
             quality=quality,
             sensor=sensor,
             illumination=illumination,
-            markers=markers is not None,
+            markers=markers,
             size_px=size_px,
             render_quality=quality,
             seed=seed,
@@ -190,13 +186,23 @@ class _Press:
     contacts_mm: tuple[tuple[float, float], ...]
 
 
+_sensor = lru_cache(Sensor.preset)
+
+
 @dataclass(frozen=True)
-class _Draws:
+class Draws:
     """What is drawn, by its number; of the factors left out, everything has the middle."""
 
     ranges: PretrainingRanges
     seed: int
     without: frozenset[str]
+
+    @classmethod
+    def of(cls, ranges: PretrainingRanges, seed: int, without: Collection[str]) -> Self:
+        """Return the draws of a seed, or raise ValueError if a factor to leave out is unknown."""
+        if unknown := sorted(set(without) - set(RANDOM_FACTORS)):
+            raise ValueError(f"without = {unknown[0]!r}: known are {', '.join(RANDOM_FACTORS)}")
+        return cls(ranges, seed, frozenset(without))
 
     def stream(self, what: str, number: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence([self.seed, word(what), number]))
@@ -236,11 +242,18 @@ class _Draws:
             gel, sphere, tuple((depth, round(part * depth, 3)) for depth in depths_mm for part in parts)
         )
 
+    def seen_by(self, number: int) -> tuple[Sensor, Illumination, bool]:
+        """Return a sensor with drawn camera and dots, its light, and whether it has dots."""
+        sensor, illumination = self.light(number)
+        markers = self.markers(number)
+        parts = {"camera": self.camera(number, sensor.camera)} | ({"markers": markers} if markers else {})
+        return sensor.model_copy(update=parts), illumination, markers is not None
+
     def light(self, number: int) -> tuple[Sensor, Illumination]:
         """Return a sensor without light of its own, and its light: varied, and its colours change places."""
         rng, ranges = self.stream("light", number), self.ranges
         is_drawn = "light" not in self.without
-        sensor = Sensor.preset(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
+        sensor = _sensor(str(rng.choice(ranges.sensors)) if is_drawn else ranges.sensors[0])
         other = str(rng.choice(ranges.illuminations)) if is_drawn else ranges.illuminations[0]
         illumination = sensor.illumination or Illumination.preset(other)
         sensor = sensor.model_copy(update={"illumination": None})
@@ -296,8 +309,8 @@ class _Draws:
                 depth_mm=depth_mm,
                 shear_x_mm=round(travel_mm * math.cos(angle), 12) + 0.0,
                 shear_y_mm=round(travel_mm * math.sin(angle), 12) + 0.0,
-                point_x_mm=round(x * _SHARE_OF_VIEW * view_mm[0] / 2, 4),
-                point_y_mm=round(y * _SHARE_OF_VIEW * view_mm[1] / 2, 4),
+                point_x_mm=round(x * SHARE_OF_VIEW * view_mm[0] / 2, 4),
+                point_y_mm=round(y * SHARE_OF_VIEW * view_mm[1] / 2, 4),
                 point_id=point,
             )
             poses.append(pose)

@@ -182,15 +182,19 @@ class DomainRecipe(Settings):
         default="paired", description="the same poses in every domain, or poses of its own"
     )
     acquisition: AcquisitionError = AcquisitionError()
+    interpolated: bool = Field(
+        default=False,
+        description="poses from a library of few solves, where it reaches, not each from its own",
+    )
     force_range_n: tuple[Interval, Interval, Interval] = Field(
         default=PAPER_FORCE_RANGE_N,
         description="declared range of Fx, Fy, Fz in N, by which labels are normalised",
     )
 
     def configuration(self) -> dict[str, Any]:
-        """Return the recipe as plain JSON values; what only domains of several indenters have, only for these."""
-        several = set() if self.further_indenters else {"further_indenters"}
-        return self.model_dump(mode="json", exclude=several)
+        """Return the recipe as plain JSON values; what only some domains have, only for these."""
+        absent = {name for name in ("further_indenters", "interpolated") if not getattr(self, name)}
+        return self.model_dump(mode="json", exclude=absent)
 
     @property
     def key(self) -> str:
@@ -237,6 +241,27 @@ class DomainRecipe(Settings):
         )
 
 
+def _suits_a_library(
+    path: ContactPath | PosePath,
+    columns: Sequence[str],
+    indenter: AnyIndenter | None = None,
+    further_indenters: Sequence[AnyIndenter] = (),
+    **_: Any,
+) -> bool:
+    """Return whether a library of poses serves a path, and takes fewer solves than its depths do.
+
+    It serves one indenter whose directions are alike, and has membranes, forces and torques but no tractions.
+    """
+    from gelgap.domains.library import MOST_SOLVES
+    from gelgap.sim import DEPTHS_PER_DESCENT, Symmetry
+
+    revolution = (indenter or Sphere()).symmetry is Symmetry.REVOLUTION
+    if further_indenters or "traction" in columns or not revolution:
+        return False
+    depths = {pose.depth_mm for pose in path.poses if pose.depth_mm > 0 and pose.trajectory is None}
+    return len(depths) > DEPTHS_PER_DESCENT * MOST_SOLVES
+
+
 def differences(one: Any, other: Any, field: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Yield each field in which two configurations differ: its dotted name and both values, None where it is absent."""
     if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
@@ -260,6 +285,7 @@ def make_recipes(
     inpainted: Sequence[str] = INPAINTED_IN_THE_PAPER,
     sensor: str | Sensor = "paper",
     columns: Iterable[OptionalColumn] = (),
+    exact: bool = False,
     **settings: Any,
 ) -> tuple[DomainRecipe, ...]:
     """Return the recipes of domains by their names, on one contact path.
@@ -277,6 +303,9 @@ def make_recipes(
         A sensor preset's name, or a sensor.
     columns
         Optional columns.
+    exact
+        Solve each pose; by default a path of more depths than a library takes, as a random one, is interpolated
+        (`gelgap.domains.PoseLibrary`).
     settings
         Further fields of `DomainRecipe`: seed, quality, size_px, contacts, acquisition, ….
 
@@ -291,6 +320,7 @@ def make_recipes(
     if len(set(parsed)) < len(parsed):
         raise ValueError(f"a domain is named twice in {', '.join(map(str, parsed))}; name each once")
     contact_path = load_path(path) if isinstance(path, str) else path
+    columns = tuple(sorted(columns))
     seen_through = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
     recipes = []
     for domain in parsed:
@@ -302,16 +332,17 @@ def make_recipes(
                 "[illumination], choose another sensor, or name an illumination preset"
             )
         elastomer = Elastomer.preset(domain.elastomer)
+        own_path = _on_gel(contact_path, elastomer, settings)
         recipe = DomainRecipe(
             name=domain.name,
             elastomer=elastomer,
-            path=_on_gel(contact_path, elastomer, settings),
+            path=own_path,
             sensor=seen_through,
             illumination=light,
             markers=domain.markers,
             inpainted_from=domain.name.removeprefix("w") if domain.name in inpainted else None,
-            columns=tuple(sorted(columns)),
-            **settings,
+            columns=columns,
+            **{"interpolated": not exact and _suits_a_library(own_path, columns, **settings), **settings},
         )
         recipes.append(recipe)
     return tuple(recipes)

@@ -5,6 +5,8 @@ from .indenter import Symmetry as Symmetry
 from .membrane import MembraneState as MembraneState
 from .membrane import SolvedPose as SolvedPose
 from .membrane import grid_axes as grid_axes
+from .membrane import is_folded as is_folded
+from .membrane import table_radius_mm as table_radius_mm
 from .path import CLASS_DEPTHS_MM as CLASS_DEPTHS_MM
 from .path import CLASS_RADII_MM as CLASS_RADII_MM
 from .path import ContactPath as ContactPath
@@ -12,6 +14,7 @@ from .path import DrawnPath as DrawnPath
 from .path import ForcePath as ForcePath
 from .path import PosePath as PosePath
 from .path import load_path as load_path
+from .plan import DEPTHS_PER_DESCENT as DEPTHS_PER_DESCENT
 from .plan import Solve as Solve
 from .plan import SolvePlan as SolvePlan
 from .plan import joined as joined
@@ -51,6 +54,7 @@ from .solution import load_solution as load_solution
 from .solved_path import PATH_DEPTHS_MM as PATH_DEPTHS_MM
 from .solved_path import PATH_TRAVELS_MM as PATH_TRAVELS_MM
 from .solved_path import SolvedPath as SolvedPath
+from .solved_path import equilibrium as equilibrium
 from .solved_path import plan_path as plan_path
 from .traction import Traction as Traction
 from .traction import solve_traction as solve_traction

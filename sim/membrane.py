@@ -340,7 +340,7 @@ def _polar_points(solution: Solution, rest_mm: NDArray[np.float64]) -> NDArray[n
     low, high = rest_mm.min(axis=0), rest_mm.max(axis=0)
     rim = float(np.hypot(*rest_mm.T).max())
     extent = rim if problem.pad_mm is None else np.hypot(*np.maximum(-low, high))
-    radius = _radius(np.arange(float(np.ceil(_row(np.array(extent)))) + 1))
+    radius = table_radius_mm(np.arange(float(np.ceil(_row(np.array(extent)))) + 1))
     half_circle = np.linspace(0, np.pi, _SECTORS + 1)
     turn = half_circle if problem.symmetric else np.linspace(0, 2 * np.pi, 2 * _SECTORS + 1)
     x, y = np.outer(radius, np.cos(turn)), np.outer(radius, np.sin(turn))
@@ -357,7 +357,8 @@ def _row(radius_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     return fine + np.maximum(radius_mm - _FINE_RADIUS_MM, 0) / _COARSE_SPACING_MM
 
 
-def _radius(row: NDArray[np.float64]) -> NDArray[np.float64]:
+def table_radius_mm(row: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the radius at which a row of a polar table lies."""
     fine_rows = _FINE_RADIUS_MM / _FINE_SPACING_MM
     return np.minimum(row, fine_rows) * _FINE_SPACING_MM + np.maximum(row - fine_rows, 0) * _COARSE_SPACING_MM
 

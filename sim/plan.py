@@ -44,7 +44,7 @@ from gelgap.sim.solution import Solution, load_solution, store_solution
 LOG = logging.getLogger(__name__)
 # At most this many depths share a descent, whose mesh is made for the largest contact: it is this many times as wide as
 # the smallest at most.
-_DEPTHS_PER_DESCENT = 3
+DEPTHS_PER_DESCENT = 3
 _WIDEST_TO_NARROWEST = 2.7
 # A membrane's grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
 _COVERED_RADII = 1.5
@@ -313,7 +313,7 @@ def _descents(indenter: Indenter, depths_mm: list[float]) -> list[NDArray[np.flo
     while len(left):
         alike = left[wide_mm[: len(left)] * _WIDEST_TO_NARROWEST >= wide_mm[len(left) - 1]]
         # Two depths get a descent each, for two cores: the drags that branch off take most of the time.
-        wanted = max(2, math.ceil(len(alike) / _DEPTHS_PER_DESCENT))
+        wanted = max(2, math.ceil(len(alike) / DEPTHS_PER_DESCENT))
         shares += np.array_split(alike, min(len(alike), wanted))
         left = left[: len(left) - len(alike)]
     return shares

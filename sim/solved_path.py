@@ -59,6 +59,7 @@ class SolvedPath:
     pressure_mpa: NDArray[np.float32]
     indenter_mm: NDArray[np.float64]
     force_n: NDArray[np.float64]
+    torque_n_mm: NDArray[np.float64]
     contact_radius_mm: NDArray[np.float64]
     converged: NDArray[np.bool_]
     coarse: NDArray[np.bool_]
@@ -69,7 +70,7 @@ class SolvedPath:
     def from_solutions(cls, plan: SolvePlan, solutions: dict[str, Solution]) -> Self:
         """Return the path of `plan_path`'s plan, from the solutions of its solves by their keys."""
         equilibria = [
-            _equilibrium(solutions[plan.solves[placement.solve].key], placement)
+            equilibrium(solutions[plan.solves[placement.solve].key], placement)
             for placement in plan.placements[1:]
         ]
         rows = max(len(fields["displacement_mm"]) for fields in equilibria)
@@ -120,6 +121,7 @@ class SolvedPath:
             displacement_mm=displacement_mm,
             contact=contact,
             force_n=frame.on_sensor(modulus * _between(self.force_n, by_force, travel)),
+            torque_n_mm=frame.torque_on_sensor(modulus * _between(self.torque_n_mm, by_force, travel)),
             contact_radius_mm=float(np.sqrt(_between(self.contact_radius_mm**2, depth, travel))),
             converged=bool(self.converged[around].all()),
             diagnostics=Diagnostics(
@@ -156,8 +158,8 @@ def _between(values: np.ndarray, depth: _Bracket, travel: _Bracket) -> np.ndarra
     )
 
 
-def _equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarray]:
-    """Return the fields of a `SolvedPath` for one equilibrium."""
+def equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarray]:
+    """Return the fields of a `SolvedPath`, tables and numbers for a modulus of 1 MPa, for one solved pose."""
     record = solution.records[placement.record]
     per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
     radius_mm = contact_radius_mm(solution, record)
@@ -173,6 +175,7 @@ def _equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarr
         "pressure_mpa": pressure_table(solution, record).values * np.float32(per_mpa),
         "indenter_mm": record.indenter_mm,
         "force_n": record.force_n * per_mpa,
+        "torque_n_mm": record.torque_n_mm * per_mpa,
         "contact_radius_mm": np.array(radius_mm),
         "converged": np.array(record.converged),
         "coarse": np.array(found.coarse),

@@ -33,18 +33,18 @@ LINES = {
     "assets": 585,
     "sim": 5245,
     "render": 5070,
-    "domains": 6310,
-    "adapt": 5050,
+    "domains": 7560,
+    "adapt": 5110,
     "view": 1600,
-    "cli": 2470,
-    "benchmarks": 9230,
+    "cli": 2510,
+    "benchmarks": 9415,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 
 A room that grows gives something back first.
 """
-MOST_FILES = 200
+MOST_FILES = 206
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")

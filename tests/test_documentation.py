@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -33,7 +34,13 @@ QUICKEST = {
     r"^make ": "make --dry-run ",
     r"^gelgap press ": "gelgap press --quality draft ",
     r"--domains 60 --frames-per-domain 60": "--quick --scheduler synchronous",
-    r"--path cpu": f"--path tiny.toml {SMALL}",
+    r"--path cpu-random --quality draft": f"--path tiny.toml {SMALL}",
+    r"--path cpu(?!-)": f"--path tiny.toml {SMALL}",
+    r"from-force 20": "from-force 4",
+    r"classes_from_force=20": "classes_from_force=4",
+    r"PressStream\(seed=0, size_px=\(320, 240\)": 'PressStream("small.toml", seed=0, size_px=(48, 36)',
+    r"PoseRanges\(0.1, 1.0, travel_mm=0.6\)": "PoseRanges(0.05, 0.55, travel_mm=0.25)",
+    r'TactileSensor\("b0"': 'TactileSensor("b0", deepest_mm=0.45, farthest_mm=0.15',
     r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
     r"--preset smoke --quality draft": f"mb0i0 wmb1i1 --path tiny.toml {SMALL}",
     r"--sweep sweep.toml": f"--sweep sweep.toml {SMALL}",
@@ -89,6 +96,16 @@ angles_deg = [0, 90, 180, 270]
 """
 
 
+SMALL_PRESS = """
+presses = 1
+depths = 1
+sphere_diameter_mm = [3.0, 3.0]
+deepest_by_thickness = [0.05, 0.05]
+"""
+FEWEST_POSES = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1, "_HELD_OUT_TRAVELS": (0.0, 1.5)}
+"""Of a library."""
+
+
 def measured_in_this_process(real: Callable) -> Callable:
     """Measure the settings of a benchmark in this process, instead of each in a fresh one."""
     return lambda *given, **options: real(*given, **options | {"workers": 1, "tasks_per_worker": None})
@@ -106,6 +123,13 @@ def shallow_presses(real: Callable) -> Callable:
     from gelgap.sim import Pose
 
     return lambda quick: [replace(case, poses=(Pose(depth_mm=0.1),)) for case in real(quick)]
+
+
+def few_shallow_contacts(_: Callable) -> Callable:
+    """Draw a few contacts of a tenth of a millimetre at most."""
+    from gelgap.sim import PosePath
+
+    return lambda: PosePath.random("few", number=30, depth_mm=(0.05, 0.1), radius_mm=(0.0, 0.05))
 
 
 def data_of_the_readme(_: Callable) -> Callable:
@@ -133,6 +157,12 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "benchmarks.stages.generate_recipes": lambda real: (
             lambda recipes, out, workers: real(recipes, out, scheduler="synchronous")
         ),
+    },
+    "gelgap benchmark throughput --what frames --quick": {
+        "benchmarks.frames.random_path": few_shallow_contacts,
+        "benchmarks.frames.load_path": lambda real: lambda name: SimpleNamespace(poses=()),
+        "benchmarks.frames.SIZES_PX": lambda real: ((48, 36),),
+        "benchmarks.frames.FRAMES": lambda real: (45, real[1]),
     },
     "gelgap benchmark view --quick": {
         "benchmarks.view.QUICK_REPEATS": lambda real: 1,
@@ -265,10 +295,14 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
     """Give a folder in which the README's commands have run."""
     folder = tmp_path_factory.mktemp("readme")
     (folder / "tiny.toml").write_text(TINY_PATH)
+    (folder / "small.toml").write_text(SMALL_PRESS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(Profile, "preset", shorter(Profile.preset))
         patch.setattr("gelgap.adapt.few_labels.NEW_SENSOR_STEPS", 4)
+        for name, value in FEWEST_POSES.items():
+            patch.setattr(f"gelgap.domains.library.{name}", value)
+        patch.setattr("gelgap.domains.stream._DEPTHS", 2)
         run_all(snippets(README), folder)
         yield folder
 

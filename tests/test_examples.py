@@ -3,6 +3,7 @@
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from loaded_file import load_file
 
@@ -50,3 +51,13 @@ def test_own_sensor_sees_the_contact_from_any_folder(tmp_path: Path, monkeypatch
     assert (tmp_path / "own.png").stat().st_size > 1000
     assert pixels.shape == (240, 320, 3)
     assert 20 < pixels.mean() < 235
+
+
+def test_a_pi_law_holds_a_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("gymnasium")
+    fewest = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1, "_HELD_OUT_TRAVELS": (0.0,)}
+    for name, value in fewest.items():
+        monkeypatch.setattr(f"gelgap.domains.library.{name}", value)
+    share = load("hold_force").main(40, deepest_mm=0.3, farthest_mm=0.05, size_px=(48, 36))
+    assert share[0] < 0.5
+    assert np.abs(share[-5:] - 1).max() < 0.02

@@ -58,11 +58,19 @@ def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Itera
     """Run a plan batch by batch; a solution is dropped after the last batch that needs it."""
     waiting = Counter(key for batch in plan.batches for key in batch.solve_keys)
     solutions: dict[str, Any] = {}
+
+    def solved(key: str) -> Any:
+        solution = plan.solves[key].run()
+        progress.solved()
+        return solution
+
     for batch in plan.batches:
         for key in batch.solve_keys:
-            if key not in solutions:
-                solutions[key] = plan.solves[key].run()
-                progress.solved()
+            if key in plan.libraries and key not in solutions:
+                library = plan.libraries[key]
+                solutions[key] = library.checked({solve.key: solved(solve.key) for solve in library.solves})
+            elif key not in solutions:
+                solutions[key] = solved(key)
         yield from render_batch(batch, {key: solutions[key] for key in batch.solve_keys})
         waiting.subtract(batch.solve_keys)
         solutions = {key: solution for key, solution in solutions.items() if waiting[key]}
@@ -78,11 +86,21 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
         solving = {
             key: client.submit(solve.run, key=f"solve-{key}", pure=True) for key, solve in plan.solves.items()
         }
+        libraries = {
+            key: client.submit(
+                library.checked,
+                {solve.key: solving[solve.key] for solve in library.solves},
+                key=key,
+                pure=True,
+            )
+            for key, library in plan.libraries.items()
+        }
+        sources = solving | libraries
         rendering = [
             client.submit(
                 _render_in_worker,
                 batch,
-                {key: solving[key] for key in batch.solve_keys},
+                {key: sources[key] for key in batch.solve_keys},
                 key=f"frames-{batch.key}",
                 pure=True,
             )
@@ -91,8 +109,8 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
         solves = {future.key for future in solving.values()}
         # Only batches are results: a solution stays where it was made, until no batch needs it.
         waiting = as_completed([*solving.values(), *rendering], loop=client.loop)
-        solving.clear()
-        rendering.clear()
+        for known in (solving, libraries, sources, rendering):
+            known.clear()
         for future in waiting:
             if future.key in solves:
                 if future.status == "error":

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gelgap.assets.names import comma_list
+from gelgap.domains.generation.contacts import LibraryPoses, part_of
 from gelgap.domains.generation.shard import FrameBatch, picture_cells
 from gelgap.domains.recipe import DomainRecipe
 
 if TYPE_CHECKING:
+    from gelgap.domains.library import LibraryPlan
     from gelgap.sim import MembraneState, Solve
 
 LOG = logging.getLogger(__name__)
@@ -28,11 +30,12 @@ _ROOM_FOR_FORCE = 1.5
 
 @dataclass(frozen=True)
 class GenerationPlan:
-    """Solves by the hash of their physics, and the batches that wait for them."""
+    """Solves by the hash of their physics, libraries of poses that are made of some, and batches that wait for them."""
 
     recipes: tuple[DomainRecipe, ...]
     solves: "dict[str, Solve]" = field(repr=False)
     batches: tuple[FrameBatch, ...] = field(repr=False)
+    libraries: "dict[str, LibraryPlan]" = field(default_factory=dict, repr=False)
 
     @property
     def frames(self) -> int:
@@ -51,7 +54,10 @@ class GenerationPlan:
             if recipes:
                 batches.append(replace(batch, recipes=recipes))
         needed = dict.fromkeys(key for batch in batches for key in batch.solve_keys)
-        return GenerationPlan(self.recipes, {key: self.solves[key] for key in needed}, tuple(batches))
+        libraries = {key: library for key, library in self.libraries.items() if key in needed}
+        needed |= dict.fromkeys(solve.key for library in libraries.values() for solve in library.solves)
+        solves = {key: solve for key, solve in self.solves.items() if key in needed}
+        return GenerationPlan(self.recipes, solves, tuple(batches), libraries)
 
 
 def shard_bounds(frames: int) -> list[tuple[int, int]]:
@@ -74,27 +80,35 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
 
     alike: dict[tuple[Any, ...], list[DomainRecipe]] = {}
     for recipe in recipes:
-        same = (recipe.elastomer, recipe.indenters, recipe.solved_path(), recipe.quality)
+        same = (recipe.elastomer, recipe.indenters, recipe.solved_path(), recipe.quality, recipe.interpolated)
         alike.setdefault(same, []).append(recipe)
     solves: dict[str, Solve] = {}
+    libraries: dict[str, LibraryPlan] = {}
     batches = []
-    for (elastomer, indenters, *contacts), members in alike.items():
-        physics = joined([plan_solves(elastomer, indenter, *contacts) for indenter in indenters])
-        by_key = {solve.key: solve for solve in physics.solves}
+    for (elastomer, indenters, *contacts, interpolated), members in alike.items():
+        if interpolated:
+            physics = LibraryPoses.of(elastomer, indenters[0], *contacts)
+        else:
+            physics = joined([plan_solves(elastomer, indenter, *contacts) for indenter in indenters])
+        by_key: dict[str, Any] = {solve.key: solve for solve in physics.solves}
+        if isinstance(physics, LibraryPoses):
+            libraries[physics.library.key] = by_key[physics.library.key] = physics.library
+            solves |= {solve.key: solve for solve in physics.library.solves}
         for number, (start, stop) in enumerate(shard_bounds(len(physics.poses))):
             serving = {physics.solve_key(frame) for frame in range(start, stop)}
             keys = tuple(key for key in by_key if key in serving)
-            solves |= {key: by_key[key] for key in keys}
-            own = replace(physics, poses=physics.poses[start:stop], placements=physics.placements[start:stop])
+            solves |= {key: by_key[key] for key in keys if key not in libraries}
+            own = part_of(physics, start, stop)
             batches.append(FrameBatch(tuple(members), number, start, stop, own, keys))
-    return GenerationPlan(tuple(recipes), solves, tuple(batches))
+    return GenerationPlan(tuple(recipes), solves, tuple(batches), libraries)
 
 
 @dataclass(frozen=True)
 class Estimate:
     """The size of a plan; `contacts` is what would be solved if nothing were shared.
 
-    `wall_s` is the time on an idle machine whose cores are like a server's of 2023.
+    `wall_s` is the time on an idle machine whose cores are like a server's of 2023. `exact` is the estimate of the same
+    domains with each pose solved, None where they are so anyway.
     """
 
     domains: tuple[str, ...]
@@ -109,16 +123,27 @@ class Estimate:
     indenters: tuple[str, ...] = ()
     """What the solves of each indenter take, if they are not all of one sphere."""
     notes: tuple[str, ...] = ()
+    exact: "Estimate | None" = None
+
+    @property
+    def wall(self) -> str:
+        return f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
 
     def __str__(self) -> str:
         kilobytes = self.disk_bytes / self.frames / 1e3
-        wall = f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
+        by_itself = []
+        if self.exact:
+            by_itself = [
+                "library  poses are interpolated, at most two solves more where its error is too large; each solved "
+                f"by itself (--exact): {self.exact.solves} solves, about {self.exact.wall}"
+            ]
         return "\n".join(
             [
                 f"domains  {comma_list(self.domains)}",
                 f"frames   {self.frames} in {self.shards} shards",
                 f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
-                f"time     about {wall} with {self.workers} workers",
+                *by_itself,
+                f"time     about {self.wall} with {self.workers} workers",
                 f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
                 *(f"indenter {line}" for line in self.indenters),
                 *(f"note     {note}" for note in self.notes),
@@ -150,6 +175,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, shards or 1)
     (sample,) = picture_cells(recipes[:1], 0, _dent())
     frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
+    exact = [recipe.model_copy(update={"interpolated": False}) for recipe in recipes]
     return Estimate(
         domains=tuple(recipe.name for recipe in recipes),
         frames=plan.frames,
@@ -170,6 +196,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         workers=processes,
         indenters=_by_indenter(plan),
         notes=tuple(force_notes(recipes)),
+        exact=estimate(exact, workers) if plan.libraries else None,
     )
 
 

@@ -1,7 +1,7 @@
 """From contacts to shards: what a worker does with a batch of frames. Imports neither torch nor colour-science."""
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, Sensor, view_half_extent_mm
 
 if TYPE_CHECKING:
+    from gelgap.domains.generation.contacts import LibraryPoses
     from gelgap.render import MembraneRenderer
     from gelgap.sim import MembraneState, Pose, SolvePlan
 
@@ -36,14 +37,14 @@ KEPT_RENDERERS = 32
 class FrameBatch:
     """The frames start…stop of every domain that shows these same contacts: one task, one shard per domain.
 
-    `contacts` says which solve serves each of these frames, counted from `start`.
+    `contacts` says which solve serves each of these frames, counted from `start`, or which library of poses.
     """
 
     recipes: tuple[DomainRecipe, ...]
     number: int
     start: int
     stop: int
-    contacts: "SolvePlan" = field(repr=False)
+    contacts: "SolvePlan | LibraryPoses" = field(repr=False)
     solve_keys: tuple[str, ...]
 
     @property
@@ -62,27 +63,34 @@ class FrameBatch:
 
 @dataclass(frozen=True)
 class Shard:
-    """One encoded shard, with what the manifest says of it; `unrenderable` says why a frame has no picture."""
+    """One encoded shard, with what the manifest says of it; `unrenderable` says why a frame has no picture.
+
+    `interpolation` tells the errors of the library that its poses are from, if they are.
+    """
 
     domain: str
     file: str
     data: bytes
     facts: dict[str, Any]
     unrenderable: dict[int, str]
+    interpolation: dict[str, Any] | None = None
 
 
 def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     """Render a batch's frames in the light of each of its domains, and encode one shard per domain.
 
-    `solutions` holds the batch's solves by key. A frame whose membrane cannot be rendered, whatever goes wrong, is
-    flagged as not converged; if that happens to most of several frames, something else is wrong: a RuntimeError.
+    `solutions` holds the batch's solves, or its library of poses, by key. A frame whose membrane cannot be rendered,
+    whatever goes wrong, is flagged as not converged; if that happens to most of several frames, something else is
+    wrong: a RuntimeError.
     """
     groups = group_by_picture(batch.recipes)
     shards: dict[int, Shard] = {}
     # Contacts are the inner loop as long as the renderers of the outer one are kept.
     for start in range(0, len(groups), KEPT_RENDERERS):
         shards |= _shards_of_groups(groups[start : start + KEPT_RENDERERS], batch, solutions)
-    return [shards[index] for index in range(len(batch.recipes))]
+    libraries = (source for source in solutions.values() if hasattr(source, "errors"))
+    interpolation = next((library.errors for library in libraries if library.held_out is not None), None)
+    return [replace(shards[index], interpolation=interpolation) for index in range(len(batch.recipes))]
 
 
 def group_by_picture(recipes: Sequence[DomainRecipe]) -> list[list[int]]:

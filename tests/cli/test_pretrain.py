@@ -64,3 +64,27 @@ def test_what_cannot_be_trained_on_is_refused_before_it_is_made(
     assert stop.value.code == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_network_is_pretrained_on_a_stream_without_a_data_set(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fewest = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1}
+    for name, value in fewest.items():
+        monkeypatch.setattr(f"gelgap.domains.library.{name}", value)
+    monkeypatch.setattr("gelgap.domains.stream._DEPTHS", 2)
+    (tmp_path / "profile.toml").write_text('base = "smoke"\nwidth = 0.125\nfeature_dim = 16\n')
+    command = f"pretrain --stream --quick --profile {tmp_path}/profile.toml --out {tmp_path}/out"
+    main([*command.split(), "--dry-run"])
+    assert "training 2 epochs of 24 new frames each" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+    main(command.split())
+    assert "trained on 48 frames" in capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["pretrained.pt", "stream-state.pt"]
+    first = (tmp_path / "out" / "pretrained.pt").read_bytes()
+    model = ForceModel.load(tmp_path / "out" / "pretrained.pt")
+    assert [record["epoch"] for record in model.history] == [1, 2]
+
+    main(command.split())
+    assert (tmp_path / "out" / "pretrained.pt").read_bytes() == first

@@ -1,10 +1,11 @@
 """A small domain, really solved and rendered once a session; its solves stay in a cache of the session's own."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from gelgap.domains import library, stream
 from gelgap.domains.generation.generate import GenerationReport, generate
 from gelgap.sim import ContactPath
 
@@ -51,3 +52,15 @@ def data(tmp_path_factory: pytest.TempPathFactory, make: Callable[..., Generatio
     make(out, columns=EVERY_COLUMN)
     make(out, ("wmb0i0", "mb0i1"))
     return out
+
+
+@pytest.fixture(scope="module")
+def few_solves() -> Iterator[None]:
+    """Libraries of two depths and two drags at each."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "_DEPTHS", 2)
+        patch.setattr(stream, "_DEPTHS", 2)
+        patch.setattr(library, "_STICKING_TRAVELS", 1)
+        patch.setattr(library, "_SLIDING_TRAVELS", 1)
+        patch.setattr(library, "_HELD_OUT_TRAVELS", (0.0, 1.5))
+        yield

@@ -1,0 +1,537 @@
+"""Any pose of one gel from a few solves: a library of poses, with its error on held-out poses that are solved exactly.
+
+A press at some depths, a drag at each. How far a drag has come is measured by what it takes to slide: in Hertzian
+contact an incompressible gel slides as a whole from a travel of about 1.5 μ × depth on (Mindlin 1949), so that drags at
+different depths are alike where they are interpolated. A drag in one direction serves all, as an indenter of revolution
+on a gel without edges allows, and every contact point and modulus. What is served is a press straight down and a drag
+in a straight line, as `gelgap.sim.Pose` is.
+"""
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numba
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from gelgap.assets.checksums import canonical_json, sha256
+from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.sim import (
+    Diagnostics,
+    Elastomer,
+    Indenter,
+    MembraneState,
+    Pose,
+    PosePath,
+    Solution,
+    Solve,
+    SolvePlan,
+    equilibrium,
+    grid_axes,
+    is_folded,
+    is_interior,
+    plan_solves,
+    table_radius_mm,
+)
+
+LOG = logging.getLogger(__name__)
+Floats = NDArray[np.float64]
+
+MOST_SOLVES = 8
+"""A library takes no more solves than this, those of its held-out poses among them."""
+FORCE_BOUND, MEMBRANE_BOUND_UM = 0.02, 4.0
+"""What a library's error is to stay below on held-out poses: rms of the force's share, and of the membrane in µm."""
+_DEPTHS = 5
+_STICKING_TRAVELS, _SLIDING_TRAVELS = 4, 4
+# Where a drag is held out, between the travels that are solved: halves of their numbers.
+_HELD_OUT_TRAVELS = (0.0, 1.5, 3.5, 5.5, 7.5)
+_SLIDES_FROM = 1.5
+# By Hertz, at depth d: force as d^1.5, contact radius as d^0.5, torque as both; the indenter's way is d itself.
+_GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "indenter_mm": 1.0, "errors": 0.0}
+_WITHOUT_EDGES = {"pad_size_mm": (100.0, 100.0)}
+# Points of the membrane this near the indenter touch it, as in `gelgap.sim`; they are looked for this far outside of
+# what the indenter cuts.
+_TOUCHING_GAP_MM = 0.004
+_BULGE_MM = 0.5
+
+
+@dataclass(frozen=True)
+class PoseRanges:
+    """The poses that a library serves: depths from `shallowest_mm` to `deepest_mm`, and drags.
+
+    A drag reaches as far as the smaller of `travel_mm` and `travel_by_depth` × depth.
+    """
+
+    shallowest_mm: float
+    deepest_mm: float
+    travel_mm: float
+    travel_by_depth: float = 1e3
+
+    def __post_init__(self) -> None:
+        if not 0 < self.shallowest_mm <= self.deepest_mm:
+            raise ValueError(
+                f"depths of a library from {self.shallowest_mm:g} to {self.deepest_mm:g} mm: must rise, from above 0"
+            )
+        if self.travel_mm < 0 or self.travel_by_depth < 0:
+            raise ValueError(f"travel of a library = {self.travel_mm:g} mm: must be 0 or more")
+
+    @classmethod
+    def of(cls, poses: Sequence[Pose]) -> "PoseRanges":
+        """Return the ranges of poses, of which one at least makes contact."""
+        depths = [pose.depth_mm for pose in poses if pose.depth_mm > 0]
+        return cls(min(depths), max(depths), max(pose.radius_mm for pose in poses))
+
+    def farthest_mm(self, depth_mm: float) -> float:
+        """Return how far a drag reaches at a depth."""
+        return min(self.travel_mm, self.travel_by_depth * depth_mm)
+
+    def check(self, pose: Pose) -> None:
+        """Raise ValueError if a pose is none of these; between 0 and `shallowest_mm` poses are extrapolated."""
+        if pose.depth_mm > self.deepest_mm + 1e-9:
+            raise ValueError(f"depth_mm = {pose.depth_mm:g}: the library ends at {self.deepest_mm:g} mm")
+        if pose.radius_mm > self.farthest_mm(pose.depth_mm) + 1e-6 and pose.depth_mm > 0:
+            farthest_mm = self.farthest_mm(pose.depth_mm)
+            raise ValueError(
+                f"shear = {pose.radius_mm:g} mm: at a depth of {pose.depth_mm:g} mm the library ends at "
+                f"{farthest_mm:g} mm"
+            )
+
+
+@dataclass(frozen=True)
+class LibraryPlan:
+    """The solves of a library: those of its poses at `depths` depths, and one for each depth that is held out."""
+
+    elastomer: Elastomer
+    indenter: Indenter
+    ranges: PoseRanges
+    quality: str = "draft"
+    depths: int = field(default_factory=lambda: _DEPTHS)
+
+    @cached_property
+    def depths_mm(self) -> tuple[float, ...]:
+        low, high = self.ranges.shallowest_mm, self.ranges.deepest_mm
+        number = self.depths if high > low + 1e-3 else 1
+        evenly_wide_mm = np.round(np.linspace(low**0.5, high**0.5, number) ** 2, 6)
+        return (*evenly_wide_mm[:-1].tolist(), high)
+
+    @cached_property
+    def solved(self) -> SolvePlan:
+        """The plan of its poses, depth by depth."""
+        return self.plan_of(self.depths_mm)
+
+    @cached_property
+    def held_out(self) -> tuple[SolvePlan, ...]:
+        """The plans of the poses between them, one for each depth: as they are solved by themselves."""
+        return tuple(self.held_out_between(low, high) for low, high in pairwise(self.depths_mm))
+
+    @property
+    def solves(self) -> tuple[Solve, ...]:
+        return (*self.solved.solves, *(solve for plan in self.held_out for solve in plan.solves))
+
+    @cached_property
+    def key(self) -> str:
+        """A hash of what its poses follow from."""
+        return "library-" + sha256(canonical_json([solve.key for solve in self.solves]))
+
+    def travels_mm(self, depth_mm: float) -> Floats:
+        """Return the travels that are solved at a depth: first those at which the contact begins to slide."""
+        slides_mm, farthest_mm = self._turn_mm(depth_mm)
+        if farthest_mm == 0:
+            return np.zeros(1)
+        sticking = np.linspace(0.0, slides_mm, _STICKING_TRAVELS + 1)
+        return np.concatenate(
+            [sticking, np.linspace(slides_mm, farthest_mm, _SLIDING_TRAVELS + 1)[1:]]
+        ).round(6)
+
+    def place_of(self, depth_mm: float, travel_mm: float) -> float:
+        """Return where a travel lies among those solved at its depth: 0 for the first, 1 for the next."""
+        slides_mm, farthest_mm = self._turn_mm(depth_mm)
+        if travel_mm == 0 or farthest_mm == 0:
+            return 0.0
+        if travel_mm <= slides_mm:
+            return _STICKING_TRAVELS * travel_mm / slides_mm
+        beyond = (travel_mm - slides_mm) / (farthest_mm - slides_mm)
+        return _STICKING_TRAVELS + _SLIDING_TRAVELS * min(beyond, 1.0)
+
+    def _turn_mm(self, depth_mm: float) -> tuple[float, float]:
+        """Return a travel from which the contact slides, less where that is beyond the ranges, and the farthest."""
+        farthest_mm = self.ranges.farthest_mm(depth_mm)
+        slides_mm = _SLIDES_FROM * self.elastomer.friction * depth_mm
+        if farthest_mm == 0 or slides_mm == 0:
+            return 0.5 * farthest_mm, farthest_mm
+        return slides_mm * farthest_mm / (slides_mm + farthest_mm), farthest_mm
+
+    def plan_of(self, depths_mm: Sequence[float]) -> SolvePlan:
+        """Return the plan of the library's poses at depths."""
+        return self._plan([(depth, travel) for depth in depths_mm for travel in self.travels_mm(depth)])
+
+    def held_out_between(self, low_mm: float, high_mm: float) -> SolvePlan:
+        """Return the plan of the poses that are held out between two depths."""
+        depth = round(((low_mm**0.5 + high_mm**0.5) / 2) ** 2, 6)
+        solved = self.travels_mm(depth)
+        places = [place for place in _HELD_OUT_TRAVELS if place <= len(solved) - 1]
+        return self._plan([(depth, np.interp(place, range(len(solved)), solved)) for place in places])
+
+    def _plan(self, contacts_mm: Sequence[tuple[float, float]]) -> SolvePlan:
+        poses = tuple(Pose(depth_mm=depth, shear_x_mm=round(float(t), 6)) for depth, t in contacts_mm)
+        gel = self.elastomer.model_copy(update=_WITHOUT_EDGES)
+        return plan_solves(gel, self.indenter, PosePath("library", poses), self.quality)
+
+    def build(self, solutions: Mapping[str, Solution]) -> "PoseLibrary":
+        """Return the library of the solutions of `solved` by their keys, its error unknown."""
+        return PoseLibrary.of(self, self.solved, solutions)
+
+    def checked(self, solutions: Mapping[str, Solution]) -> "PoseLibrary":
+        """Return the library of all `solves`, with its errors on held-out poses.
+
+        As long as they are above the bounds, the interval of depths where they are largest is halved. That takes two
+        more solves, in this process: the depth between, and a held-out depth in the deeper half. No more than
+        `MOST_SOLVES` are made.
+        """
+        plans = dict(zip(pairwise(self.depths_mm), self.held_out, strict=True))
+        solutions = {solve.key: solutions[solve.key] for solve in self.solves}
+        added: list[SolvePlan] = [self.solved]
+        while True:
+            library = PoseLibrary.of(self, _together(added), solutions)
+            errors = [library.errors_of(plan, solutions) for plan in plans.values()]
+            table = pd.concat(errors, ignore_index=True) if errors else None
+            library = replace(library, held_out=table, solves=len(solutions))
+            if library.holds or len(solutions) + 2 > MOST_SOLVES or not table["converged"].any():
+                return library
+            worst = max(plans, key=lambda between: _excess(library, between))
+            depth = plans.pop(worst).poses[0].depth_mm
+            LOG.info("one more depth in the library, %g mm, where its error is largest", depth)
+            deeper = (depth, worst[1])
+            plans[deeper] = self.held_out_between(*deeper)
+            added.append(self.plan_of((depth,)))
+            for solve in (*added[-1].solves, *plans[deeper].solves):
+                solutions[solve.key] = solve.run()
+
+
+def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
+    """Return the largest error between two depths, over its bound."""
+    rows = library.held_out.query(f"converged and {between[0]} < depth_mm < {between[1]}")
+    if rows.empty:
+        return 0.0
+    return max(_rms(rows["force_share"]) / FORCE_BOUND, _rms(rows["membrane_um"]) / MEMBRANE_BOUND_UM)
+
+
+def _together(plans: Sequence[SolvePlan]) -> SolvePlan:
+    """Return one plan of the poses of several of one gel."""
+    solves: list[Solve] = []
+    placements = []
+    for plan in plans:
+        placements += [replace(own, solve=own.solve + len(solves)) for own in plan.placements if own]
+        solves += plan.solves
+    poses = tuple(pose for plan in plans for pose in plan.poses)
+    return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))
+
+
+@dataclass(frozen=True, eq=False)
+class PoseLibrary:
+    """Equilibria at some depths and travels, for a modulus of 1 MPa; any pose in its ranges follows by interpolation.
+
+    Arrays begin with (depths, travels). `displacement_mm` holds polar tables around the contact point, whose rows lie
+    at `radius_mm`; `numbers` values or vectors by name. `held_out` has a row for each pose that was held out, None if
+    none was; `solves` counts all that were needed.
+    """
+
+    plan: LibraryPlan
+    depths_mm: Floats
+    radius_mm: Floats
+    displacement_mm: NDArray[np.float32]
+    numbers: dict[str, np.ndarray]
+    held_out: pd.DataFrame | None = field(default=None, repr=False)
+    solves: int = 0
+
+    @classmethod
+    def of(cls, plan: LibraryPlan, solved: SolvePlan, solutions: Mapping[str, Solution]) -> "PoseLibrary":
+        """Return the library of the poses of a solve plan."""
+        found = [
+            equilibrium(solutions[solved.solves[own.solve].key], own) | {"depth_mm": pose.depth_mm}
+            for pose, own in zip(solved.poses, solved.placements, strict=True)
+        ]
+        found.sort(key=lambda fields: fields["depth_mm"])
+        rows = max(len(fields["displacement_mm"]) for fields in found)
+        depths_mm = np.unique([fields["depth_mm"] for fields in found])
+        # Beyond its last row a table holds its rim.
+        tables = [
+            np.pad(one, ((0, rows - len(one)), (0, 0), (0, 0)), mode="edge")
+            for one in (fields["displacement_mm"] for fields in found)
+        ]
+        grid = len(depths_mm), len(found) // len(depths_mm)
+        numbers = {
+            name: np.reshape([fields[name] for fields in found], (*grid, *np.shape(found[0][name])))
+            for name in (*_GROWTH, "converged", "coarse")
+        }
+        for name, power in _GROWTH.items():
+            values = numbers[name]
+            numbers[name] = values / depths_mm.reshape(-1, *(1,) * (values.ndim - 1)) ** power
+        table = np.reshape(tables, (*grid, *tables[0].shape)).astype(np.float32)
+        return cls(plan, depths_mm, table_radius_mm(np.arange(rows, dtype=float)), table, numbers)
+
+    def state(
+        self,
+        elastomer: Elastomer,
+        pose: Pose,
+        half_extent_mm: tuple[float, float] | None = None,
+        axes_mm: tuple[Floats, Floats] | None = None,
+    ) -> MembraneState:
+        """Return the membrane of a pose, the forces those of the elastomer's modulus.
+
+        It lies on `axes_mm` (x, y), or on a grid of 0.1 mm that reaches `half_extent_mm` from the sensor's centre. It
+        counts as converged if the equilibria around it are and it is not folded, and as coarse if one of them is.
+        Estimates of its error are theirs and the error measured on held-out poses, added as squares.
+
+        Raises
+        ------
+        ValueError
+            If the pose is deeper or further sideways than the library, or so near the pad's edge that this matters.
+        """
+        self.plan.ranges.check(pose)
+        if not is_interior(elastomer, pose):
+            raise ValueError(
+                f"contact point ({pose.point_x_mm:g}, {pose.point_y_mm:g}) mm: a library serves points that the pad's "
+                "edges are too far from to matter; solve this pose by itself"
+            )
+        if axes_mm is None:
+            reach_mm = pose.radius_mm + 1.5 * self.plan.indenter.penetration_radius_mm(pose.depth_mm)
+            point_mm, size_mm = (pose.point_x_mm, pose.point_y_mm), elastomer.pad_size_mm
+            wanted_mm = half_extent_mm or (0.0, 0.0)
+            axes_mm = grid_axes(
+                tuple(
+                    min(max(w, abs(p) + reach_mm), s / 2)
+                    for w, p, s in zip(wanted_mm, point_mm, size_mm, strict=True)
+                )
+            )
+        if pose.depth_mm == 0:
+            shape = len(axes_mm[1]), len(axes_mm[0])
+            untouched = np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
+            return MembraneState(*axes_mm, *untouched)
+        depths, by_depth = _weights(
+            np.concatenate([[0.0], np.sqrt(self.depths_mm)]), math.sqrt(pose.depth_mm)
+        )
+        places = np.arange(self.displacement_mm.shape[1], dtype=float)
+        travels, by_travel = _weights(places, self.plan.place_of(pose.depth_mm, pose.radius_mm))
+        # Node 0 is the undeformed membrane: a zero table, and the shallowest press's numbers at its growth with depth.
+        loaded, own = depths > 0, np.maximum(depths - 1, 0)
+        table = _combined(self.displacement_mm, own[loaded], travels, np.outer(by_depth[loaded], by_travel))
+        both = np.ix_(own, travels)
+        of = {
+            name: pose.depth_mm**power
+            * np.tensordot(np.outer(by_depth, by_travel), self.numbers[name][both], 2)
+            for name, power in _GROWTH.items()
+        }
+        modulus = elastomer.mujoco_moduli.young_modulus_mpa
+        angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
+        turn = np.array(
+            [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+        )
+        x_mm, y_mm = axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm
+        displacement_mm = np.empty((len(y_mm), len(x_mm), 3), np.float32)
+        _place(table, self.radius_mm, x_mm, y_mm, math.cos(angle), math.sin(angle), displacement_mm)
+        contact = self._press_onto(pose, turn @ of["indenter_mm"], x_mm, y_mm, displacement_mm)
+        around = np.ix_(own[np.abs(by_depth) > 1e-9], travels[np.abs(by_travel) > 1e-9])
+        force_n, folded = modulus * (turn @ of["force_n"]), is_folded(*axes_mm, displacement_mm)
+        return MembraneState(
+            *axes_mm,
+            displacement_mm,
+            contact,
+            force_n=force_n,
+            torque_n_mm=modulus * (turn @ of["torque_n_mm"]),
+            contact_radius_mm=float(of["contact_radius_mm"]),
+            converged=bool(self.numbers["converged"][around].all()) and not folded,
+            diagnostics=self._diagnostics(
+                modulus * of["errors"][:2], of["errors"][2:], force_n, around, folded
+            ),
+        )
+
+    def _press_onto(
+        self, pose: Pose, way_mm: Floats, x_mm: Floats, y_mm: Floats, displacement_mm: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
+        """Move points that touch the indenter onto its surface, in place; return which do (ny, nx)."""
+        indenter = self.plan.indenter
+        contact = np.zeros(displacement_mm.shape[:2], dtype=bool)
+        deep_mm = min(1.2 * pose.depth_mm, indenter.deepest_mm)
+        reach_mm = indenter.penetration_radius_mm(deep_mm) + pose.radius_mm + _BULGE_MM
+        columns, rows = (slice(*np.searchsorted(axis, (-reach_mm, reach_mm))) for axis in (x_mm, y_mm))
+        near = displacement_mm[rows, columns]
+        from_origin = np.empty(near.shape)
+        from_origin[..., 0] = x_mm[columns] - way_mm[0]
+        from_origin[..., 1] = y_mm[rows, None] - way_mm[1]
+        from_origin[..., 2] = -way_mm[2] - indenter.origin_height_mm
+        nearest = indenter.project(from_origin + near)
+        touches = nearest.distance_mm < _TOUCHING_GAP_MM
+        near[touches] = (nearest.points_mm - from_origin)[touches]
+        contact[rows, columns] = touches
+        return contact
+
+    def _diagnostics(
+        self, mesh_n: Floats, mesh_mm: Floats, force_n: Floats, around: tuple, folded: bool
+    ) -> Diagnostics:
+        """Return the estimates of the mesh's errors with those that were measured, unless none was held out."""
+        off_n, off_mm = 0.0, 0.0
+        if self.held_out is not None:
+            off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
+            off_mm = self.errors["membrane_rms_um"] / 1000
+        return Diagnostics(
+            fz_error_n=math.hypot(mesh_n[0], off_n),
+            shear_error_n=math.hypot(mesh_n[1], off_n),
+            contact_radius_error_mm=float(mesh_mm[0]),
+            membrane_error_mm=math.hypot(mesh_mm[1], off_mm),
+            coarse=bool(self.numbers["coarse"][around].any()),
+            folded=folded,
+        )
+
+    def errors_of(self, plan: SolvePlan, solutions: Mapping[str, Solution]) -> pd.DataFrame:
+        """Return how far off the library is on a plan's poses, a row for each: force, membrane and picture.
+
+        The membrane's error is rms within four contact radii, the picture's in code values of 255, of the paper's
+        sensor in the light i0.
+        """
+        gel, rows = plan.elastomer, []
+        for index, (pose, own) in enumerate(zip(plan.poses, plan.placements, strict=True)):
+            exact = plan.state(index, solutions[plan.solves[own.solve].key])
+            served = self.state(gel, pose, axes_mm=(exact.x_mm, exact.y_mm))
+            off_n = served.force_n - exact.force_n
+            near = np.hypot(exact.x_mm, exact.y_mm[:, None]) < 4 * exact.contact_radius_mm
+            off_mm = np.linalg.norm(served.displacement_mm - exact.displacement_mm, axis=-1)
+            seen = exact.converged and served.converged
+            codes = [_picture(state) if seen else np.full(1, np.nan) for state in (served, exact)]
+            row = {
+                "depth_mm": pose.depth_mm,
+                "travel_mm": pose.radius_mm,
+                "force_n": float(np.linalg.norm(exact.force_n)),
+                "force_share": float(np.linalg.norm(off_n) / np.linalg.norm(exact.force_n)),
+                "membrane_um": 1e3 * _rms(off_mm[near]),
+                "picture_codes": _rms(codes[0] - codes[1]),
+                "converged": seen,
+            }
+            rows.append(row)
+        return pd.DataFrame(rows)
+
+    @cached_property
+    def errors(self) -> dict[str, Any]:
+        """What the manifest says of it: solves, held-out poses, and the errors on them as rms and largest."""
+        table = self.held_out[self.held_out["converged"]]
+        return {
+            "solves": self.solves,
+            "depths_mm": self.depths_mm.tolist(),
+            "held_out_poses": len(table),
+            "held_out_folded": len(self.held_out) - len(table),
+            "force_rms_percent": 100 * _rms(table["force_share"]),
+            "force_largest_percent": 100 * float(table["force_share"].max()),
+            "membrane_rms_um": _rms(table["membrane_um"]),
+            "membrane_largest_um": float(table["membrane_um"].max()),
+            "picture_rms_codes": _rms(table["picture_codes"]),
+            "within_bounds": self.holds,
+        }
+
+    @cached_property
+    def holds(self) -> bool:
+        """Whether the errors on held-out poses are within the bounds; so they are if none was held out."""
+        if self.held_out is None:
+            return True
+        table = self.held_out[self.held_out["converged"]]
+        within_um = _rms(table["membrane_um"]) <= MEMBRANE_BOUND_UM
+        return len(table) > 0 and within_um and _rms(table["force_share"]) <= FORCE_BOUND
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(np.asarray(values, float)))))
+
+
+@lru_cache(maxsize=1)
+def _paper_sensor() -> MembraneRenderer:
+    return MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"))
+
+
+def _picture(state: MembraneState) -> Floats:
+    picture = _paper_sensor().picture(state.x_mm, state.y_mm, state.displacement_mm)
+    return picture.astype(float)
+
+
+def _weights(nodes: Floats, value: float) -> tuple[NDArray[np.intp], Floats]:
+    """Return the nodes that a value is interpolated from, and their weights: cubic Hermite, slopes from parabolas."""
+    last = len(nodes) - 1
+    k = int(np.clip(np.searchsorted(nodes, value) - 1, 0, max(last - 1, 0)))
+    if last == 0:
+        return np.zeros(1, np.intp), np.ones(1)
+    near = np.arange(max(k - 1, 0), min(k + 2, last) + 1)
+    step = nodes[k + 1] - nodes[k]
+    s = (value - nodes[k]) / step
+    weights = np.zeros(len(nodes))
+    weights[k] = (1 + 2 * s) * (1 - s) ** 2
+    weights[k + 1] = s**2 * (3 - 2 * s)
+    weights += step * s * (1 - s) ** 2 * _slope(nodes, k) + step * s**2 * (s - 1) * _slope(nodes, k + 1)
+    return near, weights[near]
+
+
+def _slope(nodes: Floats, k: int) -> Floats:
+    """Return the weights (nodes,) of the slope at node k of the parabola through it and its two neighbours."""
+    first = min(max(k - 1, 0), max(len(nodes) - 3, 0))
+    three = np.arange(first, min(first + 3, len(nodes)))
+    weights = np.zeros(len(nodes))
+    for a in three:
+        others = [b for b in three if b != a]
+        below = np.prod([nodes[a] - nodes[b] for b in others])
+        if len(others) == 1:
+            weights[a] = 1 / below
+        else:
+            weights[a] = (2 * nodes[k] - nodes[others].sum()) / below
+    return weights
+
+
+def _combined(
+    tables: NDArray[np.float32], depths: NDArray[np.intp], travels: NDArray[np.intp], weights: Floats
+) -> NDArray[np.float32]:
+    """Return the weighted sum of tables (depths, travels, ...)."""
+    table = np.zeros(tables.shape[2:], np.float32)
+    for i, depth in enumerate(depths):
+        for j, travel in enumerate(travels):
+            if abs(weights[i, j]) > 1e-9:
+                table += np.float32(weights[i, j]) * tables[depth, travel]
+    return table
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath=True)
+def _place(table, radius_mm, x_mm, y_mm, cosine, sine, out):
+    """Fill (ny, nx, 3) with a table's field around the origin, its axis turned; linear in radius and angle."""
+    rows, columns, _ = table.shape
+    fine = 1 / (radius_mm[1] - radius_mm[0])
+    for j in range(len(y_mm)):
+        for i in range(len(x_mm)):
+            along, across = cosine * x_mm[i] + sine * y_mm[j], cosine * y_mm[j] - sine * x_mm[i]
+            distance = min(math.sqrt(along * along + across * across), radius_mm[rows - 1] - 1e-6)
+            low = min(int(distance * fine), rows - 2)
+            if distance > radius_mm[low + 1] or distance < radius_mm[low]:
+                # Beyond the evenly spaced rows.
+                low, high = 0, rows - 1
+                while high - low > 1:
+                    middle = (low + high) // 2
+                    if radius_mm[middle] <= distance:
+                        low = middle
+                    else:
+                        high = middle
+            out_share = (distance - radius_mm[low]) / (radius_mm[low + 1] - radius_mm[low])
+            place = abs(math.atan2(across, along)) / math.pi * (columns - 1)
+            left = min(int(place), columns - 2)
+            on_share = place - left
+            a, b = (1 - out_share) * (1 - on_share), (1 - out_share) * on_share
+            c, d = out_share * (1 - on_share), out_share * on_share
+            for k in range(3):
+                out[j, i, k] = (
+                    a * table[low, left, k]
+                    + b * table[low, left + 1, k]
+                    + c * table[low + 1, left, k]
+                    + d * table[low + 1, left + 1, k]
+                )
+            u, v = out[j, i, 0], out[j, i, 1]
+            v = v if across > 0 else (-v if across < 0 else 0.0)
+            out[j, i, 0], out[j, i, 1] = cosine * u - sine * v, sine * u + cosine * v
