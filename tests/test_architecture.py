@@ -33,7 +33,7 @@ LINES = {
     "assets": 585,
     "sim": 5245,
     "render": 5070,
-    "domains": 7560,
+    "domains": 7600,
     "adapt": 5110,
     "view": 1600,
     "cli": 2510,
@@ -44,7 +44,7 @@ LINES = {
 
 A room that grows gives something back first.
 """
-MOST_FILES = 206
+MOST_FILES = 208
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")
