@@ -5,7 +5,7 @@ import pytest
 
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import PATH_DEPTHS_MM, PATH_TRAVELS_MM, Elastomer, SolvedPath, Sphere
-from gelgap.sim.membrane import _SECTORS, _radius
+from gelgap.sim.membrane import _SECTORS, table_radius_mm
 from gelgap.view import Configuration, LiveModel
 from gelgap.view.state import PathRequest
 
@@ -14,7 +14,7 @@ ROWS = 90
 
 def _dent(depth_mm: float, travel_mm: float) -> np.ndarray:
     """Return the polar table of a smooth dent that is dragged along x."""
-    radius = _radius(np.arange(ROWS))
+    radius = table_radius_mm(np.arange(ROWS))
     bell = np.exp(-((radius / 1.2) ** 2))[:, None] * np.ones(_SECTORS + 1)
     return np.stack([0.5 * travel_mm * bell, 0 * bell, -depth_mm * bell], axis=-1).astype(np.float32)
 
