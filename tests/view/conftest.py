@@ -38,6 +38,7 @@ def dent_path() -> SolvedPath:
         -displacement[..., 2:],
         indenter,
         force,
+        np.zeros_like(force),
         np.sqrt(depths)[:, None] * np.ones(shape),
         np.ones(shape, bool),
         np.zeros(shape, bool),
