@@ -57,6 +57,7 @@ _MEASURED = {
             EXTRA,
         ),
         ("robustness", "what a fit to disturbed pictures still predicts", "render.robustness", EXTRA),
+        ("sets", "other sensors' presses, whatever sets are in --data", "real.sensor_sets", ANEW),
     ],
     "stability": [
         ("physics", "solves at the corners of what is allowed", "physics.stability", ANEW),
@@ -109,7 +110,7 @@ BENCHMARKS = tuple(
     Benchmark(
         *(subject, part, description, place),
         *(flag not in flags for flag in (EXTRA, LONG, ANEW)),
-        needs_data=subject == "real",
+        needs_data=place.startswith("real."),
     )
     for subject, rows in _MEASURED.items()
     for part, description, place, *flags in rows
@@ -126,8 +127,12 @@ def parts_of(subject: str) -> tuple[Benchmark, ...]:
     return tuple(b for b in BENCHMARKS if b.subject == subject and b.part is not None)
 
 
-def find_benchmarks(subject: str, part: str | None, quick: bool) -> tuple[Benchmark, ...]:
+def find_benchmarks(
+    subject: str, part: str | None, quick: bool, with_data: bool = False
+) -> tuple[Benchmark, ...]:
     """Return what is to be measured of a subject: one part, or without a choice those by default.
+
+    Of these the ones that take a folder of data if there is one, and otherwise the others.
 
     Raises
     ------
@@ -135,6 +140,8 @@ def find_benchmarks(subject: str, part: str | None, quick: bool) -> tuple[Benchm
         If the subject has no such part, or nothing of what was chosen has a quick form.
     """
     chosen = [b for b in BENCHMARKS if b.subject == subject and (b.part == part if part else b.by_default)]
+    if part is None:
+        chosen = [benchmark for benchmark in chosen if benchmark.needs_data == with_data] or chosen
     if not chosen:
         names = ", ".join(benchmark.part for benchmark in parts_of(subject))
         has = f"its parts are {names}" if names else "it has no parts"

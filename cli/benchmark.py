@@ -47,7 +47,7 @@ class Benchmark(opt.Command):
     data: Annotated[
         Path | None, opt.optional("PATH"), opt.input_folder("a folder with clones of real data")
     ] = None
-    """For real: the folder with clones of published data sets; for a missing one it prints the command that gets it."""
+    """For real, and for sensors: the folder with clones of published data sets, or presses of your own sensors."""
     out: Annotated[Path, opt.output_folder] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 
@@ -55,12 +55,12 @@ class Benchmark(opt.Command):
         """Run the chosen benchmarks, one after the other."""
         from gelgap.assets.locks import sole_use
 
-        chosen = find_benchmarks(self.subject, self.what, self.quick)
+        chosen = find_benchmarks(self.subject, self.what, self.quick, self.data is not None)
         if any(benchmark.needs_data for benchmark in chosen) != (self.data is not None):
             what = (
                 "is missing; name the folder with clones of real data"
                 if self.data is None
-                else "is for benchmark real alone; leave it out"
+                else "is for benchmarks of real data alone; leave it out"
             )
             raise ValueError(f"--data {what} (benchmark {self.subject})")
         with sole_use(self.out, f".lock-{self.subject}"):
@@ -71,6 +71,7 @@ class Benchmark(opt.Command):
     @property
     def when_stopped(self) -> str:
         """What is left of a benchmark that was interrupted, and what to do."""
-        if all(benchmark.resumes for benchmark in find_benchmarks(self.subject, self.what, self.quick)):
+        chosen = find_benchmarks(self.subject, self.what, self.quick, self.data is not None)
+        if all(benchmark.resumes for benchmark in chosen):
             return "finished measurements are kept, run the same command again to go on"
         return "measurements that were not finished are not kept; run the same command again to measure anew"

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 HELD_OUT = {
     "unchanged": "unchanged reference",
+    "table": "plain table of the same presses",
     "marked": "predicted, press as marked",
-    "corrected": "predicted, marks corrected",
     "refined": "predicted, press refined",
 }
 ASSUMED = (
     "Sizes and distances of LEDs, of which pictures hold the direction; the gel around the presses; noise."
 )
-# A fit from a right start leaves 1 to 2 code values, camera noise included; one from a wrong start ten times as much.
-DOUBTFUL_RMS_CODE_VALUES = 5.0
+# By so much may a table that knows this ball alone be better.
+DOUBTFUL_DB = 5.0
 DIFFERENCE_GAIN = 4
 NEARLY_PARALLEL_MM = 200
 
@@ -52,11 +52,15 @@ class Calibrate(opt.Command):
       point_mm = [1.5, -0.8]         # or center_px = [200, 110]; optional: found in the picture otherwise
       marks_off_px = 20              # how far radius_px and center_px may be off; 3 if left out
 
-    A sphere whose diameter no press has is fitted, if the pictures hold it. LEDs are fitted together with all else.
-    Prints how presses that a fit has not seen are predicted; one that is worse than the unchanged reference is refused.
+    depth_mm is how far the sphere was pressed in after it touched. radius_px is the circle in which gel touches it;
+    what depth that takes is solved, since gel sinks in around a sphere: the depth by geometry is too small.
+
+    A sphere whose diameter no press has is fitted, if the pictures hold it. LEDs are found in the dents and fitted
+    together with all else. Prints how presses that a fit has not seen are predicted as marked; a fit that is worse than
+    the unchanged reference, inside or around the contact, is refused.
 
     For example:
-      gelgap calibrate presses.toml --reference ref.png --sensor start.toml -o fitted.toml
+      gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 
     when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
@@ -70,11 +74,11 @@ class Calibrate(opt.Command):
     reference: Annotated[Path | None, opt.optional("PATH"), opt.input_file("a picture")] = None
     """Picture without contact."""
     sensor: Annotated[str | None, opt.optional("NAME"), opt.preset_or_file("sensors")] = None
-    """Where the fit starts: a sensor preset or TOML file with its own LEDs, each within 30° of its direction."""
+    """Where the fit starts, instead of mm_per_px: a sensor preset or TOML file; LEDs of its own within 30°, or none."""
     from_taxim: Annotated[str | None, opt.optional("NAME"), taxim_package] = None
     """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
     mm_per_px: Annotated[float | None, opt.optional("MM"), opt.between(0.001, 1)] = None
-    """With --from-taxim: how much of the gel a pixel shows; 0.0295 if left out, as those packages say."""
+    """How much of the gel a pixel shows. With --from-taxim 0.0295 if left out, as those packages say."""
     sphere_diameter_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
     """The sphere's diameter in all presses, whatever the list or the package says."""
     pictures: Annotated[Path | None, opt.optional("FOLDER"), opt.output_folder] = None
@@ -88,12 +92,16 @@ class Calibrate(opt.Command):
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
-        from gelgap.domains import sphere_profiles
+        from gelgap.domains import lit_from_dents, sphere_profiles
         from gelgap.render import calibrate_light, save_calibration
+        from gelgap.render.calibration.pictures import check_presses
 
         if self.held_out_parts == 1:
             raise ValueError("held_out_parts = 1: must be 0, or 2 to 24")
         sensor, reference, presses = self._inputs()
+        if sensor.illumination is None:
+            check_presses(reference, presses)
+            sensor = lit_from_dents(sensor, reference, presses)
         fit = calibrate_light(
             sensor,
             reference,
@@ -110,20 +118,15 @@ class Calibrate(opt.Command):
         fitted = save_calibration(replace(fit, sensor=described), self.output)
         print(f"wrote {self.output} and {fitted.flat_field.file}")
         print("\n".join(report))
-        if fit.rms_code_values > DOUBTFUL_RMS_CODE_VALUES:
-            print(
-                f"gelgap: warning: a residual of {fit.rms_code_values:.2f} code values is not a good fit (above "
-                f"{DOUBTFUL_RMS_CODE_VALUES:g}): check the LEDs' directions, the spheres' diameters and, among few "
-                "presses, the picture of each, since one can spoil the fit",
-                file=sys.stderr,
-            )
+        for warning in warnings_of(fit):
+            print(f"gelgap: warning: {warning}", file=sys.stderr)
         if fit.held_out:
             folder = self.pictures or self.output.with_name(f"{self.output.stem}-held-out")
             write_comparisons(fit, presses, folder)
 
     def _inputs(self) -> "tuple[Sensor, np.ndarray, tuple[PressPicture, ...]]":
         from gelgap.domains import taxim_presses
-        from gelgap.render import Sensor
+        from gelgap.render import Camera, Markers, Sensor
         from gelgap.render.calibration.pictures import read_picture, read_presses
 
         if self.from_taxim is not None:
@@ -134,11 +137,17 @@ class Calibrate(opt.Command):
             found = taxim_presses(self.from_taxim, self.mm_per_px)
             start = opt.named(Sensor, self.sensor) if self.sensor else found.start
             reference, presses = found.reference, found.presses
-        elif self.presses and self.reference and self.sensor:
-            start, reference = opt.named(Sensor, self.sensor), read_picture(self.reference)
-            presses = read_presses(self.presses)
+        elif self.presses and self.reference and (self.sensor is None) != (self.mm_per_px is None):
+            presses, reference = read_presses(self.presses), read_picture(self.reference)
+            if self.sensor:
+                start = opt.named(Sensor, self.sensor)
+            else:
+                camera = Camera.showing(reference.shape[1] * self.mm_per_px)
+                start = Sensor(name=self.output.stem, camera=camera, markers=Markers(layout="none"))
         else:
-            raise ValueError("calibrate needs PRESSES, --reference and --sensor, or --from-taxim instead")
+            raise ValueError(
+                "calibrate needs PRESSES, --reference and either --mm-per-px or --sensor, or --from-taxim instead"
+            )
         if self.sphere_diameter_mm is not None:
             presses = tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
         return start, reference, presses
@@ -161,6 +170,11 @@ def report_lines(fit: "LightCalibration") -> list[str]:
             f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
         )
         lines += [f"  {what:32s} {_scores(fit.held_out, kind)}" for kind, what in HELD_OUT.items()]
+    if len(fit.levels):
+        low, high = fit.levels.min(), fit.levels.max()
+        lines.append(f"brightness far from the contacts {low:.2f}…{high:.2f} of the reference's, taken out")
+    if fit.has_dots:
+        lines.append("dots are left out of the fit and of these figures; predictions move them with the gel")
     leds = zip(fit.sensor.illumination.leds, fit.led_azimuths_deg, fit.led_elevations_deg, strict=True)
     for led, azimuth, elevation in leds:
         lines.append(
@@ -173,6 +187,30 @@ def report_lines(fit: "LightCalibration") -> list[str]:
     depths = fit.poses_mm[:, 2]
     lines.append(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
     return lines
+
+
+def warnings_of(fit: "LightCalibration") -> list[str]:
+    """Return what to think of before such a fit is used."""
+    from gelgap.render.calibration.calibrator import DOUBTFUL_RMS
+
+    warnings = []
+    if fit.rms_code_values > DOUBTFUL_RMS:
+        warnings.append(
+            f"a residual of {fit.rms_code_values:.2f} code values is not a good fit (above {DOUBTFUL_RMS:g}): check "
+            "the spheres' diameters, the scale and, among few presses, the picture of each, since one can spoil the fit"
+        )
+    levels = [
+        [median(getattr(press, kind)[region] for press in fit.held_out) for kind in ("marked", "table")]
+        for region in (0, 1)
+        if fit.held_out
+    ]
+    for where, (fitted, table) in zip(("inside", "around"), levels, strict=False):
+        if table > fitted + DOUBTFUL_DB:
+            warnings.append(
+                f"{where} the contact a plain table of the same presses predicts {table - fitted:.1f} dB better: the "
+                "pictures hold more than the fit explains; check the spheres' diameters, the scale and the marks"
+            )
+    return warnings
 
 
 def _with_error(value: float, error: float) -> str:

@@ -1,5 +1,6 @@
 from .calibration_presses import CALIBRATION_GEL as CALIBRATION_GEL
 from .calibration_presses import PressSet as PressSet
+from .calibration_presses import lit_from_dents as lit_from_dents
 from .calibration_presses import sphere_profiles as sphere_profiles
 from .calibration_presses import taxim_presses as taxim_presses
 from .domain import Domain as Domain

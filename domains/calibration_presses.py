@@ -7,7 +7,6 @@ and touch_radius (n,), marked by hand. Their channels are blue, green, red: the 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from math import atan, degrees
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +22,12 @@ from gelgap.render import (
     PressProfiles,
     Sensor,
     SolvedPress,
+    find_contact_mm,
     light_azimuths,
 )
 from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 
+_COLOURS = ("red", "green", "blue")
 NAMES = ("gelsight", "gelsight_mini")
 MM_PER_PX = 0.0295
 BALL_DIAMETER_MM = 4.0
@@ -36,8 +37,6 @@ ROUGH_MARKS_OFF_PX = 20.0
 # Their pictures are blurred: by how much was chosen by presses held out among the even ones.
 ROUGH_POINT_SPREAD_PX = 1.7
 INSTALL = "pip install --no-deps taxim==1.4.1"
-_DISTANCE_MM = 25.0
-_COLOURS = ("red", "green", "blue")
 
 # Depths that are solved, in radii of the sphere.
 DEPTHS_IN_RADII = (0.075, 0.15, 0.225, 0.3, 0.375, 0.45, 0.525, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
@@ -124,28 +123,57 @@ def start_sensor(width_px: int, azimuths: Sequence[float], mm_per_px: float = MM
 
     `azimuths` (3,) are where red, green and blue come from, in radians from +x towards +y.
     """
-    fov_deg = 2 * degrees(atan(width_px * mm_per_px / 2 / _DISTANCE_MM))
-    camera = Camera(position_mm=(0.0, 0.0, -_DISTANCE_MM), horizontal_field_of_view_deg=fov_deg)
-    leds = []
+    view_mm = width_px * mm_per_px
+    return Sensor(
+        name="taxim",
+        camera=Camera.showing(view_mm),
+        coating=Coating(),
+        markers=Markers(layout="none"),
+        illumination=Illumination(leds=bars_at(azimuths, view_mm)),
+    )
+
+
+def lit_from_dents(sensor: Sensor, reference: np.ndarray, presses: Sequence[PressPicture]) -> Sensor:
+    """Return a sensor with a bar for each colour, out of the view, in the direction that dents are lit from.
+
+    Raises
+    ------
+    ValueError
+        If a press without a place hardly differs from the reference.
+    """
+    camera = sensor.camera
+    size_px = reference.shape[1], reference.shape[0]
+    mm_per_px = camera.footprint_mm(size_px)[0] / size_px[0]
+    centers, radii = [], []
+    for press in presses:
+        x, y = press.point_mm or (0.0, 0.0)
+        if press.point_mm is None and press.center_px is None:
+            x, y = find_contact_mm(press.picture, reference, camera)
+        centers.append(press.center_px or camera.project_px(np.array([x, y, 0.0]), size_px) - 0.5)
+        contact_mm = np.sqrt((press.depth_mm or 0.0) * (press.sphere_diameter_mm or 0.0))
+        radii.append(press.radius_px or contact_mm / mm_per_px)
+    pictures = [press.picture for press in presses]
+    azimuths = light_azimuths(reference, pictures, np.array(centers), np.array(radii))
+    light = Illumination(leds=bars_at(azimuths, camera.footprint_mm(size_px)[0]))
+    return sensor.model_copy(update={"illumination": light})
+
+
+def bars_at(azimuths: Sequence[float], view_mm: float) -> tuple[Led, ...]:
+    """Return bars that send red, green and blue from azimuths (3,) in radians, from outside a view of some width."""
+    leds, unit = [], view_mm / 18.88
     for name, azimuth in zip(_COLOURS, azimuths, strict=True):
         x, y = np.cos(azimuth), np.sin(azimuth)
         leds.append(
             Led(
                 name=name,
-                position_mm=(14 * x, 14 * y, -4.0),
+                position_mm=(14 * unit * x, 14 * unit * y, -4.0 * unit),
                 facing=(-x, -y, 0.0),
-                length_mm=14.0,
-                height_mm=2.5,
+                length_mm=14.0 * unit,
+                height_mm=2.5 * unit,
                 spectrum={"rgb": tuple(float(name == own) for own in _COLOURS)},
             )
         )
-    return Sensor(
-        name="taxim",
-        camera=camera,
-        coating=Coating(),
-        markers=Markers(layout="none"),
-        illumination=Illumination(leds=tuple(leds)),
-    )
+    return tuple(leds)
 
 
 def sphere_profiles(

@@ -1,7 +1,6 @@
 from .calibration.calibrator import HeldOut as HeldOut
 from .calibration.calibrator import LightCalibration as LightCalibration
 from .calibration.calibrator import SphereSize as SphereSize
-from .calibration.calibrator import calibrate as calibrate
 from .calibration.calibrator import calibrate_light as calibrate_light
 from .calibration.calibrator import save_calibration as save_calibration
 from .calibration.pictures import PressPicture as PressPicture

@@ -65,6 +65,12 @@ class Camera(Settings):
         width_mm = -2 * self.position_mm[2] * tan(radians(0.5 * self.horizontal_field_of_view_deg))
         return width_mm, width_mm * size_px[1] / size_px[0]
 
+    @classmethod
+    def showing(cls, width_mm: float, distance_mm: float = 25.0) -> "Camera":
+        """Return the camera that shows some width of the undeformed membrane."""
+        fov_deg = 2 * degrees(atan(width_mm / 2 / distance_mm))
+        return cls(position_mm=(0.0, 0.0, -distance_mm), horizontal_field_of_view_deg=fov_deg)
+
     def farthest_mm(self, size_px: tuple[int, int]) -> float:
         """Return the distance from which the view is nearly parallel: 500 mm, or where a small view fills 1.2°."""
         return min(FARTHEST_MM, self.footprint_mm(size_px)[0] / 2 / tan(radians(0.6)))

@@ -1,8 +1,10 @@
 """The flat field: what a real reference picture shows and no model of light does (seams, scratches, dust, vignetting).
 
-The picture is multiplied by `ratio`, the real reference over the rendered one. A press changes real pictures far away
-from itself too: `loaded` is the ratio of pressed to untouched light there, and `gain` how the whole picture's level
-depends on where the gel is pressed. Both grow with the volume of the dent, so that the reference stays what it is.
+A picture becomes `ratio` × rendered + `offset`: the first is what the gain of the camera does, the second light that
+the model lacks; together they make the rendered reference the real one. A press changes real pictures far away from
+itself too: `loaded` is the ratio of pressed to untouched light there, and `gain` how the whole picture's level depends
+on where the gel is pressed. Both grow with the volume of the dent, so that the reference stays what it is. `dots` is
+what dots of the gel leave of the light, where they are in the reference; they move with the gel.
 """
 
 import hashlib
@@ -17,11 +19,12 @@ from pydantic import Field, field_serializer, model_validator
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import write_whole
+from gelgap.render.camera import Camera
 from gelgap.render.light.scattered import PLACES, places
 from gelgap.render.surface import Surface
 
-RATIO_BOUNDS = (0.0, 8.0)
 LOADED_BOUNDS = (0.25, 4.0)
+BOUNDS = {"ratio": (0.0, 8.0), "loaded": LOADED_BOUNDS, "offset": (-8.0, 8.0), "dots": (0.0, 2.0)}
 SIDES_PX = (8, 4096)
 LARGEST_FILE_BYTES = 256 << 20
 # A dent larger than the calibration's counts as this many times its volume at most.
@@ -81,10 +84,12 @@ class FlatField(Settings):
 
 @dataclass(frozen=True)
 class FlatFieldMaps:
-    """The maps of a flat field, float32 (h, w, 3); `loaded` may be missing."""
+    """The maps of a flat field, float32 (h, w, 3); all but `ratio` may be missing."""
 
     ratio: np.ndarray
     loaded: np.ndarray | None = None
+    offset: np.ndarray | None = None
+    dots: np.ndarray | None = None
 
     def resized(self, size_px: tuple[int, int]) -> "FlatFieldMaps":
         """Return the maps for another size of picture.
@@ -105,8 +110,11 @@ class FlatFieldMaps:
                 "has other proportions"
             )
         way = cv2.INTER_AREA if size_px[0] < width else cv2.INTER_LINEAR
-        loaded = None if self.loaded is None else cv2.resize(self.loaded, size_px, interpolation=way)
-        return FlatFieldMaps(cv2.resize(self.ratio, size_px, interpolation=way), loaded)
+        resized = {
+            name: part if part is None else cv2.resize(part, size_px, interpolation=way)
+            for name, part in vars(self).items()
+        }
+        return FlatFieldMaps(**resized)
 
 
 def load_maps(flat_field: FlatField) -> FlatFieldMaps:
@@ -137,13 +145,14 @@ def load_maps(flat_field: FlatField) -> FlatFieldMaps:
         maps = read_arrays(data)
     except ValueError as error:
         raise ValueError(f"flat field {path} cannot be read: {error}") from None
-    if "ratio" not in maps or maps.keys() - {"ratio", "loaded"}:
+    if "ratio" not in maps or maps.keys() - BOUNDS.keys():
         raise ValueError(
-            f"flat field {path} holds {', '.join(sorted(maps)) or 'nothing'}; it has ratio, perhaps loaded"
+            f"flat field {path} holds {', '.join(sorted(maps)) or 'nothing'}; it has ratio, perhaps "
+            "loaded, offset and dots"
         )
     for name, values in maps.items():
         shape, (least, most) = values.shape, SIDES_PX
-        low, high = RATIO_BOUNDS if name == "ratio" else LOADED_BOUNDS
+        low, high = BOUNDS[name]
         if len(shape) != 3 or shape[2] != 3 or not all(least <= side <= most for side in shape[:2]):
             wrong = f"has shape {shape}; (h, w, 3) with sides of {least}…{most} is allowed"
         elif values.dtype not in (np.float16, np.float32):
@@ -159,12 +168,27 @@ def load_maps(flat_field: FlatField) -> FlatFieldMaps:
 
 
 def save_maps(maps: FlatFieldMaps, path: Path) -> str:
-    """Write the maps in half precision, which is finer than a picture's 8 bits; return the file's SHA-256."""
-    parts = {name: part.astype(np.float16) for name, part in vars(maps).items() if part is not None}
+    """Write the maps; return the file's SHA-256.
+
+    Factors are in half precision, which is finer than a picture's 8 bits; the offset is a small difference.
+    """
+    parts = {
+        name: part if name == "offset" else part.astype(np.float16)
+        for name, part in vars(maps).items()
+        if part is not None
+    }
     buffer = BytesIO()
     np.savez_compressed(buffer, **parts)
     write_whole(path, buffer.getvalue())
     return hashlib.sha256(buffer.getvalue()).hexdigest()
+
+
+def map_dots(dots: np.ndarray, at_px: np.ndarray) -> np.ndarray:
+    """Return (rows, columns, 3): dots (h, w, 3) where the points seen are in the reference, (rows, columns, 2)."""
+    import cv2
+
+    x, y = np.moveaxis(at_px.astype(np.float32), 2, 0)
+    return cv2.remap(dots, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 @numba.njit(cache=True)
@@ -187,16 +211,22 @@ def _dent(positions, changed):
 class FlatFieldFilter:
     """A flat field prepared for one size of picture."""
 
-    def __init__(self, flat_field: FlatField, size_px: tuple[int, int]) -> None:
+    def __init__(self, flat_field: FlatField, camera: Camera, size_px: tuple[int, int]) -> None:
         self._settings = flat_field
         maps = load_maps(flat_field).resized(size_px)
         self._ratio = np.ascontiguousarray(maps.ratio)
         loaded = np.ones_like(maps.ratio) if maps.loaded is None else maps.loaded
         self._excess = np.ascontiguousarray(maps.ratio * (loaded - 1))
+        offset = np.zeros_like(maps.ratio) if maps.offset is None else maps.offset
+        self._offset, self._offset_excess = np.ascontiguousarray(offset), offset * (loaded - 1)
         self._has_loaded = maps.loaded is not None
+        self._dots, self._camera, self._size_px = maps.dots, camera, size_px
 
-    def apply(self, linear: np.ndarray, surface: Surface) -> None:
-        """Multiply a (h, w, 3) float32 picture by the flat field under the surface's dent, in place."""
+    def apply(self, linear: np.ndarray, surface: Surface, dotted: np.ndarray | None) -> None:
+        """Make a (h, w, 3) float32 picture the real sensor's under the surface's dent, in place.
+
+        `dotted` (h, w, 2) are the rest coordinates of the gel in each pixel; None: it shall have no dots.
+        """
         volume, x_mm, y_mm = _dent(surface.positions_mm, surface.changed)
         volume_mm3 = volume * float(surface.grid.spacing_mm) ** 2
         volume = min(volume_mm3 / self._settings.volume_mm3, LARGEST_VOLUME)
@@ -204,14 +234,23 @@ class FlatFieldFilter:
         levels = [1 + volume * (terms @ np.array(row) if row else 0.0) for row in self._settings.gain]
         gain = np.clip(levels, 0.25, 4.0).astype(np.float32)
         share = np.float32(min(volume, 1.0) if self._has_loaded else 0.0)
-        _multiply(linear, self._ratio, self._excess, share, gain)
+        maps = self._ratio, self._excess, self._offset, self._offset_excess
+        _multiply(linear, *maps, share, gain)
+        if self._dots is not None and dotted is not None:
+            rest = np.pad(dotted, ((0, 0), (0, 0), (0, 1)))
+            linear *= map_dots(self._dots, self._camera.project_px(rest, self._size_px) - 0.5)
 
 
 @numba.njit(cache=True, fastmath=True)
-def _multiply(linear, ratio, excess, share, gain):
+def _multiply(linear, ratio, excess, offset, offset_excess, share, gain):
     height, width, _ = linear.shape
     for j in range(height):
         for i in range(width):
             for channel in range(3):
                 factor = ratio[j, i, channel] + share * excess[j, i, channel]
-                linear[j, i, channel] *= factor * gain[channel]
+                light = (
+                    linear[j, i, channel] * factor
+                    + offset[j, i, channel]
+                    + share * offset_excess[j, i, channel]
+                )
+                linear[j, i, channel] = max(light, np.float32(0)) * gain[channel]

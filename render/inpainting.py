@@ -3,7 +3,9 @@
 import numpy as np
 
 
-def detect_markers(picture: np.ndarray, largest_diameter_px: float | None = None) -> np.ndarray:
+def detect_markers(
+    picture: np.ndarray, largest_diameter_px: float | None = None, least_contrast: float = 0.25
+) -> np.ndarray:
     """Return the bool (h, w) mask of dark dots in a uint8 (h, w, 3) sRGB picture.
 
     A dot is darker than its surroundings in every channel, which shading under coloured light never is: a black
@@ -14,6 +16,8 @@ def detect_markers(picture: np.ndarray, largest_diameter_px: float | None = None
     ----------
     largest_diameter_px
         Dots are no larger than this; by default 8 % of the picture's width.
+    least_contrast
+        By this share of their surroundings' code value dots are darker at least; shading and noise are not.
 
     Raises
     ------
@@ -32,8 +36,8 @@ def detect_markers(picture: np.ndarray, largest_diameter_px: float | None = None
     around = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, kernel)
     depth = around - brightest
     otsu, _ = cv2.threshold(depth, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    threshold = np.maximum(otsu, _SMALLEST_CONTRAST * around)
-    if otsu < _SMALLEST_CONTRAST * np.median(around):
+    threshold = np.maximum(otsu, least_contrast * around)
+    if otsu < least_contrast * np.median(around):
         return np.zeros(brightest.shape, bool)
     # The rim of a dot is half covered: cut at half of Otsu's level, and only where a core was found.
     core = (depth > threshold).astype(np.uint8)
@@ -43,10 +47,6 @@ def detect_markers(picture: np.ndarray, largest_diameter_px: float | None = None
     return cv2.dilate(rim & near_core, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (grow, grow))).astype(
         bool
     )
-
-
-# A dot's core is darker than its surroundings by this share of their code value; shading and noise are not.
-_SMALLEST_CONTRAST = 0.25
 
 
 def inpaint_telea(picture: np.ndarray, mask: np.ndarray, radius_px: float = 3.0) -> np.ndarray:

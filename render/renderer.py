@@ -81,7 +81,7 @@ class MembraneRenderer:
         self._marker_ratio = ratio.astype(np.float32)
         vignetted, field = sensor.camera.vignetting > 0, sensor.flat_field
         self._gain = imaging.vignetting_gain(sensor.camera, self.size_px) if vignetted else None
-        self._flat_field = None if field is None else FlatFieldFilter(field, self.size_px)
+        self._flat_field = None if field is None else FlatFieldFilter(field, sensor.camera, self.size_px)
         self._set_colours(illumination, linear_by_led_to_camera)
         self._set_scattered(illumination)
         self._set_leds(illumination)
@@ -181,7 +181,7 @@ class MembraneRenderer:
         if self.sensor.camera.point_spread_px > 0:
             linear = imaging.point_spread(linear, self.sensor.camera)
         if self._flat_field is not None:
-            self._flat_field.apply(linear, surface)
+            self._flat_field.apply(linear, surface, geometry if markers else None)
         return linear
 
     def _encoded(self, linear: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:

@@ -18,16 +18,13 @@ import numpy as np
 
 from gelgap.domains import PressSet
 from gelgap.render import PressPicture
-from gelgap.render.light.scattered import monomials
+from gelgap.render.calibration.pictures import PlainTable
 
 Draw = Callable[[int], Callable[[], np.ndarray]]
 """Gives by a press's index what draws its predicted uint8 picture; the drawing alone is a frame's time."""
 Fitted = tuple[Draw, float | None]
 """How a model predicts presses, and the processor time of its fit in s (None: it has none)."""
 INSTALL = 'pip install "taxim[jax-cpu]==1.4.1"'
-REACH = 4.0  # contact radii
-RADII, DIRECTIONS = 80, 72
-RIDGE = 0.003
 BINS = 125
 KEPT_SHARE, BLUR_PX = 0.85, 50.0  # Taxim's background: this much of the reference, the rest of it blurred
 
@@ -38,47 +35,13 @@ def unchanged(found: PressSet, fitted: Sequence[int]) -> Fitted:
 
 
 def plain_table(found: PressSet, degree: int, fitted: Sequence[int]) -> Fitted:
-    """Predict by the mean change in code values by distance and direction from the press: a table without physics.
-
-    Inside the contact this place is the ball's normal, so it is the table of gradients that GelSights are calibrated
-    with; outside it holds what this ball's dent looks like. With `degree` 2 each entry is a quadratic of the press's
-    place. Of a predicted press the marked centre is used.
-    """
+    """Predict by a `PlainTable` of the fitted presses; of a predicted press the marked centre is used."""
     started = time.process_time()
-    reference, presses = found.reference.astype(float), [found.presses[k] for k in fitted]
-    height, width, _ = reference.shape
-    rows, columns = np.indices((height, width))
-    reach_px = REACH * float(np.median([press.radius_px for press in presses]))
-
-    def entry_of_pixels(press: PressPicture) -> np.ndarray:
-        x, y = columns - press.center_px[0], rows - press.center_px[1]
-        ring = (np.hypot(x, y) / reach_px * RADII).astype(int)
-        turn = ((np.arctan2(y, x) / (2 * np.pi) % 1) * DIRECTIONS).astype(int) % DIRECTIONS
-        return np.where(ring < RADII, ring * DIRECTIONS + turn, RADII * DIRECTIONS)  # the last: beyond reach
-
-    def terms_of(press: PressPicture) -> np.ndarray:
-        x, y = press.center_px
-        return np.array(monomials(2 * x / width - 1, 2 * y / height - 1, degree))
-
-    normal, right = 0.0, 0.0
-    for press in presses:
-        bins, terms = entry_of_pixels(press).ravel(), terms_of(press)
-        change = (press.picture - reference).reshape(-1, 3).T
-        count, *sums = (
-            np.bincount(bins, weights, RADII * DIRECTIONS + 1)[:-1] for weights in (None, *change)
-        )
-        mean = np.column_stack(sums) / np.maximum(count, 1)[:, None]
-        normal = normal + (count > 0)[:, None, None] * np.outer(terms, terms)
-        right = right + terms[:, None] * mean[:, None]
-    penalty = len(presses) * np.diag([1e-6] + [RIDGE] * (len(terms) - 1))
-    coefficients = np.linalg.solve(normal + penalty, right)
+    presses = [found.presses[k] for k in fitted]
+    marks = np.array([press.center_px for press in presses]), np.array([press.radius_px for press in presses])
+    table = PlainTable.of(found.reference, [press.picture for press in presses], *marks, degree)
     fit_s = time.process_time() - started
-
-    def picture(press: PressPicture) -> np.ndarray:
-        change = np.vstack([np.einsum("t,btc->bc", terms_of(press), coefficients), np.zeros(3)])
-        return np.clip(np.round(reference + change[entry_of_pixels(press)]), 0, 255).astype(np.uint8)
-
-    return lambda press: partial(picture, found.presses[press]), fit_s
+    return lambda press: partial(table.picture, found.presses[press].center_px), fit_s
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,6 @@ from gelgap.render import (
 from gelgap.render.calibration.calibrator import (
     FEWEST_FOR_ORDER_3,
     LightTask,
-    corrected_poses,
 )
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.poses import place_presses
@@ -135,6 +134,19 @@ class FittedLight:
         pose = self.pose_mm(way, press)
         membrane = self.placed.profiles[press].membrane(pose[:2], pose[2], EXTENT_MM)
         return partial(self.renderer.picture, *membrane, markers=False)
+
+
+def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
+    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
+
+    Marked radii are so uncertain that most of their spread is not the depths'.
+    """
+    own = marked_mm[fitted]
+    poses = marked_mm + (refined_mm - own).mean(axis=0)
+    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
+    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
+    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
+    return poses
 
 
 def light_models(

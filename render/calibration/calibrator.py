@@ -4,7 +4,6 @@ Presses that the fit has not seen say how good it is: it is done again without a
 What the membrane looks like around a sphere is given, so that nothing here solves anything.
 """
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,12 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.render.calibration.fit import LightFit
-from gelgap.render.calibration.light import Bars, Light, bounded_flat
-from gelgap.render.calibration.pictures import PressPicture, check_presses
-from gelgap.render.calibration.poses import MARGIN_MM, SCORED_RADII, PlacedPresses, place_presses
-from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
-from gelgap.render.flat_field import LOADED_BOUNDS, RATIO_BOUNDS, FlatField, FlatFieldMaps, save_maps
-from gelgap.render.imaging import srgb_decode
+from gelgap.render.calibration.light import Bars, Light, gain_of
+from gelgap.render.calibration.pictures import PlainTable, PressPicture, check_presses
+from gelgap.render.calibration.poses import MARGIN_MM, MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
+from gelgap.render.calibration.profiles import PressProfiles
+from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import LARGEST, Scattered
 from gelgap.render.renderer import MembraneRenderer
@@ -26,6 +24,8 @@ from gelgap.render.sensor import Sensor, save_sensor
 Membranes = Callable[[set[float], float | None], Mapping[float, PressProfiles]]
 FEWEST_PRESSES = 6
 FEWEST_FOR_ORDER_3 = 12
+# Code values; a fit from a right start leaves 1 to 3, camera noise included; one from a wrong start ten times as much.
+DOUBTFUL_RMS = 5.0
 NEAREST_CAMERA_MM = 15.0
 # In a fit of at least this many presses, a single one hardly bends it.
 _MANY_PRESSES = 20
@@ -41,16 +41,17 @@ _SMALLEST_DIAMETER_MM, _LARGEST_DIAMETER_MM = 0.5, 50.0
 class HeldOut:
     """How a press that the fit had not seen was predicted, PSNR in dB: inside its contact, and from one to two radii.
 
-    `marked` takes the press where it was marked or found; `corrected` moves it as the fitted presses were moved, and
-    uses nothing of its picture either; `refined` moves its centre and depth in its own picture.
+    `marked` takes the press where it was marked or found, and uses nothing of its picture but its level far from the
+    contact; `refined` moves its centre and depth in its own picture. `unchanged` is the reference, `table` a plain
+    table of the presses that were fitted.
     """
 
     name: str
     unchanged: tuple[float, float]
+    table: tuple[float, float]
     marked: tuple[float, float]
-    corrected: tuple[float, float]
     refined: tuple[float, float]
-    picture: np.ndarray  # uint8 (h, w, 3), predicted, refined
+    picture: np.ndarray  # uint8 (h, w, 3), predicted as marked
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,10 @@ class LightCalibration:
     names: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     held_out: tuple[HeldOut, ...] = ()
-    # (leds, 2): value, standard error (NaN without held-out fits)
+    # (presses, 3): brightness far from the contacts over the reference's, which the fit takes out
+    levels: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    has_dots: bool = False
+    # (leds, 2): value, standard error
     led_azimuths_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     led_elevations_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     sphere_size: SphereSize | None = None  # of an unknown sphere
@@ -106,7 +110,7 @@ def calibrate_light(
     ----------
     sensor
         The start: what the camera sees, coat, and LEDs in the right directions (within 30°); the camera's distance and
-        the LEDs' places, sizes and colours are fitted.
+        the LEDs' places, sizes and colours are fitted. `gelgap.domains.lit_from_dents` finds directions.
     reference
         uint8 (h, w, 3) without contact.
     presses
@@ -129,9 +133,13 @@ def calibrate_light(
     ------
     ValueError
         If the sensor has no LEDs of its own, presses are too few, sizes differ, no contact is found, a sphere cannot
-        reach its marked radius, or the fit predicts held-out presses worse than the unchanged reference does.
+        reach its marked radius, or held-out presses are predicted, as marked, worse than by the unchanged reference,
+        inside or around the contact.
     """
-    _check_start(sensor)
+    if sensor.illumination is None:
+        raise ValueError(
+            f"sensor {sensor.name!r} has no LEDs of its own; `gelgap.domains.lit_from_dents` finds some"
+        )
     if len(presses) < FEWEST_PRESSES:
         raise ValueError(
             f"{len(presses)} presses are too few to fit a sensor's light: it takes {FEWEST_PRESSES}, better 24, spread "
@@ -171,28 +179,23 @@ def calibrate_light(
     for fold in range(folds):
         other = task.fit(np.delete(used, np.s_[fold::folds]))
         without.append(other)
-        seen = placed.seen_from(other.distance_mm)
-        held_out += [_predicted(other, seen, int(press)) for press in used[fold::folds]]
+        seen, table = placed.seen_from(other.distance_mm), placed.table(other.which, degree)
+        held_out += [_predicted(other, seen, int(press), table) for press in used[fold::folds]]
     if held_out:
-        better, least = (
-            np.median([getattr(p, kind) for p in held_out], axis=0) for kind in ("refined", "unchanged")
-        )
-        if better.sum() <= least.sum():
-            raise ValueError(
-                "the fit predicts presses that it has not seen worse than the unchanged reference picture does (inside "
-                f"the contact {better[0]:.1f} against {least[0]:.1f} dB, around it {better[1]:.1f} against "
-                f"{least[1]:.1f} dB); check the LEDs' directions, the spheres' diameters and the camera's field of view"
-            )
+        _check_prediction(held_out)
     angles = led_angles(fit.light.bars)
     off = np.array([led_angles(other.light.bars) for other in without]).reshape(-1, *angles.shape) - angles
     off[:, 0] = (off[:, 0] + 180) % 360 - 180
-    azimuths, elevations = np.stack([angles, _jackknife_error(off)], axis=-1)
+    spread = np.fmax(_jackknife_error(off), _angle_errors(fit))
+    azimuths, elevations = np.stack([angles, spread], axis=-1)
     nearness_error = _jackknife_error(np.array([1 / other.distance_mm for other in without]))
     return LightCalibration(
         **task.result(fit),
         names=tuple(placed.names[k] for k in used),
         left_out=tuple(placed.names[k] for k in outliers),
         held_out=tuple(held_out),
+        levels=placed.levels[used],
+        has_dots=placed.has_dots,
         led_azimuths_deg=azimuths,
         led_elevations_deg=elevations,
         sphere_size=size,
@@ -200,11 +203,33 @@ def calibrate_light(
     )
 
 
-def _check_start(sensor: Sensor) -> None:
-    if sensor.illumination is None:
-        raise ValueError(
-            f"sensor {sensor.name!r} has no LEDs of its own to start from; give it an [illumination]"
+def _check_prediction(held_out: Sequence[HeldOut]) -> None:
+    """Refuse a fit that is worse than the unchanged reference in a region; the plain table says what is wrong."""
+    marked, unchanged, table = (
+        np.median([getattr(press, kind) for press in held_out], axis=0)
+        for kind in ("marked", "unchanged", "table")
+    )
+    for where, fitted, least, plain in zip(("inside", "around"), marked, unchanged, table, strict=True):
+        if fitted > least:
+            continue
+        advice = (
+            "a plain table of the same presses predicts them, so that pictures and marks belong together: check the "
+            "spheres' diameters, the scale (mm per px or the camera's field of view) and depths or radii"
+            if plain > least
+            else "nor does a plain table of the same presses: check that the reference, the pictures and their marks "
+            "belong together, and that the presses are alike where they are near each other"
         )
+        raise ValueError(
+            f"{where} the contact the fit predicts presses that it has not seen worse than the unchanged reference "
+            f"picture does ({fitted:.1f} against {least:.1f} dB); {advice} ({plain:.1f} dB)"
+        )
+
+
+def _angle_errors(fit: LightFit) -> np.ndarray:
+    """Return (2, leds): what the residuals leave of azimuth and elevation uncertain, in degrees."""
+    azimuth, distance, height, *_ = fit.bar_errors()
+    elevation = np.radians(led_angles(fit.light.bars)[1])
+    return np.degrees([azimuth, np.sin(2 * elevation) / 2 * np.hypot(distance, height)])
 
 
 def led_angles(bars: Bars) -> np.ndarray:
@@ -257,7 +282,10 @@ class LightTask:
         at_mm = placed.poses_mm[which, :2]
         far = placed.far_field(which) if self.far else placed.untouched
         (x0, y0), (x1, y1) = at_mm.min(0) - MARGIN_MM, at_mm.max(0) + MARGIN_MM
-        bars = Bars.of(self.sensor.illumination.leds, 1.05 * placed.half_view_mm)
+        nearest_mm = (
+            1.05 * max(camera.footprint_mm(placed.size_px)) / 2
+        )  # outside of the view, upright ones too
+        bars = Bars.of(self.sensor.illumination.leds, nearest_mm)
         where = placed.scale_mm, (x0, x1, y0, y1)
         light = Light(self.order, self.degree, self.shadows, *where, bars, theta=np.zeros((0, 3)))
         # The camera may look from as near as it was given, or nearer than most, to nearly parallel.
@@ -293,18 +321,18 @@ class LightTask:
     def result(self, fit: LightFit) -> dict[str, object]:
         """Return what a `LightCalibration` holds of a fit alone.
 
-        The flat field is what the real reference is, in units of the rendered one.
+        The flat field makes the rendered reference the real one.
         """
         sensor, far = self.lit_sensor(fit), fit.field
-        renderer = MembraneRenderer(sensor, sensor.illumination, self.placed.size_px)
-        real = srgb_decode(self.placed.clean_reference / 255)
-        ratio = np.clip(real / bounded_flat(renderer.reference_linear(markers=False), real), *RATIO_BOUNDS)
+        rendered = MembraneRenderer(sensor, sensor.illumination, self.placed.size_px).reference_linear(False)
+        ratio = gain_of(far.reference, rendered).astype(np.float16).astype(np.float32)  # as it will be read
+        offset = (far.reference - ratio * rendered).astype(np.float32)
         loaded = None if far.loaded is None else np.clip(far.loaded, *LOADED_BOUNDS).astype(np.float32)
         profiles = [self.placed.profiles[k] for k in fit.which]
         volumes = [own.volume_mm3(pose[2]) for own, pose in zip(profiles, fit.presses, strict=True)]
         return {
             "sensor": sensor,
-            "maps": FlatFieldMaps(ratio.astype(np.float32), loaded),
+            "maps": FlatFieldMaps(ratio, loaded, offset, self.placed.dots),
             "gain": tuple(map(tuple, far.gain.T.tolist())),
             "volume_mm3": float(np.median(volumes)),
             "poses_mm": fit.presses,
@@ -312,29 +340,19 @@ class LightTask:
         }
 
 
-def _predicted(fit: LightFit, seen: PlacedPresses, press: int) -> HeldOut:
+def _predicted(fit: LightFit, seen: PlacedPresses, press: int, table: PlainTable) -> HeldOut:
     """Predict a press that the fit has not seen, `seen` by the camera where the fit has put it."""
-    scored_mm = SCORED_RADII * seen.radii_px[press] * 2 * seen.half_view_mm / seen.size_px[0]
-    unseen = [
-        seen.picture_of(fit.light, fit.field, press, poses_mm[press], scored_mm + MARGIN_MM)
-        for poses_mm in (seen.poses_mm, corrected_poses(seen.poses_mm, fit.which, fit.presses))
-    ]
-    refined = seen.picture_of(fit.light, fit.field, press, fit.refined(seen, press).presses[0])
-    scores = [seen.scores(press, picture) for picture in (seen.reference, *unseen, refined)]
-    return HeldOut(seen.names[press], *scores, picture=refined)
-
-
-def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.ndarray) -> np.ndarray:
-    """Return marked poses (n, 3) moved as those of the fitted presses were: centres on average, depths by regression.
-
-    Marked radii are so uncertain that most of their spread is not the depths'.
-    """
-    own = marked_mm[fitted]
-    poses = marked_mm + (refined_mm - own).mean(axis=0)
-    marked, refined = own[:, 2] - own[:, 2].mean(), refined_mm[:, 2] - refined_mm[:, 2].mean()
-    slope = np.clip(marked @ refined / max(marked @ marked, 1e-9), 0, 1)
-    poses[:, 2] = refined_mm[:, 2].mean() + slope * (marked_mm[:, 2] - own[:, 2].mean())
-    return poses
+    scored_mm = SCORED_RADII * seen.radii_px[press] * 2 * seen.half_view_mm / seen.size_px[0] + MARGIN_MM
+    marked, refined = (
+        seen.picture_of(fit.light, fit.field, press, pose_mm, reach_mm)
+        for pose_mm, reach_mm in (
+            (seen.poses_mm[press], max(MODELLED_MM, scored_mm)),
+            (fit.refined(seen, press).presses[0], scored_mm),
+        )
+    )
+    plain = seen.at_level(press, table.picture(seen.centers_px[press]))
+    scores = [seen.scores(press, picture) for picture in (seen.reference, plain, marked, refined)]
+    return HeldOut(seen.names[press], *scores, picture=marked)
 
 
 def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:
@@ -404,7 +422,7 @@ def fit_sphere_size(
     Raises
     ------
     ValueError
-        If the best size lies at an end of those tried: the pictures do not hold it.
+        If the best size lies at an end of those tried or explains the pictures badly: they do not hold it.
     """
     sizes = 2 * mark_radius_mm * RADII_IN_MARKS
     sizes = sizes[(sizes >= _SMALLEST_DIAMETER_MM) & (sizes <= _LARGEST_DIAMETER_MM)].tolist()
@@ -434,58 +452,14 @@ def fit_sphere_size(
             f"{sizes[at]:.2f} mm explains them best; give sphere_diameter_mm"
         )
     best = min((sizes[at] / _BETWEEN, sizes[at], sizes[at] * _BETWEEN), key=error)
+    if (left := error(best) ** 0.5) > DOUBTFUL_RMS:
+        raise ValueError(
+            f"the pictures do not hold the sphere's size: the best, {best:.2f} mm, leaves {left:.0f} code values rms, "
+            f"more than {DOUBTFUL_RMS:g}; give sphere_diameter_mm"
+        )
     tried = np.array(sorted(errors))
     worse = np.array([errors[d] - errors[best] for d in tried])
     like = np.flatnonzero(worse.mean(axis=1) <= 2 * worse.std(axis=1) / np.sqrt(worse.shape[1]))
     interval = tried[max(like.min() - 1, 0)], tried[min(like.max() + 1, len(tried) - 1)]
     rms = np.sqrt([errors[d].mean() for d in tried])
     return SphereSize(tried, rms, best, tuple(map(float, interval)))
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """What `calibrate` found."""
-
-    sensor: Sensor
-    rms_code_values: float
-    press_points_mm: tuple[tuple[float, float], ...]
-
-
-def calibrate(
-    sensor: Sensor, reference: np.ndarray, presses: Sequence[PressPicture], fit_gloss: bool = False
-) -> Calibration:
-    """Fit LEDs alone, as matt bars, to the inside of contacts of known spheres and depths.
-
-    Deprecated, and gone in the next release: `calibrate_light` also fits what LEDs do not explain, and says how well it
-    predicts. `fit_gloss` has no effect.
-
-    Raises
-    ------
-    ValueError
-        If the sensor has no LEDs of its own, there is no press, sizes differ, a depth exceeds the sphere's radius, or
-        no contact is found in a picture.
-    """
-    warnings.warn(
-        "calibrate fits LEDs alone, without gloss, and goes with the next release; use calibrate_light",
-        DeprecationWarning,
-        stacklevel=2,
-    )
-    _check_start(sensor)
-    if not presses or any(press.depth_mm is None or press.sphere_diameter_mm is None for press in presses):
-        raise ValueError("calibrate needs at least one press, and depth_mm and sphere_diameter_mm of each")
-    check_presses(reference, presses)
-    profiles = {press.sphere_diameter_mm: _cap(press.sphere_diameter_mm / 2) for press in presses}
-    placed = place_presses(sensor.camera, reference, presses, profiles)
-    placed = replace(placed, samples_by_ring=(600, 0, 0))
-    task = LightTask(sensor, placed, 0, 0, far=False, shadows=False, keep_camera=True)
-    fit = task.fit(np.arange(len(presses)))
-    points = tuple((float(x), float(y)) for x, y, _ in fit.presses)
-    return Calibration(task.lit_sensor(fit), fit.rms_code_values, points)
-
-
-def _cap(radius_mm: float) -> PressProfiles:
-    """Return the membrane around a sphere as the sphere's cap; what surely touches is 0.8 of a contact's radius."""
-    depths, r = np.linspace(0, 1, 65) * radius_mm, np.arange(0, 2 * radius_mm, STEP_MM)
-    cap = radius_mm - np.sqrt(np.maximum(radius_mm**2 - r**2, 0))
-    touching = np.column_stack([depths, 0.8 * np.sqrt(depths * radius_mm)])
-    return PressProfiles(radius_mm, depths, np.minimum(cap - depths[:, None], 0), touching, touching)

@@ -10,12 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from gelgap.render.calibration.light import Light, SeenPoints, equation_weights, predicted_light
+from gelgap.render.calibration.light import Light, SeenPoints, gain_of, predicted_light
 from gelgap.render.calibration.pictures import DARK, SATURATED, FarField
 from gelgap.render.calibration.poses import PlacedPresses
-from gelgap.render.imaging import srgb_decode, srgb_encode
+from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
 
 RIDGE = 0.3
+# By how much the modelled flat light, of which the gain is made, is drawn to the reference.
+REFERENCE_WEIGHT = 0.1
 PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
 PRIOR_WEIGHT = 30.0
 _MOST_STEP_MM = 0.06
@@ -31,6 +33,11 @@ def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int)
         if (theta[:count] >= 0).all():
             return theta
         free[np.argmin(theta[:count])] = False
+
+
+def _weighted(change: np.ndarray, of_change: np.ndarray, flat: np.ndarray, of_flat: np.ndarray) -> np.ndarray:
+    """Return the rows (2 n, columns) of the least-squares problem."""
+    return np.concatenate([change * of_change[:, None], flat * of_flat[:, None]])
 
 
 class LightFit:
@@ -49,7 +56,7 @@ class LightFit:
         nearness_range: tuple[float, float] | None = None,
     ) -> None:
         self.placed, self.which, self.field, self.light = placed, which, field, light
-        self.index, self.plane_mm, self.code, self.base = placed.samples(which, field)
+        self.index, self.plane_mm, self.code, self.base, self.factor = placed.samples(which, field)
         self.profiles = [placed.seen_profiles[k] for k in which]
         self.sigma_mm = placed.sigma_mm[which]
         self.start_presses = placed.poses_mm[which]
@@ -58,7 +65,7 @@ class LightFit:
         self.camera_mm = np.asarray(camera_mm, float)
         self.nearness_range = nearness_range
         self.linear = srgb_decode(self.code / 255)
-        codes = np.stack([self.code, 255 * srgb_encode(self.base)])
+        codes = np.stack([self.code, 255 * srgb_encode(self.base * self.factor)])
         self.usable = ((codes > DARK) & (codes < SATURATED)).all(axis=0).astype(float)
         self.flat, self.flat_light = SeenPoints.flat(self.plane_mm), self.base.copy()  # the latter modelled
         self.residual = np.zeros_like(self.base)
@@ -104,45 +111,48 @@ class LightFit:
     def _ridge(self) -> np.ndarray:
         return RIDGE * len(self.index) * self.light.penalty() ** 2
 
-    def _weights(self, channel: int) -> list[np.ndarray]:
-        """Return weights of pressed and flat columns in the picture's error, and of flat ones in the reference's."""
-        values = (values[:, channel] for values in (self.base, self.linear, self.flat_light))
-        return [weights * self.usable[:, channel] for weights in equation_weights(*values)]
+    def _weights(self, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return by what changes enter the picture's error in codes and flat light the reference's, and the targets.
+
+        The first two are (n,); the targets (2 n,) are how much brighter the picture is than untouched gel, and that.
+        """
+        columns = (self.base, self.linear, self.flat_light, self.factor, self.usable)
+        base, linear, flat, factor, usable = (values[:, channel] for values in columns)
+        picture = 255 * srgb_slope(linear) * factor * usable
+        reference = 255 * REFERENCE_WEIGHT * srgb_slope(base) * usable
+        target = np.concatenate([picture * (linear / factor - base), reference * base])
+        return picture * gain_of(base, flat), reference, target
 
     def _solve(self) -> None:
-        """Solve for all intensities: the picture shall be predicted, and the flat light be near the reference."""
+        """Solve for all intensities: a press's change shall be predicted, and flat light be near the reference."""
         pressed, flat = self._seen(self.presses).columns(self.light), self.flat.columns(self.light)
-        base, ridge, leds = self.base, self._ridge(), self.light.bars.count
+        change, ridge, leds = pressed - flat, self._ridge(), self.light.bars.count
         solved = np.empty((pressed.shape[1], 3))
         for channel in range(3):
             for _ in range(2):
-                of_pressed, of_flat, of_reference = self._weights(channel)
-                rows = pressed * of_pressed[:, None] - flat * of_flat[:, None]
-                reference = flat * of_reference[:, None]
-                normal = rows.T @ rows + reference.T @ reference
+                of_change, of_flat, target = self._weights(channel)
+                rows = _weighted(change, of_change, flat, of_flat)
+                normal = rows.T @ rows
                 normal[np.diag_indices_from(normal)] += ridge
-                right = reference.T @ (of_reference * base[:, channel])
-                theta = nonnegative_least_squares(normal, right, leds)
+                theta = nonnegative_least_squares(normal, rows.T @ target, leds)
                 self.flat_light[:, channel] = flat @ theta
             solved[:, channel] = theta
         self.light = replace(self.light, theta=solved)
         self.residual = self._error(pressed @ solved, self.flat_light)
 
     def _search(self, fields: tuple[str, ...], evaluations: int) -> None:
-        """Search the bars' geometry; the modelled flat light is held, so most normal equations are formed once."""
+        """Search the bars' geometry; the gain is held, so most normal equations are formed once."""
         from scipy.optimize import least_squares
 
         light, ridge, leds = self.light, self._ridge(), self.light.bars.count
         pressed, flat = self._seen(self.presses), self.flat
-        of_pressed_fixed = light.fixed_columns(pressed.positions, pressed.normals)
-        of_flat_fixed = light.fixed_columns(flat.positions, flat.normals)
+        fixed_flat = light.fixed_columns(flat.positions, flat.normals)
+        fixed_change = light.fixed_columns(pressed.positions, pressed.normals) - fixed_flat
         held = []
         for channel in range(3):
-            a, b, r = self._weights(channel)
-            rows = of_pressed_fixed * a[:, None] - of_flat_fixed * b[:, None]
-            reference = of_flat_fixed * r[:, None]
-            target = r * self.base[:, channel]
-            held.append((a, b, r, rows, reference, rows.T @ rows + reference.T @ reference, target))
+            of_change, of_flat, target = self._weights(channel)
+            rows = _weighted(fixed_change, of_change, fixed_flat, of_flat)
+            held.append((of_change, of_flat, target, rows, rows.T @ rows, rows.T @ target))
         prior = np.concatenate([np.full(leds, PRIOR[field]) for field in fields])
         anchor = self.anchor.packed(fields)
         kept_pressed: dict[bytes, np.ndarray] = {}
@@ -152,29 +162,37 @@ class LightFit:
             return replace(light, bars=light.bars.unpacked(vector, fields))
 
         def unexplained(vector: np.ndarray) -> np.ndarray:
-            lit = pressed.bar_columns(moved(vector), kept_pressed)
             unpressed = flat.bar_columns(moved(vector), kept_flat)
+            change = pressed.bar_columns(moved(vector), kept_pressed) - unpressed
             errors = []
-            for a, b, r, rows, reference, fixed, target in held:
-                of_bars, bars_reference = lit * a[:, None] - unpressed * b[:, None], unpressed * r[:, None]
+            for of_change, of_flat, target, rows, fixed, fixed_right in held:
+                bars = _weighted(change, of_change, unpressed, of_flat)
                 normal = np.empty((leds + len(fixed),) * 2)
-                normal[:leds, :leds] = of_bars.T @ of_bars + bars_reference.T @ bars_reference
-                normal[:leds, leds:] = of_bars.T @ rows + bars_reference.T @ reference
+                normal[:leds, :leds] = bars.T @ bars
+                normal[:leds, leds:] = bars.T @ rows
                 normal[leds:, :leds] = normal[:leds, leds:].T
                 normal[leds:, leds:] = fixed
                 normal[np.diag_indices_from(normal)] += ridge
-                right = np.concatenate([bars_reference.T @ target, reference.T @ target])
+                right = np.concatenate([bars.T @ target, fixed_right])
                 theta = nonnegative_least_squares(normal, right, leds)
-                errors += [
-                    of_bars @ theta[:leds] + rows @ theta[leds:],
-                    bars_reference @ theta[:leds] + reference @ theta[leds:] - target,
-                    np.sqrt(ridge) * theta,
-                ]
+                errors += [bars @ theta[:leds] + rows @ theta[leds:] - target, np.sqrt(ridge) * theta]
             return np.concatenate([*errors, PRIOR_WEIGHT * (vector - anchor) / prior])
 
         start = light.bars.packed(fields)
         found = least_squares(unexplained, start, max_nfev=evaluations, diff_step=3e-3, x_scale=prior)
         self.light = moved(found.x)
+        slopes = found.jac[: -len(start)]
+        self.information = slopes.T @ slopes, prior
+
+    def bar_errors(self) -> np.ndarray:
+        """Return (fields, leds): standard errors of the bars' geometry as it was searched last, at most the prior's.
+
+        Errors within a press are of one piece, so that a press counts as one observation: a bad fit knows little.
+        """
+        slopes, prior = self.information
+        variance = max(self.rms_code_values, 1.0) ** 2 * 3 * len(self.index) / len(self.presses)
+        covariance = np.linalg.inv(slopes / variance + np.diag(prior**-2.0))
+        return np.sqrt(np.diag(covariance)).reshape(-1, self.light.bars.count)
 
     def _search_camera(self, share: float) -> None:
         """Move the camera to the least of a parabola over 1 / distance, through three in a share of its range."""
@@ -246,5 +264,5 @@ class LightFit:
 
     def _error(self, pressed_light: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
         """Return (n, 3): what is predicted less what the camera read, in codes; 0 where nothing can be read."""
-        codes = 255 * srgb_encode(predicted_light(self.base, pressed_light, flat_light))
+        codes = 255 * srgb_encode(self.factor * predicted_light(self.base, pressed_light, flat_light))
         return (codes - self.code) * self.usable

@@ -10,15 +10,13 @@ import numba
 import numpy as np
 
 from gelgap.render.calibration.profiles import STEP_MM, PressProfiles
-from gelgap.render.imaging import srgb_slope
 from gelgap.render.light.leds import Led
 from gelgap.render.light.scattered import HARMONICS, PLACES, harmonics, places
 
 LOGARITHMIC = ("distance", "height", "length", "tall")
 STRIPS = 3
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(STRIPS)
-REFERENCE_WEIGHT = 0.3
-_LEAST_SHARE = 0.2  # of the untouched gel's light that the modelled one may be
+LEAST_SHARE = 0.5
 _DARKEST = 1e-6  # linear
 _KEPT_COLUMNS = 60
 _CELLS_PER_MM = 1 / STEP_MM
@@ -236,29 +234,23 @@ class SeenPoints:
         return self.bar_columns(light) @ light.theta[: light.bars.count] + fixed
 
 
-# The form of the prediction is the next three functions: a picture is the untouched gel's light times modelled pressed
-# over modelled flat light, and the latter is near the untouched gel's.
+# The form of the prediction: a picture is the untouched gel's light and, times a gain, what the modelled dent changes.
+# Untouched gel is thus shown as it is, whatever the model of its light lacks.
 
 
-def bounded_flat(flat_light: np.ndarray, base: np.ndarray) -> np.ndarray:
-    """Return modelled light of the flat membrane, at least a share of the real one, as it may be divided by."""
-    return np.maximum(flat_light, np.maximum(_LEAST_SHARE * base, _DARKEST))
+def gain_of(base: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
+    """Return the gain: real over modelled light of the untouched gel, at most 1 / LEAST_SHARE.
+
+    Where the model explains the light, a press changes it in proportion, so that vignetting and seams scale it too.
+    Where gel guides light to places that no LED reaches directly, the ratio says nothing, and the bound holds.
+    """
+    return base / np.maximum(flat_light, np.maximum(LEAST_SHARE * base, _DARKEST))
 
 
 def predicted_light(base: np.ndarray, pressed_light: np.ndarray, flat_light: np.ndarray) -> np.ndarray:
     """Return the linear light of a press where the untouched gel has `base`."""
-    return base * (np.maximum(pressed_light, 0) / bounded_flat(flat_light, base))
-
-
-def equation_weights(
-    base: np.ndarray, linear: np.ndarray, flat_light: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return by what pressed and flat columns enter the picture's error in codes, and flat ones the reference's.
-
-    All are (n,), of one channel: `linear` is the picture, `flat_light` that of the step before.
-    """
-    picture = 255 * srgb_slope(linear) / bounded_flat(flat_light, base)
-    return picture * base, picture * linear, 255 * REFERENCE_WEIGHT * srgb_slope(base)
+    change = np.maximum(pressed_light, 0) - flat_light
+    return np.maximum(base + gain_of(base, flat_light) * change, 0)
 
 
 @numba.njit(cache=True, fastmath=True, inline="always")

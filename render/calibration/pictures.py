@@ -1,6 +1,7 @@
 """Pictures of presses: what a calibration is given, and what the pictures alone say.
 
-That is where a contact is, from which side each colour's light comes, and what a press changes far away from itself.
+That is where a contact is, from which side each colour's light comes, what a press changes far away from itself, and
+the table that a model has to be better than.
 """
 
 from collections.abc import Sequence
@@ -23,6 +24,8 @@ LARGEST_MARKS_OFF_PX = 100.0
 _ROUGH_PX = 10.0
 _MOST_SATURATED, LEAST_USABLE = 0.95, 0.05  # shares of values
 _LEAST_CHANGE = 5.0  # code values
+# The plain table: bins, reach in contact radii, and what draws entries to be the same everywhere.
+RADII, DIRECTIONS, REACH, RIDGE = 80, 72, 4.0, 0.003
 
 
 @dataclass(frozen=True)
@@ -209,18 +212,16 @@ def light_azimuths(
 
 @dataclass(frozen=True)
 class FarField:
-    """The picture of the untouched gel while something presses: reference × loaded × (1 + gain at its place)."""
+    """The picture of the untouched gel, and what multiplies it while something presses: loaded × a level."""
 
     reference: np.ndarray  # (h, w, 3) linear
     loaded: np.ndarray | None  # (h, w, 3) ratio
-    gain: np.ndarray  # (6, 3)
+    gain: np.ndarray  # (6, 3): by how much the level grows, by the dent's place
 
-    def base(self, rows: np.ndarray, columns: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Return (n, 3) linear light of pixels; `place` (2,) is the press's, in units of the scale."""
-        linear = self.reference[rows, columns]
-        if self.loaded is not None:
-            linear = linear * self.loaded[rows, columns]
-        return linear * (1 + monomials(place[0], place[1], 2) @ self.gain)
+    def at(self, rows: np.ndarray, columns: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return (n, 3) linear light of pixels, and what multiplies it at a level (3,)."""
+        factor = level if self.loaded is None else level * self.loaded[rows, columns]
+        return self.reference[rows, columns], np.broadcast_to(factor, (len(rows), 3))
 
 
 def median_of_presses(stack: np.ndarray) -> np.ndarray:
@@ -243,3 +244,58 @@ def fit_gain(levels: np.ndarray, places: np.ndarray) -> np.ndarray:
             weighted = (terms * weights[:, channel, None]).T
             gain[:, channel] = np.linalg.solve(weighted @ terms + penalty, weighted @ levels[:, channel])
     return gain
+
+
+@dataclass(frozen=True)
+class PlainTable:
+    """Change in code values by place around a press, each entry a polynomial of the press's place in the view.
+
+    Inside the contact this place is the ball's normal, so it is the table of gradients that GelSights are calibrated
+    with; outside it holds what this ball's dent looks like. It has no answer for another ball, depth or shape.
+    """
+
+    reference: np.ndarray  # (h, w, 3)
+    degree: int
+    reach_px: float
+    coefficients: np.ndarray  # (terms, RADII × DIRECTIONS, 3)
+
+    @classmethod
+    def of(
+        cls,
+        reference: np.ndarray,
+        pictures: Sequence[np.ndarray],
+        centers_px: np.ndarray,
+        radii_px: np.ndarray,
+        degree: int,
+    ) -> "PlainTable":
+        """Fit the table to pictures (h, w, 3) of presses at `centers_px` (n, 2)."""
+        own = cls(reference.astype(float), degree, REACH * float(np.median(radii_px)), np.empty(0))
+        normal, right = np.zeros(1), np.zeros(1)
+        for picture, center in zip(pictures, centers_px, strict=True):
+            bins, terms = own._entries(center).ravel(), own._terms(center)
+            change = (picture - own.reference).reshape(-1, 3).T
+            count, *sums = (np.bincount(bins, w, RADII * DIRECTIONS + 1)[:-1] for w in (None, *change))
+            mean = np.column_stack(sums) / np.maximum(count, 1)[:, None]
+            normal = normal + (count > 0)[:, None, None] * np.outer(terms, terms)
+            right = right + terms[:, None] * mean[:, None]
+        penalty = len(pictures) * np.diag([1e-6] + [RIDGE] * (len(terms) - 1))
+        return cls(own.reference, degree, own.reach_px, np.linalg.solve(normal + penalty, right))
+
+    def _entries(self, center_px: np.ndarray) -> np.ndarray:
+        """Return (h, w): each pixel's entry; the last one is beyond reach."""
+        rows, columns = np.indices(self.reference.shape[:2])
+        x, y = columns - center_px[0], rows - center_px[1]
+        ring = (np.hypot(x, y) / self.reach_px * RADII).astype(int)
+        turn = ((np.arctan2(y, x) / (2 * np.pi) % 1) * DIRECTIONS).astype(int) % DIRECTIONS
+        return np.where(ring < RADII, ring * DIRECTIONS + turn, RADII * DIRECTIONS)
+
+    def _terms(self, center_px: np.ndarray) -> np.ndarray:
+        height, width, _ = self.reference.shape
+        x, y = 2 * center_px[0] / width - 1, 2 * center_px[1] / height - 1
+        return np.array(monomials(x, y, self.degree))
+
+    def picture(self, center_px: np.ndarray) -> np.ndarray:
+        """Return the uint8 picture of a press."""
+        change = np.vstack([np.einsum("t,btc->bc", self._terms(center_px), self.coefficients), np.zeros(3)])
+        predicted = np.round(self.reference + change[self._entries(center_px)])
+        return np.clip(predicted, 0, 255).astype(np.uint8)

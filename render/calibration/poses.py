@@ -12,6 +12,7 @@ from gelgap.render.calibration.pictures import (
     LEAST_USABLE,
     SATURATED,
     FarField,
+    PlainTable,
     PressPicture,
     find_contact_mm,
     fit_gain,
@@ -20,19 +21,19 @@ from gelgap.render.calibration.pictures import (
 )
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.camera import Camera
+from gelgap.render.flat_field import map_dots
 from gelgap.render.imaging import psnr_db, srgb_decode, srgb_encode
 from gelgap.render.inpainting import detect_markers, inpaint_telea
-from gelgap.render.light.scattered import monomials
 
 # Pixels of each press: inside the contact, from one to two radii, and from two to REACH.
 SAMPLES = (220, 260, 120)
 REACH = 4.5
-MODELLED_MM = 5.5
+MODELLED_MM = 8.0
 SCORED_RADII = 2.0
 MARGIN_MM = 0.5
 FEWEST_FOR_GAIN = 12
 _STEP_PX = 4
-_GAIN_BEYOND, _LOADED_BEYOND = 3.0, 2.5  # contact radii
+_FAR, _LOADED_BEYOND, _SOFTNESS = 3.0, 2.5, 0.5  # contact radii
 _FOUND_SIGMA_MM = 0.5
 _KNOWN_DEPTH_SIGMA_MM = 0.05
 _MARKED_DEPTH_SIGMA = 0.1 / 3  # radii of the sphere per pixel that the mark may be off
@@ -85,10 +86,16 @@ class PlacedPresses:
 
     @cached_property
     def clean_reference(self) -> np.ndarray:
-        """The reference without dots, which the renderer draws itself."""
+        """The reference without dots."""
+        return inpaint_telea(self.reference, found_dots(self.reference)) if self.has_dots else self.reference
+
+    @cached_property
+    def dots(self) -> np.ndarray | None:
+        """What dots leave of the light, (h, w, 3), where they are in the reference; None if it has none."""
         if not self.has_dots:
-            return self.reference
-        return inpaint_telea(self.reference, detect_markers(self.reference))
+            return None
+        bare = srgb_decode(self.clean_reference / 255)
+        return np.clip(srgb_decode(self.reference / 255) / np.maximum(bare, 1e-4), 0, 2).astype(np.float32)
 
     @cached_property
     def seen_profiles(self) -> list[PressProfiles]:
@@ -101,43 +108,72 @@ class PlacedPresses:
         """The field in which a press changes nothing."""
         return FarField(srgb_decode(self.clean_reference / 255), None, np.zeros((6, 3)))
 
-    def far_field(self, which: np.ndarray) -> FarField:
-        """Return what some of the presses change where none reaches, from those parts of their pictures."""
-        untouched = srgb_decode(self.reference / 255)
+    @cached_property
+    def levels(self) -> np.ndarray:
+        """(n, 3): by how much each picture is brighter than the reference far from its contact; 1 if nothing is far."""
         coarse = np.s_[::_STEP_PX, ::_STEP_PX]
         code = self.reference[coarse]
         good = ((code > 20) & (code < 245)).all(axis=2)
-        away = [_radii_away(self.reference, self.centers_px[k], self.radii_px[k]) for k in which]
-        pictures = [self.presses[k].picture for k in which]
-        ratios = [srgb_decode(picture / 255) / np.maximum(untouched, 1e-4) for picture in pictures]
-        levels = []
-        for ratio, distance in zip(ratios, away, strict=True):
-            far = good & (distance[coarse] > _GAIN_BEYOND)
-            levels.append(np.median(ratio[coarse][far], axis=0) - 1 if far.any() else np.zeros(3))
+        untouched = srgb_decode(code / 255)
+        levels = np.ones((len(self.presses), 3))
+        for k, press in enumerate(self.presses):
+            away = _radii_away(self.reference, self.centers_px[k], self.radii_px[k])[coarse]
+            far = good & (away > _FAR)
+            if far.any():
+                levels[k] = np.median(srgb_decode(press.picture[coarse][far] / 255) / untouched[far], axis=0)
+        return levels
+
+    def levelled(self, press: int) -> np.ndarray:
+        """Return the linear picture of a press at the reference's level."""
+        return srgb_decode(self.presses[press].picture / 255) / self.levels[press]
+
+    def at_level(self, press: int, code: np.ndarray) -> np.ndarray:
+        """Return a uint8 picture at the level of a press's picture."""
+        return np.round(255 * srgb_encode(srgb_decode(code / 255) * self.levels[press])).astype(np.uint8)
+
+    def table(self, which: np.ndarray, degree: int) -> PlainTable:
+        """Return the plain table of some presses, from levelled pictures."""
+        pictures = (255 * srgb_encode(self.levelled(k)) for k in which)
+        marks = self.centers_px[which], self.radii_px[which]
+        return PlainTable.of(self.clean_reference, list(pictures), *marks, degree)
+
+    def far_field(self, which: np.ndarray) -> FarField:
+        """Return what some of the presses change where none reaches, from those parts of their pictures."""
+        import cv2
+
+        untouched = srgb_decode(self.clean_reference / 255)
         places = self.poses_mm[which, :2] / self.scale_mm
         enough = len(which) >= FEWEST_FOR_GAIN
-        gain = fit_gain(np.array(levels), places) if enough else np.zeros((6, 3))
+        gain = fit_gain(self.levels[which] - 1, places) if enough else np.zeros((6, 3))
         stack = np.empty((len(which), *self.reference.shape), np.float32)
-        for layer, ratio, distance, place in zip(stack, ratios, away, places, strict=True):
-            layer[:] = ratio / (1 + monomials(place[0], place[1], 2) @ gain)
-            layer[distance < _LOADED_BEYOND] = np.nan
-        return FarField(untouched, np.clip(median_of_presses(stack), 0.5, 2.0), gain)
+        for layer, k in zip(stack, which, strict=True):
+            layer[:] = self.levelled(k) / np.maximum(untouched, 1e-4)
+            layer[_radii_away(self.reference, self.centers_px[k], self.radii_px[k]) < _LOADED_BEYOND] = np.nan
+        if self.has_dots:  # which move with the gel even where no light changes
+            return FarField(untouched, None, gain)
+        # Light is smooth. So is this then where presses drop out of the median, the fewer of which the less they count.
+        share = np.isfinite(stack[..., :1]).mean(axis=0)
+        loaded = 1 + share * (np.clip(median_of_presses(stack), 0.5, 2.0) - 1)
+        softness_px = _SOFTNESS * float(np.median(self.radii_px[which]))
+        loaded = cv2.GaussianBlur(loaded, (0, 0), softness_px)
+        return FarField(untouched, loaded, gain)
 
     def samples(self, which: np.ndarray, field: FarField) -> tuple[np.ndarray, ...]:
         """Draw pixels of presses, the same for a press each time; those on dots are not taken.
 
         Return which press each is of (n,), the place that it sees on the flat membrane (n, 2) in mm, its code (n, 3),
-        and the linear light (n, 3) of the untouched gel there while the press lasts.
+        the untouched gel's linear light (n, 3) there, and what multiplies that while the press lasts.
         """
         parts = [self._pixels(int(press)) for press in which]
         index = np.repeat(np.arange(len(which)), [len(rows) for rows, _ in parts])
         rows, columns = (np.concatenate(values) for values in zip(*parts, strict=True))
         own = list(zip(which, parts, strict=True))
         code = np.concatenate([self.presses[k].picture[pixels] for k, pixels in own]).astype(float)
-        base = np.concatenate(
-            [field.base(*pixels, self.poses_mm[k, :2] / self.scale_mm) for k, pixels in own]
+        base, factor = (
+            np.concatenate(values)
+            for values in zip(*(field.at(*pixels, self.levels[k]) for k, pixels in own), strict=True)
         )
-        return index, self.camera.plane_points_mm(columns, rows, self.size_px), code, base
+        return index, self.camera.plane_points_mm(columns, rows, self.size_px), code, base, factor
 
     def _pixels(self, press: int) -> tuple[np.ndarray, np.ndarray]:
         rng = np.random.default_rng([7, press])
@@ -150,11 +186,14 @@ class PlacedPresses:
         width, height = self.size_px
         seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         rows, columns = rows[seen], columns[seen]
-        if self.has_dots:
-            dots = detect_markers(self.presses[press].picture) | detect_markers(self.reference)
-            clear = ~dots[rows, columns]
-            rows, columns = rows[clear], columns[clear]
-        return rows, columns
+        clear = ~self._dots(press)[rows, columns]
+        return rows[clear], columns[clear]
+
+    def _dots(self, press: int) -> np.ndarray:
+        """Return (h, w): where the picture of a press or the reference has dots."""
+        if not self.has_dots:
+            return np.zeros(self.reference.shape[:2], bool)
+        return found_dots(self.presses[press].picture) | found_dots(self.reference)
 
     @cached_property
     def _plane_mm(self) -> np.ndarray:
@@ -162,25 +201,37 @@ class PlacedPresses:
         return self.camera.plane_points_mm(columns, rows, self.size_px)
 
     def picture_of(
-        self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float = MODELLED_MM
+        self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float
     ) -> np.ndarray:
         """Return the uint8 picture of a press: modelled around it, the untouched gel's beyond."""
         rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
-        base = field.base(rows, columns, pose_mm[:2] / self.scale_mm)
+        base, factor = field.at(rows, columns, self.levels[press])
         near = np.hypot(*(self._plane_mm - pose_mm[:2]).T) < reach_mm
         plane_mm, camera_mm = self._plane_mm[near], np.array(self.camera.position_mm)
         index, profiles = np.zeros(len(plane_mm), int), [self.seen_profiles[press]]
         pressed = SeenPoints.pressed(plane_mm, index, pose_mm[None], profiles, camera_mm)
         flat = SeenPoints.flat(plane_mm)
         base[near] = predicted_light(base[near], pressed.light(light), flat.light(light))
-        return np.round(255 * srgb_encode(base)).astype(np.uint8).reshape(self.reference.shape)
+        if self.dots is not None:
+            base *= self.dots.reshape(-1, 3)
+            # Dots go where their points of the gel go.
+            rest = self.camera.project_px(pressed.positions * (1, 1, 0), self.size_px) - 0.5
+            moved = map_dots(self.dots, rest.astype(np.float32)[:, None])[:, 0]
+            base[near] *= moved / np.maximum(self.dots.reshape(-1, 3)[near], 1e-4)
+        return np.round(255 * srgb_encode(factor * base)).astype(np.uint8).reshape(self.reference.shape)
 
     def scores(self, press: int, predicted: np.ndarray) -> tuple[float, float]:
-        """Return PSNR in dB inside the contact, and from one to two radii."""
+        """Return PSNR in dB inside the contact, and from one to two radii, of pixels without dots."""
         share = _radii_away(predicted, self.centers_px[press], self.radii_px[press])
         real = self.presses[press].picture
-        inside, ring = share < 1, (share >= 1) & (share < SCORED_RADII)
+        clear = ~self._dots(press)
+        inside, ring = clear & (share < 1), clear & (share >= 1) & (share < SCORED_RADII)
         return psnr_db(predicted[inside], real[inside]), psnr_db(predicted[ring], real[ring])
+
+
+def found_dots(picture: np.ndarray) -> np.ndarray:
+    """Return the mask of a real sensor's dots, which may be pale."""
+    return detect_markers(picture, least_contrast=0.1)
 
 
 def _radii_away(picture: np.ndarray, center_px: np.ndarray, radius_px: float) -> np.ndarray:
@@ -221,7 +272,7 @@ def place_presses(
     placed = PlacedPresses(camera, reference, tuple(located), names, *arrays, own)
     _check_contacts(placed)
     # Few dark specks are dirt; dots are many.
-    return replace(placed, has_dots=bool(detect_markers(reference).mean() > 0.01))
+    return replace(placed, has_dots=bool(found_dots(reference).mean() > 0.01))
 
 
 def _sigmas_mm(press: PressPicture, mm_per_px: float) -> list[float]:

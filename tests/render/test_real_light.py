@@ -167,3 +167,23 @@ def test_a_nearly_parallel_camera_is_rastered_precisely():
     geometry = renderer._geometry(renderer._surface_on_lattice(renderer._flat, "flat"))
     x_mm = (np.arange(96) + 0.5 - 48) * 12 / 96
     np.testing.assert_allclose(geometry[..., 0], np.broadcast_to(x_mm, (72, 96)), atol=2e-5)
+
+
+def test_dots_of_a_real_sensor_move_with_the_gel(tmp_path, dent):
+    rows, columns = np.indices(SIZE_PX[::-1])
+    dots = np.where((rows % 8 < 3) & (columns % 8 < 3), 0.3, 1.0)[..., None] * np.ones(3)
+    ones, lacking = np.ones_like(dots, np.float32), 0.05  # light that the model does not have
+    save_maps(FlatFieldMaps(ones, offset=lacking * ones, dots=dots.astype(np.float32)), tmp_path / "flat.npz")
+    plain, dotted = lit(), lit(flat_field=FlatField(file="flat.npz").found_in(tmp_path))
+    bare = plain.reference_linear(markers=False) + lacking
+    np.testing.assert_allclose(dotted.reference_linear(markers=False), bare, atol=1e-5)
+
+    def shown(*membrane):
+        without = plain.linear(*membrane) + lacking
+        return (dotted.linear(*membrane) / without)[..., 0]
+
+    straight = shown(*dent(0.01))
+    np.testing.assert_allclose(straight, dots[..., 0], atol=0.02)
+    moved = np.abs(shown(*dent(0.6, shear_mm=(0.4, 0.0))) - straight) > 0.1
+    assert moved[np.hypot(rows - SIZE_PX[1] / 2, columns - SIZE_PX[0] / 2) < 10].mean() > 0.1
+    assert moved[:3].mean() < 0.05

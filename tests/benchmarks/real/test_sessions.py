@@ -89,7 +89,10 @@ def test_a_missing_clone_comes_with_the_line_that_gets_it(tmp_path: Path, capsys
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(["real"], "--data is missing"), (["physics", "--data", "."], "--data is for benchmark real alone")],
+    [
+        (["real"], "--data is missing"),
+        (["physics", "--data", "."], "--data is for benchmarks of real data alone"),
+    ],
 )
 def test_data_are_named_where_they_are_needed(arguments, message, tmp_path: Path, capsys):
     with pytest.raises(SystemExit) as stopped:

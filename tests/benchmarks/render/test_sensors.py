@@ -11,7 +11,6 @@ from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import PressSet
 from gelgap.domains.calibration_presses import start_sensor
 from gelgap.render import MembraneRenderer, PressPicture, PressProfiles, Sensor, SolvedPress
-from gelgap.render.calibration.calibrator import corrected_poses
 
 RADIUS_MM, DEPTH_MM, SIZE_PX = 2.0, 1.0, (160, 120)
 
@@ -109,12 +108,12 @@ def test_marks_are_corrected_as_the_fitted_presses_were():
     true = rng.normal((1.0, -2.0, 1.7), (3.0, 3.0, 0.05), (200, 3))
     marked = true + rng.normal((0.2, 0.1, -0.1), (0.02, 0.02, 0.15), true.shape)
     fitted = np.arange(0, 200, 2)
-    corrected = corrected_poses(marked, fitted, true[fitted])
+    corrected = sensors.corrected_poses(marked, fitted, true[fitted])
     off, off_marked = (np.sqrt(((poses - true)[1::2] ** 2).mean(0)) for poses in (corrected, marked))
     assert (off[:2] < 0.03).all()
     assert off[2] < 0.06 < 0.12 < off_marked[2]
     same_depth = np.array([[0.0, 0.0, 1.5]] * 4)
-    assert (corrected_poses(same_depth, np.arange(2), same_depth[:2] + 0.1)[:, 2] == 1.6).all()
+    assert (sensors.corrected_poses(same_depth, np.arange(2), same_depth[:2] + 0.1)[:, 2] == 1.6).all()
 
 
 @pytest.mark.slow
