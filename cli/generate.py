@@ -79,9 +79,7 @@ class Generate(opt.Command):
     body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = field(
         default_factory=opt.IndenterOptions
     )
-    further_indenters: Annotated[
-        tuple[Annotated[str, opt.indenter_name], ...], opt.optional("[NAME ...]", "none")
-    ] = ()
+    further_indenters: Annotated[tuple[str, ...], opt.optional("[NAME ...]", "none"), opt.indenter_name] = ()
     """Indenters that go the whole path after the first: shapes, presets, TOML or mesh files; column `indenter`."""
     path: Annotated[str, opt.preset_or_file("paths")] = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""

@@ -208,9 +208,20 @@ class GenerationOptions:
         print(report)
 
 
-def indenter_name(value: str) -> None:
-    """Check the name of a shape or a preset, or a file."""
+INDENTER_SUFFIXES = (".toml", ".stl", ".ply", ".obj", ".off", ".glb")
+
+
+def indenter_name(value: str | tuple[str, ...]) -> None:
+    """Check the name of a shape or a preset, or a file; or several."""
+    if isinstance(value, tuple):
+        if not value:
+            raise ValueError("name one indenter, or several")
+        for name in value:
+            indenter_name(name)
+        return
     if "." in value:
+        if not value.lower().endswith(INDENTER_SUFFIXES):
+            raise ValueError(f"a file's name must end in {', '.join(INDENTER_SUFFIXES)}")
         input_file("a TOML file or a mesh")(Path(value))
         return
     from gelgap.sim import SHAPES

@@ -79,9 +79,11 @@ def sizes_along(
     widest_mm = max(cell_mm, _MIDDLE_CELLS * problem.widest_cell_mm)
     widened = np.minimum(cell_mm + growth * np.minimum(middle - low, high - middle), widest_mm)
     # Only under a flat face all of the contact is there from the first touch on.
-    order = np.argsort(places)
-    is_flat = np.interp(middle, places[order], radius[order]) > _FLAT_RADII * (high - low)
-    within = np.where(is_flat, widened, cell_mm)
+    within = np.full_like(middle, cell_mm)
+    if len(places):
+        order = np.argsort(places)
+        is_flat = np.interp(middle, places[order], radius[order]) > _FLAT_RADII * (high - low)
+        within[is_flat] = widened[is_flat]
     # A less deep contact of a pointed body ends further in, and is to be as many cells wide.
     further = np.abs(middle)[:, None] - np.abs(places[curved])
     pointed = np.where(further > 0, turned[curved] + further / size.across, np.inf)
