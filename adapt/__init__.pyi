@@ -1,3 +1,4 @@
+from .baselines import evaluate_baselines as evaluate_baselines
 from .data import SplitFrames as SplitFrames
 from .data import split_for_training as split_for_training
 from .epochs import console_progress as console_progress
@@ -17,6 +18,8 @@ from .few_labels import draw_labelled as draw_labelled
 from .few_labels import fine_tune as fine_tune
 from .few_labels import finetune as finetune
 from .few_labels import pretrain as pretrain
+from .inputs import INPUTS as INPUTS
+from .inputs import InputMap as InputMap
 from .methods.base import Adaptation as Adaptation
 from .methods.base import FeatureCollapse as FeatureCollapse
 from .methods.base import Method as Method

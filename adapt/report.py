@@ -36,13 +36,19 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
 
 
 def error_table(runs: Sequence[Run]) -> ResultTable:
-    """Return the target's mean MAE, mean ± deviation over seeds: a row per group, a column per method, their means.
+    """Return the target's mean MAE, mean ± deviation over seeds: a row per group, a column per rule and method.
 
     The runs have the same labels; where these have several units, it is in % of their ranges.
     """
     import pandas as pd
 
-    frame = pd.DataFrame([_name(run) | {"error": _mean_mae(run.target_test)} for run in runs])
+    rules = [
+        _name(run) | {"method": name, "error": _mean_mae(e)}
+        for run in runs
+        for name, e in run.baselines.items()
+    ]
+    frame = pd.DataFrame(rules + [_name(run) | {"error": _mean_mae(run.target_test)} for run in runs])
+    frame = frame.drop_duplicates(["group", "method", "seed"], keep="last")
     errors = frame.groupby(["group", "method"], sort=False)["error"]
     table = errors.agg(mean_and_deviation).unstack(sort=False)
     # A method that lacks a group has no mean.

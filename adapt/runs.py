@@ -21,6 +21,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
 
+from gelgap.adapt.baselines import evaluate_baselines
 from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
 from gelgap.adapt.epochs import Progress, silent
 from gelgap.adapt.evaluation import Evaluation, as_judged_on_source, evaluate_constant_mean, evaluate_frames
@@ -42,7 +43,7 @@ LOG = logging.getLogger(__name__)
 FEATURES_KEPT = 400
 _RECORD, _PREDICTIONS, _MODEL, _RESUME = "run.json", "predictions.npz", "model.pt", "resume.pt"
 _ARRAYS = ("target_true_n", "target_predicted_n", "target_features", "source_features")
-_METHODS_VERSION = 2
+_METHODS_VERSION = 3
 """Raised whenever the same method, profile and seed give another result than before."""
 _STAGE_2_FIELDS = frozenset(
     name
@@ -92,6 +93,8 @@ class Run:
     problem
         Why stage 2 failed: the features collapsed, or losses were not finite. Such a run has no model and counts with
         the errors of the source's mean force.
+    baselines
+        Errors of rules without a network on the target's test frames; empty in records of before.
     """
 
     key: str
@@ -111,6 +114,7 @@ class Run:
     history: tuple[dict[str, Any], ...]
     versions: dict[str, str]
     problem: str | None = None
+    baselines: dict[str, RecordedEvaluation] = field(default_factory=dict)
     folder: Annotated[Path | None, Field(exclude=True)] = field(default=None, compare=False)
 
     @property
@@ -315,6 +319,7 @@ def run_method(
         judged = {"target": model, "source": as_judged_on_source(model, train)}
     tested = {"target": frames.target_test, "source": frames.source_held_out}
     constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
+    baselines = evaluate_baselines(frames)
     errors, arrays = {"target": constant["target"]}, {}
     for name, judge in judged.items():
         if len(tested[name]):
@@ -340,6 +345,7 @@ def run_method(
         history=adapted.history,
         versions=versions(),
         problem=adapted.problem,
+        baselines=baselines,
         folder=folder,
     )
     if folder is not None:
