@@ -34,17 +34,17 @@ LINES = {
     "sim": 3970,
     "render": 5070,
     "domains": 5740,
-    "adapt": 4950,
+    "adapt": 5550,
     "view": 1560,
-    "cli": 2340,
-    "benchmarks": 8940,
+    "cli": 2350,
+    "benchmarks": 9440,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 
 A room that grows gives something back first.
 """
-MOST_FILES = 195
+MOST_FILES = 205
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")
