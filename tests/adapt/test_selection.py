@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import mean_absolute_error, r2_score
 
+from gelgap.adapt.baselines import BASELINES
 from gelgap.adapt.evaluation import evaluate_predictions
 from gelgap.adapt.report import error_table, feature_tsne, force_scatter, write_report
 from gelgap.adapt.result_table import ResultTable
@@ -109,10 +110,10 @@ def test_tables_and_figures(source, target, profile, tmp_path):
     short = profile.replace(source_epochs=1, adapt_epochs=1)
     runs = adapt_frames(source, target, ["source-only", "adabn"], short, out_dir=tmp_path / "runs")
     table = error_table(runs)
-    assert table.columns == ["group", "source-only", "adabn"]
+    assert table.columns == ["group", *BASELINES, "source-only", "adabn"]
     assert table.rows[0][0] == "mb0i0 → wmb1i1"
     assert table.rows[-1] == ["mean", *table.rows[0][1:]]
-    assert table.markdown().splitlines()[3] == "| --- | ---: | ---: |"
+    assert table.markdown().splitlines()[3] == "| --- |" + 5 * " ---: |"
     assert r"mb0i0 $\to$ wmb1i1" in table.latex()
     rng = np.random.default_rng(0)
     force_scatter(rng.random((9, 3)), {"a": rng.random((9, 3))}, tmp_path / "scatter.png")

@@ -112,7 +112,7 @@ def test_every_method_has_the_same_budget_and_a_setting_that_it_has():
 def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
     from gelgap.adapt.methods.registry import use_method
 
-    file = tmp_path / "own.py"
+    file = tmp_path / "graded.py"
     start = "from gelgap.adapt import Method\nclass Mine(Method):\n    grid = "
     file.write_text(start + "('transfer_weight', (0.0, 0.5))\n")
     mine = use_method(f"{file}:Mine")
@@ -123,7 +123,7 @@ def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
         ("down", "('transfer_weight', (0.5, 0.0))", "must rise"),
         ("none", "None", "has no grid"),
     ):
-        other = tmp_path / f"{name}.py"
+        other = tmp_path / f"graded_{name}.py"
         other.write_text(start + grid)
         with pytest.raises(ValueError, match=message):
             choice.tuned_methods([use_method(f"{other}:Mine")])
