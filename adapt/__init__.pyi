@@ -1,3 +1,4 @@
+from .baselines import evaluate_baselines as evaluate_baselines
 from .data import SplitFrames as SplitFrames
 from .data import split_for_training as split_for_training
 from .epochs import console_progress as console_progress
@@ -18,6 +19,8 @@ from .few_labels import fine_tune as fine_tune
 from .few_labels import finetune as finetune
 from .few_labels import pretrain as pretrain
 from .few_labels import pretrain_on_stream as pretrain_on_stream
+from .inputs import INPUTS as INPUTS
+from .inputs import InputMap as InputMap
 from .methods.base import Adaptation as Adaptation
 from .methods.base import FeatureCollapse as FeatureCollapse
 from .methods.base import Method as Method

@@ -14,11 +14,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from gelgap.adapt.inputs import INPUTS, Displacements, InputMap, NetworkInputs
 from gelgap.adapt.profile import Profile
 from gelgap.domains import (
-    ChannelStatistics,
     LabelledFrames,
-    PairedFrames,
     force_classes,
     labels_of_run,
     split_domains,
@@ -155,18 +154,21 @@ def network_inputs(
     frames: LabelledFrames,
     profile: Profile,
     device: torch.device,
-    statistics: ChannelStatistics | None = None,
+    input_map: InputMap | None = None,
     markers: bool = True,
-) -> PairedFrames:
-    """Return the frames' pictures on the device, in the size and pairing of the profile.
+) -> NetworkInputs:
+    """Return the frames' pictures on the device as the profile shows them to the network.
 
-    Where the profile standardises inputs, it is by the given statistics, or else by those of these frames. Without
-    `markers` the dots are inpainted.
+    Where its input has a map for each domain, it is the given one, or else that of these frames. Without `markers` the
+    dots are inpainted.
     """
+    shown = INPUTS[profile.input]
+    if shown.shows_displacement:
+        return NetworkInputs(Displacements(frames, profile.image_size_px, device))
     pictures = frames.torch(profile.image_size_px, profile.pairing, device, markers=markers)
-    if profile.input_standardisation == "none":
-        return pictures
-    return pictures.standardised(statistics or pictures.channel_statistics())
+    if shown.fit is None:
+        return NetworkInputs(pictures)
+    return NetworkInputs(pictures, input_map or shown.fit(pictures))
 
 
 def normalised_labels(frames: LabelledFrames) -> np.ndarray:
@@ -196,16 +198,18 @@ class TrainingDomain:
         self, frames: LabelledFrames, profile: Profile, device: torch.device, *, labelled: bool
     ) -> None:
         self.pictures = network_inputs(frames, profile, device)
-        self.without_markers: PairedFrames | None = None
+        self.without_markers: NetworkInputs | None = None
         if profile.marker_hiding:
-            statistics = self.pictures.statistics
-            self.without_markers = network_inputs(frames, profile, device, statistics, markers=False)
-        self.force = torch.from_numpy(normalised_labels(frames)).to(device) if labelled else None
-        self.contact_class = self.pictures.contact_class if labelled else None
+            self.without_markers = network_inputs(frames, profile, device, self.pictures.map, markers=False)
+        self.device = device
+        self.force = self.contact_class = None
+        if labelled:
+            self.force = torch.from_numpy(normalised_labels(frames)).to(device)
+            self.contact_class = torch.from_numpy(frames.contact_class.astype(np.int64)).to(device)
 
     def batch(self, indices: np.ndarray, hidden: bool) -> Batch:
         """Return a batch of these frames (B,), their markers `hidden` or not."""
-        rows = torch.from_numpy(indices).to(self.pictures.images.device)
+        rows = torch.from_numpy(indices).to(self.device)
         inputs = (self.without_markers if hidden else self.pictures).inputs(rows)
         return Batch(inputs, *(x if x is None else x[rows] for x in (self.force, self.contact_class)))
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method
-from gelgap.adapt.model import ForceModel, input_statistics, with_statistics_of
+from gelgap.adapt.model import ForceModel, input_map, with_statistics_of
 from gelgap.domains import (
     FORCE_COLUMNS,
     QUANTITIES,
@@ -118,9 +119,9 @@ def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> Forc
     """
     if model.profile.judges_by_own_statistics and find_method(model.method).uses_target:
         return with_statistics_of(model, source_train)
-    if model.profile.input_standardisation == "none":
+    if INPUTS[model.profile.input].fit is None:
         return model
-    return replace(model, input_statistics=input_statistics(source_train, model.profile, model.device))
+    return replace(model, input_map=input_map(source_train, model.profile, model.device))
 
 
 def evaluate_frames(frames: LabelledFrames, predicted: np.ndarray) -> Evaluation:

@@ -117,7 +117,7 @@ def fine_tune(
             "a model with an affine correction cannot be fine-tuned: fine-tune first, then correct"
         )
     network = copy.deepcopy(model.network).eval()
-    pictures = network_inputs(frames, model.profile, model.device, model.input_statistics)
+    pictures = network_inputs(frames, model.profile, model.device, model.input_map)
     force = torch.from_numpy(normalised_labels(frames)).to(model.device)
     optimizer = torch.optim.SGD(network.parameters(), learning_rate, _MOMENTUM)
     rng = generator(Draw.FINE_TUNING, model.seed if seed is None else seed)

@@ -11,11 +11,12 @@ import torch
 from torch import nn
 
 from gelgap.adapt.data import Draw, epoch_order, network_inputs
+from gelgap.adapt.inputs import INPUTS, InputMap, NetworkInputs
 from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import FORCE_COLUMNS, ChannelStatistics, LabelledFrames, Labels, PairedFrames
+from gelgap.domains import FORCE_COLUMNS, LabelledFrames, Labels
 
 _FORMAT = 1
 _INFERENCE_BATCH = 256
@@ -43,8 +44,8 @@ class ForceModel:
     """A network with what is needed to use it: `predict` maps frames to labels, forces in newtons by default.
 
     labels are those it was trained on, with their ranges; source, target and method say how it was trained;
-    history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_statistics are those of the
-    domain it is for, where the profile standardises the input; correction is what a few labels added.
+    history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_map is that of the domain it is
+    for, where the profile's input has one; correction is what a few labels added.
     """
 
     network: ForceNetwork
@@ -56,7 +57,7 @@ class ForceModel:
     target: str | None = None
     method: str = "source-only"
     history: tuple[dict[str, Any], ...] = field(default=())
-    input_statistics: ChannelStatistics | None = None
+    input_map: InputMap | None = None
     correction: AffineCorrection | None = None
 
     @property
@@ -95,7 +96,7 @@ class ForceModel:
     @torch.inference_mode()
     def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
         self.network.eval()
-        pictures = network_inputs(frames, self.profile, self.device, self.input_statistics)
+        pictures = network_inputs(frames, self.profile, self.device, self.input_map)
         features = [np.empty((0, self.profile.feature_dim), np.float32)]
         predictions = [np.empty((0, len(self.labels)), np.float32)]
         for start in range(0, len(frames), _INFERENCE_BATCH):
@@ -120,7 +121,8 @@ class ForceModel:
             "target": self.target,
             "method": self.method,
             "history": list(self.history),
-            "input_statistics": self.input_statistics and [list(values) for values in self.input_statistics],
+            "input_map": self.input_map
+            and [[list(row) for row in self.input_map.matrix], list(self.input_map.offset)],
             "correction": self.correction and [list(values) for values in self.correction],
         }
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
@@ -160,9 +162,6 @@ class ForceModel:
         names = content.get("labels", FORCE_COLUMNS)
         ranges = content["label_ranges" if "labels" in content else "force_range_n"]
         labels = Labels.of(dict(zip(names, ranges, strict=True)))
-        statistics = _two_rows(ChannelStatistics, content, "input_statistics", profile.in_channels)
-        if statistics is not None and min(statistics[1]) <= 0:
-            raise ValueError(f"input_statistics = {statistics}")
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
         return cls(
@@ -171,7 +170,7 @@ class ForceModel:
             labels,
             **{name: content[name] for name in ("n_classes", "seed", "source", "target", "method")},
             history=tuple(content["history"]),
-            input_statistics=statistics,
+            input_map=_input_map(content, profile.in_channels),
             correction=_two_rows(AffineCorrection, content, "correction", len(labels)),
         )
 
@@ -183,6 +182,22 @@ def _two_rows(kind: Callable[..., Any], content: dict[str, Any], name: str, colu
     if values.shape != (2, columns) or not np.isfinite(values).all():
         raise ValueError(f"{name} = {content[name]!r}")
     return kind(*map(tuple, values.tolist()))
+
+
+def _input_map(content: dict[str, Any], channels: int) -> InputMap | None:
+    """Return the map that a checkpoint holds: a matrix and an offset, or as formerly means and deviations."""
+    if (statistics := _two_rows(lambda *rows: rows, content, "input_statistics", channels)) is not None:
+        mean, std = map(np.array, statistics)
+        if std.min() <= 0:
+            raise ValueError(f"input_statistics = {content['input_statistics']!r}")
+        return InputMap.of(np.diag(1 / std), -mean / std)
+    if content.get("input_map") is None:
+        return None
+    matrix, offset = (np.array(values, dtype=float) for values in content["input_map"])
+    good = matrix.ndim == 2 and len(matrix) == channels and offset.shape == (channels,)
+    if not (good and np.isfinite(matrix).all() and np.isfinite(offset).all()):
+        raise ValueError(f"input_map = {content['input_map']!r}")
+    return InputMap.of(matrix, offset)
 
 
 def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
@@ -217,20 +232,16 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     network = copy.deepcopy(model.network)
     pictures = network_inputs(frames, model.profile, model.device)
     estimate_statistics(network, pictures, model.seed)
-    return replace(model, network=network, input_statistics=pictures.statistics)
+    return replace(model, network=network, input_map=pictures.map)
 
 
-def input_statistics(
-    frames: LabelledFrames, profile: Profile, device: torch.device
-) -> ChannelStatistics | None:
-    """Return the statistics by which the profile standardises a domain's inputs, None where it does not."""
-    if profile.input_standardisation == "none":
-        return None
-    return network_inputs(frames, profile, device).statistics
+def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap | None:
+    """Return the map of a domain's inputs; None where the profile's input has none."""
+    return None if INPUTS[profile.input].fit is None else network_inputs(frames, profile, device).map
 
 
 @torch.no_grad()
-def estimate_statistics(network: nn.Module, pictures: PairedFrames, seed: int) -> None:
+def estimate_statistics(network: nn.Module, pictures: NetworkInputs, seed: int) -> None:
     """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
     norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
     momenta = [norm.momentum for norm in norms]
@@ -243,3 +254,14 @@ def estimate_statistics(network: nn.Module, pictures: PairedFrames, seed: int) -
     network.eval()
     for norm, momentum in zip(norms, momenta, strict=True):
         norm.momentum = momentum
+
+
+@torch.no_grad()
+def move_towards(mean: nn.Module, network: nn.Module, share: float, buffers: bool = True) -> None:
+    """Move the weights of a running mean towards a network's by a share of the way, and its running statistics."""
+    pairs = [zip(mean.parameters(), network.parameters(), strict=True)]
+    if buffers:
+        pairs.append(zip(mean.buffers(), network.buffers(), strict=True))
+    for own, other in (pair for both in pairs for pair in both):
+        if own.is_floating_point():
+            own.lerp_(other, share)

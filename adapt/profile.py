@@ -5,7 +5,9 @@ from typing import Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from gelgap.adapt.inputs import INPUTS
 from gelgap.assets import load_preset
+from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import read_toml
 
@@ -28,6 +30,8 @@ class Profile(Settings):
     """width and height of the network's pictures, px"""
     pairing: Literal["channels", "stack", "difference"] = "channels"
     """contact and reference picture as 6 channels, one above the other, or their difference"""
+    input: str = Field(default="pictures", json_schema_extra={"enum": list(INPUTS)})
+    """what the network is shown of them: pictures (as paired), standardised, calibrated, grey, markers or pretrained"""
     batch_size: int = Field(default=32, ge=2, le=4096)
     """frames of each domain in a step"""
     source_epochs: int = Field(default=20, ge=1)
@@ -48,6 +52,8 @@ class Profile(Settings):
     """a in the learning rate's factor (1 + a·step)^−b"""
     rate_power: float = Field(default=0.75, ge=0)
     """b in the learning rate's factor (1 + a·step)^−b"""
+    averaging: float = Field(default=0.0, ge=0, lt=1)
+    """share of the averaged weights that a step keeps; the average is the result of a stage; 0: the last weights are"""
     regression_weight: float = Field(default=1.0, ge=0)
     """λ_r of stage 2"""
     classification_weight: float = Field(default=1.0, ge=0)
@@ -65,9 +71,6 @@ class Profile(Settings):
     """share of source frames whose colours are turned at random, a stand-in for other lights"""
     marker_hiding: float = Field(default=0.0, ge=0, le=1)
     """share of training batches shown with their markers inpainted, in stage 2 the target's too"""
-    input_standardisation: Literal["none", "domain"] = "none"
-    """standardise each channel of the network's input by mean and standard deviation over the training pictures of its
-    domain"""
     shift_px: int = Field(default=0, ge=0, le=64)
     """training pictures of both domains are shifted at random by up to this many pixels, a stand-in for contacts
     elsewhere"""
@@ -89,6 +92,17 @@ class Profile(Settings):
     """CPU threads of one run"""
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """by method: settings of the method that differ from its defaults"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _reads_former_names(cls, values: Any) -> Any:
+        """Take `input_standardisation` (none or domain), which profiles had before `input`."""
+        if not isinstance(values, dict) or "input_standardisation" not in values:
+            return values
+        values, known = dict(values), {"none": "pictures", "domain": "standardised"}
+        if (former := values.pop("input_standardisation")) not in known:
+            raise ValueError(f"input_standardisation = {former!r}: must be none or domain")
+        return values | {"input": known[former]}
 
     @field_validator("image_size_px")
     @classmethod
@@ -112,10 +126,22 @@ class Profile(Settings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _shows_what_it_can(self) -> "Profile":
+        if (shown := INPUTS.get(self.input)) is None:
+            raise ValueError(unknown_name("input", self.input, INPUTS))
+        if shown.needs_difference and self.pairing != "difference":
+            raise ValueError(f"input {self.input}: needs pairing 'difference', not {self.pairing!r}")
+        if shown.channels is not None and self.colour_mixing:
+            raise ValueError(f"input {self.input}: has no colours to mix; colour_mixing must be 0")
+        if shown.shows_displacement and self.marker_hiding:
+            raise ValueError(f"input {self.input}: shows the dots alone; marker_hiding must be 0")
+        return self
+
     @property
     def in_channels(self) -> int:
         """Channels of the network's input."""
-        return 6 if self.pairing == "channels" else 3
+        return INPUTS[self.input].channels or (6 if self.pairing == "channels" else 3)
 
     @property
     def judges_by_own_statistics(self) -> bool:

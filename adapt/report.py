@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gelgap.adapt.baselines import CONSTANT
 from gelgap.adapt.evaluation import Evaluation, worse_than_constant
 from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
 from gelgap.adapt.runs import Run, load_predictions, load_runs
@@ -14,8 +15,6 @@ from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import Series
-
-CONSTANT = "constant mean"
 
 
 def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Path:
@@ -39,20 +38,22 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
 
 
 def error_table(runs: Sequence[Run]) -> ResultTable:
-    """Return the target's mean MAE, mean ± deviation over seeds: a row per group, a column per method, their means.
+    """Return the target's mean MAE, mean ± deviation over seeds: a row per group, a column per rule and method.
 
-    The best method comes first; of the constant mean and the oracles, one value a seed. The runs have the same labels;
-    where these have several units, it is in % of their ranges.
+    The best method comes first, then rules without a network and oracles by their errors. The runs have the same
+    labels; where these have several units, it is in % of their ranges.
     """
     import pandas as pd
 
     rows = [_name(run) | {"error": _mean_mae(run.target_test)} for run in runs]
-    baselines = {(run.group, run.seed): run.oracles | {CONSTANT: run.target_constant_mean} for run in runs}
     known = {row["method"] for row in rows}
-    for (group, seed), others in baselines.items():
-        for name, error in others.items():
-            if name not in known:
-                rows.append({"group": group, "method": name, "seed": seed, "error": _mean_mae(error)})
+    for run in {(run.group, run.seed): run for run in runs}.values():
+        rules = {CONSTANT: run.target_constant_mean} | run.baselines | run.oracles
+        rows += [
+            _name(run) | {"method": name, "error": _mean_mae(error)}
+            for name, error in rules.items()
+            if name not in known
+        ]
     errors = pd.DataFrame(rows).groupby(["group", "method"], sort=False)["error"]
     table = errors.agg(mean_and_deviation).unstack(sort=False)
     # A method that lacks a group has no mean.

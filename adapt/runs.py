@@ -21,6 +21,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
 
+from gelgap.adapt.baselines import evaluate_baselines
 from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
 from gelgap.adapt.epochs import Progress, silent
 from gelgap.adapt.evaluation import (
@@ -56,7 +57,7 @@ LOG = logging.getLogger(__name__)
 FEATURES_KEPT = 400
 _RECORD, _PREDICTIONS, _MODEL, _RESUME = "run.json", "predictions.npz", "model.pt", "resume.pt"
 _ARRAYS = ("target_true_n", "target_predicted_n", "target_features", "source_features")
-_METHODS_VERSION = 2
+_METHODS_VERSION = 3
 """Raised whenever the same method, profile and seed give another result than before."""
 _STAGE_2_FIELDS = frozenset(
     name
@@ -109,6 +110,8 @@ class Run:
     oracles, unseen
         Of generated domains: the errors of both oracles on the same frames, by name, and what of the gap no picture
         shows.
+    baselines
+        Errors of rules without a network on the target's test frames; empty in records of before.
     """
 
     key: str
@@ -130,6 +133,7 @@ class Run:
     problem: str | None = None
     oracles: dict[str, RecordedEvaluation] = field(default_factory=dict)
     unseen: tuple[str, ...] = ()
+    baselines: dict[str, RecordedEvaluation] = field(default_factory=dict)
     folder: Annotated[Path | None, Field(exclude=True)] = field(default=None, compare=False)
 
     @property
@@ -350,6 +354,7 @@ def run_method(
         judged = {"target": model, "source": as_judged_on_source(model, train)}
     tested = {"target": frames.target_test, "source": frames.source_held_out}
     constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
+    baselines = evaluate_baselines(frames)
     errors, arrays = {"target": constant["target"]}, {}
     for name, judge in judged.items():
         if len(tested[name]):
@@ -377,6 +382,7 @@ def run_method(
         problem=adapted.problem,
         oracles=dict(oracles or {}),
         unseen=unseen,
+        baselines=baselines,
         folder=folder,
     )
     if folder is not None:

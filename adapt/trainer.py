@@ -31,9 +31,10 @@ from gelgap.adapt.data import (
     steps_per_epoch,
 )
 from gelgap.adapt.epochs import EpochLog, EpochRecord, Progress, silent
+from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged
 from gelgap.adapt.methods.registry import make_method
-from gelgap.adapt.model import ForceModel, estimate_statistics, input_statistics, load_start
+from gelgap.adapt.model import ForceModel, estimate_statistics, input_map, load_start, move_towards
 from gelgap.adapt.network import (
     Activations,
     ForceNetwork,
@@ -83,6 +84,8 @@ def train_source(
     if len(source) < 2:
         raise ValueError(f"source {source.name} has {len(source)} frames; training needs at least 2")
     model = untrained(source, profile, seed)
+    if INPUTS[profile.input].frozen and weights is None:
+        raise ValueError(f"input {profile.input}: needs the weights of a pretrained network (--weights)")
     if weights is not None:
         load_start(model.network, Path(weights), source.labels.names)
     how = {"title": f"source {source.name}", "resume_file": resume_file, "progress": progress}
@@ -95,7 +98,7 @@ def train_source(
         if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
             estimate_statistics(model.network, pictures, seed)
     model.network.eval()
-    return replace(model, history=tuple(map(asdict, trainer.records)), input_statistics=pictures.statistics)
+    return replace(model, history=tuple(map(asdict, trainer.records)), input_map=pictures.map)
 
 
 def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
@@ -143,7 +146,7 @@ def adapt(
     """
     profile = model.profile if profile is None else profile
     seed = model.seed if seed is None else seed
-    chosen = make_method(method, profile, model.n_classes, len(model.labels))
+    chosen = make_method(method, profile, model.n_classes, len(model.labels), seed)
     source = with_labels(source, model.labels)
     source.check_labels()
     if chosen.uses_target_labels:
@@ -157,7 +160,7 @@ def adapt(
         seed=seed,
         target=target.name,
         method=method,
-        input_statistics=input_statistics(target, profile, model.device),
+        input_map=input_map(target, profile, model.device),
     )
     title = f"{method} {source.name} → {target.name}"
     trainer = Trainer(adapted.network, profile, seed, source, target, title, resume_file, progress)
@@ -212,7 +215,8 @@ class Trainer(Adaptation):
         steps = steps_per_epoch(len(self.source_domain), profile.batch_size)
         optimizer = _make_optimizer(network, method, profile, rate)
         parameters = [p for module in (network, method) if module is not None for p in module.parameters()]
-        state = {"network": network, "companion": method, "optimizer": optimizer}
+        average = copy.deepcopy(network).requires_grad_(False) if profile.averaging else None
+        state = {"network": network, "companion": method, "optimizer": optimizer, "average": average}
         records = self._resume(state)
         skipped_in_a_row = 0
         for epoch in range(len(records), epochs):
@@ -243,6 +247,11 @@ class Trainer(Adaptation):
                 finite = bool(torch.isfinite(norm) & torch.isfinite(loss))
                 if finite:
                     optimizer.step()
+                    if average is not None:
+                        # At first the average is short, so that it forgets where training began.
+                        move_towards(
+                            average, network, 1 - min(profile.averaging, (1 + number) / (10 + number))
+                        )
                     if method is not None:
                         method.after_step(network)
                 skipped_in_a_row = 0 if finite else skipped_in_a_row + 1
@@ -259,9 +268,11 @@ class Trainer(Adaptation):
                 _check_collapse(records)
             self._store(state, records)
             if self.watch is not None:
-                self.watch(epoch + 1, self._finished(copy.deepcopy(network), method))
+                self.watch(epoch + 1, self._finished(copy.deepcopy(average or network), method))
             self.progress(self.title, epoch + 1, epochs, str(records[-1]))
         self.records += records
+        if average is not None:
+            network.load_state_dict(average.state_dict())
         if method is not None:
             self._finished(network, method)
 
@@ -310,7 +321,10 @@ class Trainer(Adaptation):
         if target is not None:
             rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
             target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
-            shown.append(method.augment(target.inputs, step))
+            shown = [
+                method.augment_source(shown[0], target.inputs, step),
+                method.augment(target.inputs, step),
+            ]
         with autocast(profile, network.device):
             if target is not None and profile.batch_statistics == "joint":
                 features = network.features(torch.cat(shown)).split(list(map(len, shown)))
@@ -385,8 +399,9 @@ def _make_optimizer(
 ) -> torch.optim.SGD:
     """Return SGD with the backbone's learning rate scaled down; what a method owns learns like the heads."""
     heads = [network.bottleneck, network.regressor, network.classifier, *([] if method is None else [method])]
+    factor = 0.0 if INPUTS[profile.input].frozen else profile.backbone_rate_factor
     groups = [
-        {"params": list(network.backbone.parameters()), "lr": rate * profile.backbone_rate_factor},
+        {"params": list(network.backbone.parameters()), "lr": rate * factor},
         {"params": [p for module in heads for p in module.parameters()], "lr": rate},
     ]
     optimizer = torch.optim.SGD(groups, lr=rate, momentum=profile.momentum, weight_decay=profile.weight_decay)

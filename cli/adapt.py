@@ -25,6 +25,14 @@ def check_methods(names: tuple[str, ...]) -> None:
             raise ValueError(unknown_name("method", name, method_names()))
 
 
+def check_input(name: str) -> None:
+    """Check the name of an input."""
+    from gelgap.adapt.inputs import INPUTS
+
+    if name not in INPUTS:
+        raise ValueError(unknown_name("input", name, INPUTS))
+
+
 def check_labels(names: tuple[str, ...]) -> None:
     """Check names of labels, each once and one at least."""
     from gelgap.domains.frames.labels import check_names
@@ -62,6 +70,7 @@ class Adapt(opt.Command):
     For example:
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --out runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --input calibrated --out runs
     """
 
     when_stopped: ClassVar[str] = "finished runs and epochs are kept, run the same command again to go on"
@@ -74,6 +83,8 @@ class Adapt(opt.Command):
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
     profile: Annotated[str, opt.preset_or_file("profiles")] = "smoke"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
+    input: Annotated[str | None, opt.optional("NAME", "the profile's"), check_input] = None
+    """What the network is shown: pictures, standardised, calibrated, grey, markers or pretrained (with --weights)."""
     labels: Annotated[
         tuple[str, ...] | None,
         opt.optional("NAME ...", "the axes of the force that both domains have"),
@@ -105,7 +116,7 @@ class Adapt(opt.Command):
         """Train, adapt, print one line per method."""
         from gelgap.adapt import Profile, adapt_folders, console_progress
 
-        changes = {"split_by": self.split_by, "stratify_by": self.stratify}
+        changes = {"input": self.input, "split_by": self.split_by, "stratify_by": self.stratify}
         profile = opt.named(Profile, self.profile).replace(
             **{name: value for name, value in changes.items() if value is not None}
         )
@@ -129,11 +140,11 @@ class Adapt(opt.Command):
 
 
 def _table(runs: "Sequence[Run]") -> str:
-    """Return the error of each run that did not fail beside the constant mean and the oracles, and what went wrong."""
+    """Return the error of each run that did not fail beside rules and oracles without a network, and what went wrong."""
     from gelgap.adapt.evaluation import errors_text, worse_than_constant
 
     done = [run for run in runs if run.method != CONSTANT_MEAN and not run.problem]
-    errors = {"constant mean": runs[0].target_constant_mean} | runs[0].oracles
+    errors = {"constant mean": runs[0].target_constant_mean} | runs[0].baselines | runs[0].oracles
     errors |= {run.method: run.target_test for run in done}
     lines = [f"{runs[0].group}, target test frames", errors_text(errors)]
     for run in runs:

@@ -2,18 +2,16 @@
 
 import os
 import time
-from collections.abc import Callable, Iterable
-from itertools import product
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from gelgap.adapt import find_method
-from gelgap.benchmarks.adaptation import gaps, labels
+from gelgap.adapt.baselines import BASELINES
+from gelgap.benchmarks.adaptation import labels
 from gelgap.benchmarks.adaptation.board import BY_POINT
 from gelgap.benchmarks.adaptation.groups import load_headline
-from gelgap.benchmarks.adaptation.study import ORACLES, RUNS, control_of, grid, write_results
+from gelgap.benchmarks.adaptation.study import RUNS, control_of, grid
 from gelgap.benchmarks.common import key_of, run_missing
 
 Record = tuple[dict[str, Any], dict[str, Any]]
@@ -37,6 +35,8 @@ def record(
         "control": control_of(method) if "." not in method else None,
         **{"mae_n": (error_n,) * 3, "r2": (0.85, 0.85, 0.95), "constant_mean_n": (0.4,) * 3},
         **{"source_held_out_r2": (0.9, 0.7, 0.95), "stage1_s": 60.0, "stage2_s": 30.0},
+        "baselines_mae_n": dict.fromkeys(BASELINES, (0.4,) * 3),
+        "baselines_r2": dict.fromkeys(BASELINES, (0.0,) * 3),
     }
     return run, found | results
 
@@ -47,13 +47,9 @@ def write_runs(file: Path, records: Iterable[Record]) -> None:
     run_missing(lambda run: results[key_of(run)][1], [run for run, _ in results.values()], file, workers=1)
 
 
-def write_benchmark(folder: Path, records: Iterable[Record], **oracles: dict) -> Path:
-    """Write a folder of the benchmark: runs, and the oracles of their groups, some others than the rest."""
-    records = list(records)
+def write_benchmark(folder: Path, records: Iterable[Record]) -> Path:
+    """Write the runs of a folder of the benchmark."""
     write_runs(folder / RUNS, records)
-    names = dict.fromkeys(f"{run['source']} → {run['target']}" for run, _ in records)
-    usual = {"pose_n": (0.01,) * 3, "geometry_n": (0.02,) * 3}
-    write_results(folder / ORACLES, {name: oracles.get(name, usual) for name in names})
     return folder
 
 
@@ -77,19 +73,3 @@ def label_record(group: tuple[str, str], method: str, errors: dict[int, float], 
         for way in (labels.WAYS if n else ("none",))
     ]
     return record(group, method, errors[0], changes=changes, points=points)
-
-
-def crossed(error: Callable[[pd.Series], float]) -> gaps.GapResults:
-    """Return results of the crossed design with the errors of each cell."""
-    levels = list(product((False, True), repeat=3))
-    cells = pd.DataFrame(levels, columns=gaps.CROSSED).assign(
-        domain=["{:d}{:d}{:d}".format(*one) for one in levels]
-    )
-    errors_n = {c["domain"]: {"dsan": error(c), gaps.CONSTANT: 0.4} for _, c in cells.iterrows()}
-    places = [
-        {"panel": "modulus", "domain": "000", "size": 1.0},
-        {"panel": "modulus", "domain": "100", "size": 0.7},
-    ]
-    return gaps.GapResults(
-        ["dsan"], 1, places, cells.to_dict("records"), errors_n, dict.fromkeys(errors_n, 0.05)
-    )

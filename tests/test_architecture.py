@@ -34,17 +34,17 @@ LINES = {
     "sim": 5245,
     "render": 5205,
     "domains": 7630,
-    "adapt": 5110,
+    "adapt": 5720,
     "view": 1600,
-    "cli": 2545,
-    "benchmarks": 9710,
+    "cli": 2560,
+    "benchmarks": 10200,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 
 A room that grows gives something back first.
 """
-MOST_FILES = 208
+MOST_FILES = 220
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")

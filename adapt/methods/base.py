@@ -143,6 +143,8 @@ class Method(nn.Module):
         Whether target labels reach its loss; then it is no method for domain adaptation.
     needs_stage_1
         Whether it starts from the network that stage 1 trained, or from any.
+    grid
+        The setting by which its strength is tuned and the candidates, rising; None: nothing is tuned.
     """
 
     Settings: ClassVar[type[MethodSettings]] = MethodSettings
@@ -150,6 +152,10 @@ class Method(nn.Module):
     uses_classifier: ClassVar[bool] = False
     uses_target_labels: ClassVar[bool] = False
     needs_stage_1: ClassVar[bool] = True
+    grid: ClassVar[tuple[str, tuple[float, ...]] | None] = (
+        "transfer_weight",
+        (0.0, 3e-5, 3e-4, 0.003, 0.03, 0.3, 3.0),
+    )
     # Deprecated, as `perturb` is: `loss` and `augment` are given a step.
     scheduled: ClassVar[bool] = True
     applies_weight: ClassVar[bool] = False
@@ -196,6 +202,10 @@ class Method(nn.Module):
         """Return what the network is shown of the target's inputs (B, channels, h, w); by default all as it is."""
         self._note(step)
         return self.perturb(inputs)
+
+    def augment_source(self, inputs: Tensor, target: Tensor, step: Step) -> Tensor:
+        """Return what the network is shown of the source's inputs, the target's (B, channels, h, w) beside them."""
+        return inputs
 
     def perturb(self, inputs: Tensor) -> Tensor:
         return inputs

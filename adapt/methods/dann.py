@@ -36,19 +36,17 @@ def domain_loss(logits_source: Tensor, logits_target: Tensor) -> Tensor:
 def make_discriminator(inputs: int, hidden: int) -> nn.Module:
     """Return a discriminator with two hidden layers that gives a logit of "source" (B, 1).
 
-    It begins the same in every run. Source and target come as one batch, whose statistics standardise its input: a
-    batch normalisation of each domain by itself would remove the very shift that it should see.
+    Source and target come as one batch, whose statistics standardise its input: a batch normalisation of each domain by
+    itself would remove the very shift that it should see.
     """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        return nn.Sequential(
-            nn.BatchNorm1d(inputs, affine=False),
-            nn.Linear(inputs, hidden),
-            nn.ReLU(),
-            nn.Linear(hidden, hidden),
-            nn.ReLU(),
-            nn.Linear(hidden, 1),
-        )
+    return nn.Sequential(
+        nn.BatchNorm1d(inputs, affine=False),
+        nn.Linear(inputs, hidden),
+        nn.ReLU(),
+        nn.Linear(hidden, hidden),
+        nn.ReLU(),
+        nn.Linear(hidden, 1),
+    )
 
 
 class DANN(Method):

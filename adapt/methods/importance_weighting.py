@@ -33,6 +33,8 @@ class ImportanceWeighting(DANN):
     class Settings(DANN.Settings):
         largest_ratio: float = Field(default=10.0, gt=1, description="density ratios are cut here")
 
+    grid = ("transfer_weight", (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 1.0))
+
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
         n = len(source.features)
         logits = self.discriminator(torch.cat([source.features, target.features]).detach())[:, 0]

@@ -17,6 +17,7 @@ from torch.nn import functional
 
 from gelgap.adapt.data import mix_colours
 from gelgap.adapt.methods.base import Method, MethodSettings, Step, TransferLoss
+from gelgap.adapt.model import move_towards
 from gelgap.adapt.network import Activations, ForceNetwork
 
 
@@ -43,11 +44,9 @@ class MeanTeacher(Method):
         error = functional.mse_loss(target.prediction, pseudo_label)
         return TransferLoss(error, step.weight, {"teacher_spread": pseudo_label.std(dim=0).mean()})
 
-    @torch.no_grad()
     def after_step(self, network: ForceNetwork) -> None:
         """Move the teacher's weights towards the network's ([1], equation 1)."""
-        for mean, weight in zip(self.teacher.parameters(), network.parameters(), strict=True):
-            mean.lerp_(weight, 1 - self.settings.decay)
+        move_towards(self.teacher, network, 1 - self.settings.decay, buffers=False)
 
     def finish(self, network: ForceNetwork) -> None:
         network.load_state_dict(self.teacher.state_dict())

@@ -49,6 +49,11 @@ METHODS = {
     "mean-teacher": "mean_teacher:MeanTeacher",
     "uga": "uga:UGA",
     "importance-weighting": "importance_weighting:ImportanceWeighting",
+    "label-shift": "label_shift:LabelShift",
+    "deep-jdot": "deep_jdot:DeepJDOT",
+    "fourier-style": "fourier_style:FourierStyle",
+    "psc": "psc:PSC",
+    "online-ssa": "online_ssa:OnlineSSA",
     "supervised": "controls:Supervised",
 }
 EXTRA: "dict[str, type[Method]]" = {}
@@ -142,15 +147,20 @@ def method_settings(name: str, profile: "Profile") -> "MethodSettings":
         raise ValueError(f"settings of method {name}: {error}") from error
 
 
-def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3) -> "Method":
-    """Return a method with the profile's settings for it."""
+def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3, seed: int = 0) -> "Method":
+    """Return a method with the profile's settings for it; what it owns as parameters is drawn by the seed."""
+    import torch
+
     kind = find_method(name)
     settings = method_settings(name, profile)
+    given: tuple[int, ...] = (profile.feature_dim, n_classes, n_labels)
     if len(inspect.signature(kind).parameters) == 3:
         what = f"{kind.__name__}(settings, feature_dim, n_classes) is deprecated: let it take n_labels, too"
         warnings.warn(what, DeprecationWarning, stacklevel=2)
-        return kind(settings, profile.feature_dim, n_classes)
-    return kind(settings, profile.feature_dim, n_classes, n_labels)
+        given = given[:2]
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return kind(settings, *given)
 
 
 def transfer_weight(name: str, profile: "Profile") -> float:

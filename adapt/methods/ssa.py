@@ -11,11 +11,26 @@ statistics are estimated anew on the target.
 [1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR 2025.
 """
 
+from typing import NamedTuple
+
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
 from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, descend
+
+
+class Subspace(NamedTuple):
+    """What is kept of the source: mean, directions, variances and weights of `subspace_loss`.
+
+    `slack` is the mean squared distance of its features from the subspace.
+    """
+
+    mean: Tensor
+    directions: Tensor
+    variances: Tensor
+    weights: Tensor
+    slack: Tensor
 
 
 def subspace_loss(
@@ -47,23 +62,32 @@ class SSA(Method):
             default=20, ge=1, description="principal directions of the source's features to align"
         )
         epochs: int = Field(default=3, ge=1, description="passes over the target")
-        learning_rate: float = Field(default=1e-3, gt=0, description="Adam's learning rate")
+        learning_rate: float = Field(default=1e-3, ge=0, description="Adam's learning rate")
+
+    grid = ("learning_rate", (0.0, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1))
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Take the source's feature statistics, then train the normalisations on target pictures alone."""
+        self.follow(adaptation, self.settings.epochs)
+        adaptation.estimate_target_statistics()
+
+    def alignment(self, features: Tensor, subspace: Subspace) -> Tensor:
+        """Return the loss of a batch of target features (B, D)."""
+        return subspace_loss(features, *subspace[:4])
+
+    def follow(self, adaptation: Adaptation, passes: int) -> None:
+        """Train the normalisations' scales and offsets in passes over the target's pictures."""
         network, subspace = adaptation.network, self._subspace(adaptation)
         norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
         parameters = [p for norm in norms for p in norm.parameters()]
         optimizer = torch.optim.Adam(parameters, lr=self.settings.learning_rate)
         network.train()
-        for epoch in range(self.settings.epochs):
+        for epoch in range(passes):
             for batch in adaptation.target_batches(epoch):
-                descend(optimizer, subspace_loss(network.features(batch), *subspace), "SSA")
-        adaptation.estimate_target_statistics()
+                descend(optimizer, self.alignment(network.features(batch), subspace), "SSA")
 
     @torch.no_grad()
-    def _subspace(self, adaptation: Adaptation) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return what is kept of the source: mean, directions, variances and weights of `subspace_loss`."""
+    def _subspace(self, adaptation: Adaptation) -> Subspace:
         network = adaptation.network
         features = torch.cat([network.features(batch) for batch in adaptation.source_batches(0)]).double()
         mean = features.mean(dim=0)
@@ -71,4 +95,5 @@ class SSA(Method):
         count = int(min(self.settings.directions, (values > 1e-8 * values[-1]).sum()))
         variances, directions = values.flip(0)[:count], vectors.flip(1)[:, :count]
         head = network.regressor[0].weight.double()
-        return mean, directions, variances, 1 + (head @ directions).abs().sum(dim=0)
+        slack = values.clamp_min(0).sum() - variances.sum()
+        return Subspace(mean, directions, variances, 1 + (head @ directions).abs().sum(dim=0), slack)

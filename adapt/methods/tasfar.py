@@ -92,7 +92,7 @@ class TASFAR(Method):
 
     class Settings(MethodSettings):
         epochs: int = Field(default=3, ge=1, description="passes over the target")
-        learning_rate: float = Field(default=1e-4, gt=0, description="Adam's learning rate")
+        learning_rate: float = Field(default=1e-4, ge=0, description="Adam's learning rate")
         block: float = Field(
             default=0.05, gt=0, le=0.5, description="width of a block of the density, in the normalised force"
         )
@@ -102,6 +102,8 @@ class TASFAR(Method):
             lt=1,
             description="share of the source's frames whose spread counts as confident",
         )
+
+    grid = ("learning_rate", (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2))
 
     def adapt(self, adaptation: Adaptation) -> None:
         """Calibrate on the source, then train on pseudo-labels of the target's pictures alone."""

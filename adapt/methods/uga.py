@@ -78,9 +78,7 @@ class UGA(Method):
 
     def __init__(self, settings: Settings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__(settings, feature_dim, n_classes, n_labels)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(0)
-            self.evidence_head = nn.Linear(feature_dim, 3 * n_labels)
+        self.evidence_head = nn.Linear(feature_dim, 3 * n_labels)
         nn.init.zeros_(self.evidence_head.bias)
 
     def evidence(self, features: Tensor) -> Evidence:

@@ -6,10 +6,20 @@ import signal
 import time
 from pathlib import Path
 
-from gelgap.benchmarks.adaptation.study import Study
+from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS, Group
+from gelgap.benchmarks.adaptation.study import BOARD, Study
 from gelgap.benchmarks.registry import parts_of
 
 _BAD_INPUT, _INTERRUPTED = 2, 130
+
+
+def group_of(text: str) -> Group:
+    """Return the group of a text such as wmb0i0:wmb0i1."""
+    source, _, target = text.partition(":")
+    if text not in {":".join(group) for group in (*GROUPS, *LIGHT_GROUPS)}:
+        known = ", ".join(":".join(group) for group in (*GROUPS, *LIGHT_GROUPS))
+        raise argparse.ArgumentTypeError(f"{text!r} is no group of the board; known: {known}")
+    return source, target
 
 
 def main() -> None:
@@ -23,14 +33,18 @@ def main() -> None:
         nargs="+",
         help="names, or your own as module:Class or file.py:Class; default: the part's own",
     )
+    parser.add_argument(
+        "--groups", nargs="+", type=group_of, metavar="SOURCE:TARGET", help="default: the part's own"
+    )
     parser.add_argument("--workers", type=int, help="processes; default: one per core")
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after this time")
-    parser.add_argument("--out", type=Path, default=Path("benchmark-results/adaptation/cpu"))
+    parser.add_argument("--out", type=Path, default=Path("benchmark-results/adaptation") / BOARD)
     chosen = parser.parse_args()
     study = Study.at(
         chosen.out,
         seeds=tuple(chosen.seeds) if chosen.seeds else None,
         methods=tuple(chosen.methods) if chosen.methods else None,
+        groups=tuple(chosen.groups) if chosen.groups else None,
         workers=chosen.workers,
         stop=time.time() + 60 * chosen.minutes,
     )

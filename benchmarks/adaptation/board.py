@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from gelgap.benchmarks.adaptation.designs import DATA
+
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
 
@@ -31,19 +33,29 @@ PAPER_METHODS = ("dann", "daregram", "dsan")
 """The paper's methods of adaptation."""
 
 PLAIN, CEILING = "source-only", "supervised"
-SOURCE_FREE = ("ssa", "tasfar")
+SOURCE_FREE = ("ssa", "tasfar", "psc", "online-ssa")
 """Methods that adapt without source frames: AdaBN is what they must beat."""
 METHODS = (
     *(PLAIN, "adabn", "no-transfer", "classifier-only"),
     *("coral", "dan", "jan", "dann", "cdan", "rsd", "daregram", "cod", "dsan", "dsan-soft"),
-    *("mean-teacher", "uga", "importance-weighting", "tasfar", "ssa", CEILING),
+    *("mean-teacher", "uga", "importance-weighting", "label-shift", "deep-jdot", "fourier-style"),
+    *("tasfar", "ssa", "psc", "online-ssa", CEILING),
 )
-"""All methods: controls, alignment of distributions, other ways to adapt, source-free ones, and the ceiling."""
+"""All methods: controls, alignment of distributions, other ways to adapt, source-free ones, training on both."""
 MAIN_METHODS = (PLAIN, "adabn", "no-transfer", "classifier-only", *PAPER_METHODS, CEILING)
-"""The paper's methods, their controls and the ceiling."""
+"""The paper's methods, their controls, and training on the labels of both domains."""
 
+LIGHT_GROUPS: tuple[Group, ...] = (
+    *(("wmb0i0", "wmb0i1"), ("wmb0i1", "wmb0i0")),
+    *(("wmb0i0", "wmb0i2"), ("wmb0i2", "wmb0i0")),
+)
+"""Groups in which nothing but the light changes."""
+LABEL_SHIFT = "label-shift"
+BY_ROLE = (DATA, LABEL_SHIFT)
+"""Data sets whose domains are pressed at other points as sources than as targets; the second's targets rarely deep."""
 DESIGNS = ("paired", "independent")
-"""Whether both domains of a group have the same contacts, or each its own; also the data sets of the groups."""
+"""Data sets of the former board, in which both domains have the same contact points; by poses, or near them."""
+DATA_SETS = (*BY_ROLE, *DESIGNS)
 TUNING_DOMAINS = ("mb3i3", "wmb3i3", "wmb4i4")
 """Gels and lights by which hyperparameters are chosen: no group that is compared has one of them."""
 TUNING_SETS = ("tune-paired", "tune-independent")

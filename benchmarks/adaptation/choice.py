@@ -2,7 +2,7 @@
 
 One rule for all: every case (data set, group, seed) ranks the candidates by the selector's score, those that collapsed
 or look like constant predictors last, and the candidate of least mean rank is chosen, of equals the first. Regret is
-the error of a choice less that of the best candidate. `transfer` asks whether the choice holds on the nine groups.
+the error of a choice less that of the best candidate.
 """
 
 import math
@@ -10,30 +10,19 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from gelgap.adapt import SELECTORS, ResultTable
-from gelgap.assets.names import unknown_name
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, scored_run, with_errors
 from gelgap.benchmarks.common import Setting, result_table
 
 SELECTOR = "reverse validation"
-"""Fixed before anything was tuned, for its regret in an earlier study; the others are shown beside it, not used."""
-AUGMENTATIONS, TUNED, NINE_GROUPS = "augmentations.jsonl", "tuning.jsonl", "transfer.jsonl"
+"""Fixed by argument: of the six it alone goes by the target's predictions back to known forces, so that features which
+are aligned wrongly cost it as much as features which are not. The others are shown beside it, not used."""
+AUGMENTATIONS, TUNED = "augmentations.jsonl", "tuning.jsonl"
 SEEDS = (0,)
 NINE = [("paired", group) for group in board.GROUPS]
-_WEIGHTED = ("coral", "dan", "jan", "dann", "cdan", "rsd", "daregram", "cod", "dsan", "dsan-soft")
-GRIDS: dict[str, tuple[str, tuple[float, ...]]] = {
-    **dict.fromkeys(
-        (*_WEIGHTED, "mean-teacher", "uga"), ("transfer_weight", (0.0003, 0.003, 0.03, 0.3, 3.0))
-    ),
-    "importance-weighting": ("transfer_weight", (0.01, 0.03, 0.1, 0.3, 1.0)),  # 1 is the whole weight
-    "tasfar": ("learning_rate", (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)),
-    "ssa": ("learning_rate", (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)),
-}
-"""The setting by which each method's strength is tuned, and its candidates: as many for one as for another, rising."""
 METHOD = "no-transfer"
 """The method by which augmentations are chosen: no loss of a method has a say."""
 SHOWN_METHODS = (board.PLAIN, METHOD)
@@ -78,19 +67,14 @@ def chosen(found: pd.DataFrame, selector: str = SELECTOR) -> Any:
     return found[selector].mean().idxmin()
 
 
-def regret_anew_n(found: pd.DataFrame, selector: str = SELECTOR) -> list[float]:
-    """Return the regret of a selector that chooses in every case anew, N."""
-    anew = found[selector].idxmin(axis=1)
-    return [found["regret_n"].loc[case, candidate] for case, candidate in anew.items()]
-
-
 def of_grid(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     """Return the candidates of each method that has a complete case among the runs of a grid."""
     runs = runs.assign(candidate=[settings[0][1] for settings in runs["settings"]])
     found = {
-        method: compared(runs[runs["method"] == method], values) for method, (_, values) in GRIDS.items()
+        method: compared(own, sorted(own["candidate"].unique()))
+        for method, own in runs.groupby("method", sort=False)
     }
-    return {method: own for method, own in found.items() if len(own)}
+    return {method: found[method] for method in [*board.METHODS, *found] if len(found.get(method, ()))}
 
 
 def augmented(runs: pd.DataFrame) -> pd.DataFrame:
@@ -103,24 +87,39 @@ def _named(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def tuned_methods(chosen: Sequence[str] | None = None) -> list[str]:
-    """Return the methods that have a grid, or those chosen.
+    """Return the methods of the board that have a grid, or those chosen, whose grids are checked.
 
     Raises
     ------
     ValueError
-        If a chosen method has no grid.
+        If a chosen method has no grid, or a candidate is none that its settings may have.
     """
-    for method in chosen or ():
-        if method not in GRIDS:
-            raise ValueError(unknown_name("method", method, GRIDS, "methods with a grid"))
-    return list(chosen or GRIDS)
+    from gelgap.adapt.methods.registry import find_method, use_method
+
+    tuned = [use_method(method) for method in chosen or board.METHODS]
+    if not chosen:
+        tuned = [method for method in tuned if find_method(method).grid]
+    for method in tuned:
+        found = find_method(method)
+        if not found.grid:
+            raise ValueError(f"method {method} has no grid, so that nothing can be tuned")
+        name, values = found.grid
+        if list(values) != sorted(set(values)):
+            raise ValueError(f"method {method}: grid {values} must rise")
+        for value in values:
+            found.Settings(**{name: value})
+    return tuned
 
 
 def grid_runs(
     cases: Iterable[tuple[str, board.Group]], methods: Iterable[str], seeds: Iterable[int]
 ) -> list[Setting]:
     """Return the runs of every candidate of some methods."""
-    settings = {method: [((name, value),) for value in values] for method, (name, values) in GRIDS.items()}
+    from gelgap.adapt import find_method
+
+    methods = list(methods)
+    grids = {method: find_method(method).grid for method in methods}
+    settings = {method: [((name, value),) for value in values] for method, (name, values) in grids.items()}
     return grid(cases, methods, seeds, settings=settings.get)
 
 
@@ -138,13 +137,6 @@ def tune(study: Study) -> None:
     print(settings_toml(with_errors(study.run(scored_run, runs, TUNED))))
 
 
-def transfer(study: Study) -> None:
-    """Do the grid's missing runs on the nine groups, by default of the paper's methods and one seed."""
-    runs = grid_runs(NINE, tuned_methods(study.methods or board.PAPER_METHODS), study.seeds or SEEDS)
-    study.generate_sets("paired")
-    study.run(scored_run, runs, NINE_GROUPS)
-
-
 def augment(study: Study) -> None:
     """Do the missing runs on the tuning groups, print what the profile's file needs, then those on the nine groups."""
     seeds = study.seeds or SEEDS
@@ -157,7 +149,8 @@ def augment(study: Study) -> None:
 
 def settings_toml(runs: pd.DataFrame) -> str:
     """Return the tables of the profile's file that freeze the choice."""
-    found = [f"[settings.{m}]\n{GRIDS[m][0]} = {chosen(own):g}" for m, own in of_grid(runs).items()]
+    names = {method: own["settings"].iloc[0][0][0] for method, own in runs.groupby("method")}
+    found = [f'[settings."{m}"]\n{names[m]} = {chosen(own):g}' for m, own in of_grid(runs).items()]
     return "\n".join(["# python -m gelgap.benchmarks.adaptation tuning", *found])
 
 
@@ -170,6 +163,11 @@ def augmentation_toml(runs: pd.DataFrame) -> str:
     return "\n".join(["# python -m gelgap.benchmarks.adaptation augmentations", *fields])
 
 
+def edge_of(value: float, values: Sequence[float]) -> str:
+    """Say whether a chosen value ends its grid, so that a further one may be better still."""
+    return {values[0]: "lowest", values[-1]: "highest"}.get(value, "")
+
+
 def choice_frame(found: dict[str, pd.DataFrame], choice: dict[str, float]) -> pd.DataFrame:
     """Return what is known of each method's candidates and of the chosen one, whose regret is over the cases."""
     rows = {}
@@ -177,11 +175,11 @@ def choice_frame(found: dict[str, pd.DataFrame], choice: dict[str, float]) -> pd
         own, means = found[method], found[method].mean()
         regret_n = own["regret_n", value]
         rows[method] = {
-            "setting": GRIDS[method][0],
-            "candidates": ", ".join(map("{:g}".format, GRIDS[method][1])),
+            "candidates": ", ".join(map("{:g}".format, means["error_n"].index)),
             "mean ranks": ", ".join(map("{:.1f}".format, means[SELECTOR])),
             "mean MAE, N": ", ".join(map("{:.3f}".format, means["error_n"])),
             "chosen": f"{value:g}",
+            "on the edge": edge_of(value, list(means["error_n"].index)),
             "best one for all groups": f"{means['error_n'].idxmin():g}",
             "regret, N": regret_n.mean(),
             "worst, N": regret_n.max(),
@@ -200,47 +198,10 @@ def tuning_tables(folder: Path) -> list[ResultTable]:
         "What was chosen for each method, on the tuning groups",
         frame.drop(columns=["mean MAE, N", "best one for all groups"]),
         "Mean ranks are over groups and designs by reverse validation, which sees no target label. Regret: test error "
-        "of the chosen candidate less that of the best in each group.",
+        "of the chosen candidate less that of the best in each group. Of 0 as the lowest no loss is better.",
         {"": "{:.3f}", "cases": "{:d}"},
     )
     return [table]
-
-
-def transfer_tables(folder: Path) -> list[ResultTable]:
-    """Return the regret of the frozen choice on the nine groups, and that of every selector."""
-    tuned, nine = (of_grid(load_runs(folder / name)) for name in (TUNED, NINE_GROUPS))
-    tables, frozen = [], {method: chosen(own) for method, own in tuned.items() if method in nine}
-    if frozen:
-        frame = choice_frame(nine, frozen).drop(columns=["setting", "mean ranks", "cases"])
-        note = (
-            "Paired contacts, split by contact point. Regret: test error of the frozen candidate less that of the best "
-            "in each group, which only the target's labels tell."
-        )
-        title = "Does the choice transfer? The frozen settings on the nine groups"
-        tables.append(result_table(title, frame.rename(columns={"chosen": "frozen"}), note, {"": "{:.3f}"}))
-    return [*tables, selector_table(tuned, nine)] if tuned else []
-
-
-def selector_table(tuned: dict[str, pd.DataFrame], nine: dict[str, pd.DataFrame]) -> ResultTable:
-    """The regret of each selector, frozen on the tuning groups or choosing in each group anew."""
-    rows = {}
-    for name in SELECTORS:
-        regrets_n = {}
-        for cases, found, one in (
-            ("tuning groups", tuned, "one choice for all"),
-            ("nine groups", nine, "chosen on tuning groups"),
-        ):
-            frozen = [found[m]["regret_n", chosen(own, name)] for m, own in tuned.items() if m in found]
-            regrets_n[f"{cases}, {one}"] = frozen
-            regrets_n[f"{cases}, each anew"] = [regret_anew_n(own, name) for own in found.values()]
-        means = {column: np.mean(np.concatenate(own)) for column, own in regrets_n.items() if own}
-        rows[f"{name} (used)" if name == SELECTOR else name] = means
-    return result_table(
-        "Regret of selectors without target labels, N",
-        pd.DataFrame.from_dict(rows, orient="index", columns=list(regrets_n)).rename_axis("selector"),
-        f"Mean over methods and cases; on the nine groups of {', '.join(nine) or 'no method'}.",
-        {"": "{:.3f}"},
-    )
 
 
 def augmentation_tables(folder: Path) -> list[ResultTable]:
@@ -275,4 +236,3 @@ def axis_frame(runs: pd.DataFrame) -> pd.DataFrame:
 
 AUGMENT = Part(augment, augmentation_tables)
 TUNE = Part(tune, tuning_tables)
-TRANSFER = Part(transfer, transfer_tables)

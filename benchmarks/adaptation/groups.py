@@ -1,20 +1,32 @@
-"""The headline: all methods on the nine groups, paired and independent contacts, several seeds, split by point."""
+"""The headline: all methods on groups of two sensors whose contact points are apart, several seeds, split by point.
+
+The *share of the headroom closed* is (start − error)/(start − ceiling), numerator and denominator as means over the
+groups. The start is source-only's error in a group and seed, or the constant mean's where that is less. The ceiling is
+the error of the same network trained on the target's own labels, at its other contact points.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable
+from gelgap.adapt.baselines import BASELINES, CONSTANT
 from gelgap.adapt.report import mean_and_deviation
-from gelgap.benchmarks.adaptation import board
-from gelgap.benchmarks.adaptation.board import AXES, CEILING, DESIGNS, GROUPS, PAPER_MAE_N, PLAIN
+from gelgap.benchmarks.adaptation import board, designs
+from gelgap.benchmarks.adaptation.board import AXES, CEILING, DATA_SETS, GROUPS, LIGHT_GROUPS, PLAIN
+from gelgap.benchmarks.adaptation.statistics import (
+    drawn_means,
+    halves,
+    holm,
+    interval,
+    p_value,
+    sensor_pair,
+)
 from gelgap.benchmarks.adaptation.study import (
-    ORACLES,
     RUNS,
     Part,
     Study,
@@ -22,10 +34,9 @@ from gelgap.benchmarks.adaptation.study import (
     grid,
     is_benchmark,
     load_runs,
-    read_results,
-    write_results,
+    with_errors,
 )
-from gelgap.benchmarks.common import Setting, bootstrap, kendall_tau, result_table
+from gelgap.benchmarks.common import Setting, result_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,19 +44,24 @@ if TYPE_CHECKING:
 SEEDS = (0, 1, 2, 3, 4)
 QUICK_GROUP = ("mb0i0", "wmb1i1")
 QUICK_METHODS = (PLAIN, "adabn", "classifier-only", "dsan", CEILING)
-LEAST_R2 = (0.8, 0.8, 0.9)
-"""R² that supervised-on-target and source-only on its source must reach in Fx, Fy, Fz for a profile to count."""
+LEAST_R2 = 0.9
+"""R² that the ceiling must reach on each axis of a target; shares of the headroom leave other targets out."""
 R2 = [f"R² {axis}" for axis in AXES]
-NAMES = [" → ".join(group) for group in GROUPS]
-FORMATS = {"": "{:.3f}", "rank": "{:.1f}", **dict.fromkeys(R2, "{:.2f}")}
+NAMES = [" → ".join(group) for group in (*GROUPS, *LIGHT_GROUPS)]
+SHRUNK = "adabn's Fz, mean shear"
+RULES = (*BASELINES, SHRUNK)
+"""Rows that need no loss: rules without a network, and AdaBN with the source's mean for its shear."""
+VALUES = {"mean": "error_n", "Fz": "MAE z, N", "shear": "shear_n"}
+"""What methods are ranked by, each apart: a method that predicts no shear is good at neither by hiding it in a mean."""
+FORMATS = {"": "{:.3f}", **dict.fromkeys(R2, "{:.2f}")}
 CAVEAT = (
-    "A description, not a test: the nine groups are made of four domains, groups of one source share its first stage, "
-    "and mb0i0 and wmb0i0 show the same contacts, so they are not nine independent cases."
+    "Groups of the same two sensors are not independent cases, so pairs of sensors are drawn, with their groups, "
+    "and seeds."
 )
 
 
 def measure(study: Study) -> None:
-    """Do the missing runs; then those of the paper's split, which come last."""
+    """Do the missing runs: of a seed the ceilings, then all methods; those on shifted labels come last."""
     from gelgap.domains import make_recipes
     from gelgap.sim import ContactPath
 
@@ -54,48 +70,30 @@ def measure(study: Study) -> None:
         path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))
         options = {"quality": "draft", "render_quality": "draft", "size_px": (160, 120), "seed": 0}
         study.generate(make_recipes(QUICK_GROUP, path, **options))
-        keep_oracles(study, [QUICK_GROUP])
         runs = grid([("paired", QUICK_GROUP)], chosen or QUICK_METHODS, study.seeds or SEEDS[:1])
     else:
-        study.generate_sets(*DESIGNS)
-        keep_oracles(study, GROUPS)
-        runs = headline_grid(chosen, study.seeds or SEEDS)
+        runs = headline_grid(chosen, study.seeds or SEEDS, study.groups)
+        study.generate_roles(runs)
     study.run(adapt_run, runs, RUNS)
 
 
-def headline_grid(methods: Sequence[str] = (), seeds: Iterable[int] = SEEDS) -> list[Setting]:
-    """Return all runs: a seed is complete, in both designs, before the next one begins; the paper's split is last."""
-    cases = [(design, group) for design in DESIGNS for group in GROUPS]
-    by_point = grid(cases, methods or board.METHODS, seeds)
-    return by_point + grid(cases[: len(GROUPS)], methods or board.MAIN_METHODS, seeds, board.AT_RANDOM)
-
-
-def keep_oracles(study: Study, groups: Iterable[board.Group]) -> None:
-    """Keep both oracles of every group beside the runs, so that a report needs no data."""
-    from gelgap.adapt import Presses, geometry_oracle, pose_oracle
-    from gelgap.domains import open_domain
-
-    found = {}
-    for group in groups:
-        pair = [open_domain(study.data / "paired" / name) for name in group]
-        pose, geometry = pose_oracle(*pair), geometry_oracle(*map(Presses.of, pair))
-        found[" → ".join(group)] = {"pose_n": pose.mae_n, "geometry_n": geometry.mae_n}
-    write_results(study.out / ORACLES, found)
-
-
-def load_oracles(folder: Path) -> pd.DataFrame:
-    """Return the oracles' MAE by group, N; `comparable`: an alignment of poses could reach the paper's DSAN figure."""
-    kind = dict[str, dict[Literal["pose_n", "geometry_n"], tuple[float, float, float]]]
-    found = pd.DataFrame(read_results(folder / ORACLES, kind)).T.rename_axis("group")
-    papers = pd.Series(PAPER_MAE_N["dsan"], NAMES)
-    for name in ("pose", "geometry"):
-        found[[f"{name} F{axis}" for axis in AXES]] = found[f"{name}_n"].tolist()
-        found[f"{name} oracle"] = found[f"{name}_n"].map(np.mean)
-    return found.assign(comparable=found["pose oracle"] <= papers.reindex(found.index, fill_value=math.inf))
+def headline_grid(
+    methods: Sequence[str] = (), seeds: Iterable[int] = SEEDS, groups: Sequence[board.Group] | None = None
+) -> list[Setting]:
+    """Return all runs: a seed is complete, ceilings first, before the next one begins; shifted labels are last."""
+    seeds, groups = list(seeds), list(groups or (*GROUPS, *LIGHT_GROUPS))
+    targets = dict.fromkeys(target for _, target in groups)
+    own = [method for method in methods or board.METHODS if method != CEILING]
+    main = [method for method in methods or (*board.MAIN_METHODS, "label-shift") if method != CEILING]
+    found = []
+    for seed in seeds:
+        found += grid([(designs.DATA, (target, target)) for target in targets], [PLAIN], [seed])
+        found += grid([(designs.DATA, group) for group in groups], own, [seed])
+    return found + grid([(board.LABEL_SHIFT, group) for group in groups], main, seeds)
 
 
 def load_headline(
-    folder: Path, data: str = "paired", changes: board.Changes = board.BY_POINT
+    folder: Path, data: str = designs.DATA, changes: board.Changes = board.BY_POINT
 ) -> pd.DataFrame:
     """Return the runs of a data set and split.
 
@@ -115,14 +113,40 @@ def load_headline(
     return runs
 
 
+def load_ceilings(folder: Path, changes: board.Changes = board.BY_POINT) -> pd.DataFrame:
+    """Return the runs of targets that were trained on themselves, by target and seed."""
+    runs = load_runs(folder / RUNS)
+    own = runs[(runs["source"] == runs["target"]) & runs["changes"].isin([changes])]
+    return own.set_index(["target", "seed"]).sort_index()
+
+
 def methods_of(runs: pd.DataFrame, *left_out: str) -> list[str]:
-    """Return the methods that were run, in the board's order, others last."""
+    """Return the methods that were run, rules first and then in the board's order, others last."""
     there = list(runs["method"].unique())
-    return [
-        method
-        for method in dict.fromkeys([*board.METHODS, *there])
-        if method in there and method not in left_out
-    ]
+    order = dict.fromkeys([*RULES, *board.METHODS, *there])
+    return [method for method in order if method in there and method not in left_out]
+
+
+def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return runs, and the rules of `RULES` as further methods; what a record does not have is left out."""
+    found = [runs]
+    plain, adabn = (runs[runs["method"] == name] for name in (PLAIN, "adabn"))
+    for name in BASELINES:
+        columns = [f"baselines_{what}.{name}" for what in ("mae_n", "r2")]
+        own = plain.dropna(subset=columns) if set(columns) <= set(plain) else plain[:0]
+        found.append(own.assign(method=name, mae_n=own.get(columns[0]), r2=own.get(columns[1])))
+    if len(found[1]):
+        shrunk = [
+            (*mean[:2], own[2]) for mean, own in zip(adabn["constant_mean_n"], adabn["mae_n"], strict=True)
+        ]
+        r2 = [
+            (*mean[:2], own[2])
+            for mean, own in zip(adabn[f"baselines_r2.{CONSTANT}"], adabn["r2"], strict=True)
+        ]
+        found.append(adabn.assign(method=SHRUNK, mae_n=shrunk, r2=r2))
+    rules = pd.concat([one for one in found[1:] if len(one)] or [runs[:0]])
+    rules = rules.assign(problem=None, control=None, stage2_s=0.0, settings=[()] * len(rules))
+    return with_errors(pd.concat([runs, rules])) if len(rules) else runs
 
 
 def counted(runs: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
@@ -167,54 +191,110 @@ def tables(folder: Path) -> list[ResultTable]:
     """Return all tables about the groups that the finished runs allow."""
     if not is_benchmark(folder):
         return []
-    designs = {design: runs for design in DESIGNS if len(runs := load_headline(folder, design))}
-    oracles, at_random = load_oracles(folder), load_headline(folder, "paired", board.AT_RANDOM)
-
-    def of_each(*kinds) -> list[ResultTable]:
-        return [table(runs, design) for table in kinds for design, runs in designs.items()]
-
-    found = of_each(method_table, control_table, partial(group_table, oracles=oracles))
-    compared = {design: runs for design, runs in designs.items() if PLAIN in methods_of(runs)}
-    for table, needed in ((adabn_table, {"adabn"}), (order_table, set(PAPER_MAE_N))):
-        if compared and all(needed <= set(methods_of(runs)) for runs in compared.values()):
-            found.append(table(compared))
-    found += of_each(shear_table)
-    if len(at_random) and "paired" in designs:
-        found.append(split_table(at_random, designs["paired"]))
-    return [*found, *of_each(check_table), oracle_table(oracles), *of_each(time_table)]
+    sets = {data: with_rules(runs) for data in DATA_SETS if len(runs := load_headline(folder, data))}
+    ceilings = load_ceilings(folder)
+    found = [
+        table(runs, data, ceilings)
+        for table in (method_table, control_table, group_table)
+        for data, runs in sets.items()
+    ]
+    if len(ceilings):
+        found.append(ceiling_table(ceilings))
+    return [*found, *(time_table(runs, data) for data, runs in sets.items())]
 
 
-def summary(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return each method's error with its interval, R² per axis, and mean rank over the groups, the ceiling apart."""
-    errors = counted(runs)
-    frame = over_groups(errors).rename_axis("method").to_frame("mean MAE, N")
-    frame["95 % interval"] = [bootstrap(errors[method].unstack(sort=False).to_numpy()) for method in errors]
+def usable(ceilings: pd.DataFrame) -> list[str]:
+    """Return the targets whose ceiling reaches R² ≥ 0.9 on each axis, in the mean over seeds."""
+    if ceilings.empty:
+        return []
+    least = ceilings[R2].groupby(level="target").mean().min(axis=1)
+    return list(least.index[least >= LEAST_R2])
+
+
+def headroom(runs: pd.DataFrame, ceilings: pd.DataFrame, values: str = "error_n") -> pd.DataFrame | None:
+    """Return by group and seed (rows) start − error of each method, and start − ceiling in the column `ceiling`.
+
+    Only of groups whose target's ceiling is one, and seeds in which it was found; None if there are none.
+    """
+    errors = counted(runs, values)
+    if PLAIN not in errors or ceilings.empty:
+        return None
+    start = errors[PLAIN] if CONSTANT not in errors else errors[[PLAIN, CONSTANT]].min(axis=1)
+    targets = [(group.partition(" → ")[2], seed) for group, seed in errors.index]
+    ceiling = ceilings[values].reindex(targets).set_axis(errors.index)
+    is_one = np.isin([target for target, _ in targets], usable(ceilings))
+    good = ceiling.notna() & start.notna() & is_one
+    gains = errors.rsub(start, axis=0).assign(ceiling=start - ceiling)[good]
+    return gains if len(gains) else None
+
+
+def closed(gains: pd.DataFrame | None, methods: Iterable[str]) -> pd.DataFrame:
+    """Return the share of the headroom that each method closes, %, and its 95 % interval."""
+    found = pd.DataFrame(math.nan, pd.Index(list(methods), name="method"), ["share"]).assign(interval=None)
+    if gains is None:
+        return found
+    groups = list(dict.fromkeys(gains.index.get_level_values(0)))
+    pairs = [sensor_pair(group) for group in groups]
+
+    def cube(column: str) -> np.ndarray:
+        return gains[column].unstack().reindex(groups).to_numpy()
+
+    whole = drawn_means(cube("ceiling"), pairs)
+    total = by_group(gains[["ceiling"]]).mean().item()
+    for method in found.index:
+        found.loc[method, "share"] = (
+            100 * by_group(gains[[method]]).mean().item() / total if total > 0 else math.nan
+        )
+        draws = 100 * drawn_means(cube(method), pairs) / np.where(whole > 0, whole, math.nan)
+        found.at[method, "interval"] = None if np.isnan(draws).any() else interval(draws)
+    return found
+
+
+def summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
+    """Return each method's share of the headroom closed, errors, R² per axis, and rank by mean, Fz and shear."""
+    errors = {name: counted(runs, column) for name, column in VALUES.items()}
+    methods = list(errors["mean"])
+    shares = {name: closed(headroom(runs, ceilings, column), methods) for name, column in VALUES.items()}
+    frame = pd.DataFrame(index=pd.Index(methods, name="method"))
+    frame["closed"] = shares["mean"]["share"]
+    frame["interval"] = shares["mean"]["interval"]
+    for name in ("Fz", "shear"):
+        frame[f"closed {name}"] = shares[name]["share"]
+    for name, own in errors.items():
+        frame[f"{name}, N"] = over_groups(own)
+    mean_shear = runs["constant_mean_n"].map(lambda mae_n: float(np.mean(mae_n[:2])))
+    hidden = runs.assign(hidden_n=(2 * mean_shear + runs["MAE z, N"]) / 3)
+    frame["no shear, N"] = over_groups(counted(hidden, "hidden_n"))
     for column in R2:
         frame[column] = over_groups(counted(runs, column))
-    return frame.assign(rank=ranks(by_group(errors)[methods_of(runs, CEILING)]).mean())
+    for name, own in errors.items():
+        frame[f"rank {name}"] = ranks(by_group(own)[methods_of(runs, CEILING)]).mean()
+    return frame.dropna(axis=1, how="all")
 
 
-def method_table(runs: pd.DataFrame, design: str) -> ResultTable:
-    """Each method's error, R² per axis and rank; in the note Friedman's test, with and without source-only."""
-    from scipy.stats import friedmanchisquare
+SUMMARY_FORMATS = (
+    FORMATS
+    | {"interval": "{:.0f}"}
+    | dict.fromkeys(("closed", "closed Fz", "closed shear"), "{:.0f} %")
+    | {f"rank {name}": "{:.1f}" for name in VALUES}
+)
 
-    frame, means, tests = summary(runs), by_group(counted(runs)), []
-    for name, left_out in (("all", (CEILING,)), (f"without {PLAIN}", (CEILING, PLAIN))):
-        found = ranks(means[methods_of(runs, *left_out)])
-        if found.shape[1] > 2 and len(found) > 1:
-            p = friedmanchisquare(*found.to_numpy().T).pvalue
-            difference = critical_difference(found.shape[1], len(found))
-            tests.append(f"{name}: Friedman's p = {p:.2g}, Nemenyi's difference {difference:.1f}")
-    frame[f"without {PLAIN}"] = ranks(means[methods_of(runs, CEILING, PLAIN)]).mean()
-    frame["collapsed"] = runs.groupby("method")["problem"].count()
-    frame["paper, N"] = pd.DataFrame(PAPER_MAE_N).mean()
-    tested = f"Ranks over group means, {'; '.join(tests)}. {CAVEAT}" if tests else ""
+
+def method_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
+    """Each method's share of the headroom, errors, R² per axis and ranks; in the note how stable the order is."""
+    frame, errors = summary(runs, ceilings), counted(runs)
+    collapsed = runs.groupby("method")["problem"].count()
+    frame = frame.assign(collapsed=collapsed) if collapsed.any() else frame
+    used = headroom(runs, ceilings)
+    groups = 0 if used is None else used.index.get_level_values(0).nunique()
     return result_table(
-        f"All methods, {design} contacts: mean over {len(means)} groups",
+        f"All methods, {data} contacts: mean over {len(by_group(errors))} groups",
         frame,
-        f"Split by contact point; {_seeds(runs)}. Intervals: bootstrap over groups and seeds. Ranks: means over the "
-        f"groups. A run that collapsed counts with the constant mean's error. {tested}",
-        {**FORMATS, f"without {PLAIN}": "{:.1f}", "collapsed": "{:d}"},
+        f"Split by contact point; {_seeds(runs)}. Closed: of the headroom, from {PLAIN}'s error, or the constant "
+        f"mean's where less, to that of training on the target itself; {groups} groups, whose targets' ceilings have "
+        f"R² ≥ {LEAST_R2:g} on every axis. No shear: the method's Fz beside the source's mean shear. Intervals: "
+        f"bootstrap, 95 %. {CAVEAT} A run that collapsed counts with the constant mean's error. {halves(errors)}",
+        {**SUMMARY_FORMATS, "collapsed": "{:d}"},
     )
 
 
@@ -224,163 +304,77 @@ def _seeds(runs: pd.DataFrame) -> str:
     return seeds if whole.all() else f"{seeds} {finished}"
 
 
-def critical_difference(methods: int, cases: int, level: float = 0.05) -> float:
-    """Return Nemenyi's critical difference of mean ranks (Demšar, JMLR 7, 2006)."""
-    from scipy.stats import studentized_range
-
-    q = studentized_range.ppf(1 - level, methods, np.inf) / np.sqrt(2)
-    return float(q * np.sqrt(methods * (methods + 1) / (6 * cases)))
-
-
-def control_table(runs: pd.DataFrame, design: str) -> ResultTable:
+def control_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
     """What each method's loss brings: its error less that of its own control over the same groups and seeds."""
     errors, controls = counted(runs), runs.groupby("method")["control"].first()
-    methods = [method for method in errors if controls[method] in errors]
+    methods = [method for method in errors if controls.get(method) in errors]
     gains = pd.DataFrame({method: errors[method] - errors[controls[method]] for method in methods})
     means = by_group(gains)
-    pairs = [group.split(" → ") for group in means.index]
-    kept = [[domain not in pair for pair in pairs] for domain in {d for pair in pairs for d in pair}]
+    pairs = [sensor_pair(group) for group in means.index]
+    draws = {m: drawn_means(gains[m].unstack(sort=False).to_numpy(), pairs) for m in methods}
+    kept = [[own != pair for own in pairs] for pair in dict.fromkeys(pairs)]
     without = pd.DataFrame([means[rows].mean(skipna=False) for rows in kept if any(rows)], columns=methods)
+    p = pd.Series({method: p_value(draws[method]) for method in methods}, dtype=float)
     return result_table(
-        f"Methods against their own controls, {design} contacts",
+        f"Methods beside their own controls, {data} contacts",
         pd.DataFrame(
             {
                 "control": controls[methods],
                 "difference, N": means.mean(skipna=False),
-                "95 % interval": [bootstrap(gains[m].unstack(sort=False).to_numpy()) for m in methods],
+                "95 % interval": [interval(draws[m]) for m in methods],
+                "p, Holm": holm(p),
                 "better in": [f"{count} of {len(means)}" for count in (means < 0).sum()],
-                "leaving out a domain": list(zip(without.min(), without.max(), strict=True)),
+                "leaving out a pair": list(zip(without.min(), without.max(), strict=True)),
             }
         ).rename_axis("method"),
         f"Error less that of the control over the same groups and seeds, negative where the method is better; "
-        f"{_seeds(runs)}. Interval: bootstrap over groups and seeds. Last column: range of the mean when the groups "
-        "of one domain are left out.",
-        {"": "{:+.4f}"},
+        f"{_seeds(runs)}. Interval and p: bootstrap, two-sided; p is adjusted for the number of rows. {CAVEAT} Last "
+        "column: range of the mean when the groups of one pair of sensors are left out.",
+        {"": "{:+.4f}", "p, Holm": "{:.3f}"},
     )
 
 
-def group_table(runs: pd.DataFrame, design: str, oracles: pd.DataFrame) -> ResultTable:
-    """The main methods group by group, beside baselines without learning; the oracles are those of paired contacts."""
-    oracles = oracles if design == "paired" else oracles[:0]
-    errors, constant = counted(runs), constant_mean(runs)
+def group_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
+    """The main methods group by group, beside rules and the ceiling."""
+    errors = counted(runs)
     means = by_group(errors)
-    shown = [method for method in means if method in board.MAIN_METHODS]
-    worse = means[PLAIN] > constant[means.index] if PLAIN in means else constant.isna()
-    unfair = ~oracles["comparable"].reindex(means.index, fill_value=True).astype(bool)
-    numbers = means[shown].join(oracles[["pose oracle", "geometry oracle"]]).dropna(axis=1, how="all")
-    numbers.insert(0, "constant mean", constant)
-    frame = numbers.astype(object)
+    shown = [method for method in means if method in (*RULES, *board.MAIN_METHODS)]
+    worse = means[PLAIN] > constant_mean(runs)[means.index] if PLAIN in means else means.index == ""
+    frame = means[shown].astype(object)
     for method in shown:
         frame[method] = errors[method].groupby(level=0, sort=False).apply(mean_and_deviation).astype(object)
-    frame.loc["mean"] = numbers.mean(skipna=False)
-    marked = {group: group + " †" * int(worse[group]) + " *" * int(unfair[group]) for group in means.index}
+    frame.loc["mean"] = means[shown].mean(skipna=False)
+    note = "no ceiling was found."
+    if len(ceilings):
+        own = ceilings["error_n"].groupby(level="target").mean()
+        frame["ceiling"] = [own.get(group.partition(" → ")[2]) for group in frame.index]
+        note = f"* The ceiling's R² is below {LEAST_R2:g} on an axis, so that no headroom is counted."
+    good = usable(ceilings)
+    marked = {
+        group: group
+        + " †" * int(bad)
+        + " *" * int(len(ceilings) > 0 and group.partition(" → ")[2] not in good)
+        for group, bad in zip(means.index, worse, strict=True)
+    }
     return result_table(
-        f"Group by group, {design} contacts: mean MAE on the target's test frames, N",
+        f"Group by group, {data} contacts: mean MAE on the target's test frames, N",
         frame.rename(marked).rename_axis("group"),
-        f"± standard deviation over {_seeds(runs)}. † {PLAIN} is worse than the source's mean force always: "
-        f"{worse.sum()} of {len(means)} groups. * The pose oracle is worse than the paper's DSAN figure, so that "
-        f"the group is not comparable: {unfair.sum()} of {len(means)}.",
+        f"± standard deviation over {_seeds(runs)}. † {PLAIN} is worse than the source's mean force always. {note}",
         {"": "{:.3f}"},
     )
 
 
-def adabn_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
-    """The share of the way from source-only to each method that AdaBN alone goes."""
-    columns = {}
-    for design, runs in designs.items():
-        means = over_groups(counted(runs))
-        columns[f"{design}: change from {PLAIN}"] = 100 * (means / means[PLAIN] - 1)
-        share = (means[PLAIN] - means["adabn"]) / (means[PLAIN] - means)
-        columns[f"{design}: AdaBN's share"] = 100 * share.where(means < means[PLAIN])
-    shown = dict.fromkeys(method for runs in designs.values() for method in methods_of(runs, PLAIN, "adabn"))
+def ceiling_table(ceilings: pd.DataFrame) -> ResultTable:
+    """What training on the target itself reaches, and whether that is a ceiling."""
+    columns = ["error_n", *[f"MAE {axis}, N" for axis in AXES], *R2]
+    frame = ceilings[columns].groupby(level="target").mean().rename(columns={"error_n": "mean MAE, N"})
+    frame["used"] = ["yes" if target in usable(ceilings) else "NO" for target in frame.index]
     return result_table(
-        "How much of each method's gain is batch normalisation",
-        pd.DataFrame(columns).reindex(list(shown)).rename_axis("method"),
-        f"Share: what AdaBN takes off {PLAIN}'s mean error over what the method takes off. Above 100 %, AdaBN alone is "
-        "better.",
-        {name: "{:.0f} %" if "share" in name else "{:+.0f} %" for name in columns},
-    )
-
-
-def order_table(designs: dict[str, pd.DataFrame]) -> ResultTable:
-    """Whether the paper's order of its four methods is found, group by group."""
-    order, columns, falling = list(PAPER_MAE_N), {}, -np.arange(len(PAPER_MAE_N))
-    for design, runs in designs.items():
-        errors = by_group(counted(runs))[order]
-        errors.loc["of the means"] = errors.mean(skipna=False)
-        found = errors.apply(lambda row: " > ".join(row.sort_values(ascending=False).index), axis=1)
-        columns[f"{design}: order"] = found.where(errors.notna().all(axis=1))
-        columns[f"{design}: τ"] = errors.apply(kendall_tau, axis=1, raw=True, second=falling)
-        columns[f"{design}: the paper's"] = (errors.diff(axis=1).iloc[:, 1:] < 0).all(axis=1).astype(object)
-    groups = dict.fromkeys(group for column in columns.values() for group in column.index[:-1])
-    tau = np.mean([kendall_tau(column, falling) for column in np.transpose(list(PAPER_MAE_N.values()))])
-    return result_table(
-        "Is the paper's order of methods found?",
-        pd.DataFrame(columns, index=pd.Index([*groups, "of the means"], name="group")),
-        f"The paper's order of means, the worst first: {' > '.join(order)}. τ: Kendall's with it (1: the same order); "
-        f"its own groups have {tau:.2f} in the mean.",
-        {"": "{:+.2f}"},
-    )
-
-
-def shear_table(runs: pd.DataFrame, design: str) -> ResultTable:
-    """Whether shear is read at all: R² of Fx and Fy by group."""
-    shear = runs.assign(shear=runs[R2[:2]].mean(axis=1)).pivot_table("shear", "group", "method")
-    return result_table(
-        f"Shear, {design} contacts: R² on the target, mean of Fx and Fy",
-        shear.reindex(NAMES).dropna(how="all")[[m for m in methods_of(runs) if m in board.MAIN_METHODS]],
-        "Mean over seeds. At 0 or below a method is no better than the target's mean force.",
-        {"": "{:.2f}"},
-    )
-
-
-def split_table(at_random: pd.DataFrame, by_point: pd.DataFrame) -> ResultTable:
-    """The same methods with frames split at random and by contact point."""
-    splits = {"at random": over_groups(counted(at_random)), "by point": over_groups(counted(by_point))}
-    frame = pd.DataFrame(splits, index=[m for m in methods_of(at_random) if m in methods_of(by_point)])
-    frame["by point over at random"] = frame["by point"] / frame["at random"]
-    for name in splits:
-        frame[f"rank {name}"] = ranks(frame[[name]].T).T
-    return result_table(
-        "Split at random or by contact point, paired contacts: mean MAE, N",
-        frame.rename_axis("method"),
-        f"At random: {_seeds(at_random)}; by point: {_seeds(by_point)}. At random, neighbours of every test frame were "
-        "trained on.",
-        {"": "{:.0f}", "at random": "{:.3f}", "by point": "{:.3f}", "by point over at random": "{:.2f}"},
-    )
-
-
-def check_table(runs: pd.DataFrame, design: str) -> ResultTable:
-    """Whether the profile counts: R² of supervised-on-target and of source-only on its source."""
-    names = {PLAIN: f"{PLAIN} on held-out source", CEILING: "supervised on target"}
-    good = runs[runs["problem"].isna() & runs["method"].isin(list(names))]
-    on_source = good["method"] == PLAIN
-    r2 = good["source_held_out_r2"].where(on_source, good["r2"]).dropna()
-    places = {
-        "condition": good["method"].map(names),
-        "domain": good["source"].where(on_source, good["target"]),
-    }
-    by_place = (
-        pd.DataFrame(r2.tolist(), r2.index, R2).join(pd.DataFrame(places)).groupby(list(places), sort=False)
-    )
-    means, worst = by_place.mean(), by_place.min()
-    frame = means.map("{:.2f}".format) + worst.map(" (≥ {:.2f})".format)
-    frame["met"] = (means >= list(LEAST_R2)).all(axis=1).map({True: "yes", False: "NO"})
-    return result_table(
-        f"Does the profile count? {design.capitalize()} contacts",
+        "The ceiling: trained on the target's own labels",
         frame,
-        "Needed in the mean over runs: R² of at least 0.8 in Fx and Fy and 0.9 in Fz (the worst run is in brackets).",
-    )
-
-
-def oracle_table(oracles: pd.DataFrame) -> ResultTable:
-    """Both oracles per group and axis."""
-    return result_table(
-        "Oracles per axis, MAE in N",
-        oracles[[f"{name} F{axis}" for name in ("pose", "geometry") for axis in AXES] + ["comparable"]],
-        "From paired contacts. Pose: the source's force at the same command. Geometry: the source gel's force at the "
-        "target's contact.",
-        {"": "{:.4f}"},
+        f"{ceilings.index.get_level_values('seed').nunique()} seed(s); on the target's test points, which training "
+        f"does not show. A target whose R² is below {LEAST_R2:g} on an axis is left out of the headroom.",
+        FORMATS,
     )
 
 
@@ -396,18 +390,15 @@ def time_table(runs: pd.DataFrame, design: str) -> ResultTable:
 
 
 def figures(folder: Path) -> list[NamedFigure]:
-    """Return errors by group, mean ranks (of two methods or more) and errors against time."""
-    runs = load_headline(folder)
-    found = [NamedFigure("groups", "Target MAE by group and method", plot_groups(runs, load_oracles(folder)))]
-    errors = by_group(counted(runs))[methods_of(runs, CEILING)]
-    if errors.shape[1] > 1:
-        diagram = plot_critical_difference(errors, "Mean ranks over the groups")
-        found.append(NamedFigure("critical-difference", "Mean ranks and critical difference", diagram))
-    return [*found, NamedFigure("time", "Target MAE against training time", plot_time(runs))]
+    """Return errors by group, of the first data set that has any."""
+    for data in DATA_SETS:
+        if len(runs := load_headline(folder, data)):
+            return [NamedFigure("groups", "Target MAE by group and method", plot_groups(runs))]
+    return []
 
 
-def plot_groups(runs: pd.DataFrame, oracles: pd.DataFrame) -> "Figure":
-    """Draw the main methods' errors in each group as bars beside the constant mean and the pose oracle."""
+def plot_groups(runs: pd.DataFrame) -> "Figure":
+    """Draw the main methods' errors in each group as bars beside the constant mean."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 3.8), layout="constrained")
@@ -416,50 +407,11 @@ def plot_groups(runs: pd.DataFrame, oracles: pd.DataFrame) -> "Figure":
     means, deviations = by_group(errors)[shown], errors[shown].groupby(level=0, sort=False).std().fillna(0.0)
     means.plot.bar(ax=axes, yerr=deviations, width=0.8, rot=0, legend=False, fontsize=8, xlabel="")
     place = np.arange(len(means))
-    for name, levels, style in (
-        ("constant mean", constant_mean(runs), "dotted"),
-        ("pose oracle", oracles["pose oracle"], "solid"),
-    ):
-        axes.hlines(levels[means.index], place - 0.4, place + 0.4, "k", style, label=name)
+    level = constant_mean(runs)[means.index]
+    axes.hlines(level, place - 0.4, place + 0.4, "k", "dotted", label=CONSTANT)
     axes.set_xticklabels([group.replace(" → ", "\n→ ") for group in means.index])
     axes.set_ylabel("target MAE, N")
     figure.legend(loc="outside upper center", fontsize=8, ncols=(len(shown) + 3) // 2)
-    return figure
-
-
-def plot_critical_difference(errors: pd.DataFrame, title: str) -> "Figure":
-    """Draw the mean ranks of methods (columns) over cases; bars join those that Nemenyi's test does not tell apart."""
-    from matplotlib.figure import Figure
-    from scikit_posthocs import critical_difference_diagram, posthoc_nemenyi_friedman
-
-    found = ranks(errors).reset_index(drop=True)
-    cases, methods = found.shape
-    figure = Figure(figsize=(8, 1.4 + 0.4 * methods), layout="constrained")
-    axes = figure.subplots()
-    critical_difference_diagram(
-        found.mean().to_dict(),
-        posthoc_nemenyi_friedman(found),
-        cd=critical_difference(methods, cases),
-        ax=axes,
-        label_fmt_left="{label}  {rank:.2f}",
-        label_fmt_right="{rank:.2f}  {label}",
-        text_h_margin=0.1,
-    )
-    axes.set_title(f"{title} (1: least error)", pad=20)
-    return figure
-
-
-def plot_time(runs: pd.DataFrame) -> "Figure":
-    """Draw each method's error against the training time of both stages."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.5, 3.5), layout="constrained")
-    axes = figure.subplots(subplot_kw={"xlabel": "both stages, s of one core", "ylabel": "target MAE, N"})
-    seconds = np.nan_to_num(stage1_s(runs)) + runs.groupby("method")["stage2_s"].mean()
-    for method, error in over_groups(counted(runs)).items():
-        axes.plot(seconds[method], error, "o", alpha=0.7, label=method)
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=8)
     return figure
 
 

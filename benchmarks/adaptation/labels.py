@@ -1,6 +1,7 @@
 """How many labelled target frames close a gap: fine-tuning, an affine correction and both, without and after DSAN."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,12 +10,12 @@ import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable
 from gelgap.benchmarks.adaptation import board
-from gelgap.benchmarks.adaptation.gaps import BASE, PROFILE, design
 from gelgap.benchmarks.adaptation.study import Part, Study, grid, trained
 from gelgap.benchmarks.common import Results, Setting, read_records, result_table
 
 if TYPE_CHECKING:
     from gelgap.adapt import ForceModel, SplitFrames
+    from gelgap.domains import DomainRecipe
 
 RECORD = "labels.jsonl"
 METHODS = ("source-only", "dsan")
@@ -22,24 +23,29 @@ LABELS = (1, 5, 20, 100)
 COUNTS = (0, *LABELS)
 WAYS = ("affine", "fine-tuning", "both")
 HEADS = ["gap", "adapted by", "with the labels"]
+SEEDS = (0, 1, 2, 3, 4)
 DRAWS = 3
 """How often labelled frames are drawn; errors are means."""
-PANELS = ("modulus", "friction")
-"""The gap curves whose gaps a picture does not show."""
+BASE = "mb0i0"
+PATH = PROFILE = "smoke"
+UNSEEN = {
+    "modulus": ("elastomer.young_modulus_mpa", "scale", (0.5, 0.7, 1.4)),
+    "friction": ("elastomer.friction", "set", (0.12, 0.5)),
+}
+"""Gaps from the base which a picture does not show: a field of the domain, its change and values."""
 CLOSED = 1.1
 """A gap counts as closed at this multiple of the error without a gap."""
 
 
 def measure(study: Study) -> None:
-    """Do the missing runs on the nine groups, then those on the gap curves, by default of one seed."""
+    """Do the missing runs on the nine groups, then those on single gaps, by default of five seeds."""
     study.generate_sets("paired")
-    seeds, nine = study.seeds or (0,), [("paired", group) for group in board.GROUPS]
+    seeds, nine = study.seeds or SEEDS, [("paired", group) for group in board.GROUPS]
     study.run(label_run, grid(nine, METHODS, seeds), RECORD)
-    own, found = study.within("gaps", PROFILE), design()
-    targets = found.gaps.loc[found.gaps["panel"].isin(PANELS), "domain"].unique()
+    own, recipes = study.within("gaps", PROFILE), unseen_gaps().values()
     if not own.is_over:
-        own.generate([recipe for name, recipe in found.recipes.items() if name in targets])
-        cases = [("paired", (BASE, target)) for target in targets]
+        own.generate(list(recipes))
+        cases = [("paired", (BASE, recipe.name)) for recipe in recipes]
         own.run(label_run, grid(cases, METHODS, seeds, board.AT_RANDOM), RECORD)
 
 
@@ -115,11 +121,24 @@ def nine_table(points: pd.DataFrame) -> ResultTable:
     )
 
 
+def unseen_gaps() -> "dict[str, DomainRecipe]":
+    """Return the base and its variants by what differs, such as modulus × 0.5."""
+    from gelgap.domains import Factor, Sweep, sweep_variants
+
+    found: dict[str, DomainRecipe] = {}
+    for name, (field, change, values) in UNSEEN.items():
+        factors = (Factor(field=field, change=change, values=values),)
+        sweep = Sweep(name=name, base=BASE, path=PATH, method="one-at-a-time", factors=factors)
+        base, *variants = (variant.recipe for variant in sweep_variants(sweep, quality="draft"))
+        of_base = attrgetter(field)(base)
+        own = {f"{name} × {round(attrgetter(field)(one) / of_base, 6):g}": one for one in variants}
+        found |= {"none": base, **own}
+    return found
+
+
 def gap_names() -> dict[str, str]:
-    """Return the name of each gap of modulus or friction by its domain."""
-    gaps = design().gaps
-    own = gaps[gaps["panel"].isin(PANELS)].set_index("domain")
-    return {**(own["panel"] + own["size"].map(" × {:g}".format)), BASE: "none"}
+    """Return what differs by domain."""
+    return {recipe.name: name for name, recipe in unseen_gaps().items()}
 
 
 def gap_table(points: pd.DataFrame) -> ResultTable:
@@ -148,7 +167,7 @@ def figures(folder: Path) -> list[NamedFigure]:
         found = curves(nine)
         dashes = ["--" if method == METHODS[0] else "-" for method, _ in found.index]
         styles = [f"C{number % len(WAYS)}o{dash}" for number, dash in enumerate(dashes)]
-        panels["nine groups, cpu profile"] = found.set_axis(found.index.map(", ".join)), styles
+        panels["nine groups"] = found.set_axis(found.index.map(", ".join)), styles
     if len(gaps):
         found = curves(gaps, gaps["target"].unique()).xs((METHODS[0], "both"), level=("method", "way"))
         named = found.rename(gap_names() | {BASE: "no gap"})

@@ -19,7 +19,7 @@ import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable, write_pages
 from gelgap.assets.checksums import canonical_json, checksum_problem, file_sha256, read_json, write_checksums
-from gelgap.benchmarks.adaptation import board
+from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing, write_json
 from gelgap.benchmarks.registry import parts_of
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from gelgap.adapt import ForceModel, Profile, SplitFrames, Stage1
     from gelgap.domains import DomainRecipe, GeneratedDomain, LabelledFrames
 
-RUNS, ORACLES = "runs.jsonl", "oracles.json"
+RUNS, BOARD = "runs.jsonl", "board"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
 _CONTROLS |= dict.fromkeys(board.SOURCE_FREE, "adabn")
 _RUN = ("source", "target", "method", "seed", "data", "changes", "settings")
@@ -58,7 +58,7 @@ def grid(
 class Study:
     """Where runs find their data and leave their records, with which profile, and how much time they may take now.
 
-    Without `seeds` or `methods` a part takes its own; methods may be places of one's own, `module:Class` or
+    Without `seeds`, `methods` or `groups` a part takes its own; methods may be places of one's own, `module:Class` or
     `file.py:Class`. `workers` are processes, by default one per core; one means this process. No run is begun after
     `stop`, a time of `time.time`.
     """
@@ -70,6 +70,7 @@ class Study:
     workers: int | None = None
     stop: float = math.inf
     methods: tuple[str, ...] | None = None
+    groups: tuple[board.Group, ...] | None = None
 
     @classmethod
     def at(cls, folder: Path, **limits: Any) -> "Study":
@@ -111,6 +112,21 @@ class Study:
         for name in data:
             self.generate(board.recipes_of(name), name)
 
+    def generate_roles(self, runs: Iterable[Setting]) -> None:
+        """Generate what is missing of the domains of runs as sources and as targets, and sources in drawn light."""
+        runs = [run for run in runs if run["data"] in board.BY_ROLE]
+        for role in designs.ROLES:
+            names = [run[role] for run in runs if role == "target" or run["source"] != run["target"]]
+            known = [name for name in dict.fromkeys(names) if not name.startswith(designs.MADE)]
+            if known:
+                self.generate(designs.role_recipes(known, role), f"{designs.DATA}-{role}")
+        for name in dict.fromkeys(run["source"] for run in runs if run["source"].startswith(designs.DRAWN)):
+            like = name.removeprefix(designs.LIKE) if name.startswith(designs.LIKE) else None
+            target = like and _domain((self.data / f"{designs.DATA}-target" / like).resolve())
+            self.generate(designs.random_light_recipes(target), f"{designs.DATA}-source")
+        if any(run["target"].startswith(designs.FACTORIAL) for run in runs):
+            self.generate(designs.factorial_recipes(), f"{designs.DATA}-target")
+
     def run(
         self, function: "Callable[[Study, Setting], Results]", runs: Iterable[Setting], file: str
     ) -> pd.DataFrame:
@@ -146,15 +162,28 @@ class Study:
         return profile.replace(**dict(run["changes"]), settings={method: own} if own else {})
 
     def domains_of(self, run: Setting) -> "list[GeneratedDomain]":
-        """Return the source and the target of a run."""
-        folder = (self.data / run["data"]).resolve()
-        return [_domain(folder / run[name]) for name in ("source", "target")]
+        """Return the source of a run, or its several domains in drawn light, and last the target."""
+        folder, source, target = (self.data / run["data"]).resolve(), run["source"], run["target"]
+        if run["data"] not in board.BY_ROLE:
+            return [_domain(folder / name) for name in (source, target)]
+        as_source, as_target = (folder.with_name(f"{designs.DATA}-{role}") for role in designs.ROLES)
+        if source == target:  # for the ceiling it is trained on its own contact points
+            return [_domain(as_target / target)] * 2
+        own = [as_source / source]
+        if not own[0].is_dir():
+            own = sorted(as_source.glob(f"{source}-*"))
+        return [*map(_domain, own), _domain(as_target / target)]
 
     def frames_of(self, run: Setting) -> "SplitFrames":
         """Return the frames of a run, divided for training and judging."""
         from gelgap.adapt import split_for_training
+        from gelgap.domains import join_domains
 
-        return split_for_training(*self.domains_of(run), self.profile_of(run), run["seed"])
+        *sources, target = self.domains_of(run)
+        if run["data"] == board.LABEL_SHIFT:
+            target = designs.with_shifted_labels(target)
+        source = sources[0] if len(sources) == 1 else join_domains(sources)
+        return split_for_training(source, target, self.profile_of(run), run["seed"])
 
     def stated_of(self, run: Setting) -> Results:
         """Return what the record of a run states of its profile and data."""
@@ -220,10 +249,12 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
     with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
     """
+    from gelgap.adapt import find_method
     from gelgap.adapt.runs import run_method
 
     frames = study.frames_of(run)
-    done, model = run_method(frames, study.stage1(run, frames.source_train), run["method"])
+    stage1 = study.stage1(run, frames.source_train)
+    done, model = run_method(frames, stage1, run["method"])
     results = {
         "versions": versions_line(),
         "control": control_of(run["method"]),
@@ -236,8 +267,28 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
         "stage2_s": round(done.wall_s["stage2"], 2),
         "skipped_steps": done.skipped_steps,
         "diagnostics": short(done.history[-1].get("diagnostics", {}) if done.history else {}),
+        "baselines_mae_n": {name: short(error.mae_n) for name, error in done.baselines.items()},
+        "baselines_r2": {name: short(error.r2) for name, error in done.baselines.items()},
+        "frames_sha256": {name: part.digest for name, part in frames.parts.items()},
+        "stage1_sha256": state_digest(stage1.model()[0])
+        if find_method(run["method"]).needs_stage_1
+        else None,
+        # A run that stopped counts with the source's mean force.
+        "predicted_n": (
+            np.broadcast_to(frames.source_train.force_n.mean(axis=0), frames.target_test.force_n.shape)
+            if model is None
+            else model.predict_n(frames.target_test)
+        ).astype(np.float32),
     }
     return frames, model, results
+
+
+def state_digest(model: "ForceModel") -> str:
+    """Return the SHA-256 of a model's weights and running statistics: who has the same starts where this run did."""
+    total = hashlib.sha256()
+    for name, values in model.network.state_dict().items():
+        total.update(name.encode() + values.cpu().contiguous().numpy().tobytes())
+    return total.hexdigest()
 
 
 def versions_line() -> str:
@@ -299,7 +350,8 @@ def with_errors(records: pd.DataFrame) -> pd.DataFrame:
     of_axes = {f"MAE {axis}, N": records["mae_n"].str[i] for i, axis in enumerate(board.AXES)}
     of_axes |= {f"R² {axis}": records["r2"].str[i] for i, axis in enumerate(board.AXES)}
     group = records["source"] + " → " + records["target"]
-    return records.assign(group=group, error_n=records["mae_n"].map(np.mean), **of_axes)
+    shear = records["mae_n"].map(lambda mae_n: float(np.mean(mae_n[:2])))
+    return records.assign(group=group, error_n=records["mae_n"].map(np.mean), shear_n=shear, **of_axes)
 
 
 def write_results(path: Path, results: Any) -> None:
@@ -335,13 +387,12 @@ class Part:
     figures: Callable[[Path], list[NamedFigure]] = lambda folder: []
 
     def run(self, quick: bool, out_dir: Path) -> None:
-        """Measure with the cpu profile, or quickly with the smoke profile; print the tables, write the report."""
-        folder = out_dir / "adaptation" / ("smoke" if quick else "cpu")
+        """Measure with the board's profile, or quickly with the smoke profile; print the tables, write the report."""
+        folder = out_dir / "adaptation" / ("smoke" if quick else BOARD)
         self.carry_out(Study.at(folder, workers=1 if quick else None))
 
     def carry_out(self, study: Study) -> None:
         """Measure, print the tables and write the report of all parts."""
-        check_installed()
         self.measure(study)
         for table in self.tables(study.out):
             table.show()
@@ -349,24 +400,9 @@ class Part:
             print(f"wrote {write_benchmark_report(study.out)}")
 
 
-def check_installed() -> None:
-    """Stop, before anything is measured, if the package that compares methods is missing.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If scikit-posthocs is not installed.
-    """
-    try:
-        import scikit_posthocs  # noqa: F401
-    except ModuleNotFoundError:
-        missing = "comparing methods needs scikit-posthocs: pip install gelgap[benchmark]"
-        raise ModuleNotFoundError(missing) from None
-
-
 def is_benchmark(folder: Path) -> bool:
     """Return whether a folder holds the records of the benchmark."""
-    return (folder / RUNS).is_file() and (folder / ORACLES).is_file()
+    return (folder / RUNS).is_file()
 
 
 def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
@@ -376,15 +412,12 @@ def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
     ------
     FileNotFoundError
         If the folder holds no records of the benchmark.
-    ModuleNotFoundError
-        If scikit-posthocs is not installed.
     """
     if not is_benchmark(folder):
         raise FileNotFoundError(
-            f"{folder} holds no records of the adaptation benchmark ({RUNS} and {ORACLES}); "
+            f"{folder} holds no records of the adaptation benchmark ({RUNS}); "
             "`gelgap benchmark adaptation` writes them"
         )
-    check_installed()
     parts = [entry.load() for entry in parts_of("adaptation")]
     tables = [table for part in parts for table in part.tables(folder)]
     figures = [figure for part in parts for figure in part.figures(folder)]

@@ -100,18 +100,18 @@ def test_values_out_of_range_are_refused(changes):
 def test_a_model_keeps_the_target_statistics_of_its_input(source, target, profile, tmp_path):
     domain = profile.replace(source_epochs=2, adapt_epochs=1, input_standardisation="domain")
     stage1 = train_source(source, domain)
-    own = [network_inputs(frames, domain, "cpu").statistics for frames in (source, target)]
+    own = [network_inputs(frames, domain, "cpu").map for frames in (source, target)]
     assert own[0] != own[1]
     adapted = adapt(stage1, source, target, "no-transfer")
-    assert (stage1.input_statistics, adapted.input_statistics) == (own[0], own[1])
-    assert adapt(stage1, source, target, "source-only").input_statistics == own[1]
-    assert as_judged_on_source(adapted, source).input_statistics == own[0]
+    assert (stage1.input_map, adapted.input_map) == (own[0], own[1])
+    assert adapt(stage1, source, target, "source-only").input_map == own[1]
+    assert as_judged_on_source(adapted, source).input_map == own[0]
     # Few frames are standardised by the statistics of all.
     some = target.take(np.arange(3))
     np.testing.assert_allclose(adapted.predict_n(some), adapted.predict_n(target)[:3], atol=1e-4)
     adapted.save(tmp_path / "model.pt")
     loaded = ForceModel.load(tmp_path / "model.pt")
-    assert loaded.input_statistics == adapted.input_statistics
+    assert loaded.input_map == adapted.input_map
     np.testing.assert_array_equal(loaded.predict_n(some), adapted.predict_n(some))
 
 

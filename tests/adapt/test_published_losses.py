@@ -18,6 +18,8 @@ from gelgap.adapt.methods.cdan import multilinear_map
 from gelgap.adapt.methods.dan import mmd_of_kernel, multi_gaussian, squared_distances
 from gelgap.adapt.methods.dann import DANN, domain_loss, reverse_gradient
 from gelgap.adapt.methods.daregram import daregram_cut_at, gram_spectra, published_rank
+from gelgap.adapt.methods.deep_jdot import joint_transport, transport_plan
+from gelgap.adapt.methods.fourier_style import in_the_style_of
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.rsd import projection_distance
 from gelgap.adapt.methods.ssa import subspace_loss
@@ -134,6 +136,22 @@ def subspace(x: Inputs) -> Tensor:
     return subspace_loss(x["target"], x["mean"], x["directions"], x["variances"], weights)
 
 
+def features_carried(x: Inputs, alpha: float = 0.01) -> Tensor:
+    """Return what the features cost under the plan of both: the loss less what the labels cost."""
+    given = x["source_force"], x["target_prediction"]
+    return joint_transport(x["source"], x["target"], *given, alpha) - labels_carried(x, alpha)
+
+
+def labels_carried(x: Inputs, alpha: float) -> Tensor:
+    """Return what the labels cost under the same plan, without gradient to the features."""
+    source, target, force, prediction = (
+        x[name].detach() for name in ("source", "target", "source_force", "target_prediction")
+    )
+    cost = (force[:, None] - prediction[None]).square().sum(dim=2)
+    both = cost + alpha * (source[:, None] - target[None]).square().sum(dim=2)
+    return (torch.from_numpy(transport_plan(both.numpy())) * cost).sum()
+
+
 EQUAL = (
     ("dan", "DSAN's authors, DAN", "mmd", method_loss("dan")),
     ("dan, as tllib", "tllib", "mmd-tllib", tllib_mmd),
@@ -148,6 +166,7 @@ EQUAL = (
     ("cod, conditional part", "COD's authors", "cod", method_loss("cod", marginal=0.0)),
     ("uga, evidential part", "UGA's authors", "uga", evidential),
     ("ssa", "SSA's authors", "ssa", subspace),
+    ("deep-jdot, features' part", "DeepJDOT's authors", "deepjdot", features_carried),
 )
 """Losses that equal public code: name, whose code, name of the published values, and ours."""
 DEVIATIONS = {
@@ -205,6 +224,15 @@ def test_a_deviation_is_named_only_where_there_is_one(deviation):
     found = differences(published, method_loss(name))
     assert min(found) > 0.01
     assert guide_row(name, code, *found, DEVIATIONS[deviation]) in GUIDE.read_text()
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_style_is_exchanged_as_published(case):
+    source, target, picture = (
+        torch.from_numpy(PUBLISHED[f"{case}/fda/{name}"])[None] for name in ("source", "target", "picture")
+    )
+    found = in_the_style_of(source, target, float(PUBLISHED[f"{case}/fda/band"]))
+    torch.testing.assert_close(found, picture, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("case", CASES)

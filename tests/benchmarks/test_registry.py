@@ -30,7 +30,7 @@ def test_every_subject_has_something_to_measure_in_both_forms():
         (["physics"], ["physics.accuracy"]),
         (["stability"], ["physics.stability"]),
         (["stability", "--what", "render"], ["render.stability"]),
-        (["adaptation", "--what", "gaps"], ["adaptation.gaps:PART"]),
+        (["adaptation", "--what", "crossed"], ["adaptation.rivals:CROSSED_PART"]),
         (["adaptation", "--quick"], ["adaptation.groups:PART", "adaptation.speed:PART"]),
         (["adaptation"], [part.place for part in parts_of("adaptation")]),
     ],

@@ -11,10 +11,10 @@ from run_records import Record, record, write_runs
 from gelgap.adapt import SELECTORS, Profile
 from gelgap.benchmarks.adaptation import choice
 from gelgap.benchmarks.adaptation.board import GROUPS, TUNING_CASES, TUNING_DOMAINS, TUNING_SETS, recipes_of
-from gelgap.benchmarks.adaptation.choice import GRIDS, SELECTOR
+from gelgap.benchmarks.adaptation.choice import SELECTOR
 from gelgap.benchmarks.adaptation.study import Study, load_runs
 
-WEIGHTS = GRIDS["dann"][1]
+WEIGHTS = (0.0, 0.003, 0.03, 0.3, 3.0)
 TUNING_GROUPS = [group for _, group in TUNING_CASES]
 
 
@@ -73,15 +73,20 @@ def test_a_case_counts_only_with_its_whole_grid(chosen, runs_of):
     whole, part = grid([2, 1, 3, 4, 5], [0.1] * 5), grid([1, 2, 3, 4, 5], [0.1] * 5, group=1)[:-1]
     assert len(choice.of_grid(runs_of([*whole, *part]))["dann"]) == 1
     assert chosen([*whole, *part]) == {"dann": WEIGHTS[1]}
-    assert chosen(part) == {}
+
+
+def test_a_choice_on_the_edge_is_flagged(tmp_path):
+    write_runs(tmp_path / choice.TUNED, grid([1, 2, 3, 4, 5], [0.1] * 5))
+    (table,) = choice.TUNE.tables(tmp_path)
+    assert dict(zip(table.columns, table.cells[0], strict=True))["on the edge"] == "lowest"
+    assert choice.edge_of(0.3, WEIGHTS) == ""
+    assert choice.edge_of(3.0, WEIGHTS) == "highest"
 
 
 def test_regret_is_the_error_over_the_best(runs_of):
     records = grid([2, 1, 3, 4, 5], [0.1, 0.3, 0.2, 0.4, 0.5])
     found = choice.of_grid(runs_of(records))["dann"]
     assert found["regret_n"][choice.chosen(found)].tolist() == pytest.approx([0.2])
-    assert choice.regret_anew_n(found) == pytest.approx([0.2])
-    assert choice.regret_anew_n(found, "IWCV") == pytest.approx([0.4])
 
 
 def test_the_frozen_choice_is_a_profile(runs_of, tmp_path):
@@ -96,13 +101,32 @@ def test_every_method_has_the_same_budget_and_a_setting_that_it_has():
 
     methods = choice.tuned_methods()
     runs = choice.grid_runs(TUNING_CASES, methods, [0])
-    assert {m: sum(run["method"] == m for run in runs) for m in methods} == dict.fromkeys(methods, 20)
-    assert all(GRIDS[m][0] in find_method(m).Settings.model_fields for m in methods)
-    assert all(list(values) == sorted(values) for _, values in GRIDS.values())
-    with pytest.raises(
-        ValueError, match=r"method 'dsam' is unknown; methods with a grid: .* did you mean dsan\?"
-    ):
+    assert {m: sum(run["method"] == m for run in runs) for m in methods} == dict.fromkeys(methods, 28)
+    grids = {m: find_method(m).grid for m in methods}
+    assert all(name in find_method(m).Settings.model_fields for m, (name, _) in grids.items())
+    assert {values[0] for _, values in grids.values()} == {0.0}
+    with pytest.raises(ValueError, match=r"method 'dsam' is unknown; known methods: .* did you mean dsan\?"):
         choice.tuned_methods(["dsam"])
+
+
+def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
+    from gelgap.adapt.methods.registry import use_method
+
+    file = tmp_path / "graded.py"
+    start = "from gelgap.adapt import Method\nclass Mine(Method):\n    grid = "
+    file.write_text(start + "('transfer_weight', (0.0, 0.5))\n")
+    mine = use_method(f"{file}:Mine")
+    runs = choice.grid_runs(TUNING_CASES[:1], choice.tuned_methods([mine]), [0])
+    assert [run["settings"] for run in runs] == [(("transfer_weight", 0.0),), (("transfer_weight", 0.5),)]
+    for name, grid, message in (
+        ("low", "('transfer_weight', (-1.0, 0.5))", "greater than or equal to 0"),
+        ("down", "('transfer_weight', (0.5, 0.0))", "must rise"),
+        ("none", "None", "has no grid"),
+    ):
+        other = tmp_path / f"graded_{name}.py"
+        other.write_text(start + grid)
+        with pytest.raises(ValueError, match=message):
+            choice.tuned_methods([use_method(f"{other}:Mine")])
 
 
 def test_nothing_is_tuned_on_what_is_compared():
@@ -115,23 +139,16 @@ def test_nothing_is_tuned_on_what_is_compared():
     assert {recipe.inpainted_from for recipe in recipes_of("tune-paired")} == {None, "mb3i3"}
 
 
-def test_tables_of_the_choice_and_of_its_transfer(tmp_path):
-    assert choice.TUNE.tables(tmp_path) == choice.TRANSFER.tables(tmp_path) == []
+def test_the_table_of_the_choice(tmp_path):
+    assert choice.TUNE.tables(tmp_path) == []
     write_runs(tmp_path / choice.TUNED, grid([2, 1, 3, 4, 5], [0.1, 0.3, 0.2, 0.4, 0.5]))
-    on_nine = grid([1, 2, 3, 4, 5], [0.1, 0.15, 0.2, 0.4, 0.5], data="paired")
-    write_runs(tmp_path / choice.NINE_GROUPS, on_nine)
     (table,) = choice.TUNE.tables(tmp_path)
     assert table.cells == [
         [
-            *("dann", "transfer_weight", "0.0003, 0.003, 0.03, 0.3, 3", "2.0, 1.0, 3.0, 4.0, 5.0", "0.003"),
+            *("dann", "0, 0.003, 0.03, 0.3, 3", "2.0, 1.0, 3.0, 4.0, 5.0", "0.003", ""),
             *("0.200", "0.200", "1"),
         ]
     ]
-    frozen, selectors = choice.TRANSFER.tables(tmp_path)
-    assert frozen.rows[0][3:] == ["0.003", "0.0003", "0.050", "0.050"]
-    by_name = {row[0]: row[1:] for row in selectors.rows}
-    assert by_name["reverse validation (used)"] == ["0.200", "0.200", "0.050", "0.000"]
-    assert by_name["DEV"] == ["0.400", "0.400", "0.400", "0.400"]
 
 
 def variant(name: str, score: float, mae: float, data: str) -> Record:

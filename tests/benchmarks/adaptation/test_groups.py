@@ -1,4 +1,4 @@
-"""The headline: what is run, how methods are compared with their controls, and the tables of all."""
+"""The headline: what is run, the share of the headroom, rules beside methods, and what is compared with what."""
 
 import math
 
@@ -7,33 +7,55 @@ import pandas as pd
 import pytest
 from run_records import Record, headline_of, record, write_benchmark
 
-from gelgap.benchmarks.adaptation.board import AT_RANDOM, GROUPS, MAIN_METHODS, METHODS, PAPER_MAE_N
+from gelgap.adapt.baselines import BASELINES, CONSTANT
+from gelgap.benchmarks.adaptation import designs
+from gelgap.benchmarks.adaptation.board import (
+    CEILING,
+    GROUPS,
+    LABEL_SHIFT,
+    LIGHT_GROUPS,
+    MAIN_METHODS,
+    METHODS,
+    PAPER_MAE_N,
+)
 from gelgap.benchmarks.adaptation.groups import (
     PART,
     SEEDS,
-    adabn_table,
-    check_table,
+    SHRUNK,
+    ceiling_table,
+    closed,
     control_table,
     counted,
-    critical_difference,
     group_table,
     headline_grid,
+    headroom,
+    load_ceilings,
     load_headline,
-    load_oracles,
     method_table,
-    order_table,
-    plot_critical_difference,
     ranks,
-    split_table,
+    usable,
+    with_rules,
 )
 from gelgap.benchmarks.adaptation.study import control_of
 
+NO_CEILINGS = pd.DataFrame()
 
-def records(errors: dict[str, float], seeds: int = 2, **fields) -> list[Record]:
+
+def records(errors: dict[str, float], seeds: int = 2, groups=GROUPS, **fields) -> list[Record]:
     return [
         record(group, method, error + 0.01 * seed, seed, **fields)
-        for group in GROUPS
+        for group in groups
         for method, error in errors.items()
+        for seed in range(seeds)
+    ]
+
+
+def ceilings(error_n: float, seeds: int = 2, r2=(0.95, 0.95, 0.99), **of_target) -> list[Record]:
+    """Runs of targets that were trained on themselves; of some targets with another R²."""
+    targets = dict.fromkeys(target for _, target in GROUPS)
+    return [
+        record((name, name), "source-only", error_n, seed, data=designs.DATA, r2=of_target.get(name, r2))
+        for name in targets
         for seed in range(seeds)
     ]
 
@@ -57,17 +79,21 @@ def test_the_papers_means():
 
 def test_a_stop_at_any_time_leaves_complete_seeds():
     runs = headline_grid()
-    by_point, at_random = runs[: 5 * 2 * 9 * len(METHODS)], runs[5 * 2 * 9 * len(METHODS) :]
-    assert [run["seed"] for run in by_point] == sorted(run["seed"] for run in by_point)
-    first = {(run["data"], (run["source"], run["target"])) for run in by_point if run["seed"] == 0}
-    assert first == {(design, group) for design in ("paired", "independent") for group in GROUPS}
-    assert {run["changes"] for run in by_point} == {(("split_by", "point"),)}
-    assert {run["changes"] for run in at_random} == {AT_RANDOM}
-    assert len(at_random) == 5 * 9 * len(MAIN_METHODS)
+    shifted = [run for run in runs if run["data"] == LABEL_SHIFT]
+    own = runs[: len(runs) - len(shifted)]
+    assert runs[len(own) :] == shifted
+    assert [run["seed"] for run in own] == sorted(run["seed"] for run in own)
+    groups = {*GROUPS, *LIGHT_GROUPS}
+    first = [run for run in own if run["seed"] == 0]
+    targets = {target for _, target in groups}
+    assert {(run["source"], run["target"]) for run in first[: len(targets)]} == {(t, t) for t in targets}
+    assert len(first) == len(targets) + len(groups) * (len(METHODS) - 1)
+    assert {run["changes"] for run in runs} == {(("split_by", "point"),)}
+    assert {run["method"] for run in shifted} == {*MAIN_METHODS, "label-shift"} - {CEILING}
     assert {run["seed"] for run in runs} == set(SEEDS)
 
 
-def test_every_method_is_held_against_its_own_control():
+def test_every_method_has_its_own_control():
     assert {method: control_of(method) for method in MAIN_METHODS} == {
         "source-only": None,
         "adabn": "source-only",
@@ -85,21 +111,81 @@ def test_every_method_is_held_against_its_own_control():
 def test_records_of_two_configurations_are_not_compared(tmp_path):
     found = [record(GROUPS[0], "dan", 0.1), record(GROUPS[0], "dann", 0.1, configuration="d")]
     with pytest.raises(ValueError, match="only runs of one profile and of the same data can be compared"):
-        load_headline(write_benchmark(tmp_path, found))
+        load_headline(write_benchmark(tmp_path, found), "paired")
 
 
 def test_methods_beside_their_controls(tmp_path):
     errors = {"source-only": 0.3, "no-transfer": 0.2, "classifier-only": 0.18, "dann": 0.19, "dsan": 0.15}
     runs = headline_of(tmp_path, records(errors))
-    rows, against = (rows_of(table(runs, "paired")) for table in (method_table, control_table))
+    rows, against = (rows_of(table(runs, "paired", NO_CEILINGS)) for table in (method_table, control_table))
     assert against["dsan"]["control"] == "classifier-only"
     assert against["dsan"]["difference, N"] == "-0.0300"
     assert against["dsan"]["95 % interval"] == "-0.0300…-0.0300"
+    # Of 4,000 draws none is above 0; three methods have a control.
+    assert against["dsan"]["p, Holm"] == "0.001"
     assert against["dann"]["difference, N"] == "-0.0100"
     assert against["dsan"]["better in"] == "9 of 9"
     assert "no-transfer" not in against  # AdaBN was not run
-    assert [rows[m]["rank"] for m in errors] == ["5.0", "4.0", "2.0", "3.0", "1.0"]
-    assert [rows[m]["without source-only"] for m in errors] == ["–", "4.0", "2.0", "3.0", "1.0"]
+    assert [rows[m]["rank mean"] for m in errors] == ["5.0", "4.0", "2.0", "3.0", "1.0"]
+
+
+def test_the_share_of_the_headroom(tmp_path):
+    """From 0.3 N (the constant mean has 0.4) to 0.1 N; with the constant mean at 0.25 N from there."""
+    errors = {"source-only": 0.3, "adabn": 0.2, "dsan": 0.15}
+    found = [*records(errors, data=designs.DATA), *ceilings(0.1)]
+    folder = write_benchmark(tmp_path / "one", found)
+    runs, own = with_rules(load_headline(folder)), load_ceilings(folder)
+    share = closed(headroom(runs, own), errors)["share"]
+    # Errors of the two seeds are 0.01 N apart, so that the headroom is 0.2 and 0.21 N.
+    assert share["source-only"] == pytest.approx(0)
+    assert share["adabn"] == pytest.approx(100 * 0.1 / 0.205)
+    assert share["dsan"] == pytest.approx(100 * 0.15 / 0.205)
+    near = [(run, own | {"baselines_mae_n": dict.fromkeys(BASELINES, (0.25,) * 3)}) for run, own in found]
+    folder = write_benchmark(tmp_path / "two", near)
+    runs = with_rules(load_headline(folder))
+    share = closed(headroom(runs, load_ceilings(folder)), ["adabn", CONSTANT])["share"]
+    assert share["adabn"] == pytest.approx(100 * (0.25 - 0.205) / 0.15)
+    assert share[CONSTANT] == 0
+    table = rows_of(method_table(runs, designs.DATA, load_ceilings(folder)))
+    assert table["adabn"]["closed"] == "30 %"
+
+
+def test_a_ceiling_that_is_none_is_left_out(tmp_path):
+    found = [*records({"source-only": 0.3, "dsan": 0.15}, data=designs.DATA)]
+    found += ceilings(0.1, wmb2i2=(0.7, 0.95, 0.99))
+    folder = write_benchmark(tmp_path, found)
+    own = load_ceilings(folder)
+    assert "wmb2i2" not in usable(own)
+    assert "wmb1i1" in usable(own)
+    gains = headroom(with_rules(load_headline(folder)), own)
+    assert not any(group.endswith("wmb2i2") for group, _ in gains.index)
+    verdicts = {row[0]: row[-1] for row in ceiling_table(own).cells}
+    assert verdicts["wmb2i2"] == "NO"
+    assert verdicts["mb0i0"] == "yes"
+    marked = {row[0] for row in group_table(load_headline(folder), designs.DATA, own).cells}
+    assert {name for name in marked if name.endswith(" *")} == {
+        name + " *" for name in ("wmb0i0 → wmb2i2", "wmb1i1 → wmb2i2", "mb0i0 → wmb2i2")
+    }
+
+
+def test_rules_are_rows_of_every_table(tmp_path):
+    found = changed(
+        records({"source-only": 0.3, "adabn": 0.2}, seeds=1),
+        lambda run: run["method"] == "adabn",
+        mae_n=(0.5, 0.6, 0.1),
+        constant_mean_n=(0.3, 0.3, 0.9),
+    )
+    runs = with_rules(headline_of(tmp_path, found))
+    assert set(runs["method"]) == {"source-only", "adabn", *BASELINES, SHRUNK}
+    # AdaBN's Fz of 0.1 N, beside a mean shear of 0.3 N.
+    assert counted(runs)[SHRUNK].tolist() == pytest.approx([0.7 / 3] * 9)
+    rows = rows_of(method_table(runs, "paired", NO_CEILINGS))
+    assert rows["adabn"]["mean, N"] == "0.400"
+    assert rows["adabn"]["no shear, N"] == "0.233"
+    assert rows["adabn"]["rank Fz"] == "1.5"
+    assert rows["adabn"]["rank shear"] == "6.0"
+    for table in (group_table, control_table):
+        assert CONSTANT in str(table(runs, "paired", NO_CEILINGS)) or table is control_table
 
 
 def test_a_collapsed_run_counts_with_what_it_became(tmp_path):
@@ -111,7 +197,7 @@ def test_a_collapsed_run_counts_with_what_it_became(tmp_path):
     )
     runs = headline_of(tmp_path, found)
     assert counted(runs)["dsan"].iloc[:2].tolist() == pytest.approx([0.15, 0.4])
-    assert rows_of(method_table(runs, "paired"))["dsan"]["collapsed"] == "1"
+    assert rows_of(method_table(runs, "paired", NO_CEILINGS))["dsan"]["collapsed"] == "1"
 
 
 def test_methods_are_compared_on_what_all_have_finished(tmp_path):
@@ -127,7 +213,7 @@ def test_methods_are_compared_on_what_all_have_finished(tmp_path):
     assert errors.notna().all(axis=1).sum() == 17
     assert math.isnan(errors["source-only"].iloc[1])
     assert errors["source-only"].iloc[0] == pytest.approx(0.3)
-    assert "17 of 18" in method_table(runs, "paired").note
+    assert "17 of 18" in method_table(runs, "paired", NO_CEILINGS).note
     assert list(errors.columns) == ["source-only", "dsan", "supervised"]
 
 
@@ -137,69 +223,21 @@ def test_groups_in_which_source_only_is_worse_than_the_constant_mean_are_marked(
         lambda run: (run["source"], run["target"], run["method"]) == (*GROUPS[2], "source-only"),
         mae_n=(0.5,) * 3,
     )
-    far = {"pose_n": (0.1, 0.1, 0.2), "geometry_n": (0.1,) * 3}
-    folder = write_benchmark(tmp_path, found, **{" → ".join(GROUPS[1]): far})
-    table = group_table(load_headline(folder), "paired", load_oracles(folder))
+    table = group_table(load_headline(write_benchmark(tmp_path, found), "paired"), "paired", NO_CEILINGS)
     assert [row[0].endswith(" †") for row in table.rows] == [i == 2 for i in range(10)]
-    assert [row[0].endswith(" *") for row in table.rows] == [i == 1 for i in range(10)]
-    assert "1 of 9 groups" in table.note
 
 
-def test_the_share_of_batch_normalisation(tmp_path):
-    errors = {"source-only": 0.3, "adabn": 0.2, "dsan": 0.1, "coral": 0.35}
-    rows = rows_of(adabn_table({"paired": headline_of(tmp_path, records(errors, seeds=1))}))
-    assert rows["dsan"]["paired: AdaBN's share"] == "50 %"
-    assert rows["dsan"]["paired: change from source-only"] == "-67 %"
-    assert rows["coral"]["paired: AdaBN's share"] == "–"
-
-
-def test_the_papers_order(tmp_path):
-    errors = {"source-only": 0.3, "dann": 0.15, "daregram": 0.2, "dsan": 0.1}
-    row = order_table({"paired": headline_of(tmp_path, records(errors, seeds=1))}).cells[0]
-    assert row == ["mb0i0 → wmb0i0", "source-only > daregram > dann > dsan", "+0.67", "no"]
-    for values, tau in (((0.4, 0.3, 0.2, 0.1), "+1.00"), ((0.1, 0.2, 0.3, 0.4), "-1.00")):
-        runs = records(dict(zip(PAPER_MAE_N, values, strict=True)), seeds=1)
-        assert order_table({"paired": headline_of(tmp_path / tau, runs)}).cells[0][2] == tau
-
-
-def test_splits_side_by_side(tmp_path):
-    splits = (
-        headline_of(tmp_path / str(error), records({"source-only": 0.3, "dsan": error}, seeds=1))
-        for error in (0.1, 0.15)
-    )
-    assert split_table(*splits).rows[1] == ["dsan", "0.100", "0.150", "1.50", "1", "1"]
-
-
-def test_all_tables_of_both_designs(tmp_path):
-    errors = {
-        "source-only": 0.3,
-        "adabn": 0.2,
-        "dann": 0.16,
-        "daregram": 0.15,
-        "dsan": 0.14,
-        "supervised": 0.05,
-    }
-    both = [
-        *records(errors),
-        *records(errors, data="independent"),
-        *records({"dsan": 0.1}, changes=AT_RANDOM),
-    ]
-    folder = write_benchmark(tmp_path, [*both, record(GROUPS[0], "jan", 0.1)])
+def test_all_tables_of_two_data_sets(tmp_path):
+    errors = {"source-only": 0.3, "adabn": 0.2, "dann": 0.16, "daregram": 0.15, "dsan": 0.14}
+    both = [*records(errors, data=designs.DATA), *records(errors, data="independent"), *ceilings(0.05)]
+    folder = write_benchmark(tmp_path, [*both, record(GROUPS[0], "jan", 0.1, data=designs.DATA)])
     titles = [table.title for table in PART.tables(folder)]
-    assert len(titles) == len(set(titles)) == 16
-    order = ["source-only", "adabn", "jan", "dann", "daregram", "dsan", "supervised"]
+    assert len(titles) == len(set(titles)) == 9
+    order = ["source-only", "adabn", "jan", "dann", "daregram", "dsan"]
     assert list(counted(load_headline(folder)).columns) == order
 
 
-def test_the_profile_counts_only_with_enough_r2(tmp_path):
-    errors = {"source-only": 0.3, "dsan": 0.2, "supervised": 0.1}
-    rows = check_table(headline_of(tmp_path, records(errors, seeds=1)), "paired").rows
-    verdicts = {(row[0], row[1]): row[-1] for row in rows}
-    assert verdicts["supervised on target", "wmb2i2"] == "yes"
-    assert verdicts["source-only on held-out source", "mb0i0"] == "NO"
-
-
-def test_paired_differences_leave_domains_out(tmp_path):
+def test_paired_differences_leave_pairs_of_sensors_out(tmp_path):
     rng = np.random.default_rng(0)
     base = 0.2 + 0.5 * rng.random((9, 3))
     worse = base + 0.02 + 0.001 * rng.random((9, 3))
@@ -209,28 +247,15 @@ def test_paired_differences_leave_domains_out(tmp_path):
         for i, group in enumerate(GROUPS)
         for seed in range(3)
     ]
-    ((_, _, mean, interval, better, leaving_out),) = control_table(
-        headline_of(tmp_path, found), "paired"
-    ).rows
+    table = control_table(headline_of(tmp_path, found), "paired", NO_CEILINGS)
+    ((_, _, mean, interval, p, better, leaving_out),) = table.rows
     assert float(mean) == pytest.approx(0.0205, abs=5e-4)
     assert float(interval.split("…")[0]) > 0.02
+    assert float(p) < 0.01
     assert better == "0 of 9"
     assert float(leaving_out.split("…")[0]) > 0.02
 
 
-def test_ranks_and_critical_difference():
+def test_ranks():
     errors = pd.DataFrame([[0.1, 0.2, 0.2], [math.nan, 0.3, 0.4]])
     assert ranks(errors).to_numpy().tolist() == [[1, 2.5, 2.5], [3, 1, 2]]
-    # Demšar 2006, table 5: q = 2.343 for three methods, 2.569 for four.
-    assert critical_difference(4, 14) == pytest.approx(2.569 * np.sqrt(4 * 5 / (6 * 14)), rel=1e-3)
-
-
-def test_methods_that_the_test_does_not_tell_apart_are_joined():
-    # Mean ranks 1, 2, 3.1 and 3.9 over ten cases; the critical difference is 1.48.
-    errors = pd.DataFrame({"a": [0.1] * 10, "b": [0.2] * 10, "c": [0.3] * 9 + [0.4], "d": [0.4] * 9 + [0.3]})
-    (axes,) = plot_critical_difference(errors, "ranks").axes
-    texts = {text.get_text() for text in axes.texts}
-    assert {"a  1.00", "b  2.00", "3.10  c", "3.90  d", "CD = 1.5"} <= texts
-    bars = [line.get_xdata() for line in axes.lines if len(set(line.get_ydata())) == 1]
-    joined = {(round(min(x), 1), round(max(x), 1)) for x in bars}
-    assert joined == {(1.0, 2.0), (2.0, 3.1), (3.1, 3.9), (1.0, 2.5)}  # the last one is the difference itself

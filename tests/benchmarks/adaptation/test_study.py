@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_records import crossed, label_record, look_up_method, record, write_benchmark, write_runs
+from run_records import label_record, look_up_method, record, write_benchmark, write_runs
 
-from gelgap.benchmarks.adaptation import gaps, labels, speed
+from gelgap.benchmarks.adaptation import labels, speed
 from gelgap.benchmarks.adaptation.board import GROUPS
 from gelgap.benchmarks.adaptation.study import (
     RUNS,
-    Part,
     Study,
     grid,
     is_benchmark,
@@ -80,20 +79,22 @@ def test_a_runs_settings_stand_above_the_methods_own(same_data):
     assert same_data.profile_of(plain).settings == {}
 
 
-def test_stored_records_are_those_of_the_grids_of_today():
+def test_stored_records_are_of_todays_grids():
+    """They are not repeated, and what was added since is."""
     from gelgap.benchmarks.adaptation import choice
     from gelgap.benchmarks.adaptation.board import TUNING_CASES
     from gelgap.benchmarks.common import key_of, read_records
 
     stored = Path(__file__).parents[3] / "docs" / "results" / "runs"
     grids = {
-        choice.TUNED: choice.grid_runs(TUNING_CASES, choice.GRIDS, [0]),
-        choice.NINE_GROUPS: choice.grid_runs(choice.NINE, ("dann", "daregram", "dsan"), [0]),
+        choice.TUNED: choice.grid_runs(TUNING_CASES, choice.tuned_methods(), [0]),
         choice.AUGMENTATIONS: choice.variant_runs(TUNING_CASES, [choice.METHOD], [0]),
-        labels.RECORD: grid([("paired", group) for group in GROUPS], labels.METHODS, [0]),
+        labels.RECORD: grid([("paired", group) for group in GROUPS], labels.METHODS, labels.SEEDS),
     }
     for file, runs in grids.items():
-        assert set(read_records(stored / file).index) == {key_of(run) for run in runs}, file
+        found = set(read_records(stored / file).index)
+        assert found
+        assert found <= {key_of(run) for run in runs}, file
 
 
 def test_workers_know_a_method_of_ones_own(same_data, tmp_path):
@@ -132,13 +133,6 @@ def test_ctrl_c_ends_with_a_sentence(tmp_path):
     assert (process.returncode, error) == (130, said)
 
 
-def test_a_missing_package_is_named_before_anything_is_measured(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "scikit_posthocs", None)
-    part = Part(measure=lambda own: pytest.fail("measured"), tables=lambda folder: [])
-    with pytest.raises(ModuleNotFoundError, match=r"pip install gelgap\[benchmark\]"):
-        part.run(quick=True, out_dir=tmp_path)
-
-
 def test_no_records_is_one_sentence(tmp_path):
     with pytest.raises(FileNotFoundError, match="holds no records of the adaptation benchmark"):
         write_benchmark_report(tmp_path)
@@ -155,19 +149,15 @@ def test_report_of_all_parts(tmp_path):
     ]
     write_benchmark(folder, found)
     write_runs(folder / labels.RECORD, [label_record(GROUPS[0], "dsan", {0: 0.2, 1: 0.1})])
-    write_results(folder / gaps.RESULTS, crossed(lambda c: 0.1))
     times = {"step_ms": 40.0, "wait_share": 0.01, "overhead": 0.02}
     loops = [{"name": name, **times} for name in ("stage 1", "stage 2, supervised")]
     write_results(folder / speed.RESULTS, loops)
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 5
+    assert page.count("data:image/png;base64,") == 2
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
     for expected in (
-        "Nemenyi's difference",
+        "Kendall's τ",
         "A few labelled target frames",
-        "Effects and interactions",
-        "![Mean ranks",
-        "pose oracle",
         "25.0 | +2.0 %",
     ):
         assert expected in text

@@ -1,0 +1,59 @@
+"""Rules of a few numbers, without a network: what any method should beat.
+
+Fitted on the source's training frames, they see differences to the reference of at most 64 px along the longer side.
+"""
+
+import numpy as np
+
+from gelgap.adapt.data import SplitFrames
+from gelgap.adapt.evaluation import Evaluation, evaluate_constant_mean, evaluate_frames
+from gelgap.domains import LabelledFrames
+
+CONSTANT, QUADRATIC, RIDGE = "constant mean", "quadratic in mean difference", "ridge on area and depth"
+BASELINES = (CONSTANT, QUADRATIC, RIDGE)
+_SIZE_PX = 64
+# Of a picture in [0, 1]: what differs more is the dent, and its deepest part is where most differs.
+_DENT, _DEEPEST = 0.03, 99.0
+_PENALTY = 1e-3
+
+
+def evaluate_baselines(frames: SplitFrames) -> dict[str, Evaluation]:
+    """Return the errors of all baselines on the target's test frames, by name.
+
+    The constant is the source's mean. The quadratic is one in the mean absolute difference of a picture. The ridge is
+    quadratic, too, in the share of pixels that belong to the dent, and in the difference where it is deepest.
+    """
+    train, test = frames.source_train, frames.target_test
+    size_px = min(_SIZE_PX, *(max(frames.size_px) for frames in (train, test)))
+    mean, area, depth = zip(*(_numbers(frames, size_px) for frames in (train, test)), strict=True)
+    found = {CONSTANT: evaluate_constant_mean(train, test)}
+    for name, columns in ((QUADRATIC, (mean,)), (RIDGE, (area, depth))):
+        of_train, of_test = (_quadratic(*(column[k] for column in columns)) for k in (0, 1))
+        predicted = _ridge(of_train, train.label_values, of_test)
+        found[name] = evaluate_frames(test, predicted)
+    return found
+
+
+def _numbers(frames: LabelledFrames, size_px: int) -> list[np.ndarray]:
+    """Return mean absolute difference, share of the dent's pixels and largest difference of each picture (n,)."""
+    references, images, rows = frames.references_at(size_px).astype(np.float32), frames.images(size_px), []
+    for image, own in zip(images, frames.reference_id, strict=True):
+        difference = np.abs(image - references[own]).mean(axis=2) / 255
+        rows.append((difference.mean(), (difference > _DENT).mean(), np.percentile(difference, _DEEPEST)))
+    return list(np.array(rows).T)
+
+
+def _quadratic(*columns: np.ndarray) -> np.ndarray:
+    """Return all products of up to two of the columns (n,) and 1, (n, terms)."""
+    terms = [np.ones_like(columns[0]), *columns]
+    return np.stack([one * other for k, one in enumerate(terms) for other in terms[k:]], axis=1)
+
+
+def _ridge(known: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Return predictions (m, k) of a ridge regression on columns that are standardised by the known rows."""
+    mean, deviation = known.mean(axis=0), known.std(axis=0)
+    varies = deviation > 1e-12 * max(1.0, float(deviation.max()))
+    first, second = ((x - mean)[:, varies] / deviation[varies] for x in (known, wanted))
+    offset = values.mean(axis=0)
+    gram = first.T @ first + _PENALTY * len(first) * np.eye(first.shape[1])
+    return second @ np.linalg.solve(gram, first.T @ (values - offset)) + offset

@@ -1,0 +1,177 @@
+"""What a network is shown of pictures, an entry of `INPUTS` each: every method can be trained on any of them.
+
+Most are a linear map of the colours of the difference to the reference picture, found for each domain from its training
+pictures, without labels. The calibrated input assumes that the indenter leaves round dents: the mean colour of the wall
+that faces +x, less that of the opposite one, is the domain's response to a slope along x.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from gelgap.domains import LabelledFrames, PairedFrames
+
+_BATCH = 256
+# Of the largest singular value: directions of colour that hardly respond to a slope are not blown up to noise.
+_LEAST_RESPONSE = 0.1
+# A difference below this share of the range is noise; above it a pixel belongs to the dent.
+_LEAST_DIFFERENCE = 0.02
+_FLOW_PX, _LEAST_DOTS = 160, 1.0
+
+
+class InputMap(NamedTuple):
+    """A linear map of the channels of one domain's inputs: matrix (c, C) and offset (c,)."""
+
+    matrix: tuple[tuple[float, ...], ...]
+    offset: tuple[float, ...]
+
+    def __call__(self, inputs: "Tensor") -> "Tensor":
+        """Return mapped inputs (B, c, h, w) of inputs (B, C, h, w), channels last in memory."""
+        matrix, offset = (inputs.new_tensor(values) for values in self)
+        return (inputs.permute(0, 2, 3, 1) @ matrix.T + offset).permute(0, 3, 1, 2)
+
+    @classmethod
+    def of(cls, matrix: np.ndarray, offset: np.ndarray | None = None) -> "InputMap":
+        offset = np.zeros(len(matrix)) if offset is None else offset
+        return cls(tuple(map(tuple, matrix.tolist())), tuple(offset.tolist()))
+
+
+@dataclass(frozen=True)
+class Input:
+    """One way to show pictures: what it is, and the map of a domain, from its pictures (None: as they are paired).
+
+    It may have another number of channels than paired pictures, need their difference, show how far dots have moved
+    instead of colours, or have a backbone that stays as the checkpoint has it from which training starts.
+    """
+
+    about: str
+    fit: "Callable[[PairedFrames], InputMap] | None" = None
+    channels: int | None = None
+    needs_difference: bool = False
+    shows_displacement: bool = False
+    frozen: bool = False
+
+
+def standardisation(pictures: "PairedFrames") -> InputMap:
+    """Return the map that gives every channel mean 0 and deviation 1 over the pictures."""
+    mean, std = map(np.array, pictures.channel_statistics())
+    return InputMap.of(np.diag(1 / std), -mean / std)
+
+
+def grey(pictures: "PairedFrames") -> InputMap:
+    """Return the mean of the three channels."""
+    return InputMap.of(np.full((1, 3), 1 / 3))
+
+
+def calibration(pictures: "PairedFrames") -> InputMap:
+    """Return the map from colour differences to slope along x, slope along y, and what all walls of a dent share.
+
+    The response A (colours × 3) is the mean of the difference times (x, y, ρ)/ρ over the pixels of all dents; x, y are
+    from a dent's centre, ρ is its mean radius. The map is the inverse of A, in which singular values below a tenth of
+    the largest are raised to it, scaled so that each of its channels has deviation 1 over the pictures.
+
+    Raises a ValueError if no picture shows a dent.
+    """
+    import torch
+
+    response, covariance, weight = np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    for start in range(0, len(pictures), _BATCH):
+        colour = pictures.inputs(np.arange(start, min(start + _BATCH, len(pictures))))
+        strength = colour.abs().mean(dim=1)
+        # Differences are four times those of pictures in [0, 1].
+        strength = (strength * (strength > 4 * _LEAST_DIFFERENCE)).double()
+        total = strength.sum(dim=(1, 2)).clamp_min(1e-12)[:, None, None]
+        y, x = (
+            torch.arange(n, device=colour.device, dtype=torch.float64)
+            for n in (colour.shape[2], colour.shape[3])
+        )
+        dx = x[None, None, :] - (strength * x[None, None, :] / total).sum(dim=(1, 2), keepdim=True)
+        dy = y[None, :, None] - (strength * y[None, :, None] / total).sum(dim=(1, 2), keepdim=True)
+        radius = (strength * torch.hypot(dx, dy) / total).sum(dim=(1, 2), keepdim=True).clamp_min(1e-12)
+        inside = (strength > 0).double() * (torch.hypot(dx, dy) < 2 * radius)
+        shape = torch.stack(
+            torch.broadcast_tensors(dx / radius, dy / radius, torch.ones_like(strength)), dim=1
+        )
+        response += torch.einsum("nchw,nkhw,nhw->ck", colour.double(), shape, inside).cpu().numpy()
+        covariance += torch.einsum("nchw,nkhw->ck", colour.double(), colour.double()).cpu().numpy()
+        weight += float(inside.sum())
+    if weight == 0:
+        raise ValueError("no picture shows a dent, by which its colours could be calibrated")
+    u, values, v = np.linalg.svd(response / weight)
+    matrix = v.T / np.maximum(values, _LEAST_RESPONSE * values[0]) @ u.T
+    variance = np.einsum("ic,cd,id->i", matrix, covariance, matrix) / (len(pictures) * colour[0, 0].numel())
+    return InputMap.of(matrix / np.sqrt(variance)[:, None])
+
+
+INPUTS = {
+    "pictures": Input("the picture and its reference as the profile pairs them"),
+    "calibrated": Input(
+        "colours turned into slopes by one matrix a domain", calibration, needs_difference=True
+    ),
+    "standardised": Input("each channel standardised by its domain's pictures", standardisation),
+    "grey": Input("the mean of the colours", grey, 1, needs_difference=True),
+    "markers": Input("how far the dots have moved", None, 2, needs_difference=True, shows_displacement=True),
+    "pretrained": Input("features of a pretrained network (--weights), whose backbone stays", frozen=True),
+}
+"""What a network can be shown."""
+
+
+class NetworkInputs:
+    """The pictures of a domain as a network is shown them, on the device, a batch at a time."""
+
+    def __init__(self, pictures: "PairedFrames | Displacements", input_map: InputMap | None = None) -> None:
+        self.pictures, self.map = pictures, input_map
+
+    def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":
+        """Return inputs (B, C, h, w) float32 of these frames."""
+        paired = self.pictures.inputs(rows)
+        return paired if self.map is None else self.map(paired)
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+
+class Displacements:
+    """How far the dots of each frame have moved along x and y, (n, 2, h, w) in pixels of the network's picture.
+
+    A picture less the same picture with its dots inpainted shows dots alone, whatever light falls on the gel. Their
+    motion from the reference is Farnebäck's dense flow.
+
+    Raises a ValueError if the reference shows no dots.
+    """
+
+    def __init__(self, frames: "LabelledFrames", size_px: tuple[int, int], device: object) -> None:
+        import cv2
+        import torch
+
+        flow_px = _FLOW_PX, round(_FLOW_PX * size_px[1] / size_px[0])
+        reference = _dots(frames.references_at(flow_px), frames.references_at(flow_px, markers=False))
+        if reference.astype(float).std(axis=(1, 2)).min() < _LEAST_DOTS:
+            raise ValueError(
+                f"input markers: the reference of {frames.name} shows no dots; choose another input for this domain"
+            )
+        pictures = _dots(frames.images(flow_px), frames.images_without_markers(flow_px))
+        moved = np.empty((len(pictures), size_px[1], size_px[0], 2), np.float32)
+        for k, (picture, own) in enumerate(zip(pictures, frames.reference_id, strict=True)):
+            flow = np.zeros((*picture.shape, 2), np.float32)
+            cv2.calcOpticalFlowFarneback(reference[own], picture, flow, 0.5, 3, 21, 3, 7, 1.5, 0)
+            moved[k] = cv2.resize(flow, size_px, interpolation=cv2.INTER_AREA) * (size_px[0] / flow_px[0])
+        self._moved = torch.from_numpy(moved).to(device)
+
+    def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":
+        """Return the displacements (B, 2, h, w) of these frames."""
+        return self._moved[rows].permute(0, 3, 1, 2)
+
+    def __len__(self) -> int:
+        return len(self._moved)
+
+
+def _dots(pictures: np.ndarray, without: np.ndarray) -> np.ndarray:
+    """Return the dots alone (n, h, w) uint8 of pictures (n, h, w, 3) and the same with their dots inpainted."""
+    difference = np.abs(pictures.astype(np.int16) - without).max(axis=3)
+    return np.minimum(2 * difference, 255).astype(np.uint8)

@@ -1,0 +1,216 @@
+"""The board's data: contacts that source and target do not share, lights drawn at random, gaps crossed, labels shifted.
+
+Contact points lie on a lattice coloured like a chessboard. As a source a domain is pressed on one colour, as a target
+on the other, so that no target point lies within 0.83 mm of a source point. Depths and travels are drawn
+from intervals, those of sources and targets apart. One solve serves three of them at every point and in every
+direction, so that a gel takes minutes of a core.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import permutations, product
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from gelgap.domains import DomainRecipe, LabelledFrames
+    from gelgap.render import Illumination
+
+DATA = "disjoint"
+Role = Literal["source", "target"]
+ROLES: tuple[Role, ...] = ("source", "target")
+LATTICE = (10, 6)
+"""Columns and rows of all contact points, half of them a source's, half a target's."""
+HALF_EXTENT_MM = (3.75, 2.6)
+LEVELS = 24
+"""Pairs of a depth and a travel of each role."""
+PER_POINT = 24
+DEPTH_MM, TRAVEL_MM = (0.15, 1.0), (0.0, 0.6)
+QUALITY = "draft"
+"""Of the physics: the same for all domains of a group, and a gel takes a few minutes of a core."""
+
+LIGHTS = 8
+"""Domains of drawn light that make one source; together they have as many frames as a single one."""
+DRAWN_LIGHTS = 200
+"""Lights of which those nearest to a target's reference picture are taken."""
+ANY_LIGHT, LIKE = "wmb0-any-light", "wmb0-light-like-"
+"""Names of the sources of drawn light: any, or like that of the target whose name follows."""
+
+SHALLOW_MM, DEEP_SHARE = 0.45, 0.1
+"""The shifted target keeps every contact down to this depth, and this share of the deeper ones."""
+FACTORS: dict[str, tuple[str, ...]] = {
+    "gel": (),
+    "friction": (),
+    "markers": (),
+    "geometry": ("position_mm", "facing"),
+    "drive": ("drive",),
+    "spectrum": ("spectrum",),
+}
+"""Crossed gaps; the last three are the fields of the LEDs in which a light differs."""
+FACTORIAL = "crossed-"
+DRAWN, MADE = (ANY_LIGHT, LIKE), (ANY_LIGHT, LIKE, FACTORIAL)
+"""How the names of domains begin that are no presets'."""
+_GENERATORS = {"drive": ("gel", "friction", "markers"), "spectrum": ("friction", "markers", "geometry")}
+
+
+def contact_path(role: Role, points: Sequence[int] | None = None, name: str | None = None) -> Any:
+    """Return the contacts of a role: of all its points, or of some of their numbers in the lattice's order."""
+    from gelgap.sim import Pose, PosePath
+
+    rng = np.random.default_rng([ROLES.index(role), LEVELS])
+    depths, travels = (
+        np.round(low + (high - low) * (rng.permutation(LEVELS) + rng.random(LEVELS)) / LEVELS, 3)
+        for low, high in (DEPTH_MM, TRAVEL_MM)
+    )
+    columns, rows = LATTICE
+    x_mm, y_mm = (np.linspace(-half, half, n) for half, n in zip(HALF_EXTENT_MM, LATTICE, strict=True))
+    cells = [(i, j) for j in range(rows) for i in range(columns) if (i + j) % 2 == ROLES.index(role)]
+    poses = []
+    for number, (i, j) in enumerate(cells):
+        place = {"point_x_mm": round(float(x_mm[i]), 4), "point_y_mm": round(float(y_mm[j]), 4)}
+        levels = np.concatenate([rng.permutation(LEVELS) for _ in range(math.ceil(PER_POINT / LEVELS))])
+        angles = 2 * math.pi * (np.arange(PER_POINT) + rng.random(PER_POINT)) / PER_POINT
+        chosen = points is None or number in points
+        if chosen and not poses:
+            poses = [Pose(depth_mm=0.0, contact_class=0, point_id=number, **place)]
+        for level, angle in zip(levels[:PER_POINT], rng.permutation(angles), strict=True):
+            shear = travels[level] * np.array([math.cos(angle), math.sin(angle)])
+            if chosen:
+                poses.append(
+                    Pose(
+                        depth_mm=float(depths[level]),
+                        shear_x_mm=float(shear[0]),
+                        shear_y_mm=float(shear[1]),
+                        point_id=number,
+                        contact_class=contact_class(depths[level], travels[level], angle),
+                        **place,
+                    )
+                )
+    return PosePath(name or f"board-{role}", tuple(poses))
+
+
+def contact_class(depth_mm: float, travel_mm: float, angle: float) -> int:
+    """Return the class of the nearest contact on the paper's grid, for methods that align classes."""
+    depth = min(4, max(0, round(depth_mm / 0.2) - 1))
+    travel = min(5, max(0, round(travel_mm / 0.1) - 1))
+    return 1 + 72 * depth + 12 * travel + round(math.degrees(angle) / 30) % 12
+
+
+def role_recipes(names: Sequence[str], role: Role) -> "tuple[DomainRecipe, ...]":
+    """Return the recipes of domains as sources or as targets."""
+    from gelgap.domains import make_recipes
+
+    return make_recipes(names, contact_path(role), inpainted=(), quality=QUALITY, seed=ROLES.index(role))
+
+
+def drawn_light(number: int) -> "Illumination":
+    """Return a light drawn far from any: three bars or discs, turned as one, their colours exchanged or white."""
+    from gelgap.render import Illumination, Variation, WhiteSpectrum, vary_illumination
+
+    rng = np.random.default_rng([number, LIGHTS])
+    base = Illumination.preset("i0" if rng.random() < 0.5 else "i1")
+    spectra = [led.spectrum for led in base.leds]
+    order = list(permutations(range(len(spectra))))[rng.integers(math.factorial(len(spectra)))]
+    turn, white = rng.uniform(0, 2 * math.pi), rng.random() < 1 / 3
+    cosine, sine = math.cos(turn), math.sin(turn)
+    leds = []
+    for led, own in zip(base.leds, order, strict=True):
+        ((x, y, z), (u, v, w)) = led.position_mm, led.facing
+        spectrum = WhiteSpectrum(cct_k=float(rng.uniform(3000, 7500))) if white else spectra[own]
+        position = (cosine * x - sine * y, sine * x + cosine * y, z)
+        facing = (cosine * u - sine * v, sine * u + cosine * v, w)
+        leds.append(led.model_copy(update={"position_mm": position, "facing": facing, "spectrum": spectrum}))
+    spread = Variation(led_position_mm=1.0, led_angle_deg=10, led_drive=0.3, led_peak_nm=10, led_cct=0.2)
+    return vary_illumination(base.model_copy(update={"leds": tuple(leds)}), spread, rng)
+
+
+def random_light_recipes(target: "LabelledFrames | None" = None) -> "tuple[DomainRecipe, ...]":
+    """Return domains of the source's gel in drawn lights; each has its share of the source's contact points.
+
+    Of a target only the picture without contact is used: of many drawn lights those are taken whose own picture without
+    contact differs least from it in the mean over pixels.
+    """
+    from gelgap.domains import own_recipe
+
+    numbers = range(LIGHTS)
+    if target is not None:
+        reference = target.reference_at(40).astype(float)
+        numbers = np.argsort([_distance(drawn_light(k), reference) for k in range(DRAWN_LIGHTS)])[:LIGHTS]
+    name, count = ANY_LIGHT if target is None else LIKE + target.name, math.prod(LATTICE) // 2
+    return tuple(
+        own_recipe(
+            f"{name}-{place + 1}",
+            contact_path("source", range(place, count, LIGHTS), f"board-source-{place + 1}"),
+            base="wmb0i0",
+            illumination=drawn_light(int(number)),
+            quality=QUALITY,
+            seed=0,
+        )
+        for place, number in enumerate(numbers)
+    )
+
+
+def _distance(light: "Illumination", reference: np.ndarray) -> float:
+    from gelgap.render import MembraneRenderer, Sensor
+
+    height, width = reference.shape[:2]
+    drawn = MembraneRenderer(Sensor.preset("paper"), light, (width, height), "draft").reference(markers=False)
+    return float(np.square(drawn - reference).mean())
+
+
+def factorial_cells() -> Iterator[tuple[str, dict[str, bool]]]:
+    """Yield the targets of the crossed gaps and in what they differ: a 2^(6−2) design of resolution IV.
+
+    No main effect is confounded with an interaction of two factors.
+    """
+    free = [factor for factor in FACTORS if factor not in _GENERATORS]
+    for levels in product((False, True), repeat=len(free)):
+        cell = dict(zip(free, levels, strict=True))
+        for factor, words in _GENERATORS.items():
+            cell[factor] = bool(sum(cell[word] for word in words) % 2)
+        cell = {factor: cell[factor] for factor in FACTORS}
+        yield FACTORIAL + "".join(str(int(differs)) for differs in cell.values()), cell
+
+
+def factorial_recipes() -> "tuple[DomainRecipe, ...]":
+    """Return the targets of the crossed gaps from mb0i0: modulus × 0.7, friction × 2, no dots, parts of light i1."""
+    from gelgap.domains import own_recipe
+    from gelgap.render import Illumination
+    from gelgap.sim import Elastomer
+
+    gel, lights = Elastomer.preset("b0"), [Illumination.preset(name) for name in ("i0", "i1")]
+    found = []
+    for name, cell in factorial_cells():
+        elastomer = gel.model_copy(
+            update={
+                "young_modulus_mpa": gel.young_modulus_mpa * (0.7 if cell["gel"] else 1.0),
+                "friction": gel.friction * (2.0 if cell["friction"] else 1.0),
+            }
+        )
+        leds = [
+            led.model_copy(
+                update={
+                    field: getattr(other, field)
+                    for factor, fields in FACTORS.items()
+                    for field in fields
+                    if cell[factor]
+                }
+                | ({"kind": other.kind, "diameter_mm": other.diameter_mm} if cell["geometry"] else {})
+            )
+            for led, other in zip(lights[0].leds, lights[1].leds, strict=True)
+        ]
+        own = {
+            "elastomer": elastomer,
+            "illumination": lights[0].model_copy(update={"leds": tuple(leds)}),
+            "base": "wmb0i0" if cell["markers"] else "mb0i0",
+        }
+        found.append(own_recipe(name, contact_path("target"), **own, quality=QUALITY, seed=1))
+    return tuple(found)
+
+
+def with_shifted_labels(target: "LabelledFrames") -> "LabelledFrames":
+    """Return a target of which few contacts are deep, as one that is handled more gently than the source."""
+    deep = target.columns["depth_mm"] > SHALLOW_MM
+    kept = np.random.default_rng(len(deep)).random(len(deep)) < DEEP_SHARE
+    return target.take(np.flatnonzero(~deep | kept))

@@ -1,0 +1,177 @@
+"""What inputs, drawn lights and losses are each worth, and which gaps they close.
+
+Three questions, each a grid: methods on every input; networks that were trained in drawn lights instead of adapted; and
+methods on gaps of gel, friction, markers and light that are crossed.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from gelgap.adapt import ResultTable
+from gelgap.adapt.inputs import INPUTS
+from gelgap.benchmarks.adaptation import board, designs
+from gelgap.benchmarks.adaptation.board import BY_POINT, PLAIN
+from gelgap.benchmarks.adaptation.groups import (
+    FORMATS,
+    R2,
+    SEEDS,
+    SUMMARY_FORMATS,
+    load_ceilings,
+    summary,
+    with_rules,
+)
+from gelgap.benchmarks.adaptation.study import RUNS, Part, Study, adapt_run, grid, load_runs
+from gelgap.benchmarks.common import Setting, result_table
+
+METHODS = (PLAIN, "adabn", "dann", "dsan", "daregram")
+INPUT_RUNS, LIGHT_RUNS, CROSSED_RUNS = "inputs.jsonl", "lights.jsonl", "crossed.jsonl"
+GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0i0", "wmb0i0"))
+"""Light alone, light and gel, markers."""
+BASE = "mb0i0"
+LIGHT_METHODS = (PLAIN, "adabn")
+_SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "Fz, N", "shear, N", *R2]
+
+
+def changes_of(name: str) -> board.Changes:
+    """Return the changes of the profile that show an input."""
+    shown = INPUTS[name]
+    if name == "pictures":
+        return BY_POINT
+    hiding = (("marker_hiding", 0.0),) if shown.shows_displacement else ()
+    return (*BY_POINT, ("input", name), *hiding)
+
+
+def input_grid(groups: Sequence[board.Group], methods: Sequence[str], seeds: Sequence[int]) -> list[Setting]:
+    """Return the runs of every input that a group can show; a pretrained backbone needs a file and is left out."""
+    found = []
+    for seed in seeds:
+        for name, shown in INPUTS.items():
+            fit = [
+                group
+                for group in groups
+                if not shown.shows_displacement or not any("wm" in one for one in group)
+            ]
+            if not shown.frozen:
+                cases = [(designs.DATA, group) for group in fit]
+                found += grid(cases, methods, [seed], changes_of(name))
+    return found
+
+
+def ceiling_grid(runs: list[Setting]) -> list[Setting]:
+    """Return the ceilings of the targets of runs, on the profile's own input."""
+    targets = dict.fromkeys((run["target"], run["seed"]) for run in runs)
+    return [grid([(designs.DATA, (name, name))], [PLAIN], [seed])[0] for name, seed in targets]
+
+
+def measure_inputs(study: Study) -> None:
+    """Do the missing runs of every input."""
+    methods = study.known_methods() or METHODS
+    _measure(study, input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS), INPUT_RUNS)
+
+
+def measure_lights(study: Study) -> None:
+    """Do the missing runs of sources in drawn lights, for every target without markers."""
+    targets = dict.fromkeys(target for _, target in study.groups or GROUPS if target.startswith("wm"))
+    sources = [(designs.ANY_LIGHT, target) for target in targets]
+    sources += [(designs.LIKE + target, target) for target in targets]
+    methods = study.known_methods() or LIGHT_METHODS
+    runs = grid([(designs.DATA, group) for group in sources], methods, study.seeds or SEEDS)
+    _measure(study, runs, LIGHT_RUNS)
+
+
+def measure_crossed(study: Study) -> None:
+    """Do the missing runs of the crossed gaps."""
+    cases = [(designs.DATA, (BASE, name)) for name, _ in designs.factorial_cells()]
+    _measure(study, grid(cases, study.known_methods() or METHODS, study.seeds or SEEDS[:3]), CROSSED_RUNS)
+
+
+def _measure(study: Study, runs: list[Setting], file: str) -> None:
+    ceilings = ceiling_grid(runs)
+    study.generate_roles([*ceilings, *runs])
+    study.run(adapt_run, runs, file)
+    study.run(adapt_run, ceilings, RUNS)
+
+
+def input_tables(folder: Path) -> list[ResultTable]:
+    """Return what each method closes on each input, by kind of gap; start and ceiling are those of `pictures`."""
+    runs, ceilings, tables = load_runs(folder / INPUT_RUNS), load_ceilings(folder), []
+    plain = with_rules(runs[runs["changes"].isin([BY_POINT])])
+    light = [" → ".join(group) for group in board.LIGHT_GROUPS]
+    for kind, of_kind in (
+        ("only the light", runs["group"].isin(light)),
+        ("other gaps", ~runs["group"].isin(light)),
+    ):
+        found = []
+        for name in INPUTS:
+            own = runs[of_kind & runs["changes"].isin([changes_of(name)])]
+            if len(own):
+                start = plain[plain["group"].isin(own["group"])]
+                if not found:
+                    rules = summary(start, ceilings)
+                    found.append(rules.drop(own["method"].unique(), errors="ignore"))
+                renamed = own.assign(method=own["method"] + f" / {name}")
+                rows = summary(pd.concat([start, renamed]), ceilings)
+                found.append(rows[rows.index.isin(renamed["method"])])
+        if found:
+            names = sorted(runs.loc[of_kind, "group"].unique())
+            note = f"{', '.join(names)}; {runs['seed'].nunique()} seed(s), split by contact point."
+            frame = pd.concat(found).reindex(columns=_SHOWN).rename_axis("method / input")
+            tables.append(result_table(f"What inputs are worth: {kind}", frame, note, SUMMARY_FORMATS))
+    return tables
+
+
+def light_tables(folder: Path) -> list[ResultTable]:
+    """Return sources in drawn lights beside adaptation from one light, by target."""
+    runs, adapted = load_runs(folder / LIGHT_RUNS), load_runs(folder / INPUT_RUNS)
+    if runs.empty:
+        return []
+    drawn = runs["source"].map(
+        lambda name: "any light" if name == designs.ANY_LIGHT else "light like the target's"
+    )
+    shown = adapted["changes"].map({changes_of(name): name for name in INPUTS})
+    rows = [runs.assign(how=drawn + ", " + runs["method"])]
+    rows.append(adapted.assign(how="one light, " + adapted["method"] + ", " + shown))
+    frame = pd.concat(rows)
+    frame = frame[frame["target"].isin(set(runs["target"]))]
+    columns = {
+        "error_n": "mean MAE, N",
+        "MAE z, N": "Fz MAE, N",
+        "shear_n": "shear MAE, N",
+        **{r: r for r in R2},
+    }
+    means = frame.groupby(["target", "how"], sort=False)[list(columns)].mean()
+    note = (
+        f"{runs['seed'].nunique()} seed(s). Drawn: {designs.LIGHTS} lights on the source's gel, together as many "
+        "frames as one source; those like the target's are the nearest of "
+        f"{designs.DRAWN_LIGHTS} by its picture without contact."
+    )
+    return [result_table("Adapt or randomise?", means.rename(columns=columns), note, FORMATS)]
+
+
+def crossed_tables(folder: Path) -> list[ResultTable]:
+    """Return the main effects of the crossed gaps on each method's error, and the mean."""
+    runs = load_runs(folder / CROSSED_RUNS)
+    cells = pd.DataFrame(dict(designs.factorial_cells())).T.astype(bool)
+    errors = runs.pivot_table(values="error_n", index="target", columns="method").reindex(cells.index)
+    errors = errors.dropna(axis=1)
+    if errors.empty or not len(errors.columns):
+        return []
+    signs = cells.map(lambda differs: 1 if differs else -1)
+    found = {"mean of all cells": errors.mean()}
+    found |= {factor: errors.mul(signs[factor], axis=0).sum() / (len(cells) / 2) for factor in cells}
+    return [
+        result_table(
+            f"Crossed gaps from {BASE}: main effects on the mean MAE, N",
+            pd.DataFrame(found).T.rename_axis("gap"),
+            f"{len(cells)} targets, {runs['seed'].nunique()} seed(s). An effect is the mean error with the gap less "
+            "that without. No main effect is confounded with an interaction of two gaps.",
+            {"": "{:+.3f}"},
+        )
+    ]
+
+
+INPUT_PART = Part(measure_inputs, input_tables)
+LIGHT_PART = Part(measure_lights, light_tables)
+CROSSED_PART = Part(measure_crossed, crossed_tables)

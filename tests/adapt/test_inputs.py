@@ -1,0 +1,173 @@
+"""What a network is shown: maps that undo another light, dots that have moved, and what is refused."""
+
+import numpy as np
+import pytest
+import torch
+
+from gelgap.adapt import ForceModel, Profile, adapt, train_source
+from gelgap.adapt.data import network_inputs
+from gelgap.adapt.inputs import INPUTS, Displacements, InputMap
+from gelgap.domains import ArrayFrames
+
+SIZE_PX = (64, 48)
+
+
+def dents(light: np.ndarray, name: str = "dents", count: int = 40, seed: int = 0) -> ArrayFrames:
+    """Pictures of round dents whose walls are shaded by a light (3 colours × slopes along x and y)."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[: SIZE_PX[1], : SIZE_PX[0]].astype(float)
+    images = np.empty((count, SIZE_PX[1], SIZE_PX[0], 3), np.uint8)
+    depth = rng.uniform(0.5, 1.0, count)
+    for image, own, (cx, cy) in zip(images, depth, rng.uniform((20, 16), (44, 32), (count, 2)), strict=True):
+        dx, dy = (x - cx) / 6, (y - cy) / 6
+        wall = own * np.exp(-(dx**2 + dy**2) / 2)
+        image[:] = np.clip(128 + 60 * np.stack([dx * wall, dy * wall], axis=2) @ light.T, 0, 255)
+    reference = np.full((SIZE_PX[1], SIZE_PX[0], 3), 128, np.uint8)
+    force_n = np.stack([0 * depth, 0 * depth, -depth], axis=1)
+    return ArrayFrames(name, images, reference, force_n)
+
+
+def shown(frames: ArrayFrames, name: str) -> np.ndarray:
+    profile = Profile.preset("smoke").replace(input=name, colour_mixing=0.0)
+    return network_inputs(frames, profile, torch.device("cpu")).inputs(np.arange(len(frames))).numpy()
+
+
+def test_a_calibrated_input_is_the_same_under_permuted_and_turned_colours():
+    """Red from the left or from the right, green from above or from below: after calibration the same pictures."""
+    light = np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]])
+    other = light[[1, 2, 0]] @ np.array([[0.8, 0.6], [-0.6, 0.8]]).T
+    raw = [shown(dents(one), "pictures") for one in (light, other)]
+    calibrated = [shown(dents(one), "calibrated")[:, :2] for one in (light, other)]
+    before, after = (np.corrcoef(a.ravel(), b.ravel())[0, 1] for a, b in (raw, calibrated))
+    assert before < 0.6
+    assert after > 0.98
+    np.testing.assert_allclose(calibrated[0].std(axis=(0, 2, 3)), 1, rtol=0.05)
+
+
+def test_the_calibrated_channels_are_the_slopes():
+    pictures = shown(dents(np.array([[0.9, 0.2], [-0.3, 0.7], [-0.4, -0.6]])), "calibrated")
+    y, x = np.mgrid[: SIZE_PX[1], : SIZE_PX[0]]
+    strength = np.abs(pictures[0, :2]).sum(axis=0)
+    right, below = (strength * (axis > np.average(axis, weights=strength)) for axis in (x, y))
+    # The wall that faces +x is positive in the first channel, whatever its colour is; so is +y in the second.
+    assert (pictures[0, 0] * right).sum() > 5 * abs((pictures[0, 1] * right).sum())
+    assert (pictures[0, 1] * below).sum() > 5 * abs((pictures[0, 0] * below).sum())
+
+
+def test_channels_of_each_input():
+    frames = dents(np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]]))
+    assert shown(frames, "grey").shape == (40, 1, 48, 64)
+    standardised = shown(frames, "standardised")
+    np.testing.assert_allclose(standardised.mean(axis=(0, 2, 3)), 0, atol=1e-3)
+    np.testing.assert_allclose(standardised.std(axis=(0, 2, 3)), 1, atol=1e-3)
+    np.testing.assert_allclose(shown(frames, "grey")[:, 0], shown(frames, "pictures").mean(axis=1), atol=1e-5)
+    assert all(entry.about for entry in INPUTS.values())
+
+
+def test_pictures_without_a_dent_cannot_be_calibrated():
+    flat = np.full((4, 48, 64, 3), 128, np.uint8)
+    with pytest.raises(ValueError, match="no picture shows a dent"):
+        shown(ArrayFrames("flat", flat, flat[0], np.zeros((4, 3))), "calibrated")
+
+
+@pytest.mark.parametrize("name", ["calibrated", "grey"])
+def test_a_network_is_trained_on_it_adapted_and_kept(tmp_path, name):
+    light = np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]])
+    source, target = dents(light, "one"), dents(light[::-1], "other", seed=1)
+    changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 2, "adapt_epochs": 1, "colour_mixing": 0.0}
+    profile = Profile.preset("smoke").replace(input=name, **changes)
+    stage1 = train_source(source, profile)
+    adapted = adapt(stage1, source, target, "adabn")
+    assert (adapted.input_map != stage1.input_map) == (name == "calibrated")
+    adapted.save(tmp_path / "model.pt")
+    loaded = ForceModel.load(tmp_path / "model.pt")
+    assert loaded.input_map == adapted.input_map
+    np.testing.assert_array_equal(loaded.predict_n(target), adapted.predict_n(target))
+
+
+def test_displacement_is_how_far_the_dots_have_moved(monkeypatch):
+    """Dark dots on a bright gel whose light changes; all dots move by 3 px of 160, a picture of 64 by 1.2."""
+    y, x = np.mgrid[:120, :160]
+
+    def picture(shift: float, light: float) -> np.ndarray:
+        dots = (np.cos(2 * np.pi * (x - shift) / 20) + np.cos(2 * np.pi * y / 20)) > 1.2
+        return np.where(dots, 40, 150 * light)[..., None].repeat(3, axis=2).astype(np.uint8)
+
+    images = np.stack([picture(0, 1.0), picture(3, 1.2), picture(-3, 0.8)])
+    monkeypatch.setattr(
+        "gelgap.domains.frames.dataset.without_markers", lambda image: np.full_like(image, image.max())
+    )
+    frames = ArrayFrames("dots", images, images[0], np.zeros((3, 3)))
+    moved = Displacements(frames, SIZE_PX, "cpu").inputs(np.arange(3)).numpy()[:, :, 10:-10, 15:-15]
+    np.testing.assert_allclose(moved[:, 0].mean(axis=(1, 2)), [0, 1.2, -1.2], atol=0.25)
+    np.testing.assert_allclose(moved[:, 1].mean(axis=(1, 2)), 0, atol=0.1)
+    monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", lambda image: image)
+    with pytest.raises(ValueError, match="the reference of dots shows no dots"):
+        Displacements(ArrayFrames("dots", images, images[0], np.zeros((3, 3))), SIZE_PX, "cpu")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"input": "colour"}, "input 'colour' is unknown"),
+        ({"input": "calibrated", "pairing": "stack"}, "needs pairing 'difference'"),
+        ({"input": "grey", "colour_mixing": 0.5}, "has no colours to mix"),
+        ({"input": "markers", "marker_hiding": 0.5}, "marker_hiding must be 0"),
+        ({"input_standardisation": "batch"}, "must be none or domain"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Profile(**{"pairing": "difference", **changes})
+
+
+def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
+    frames = dents(np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]]))
+    changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 1, "colour_mixing": 0.0}
+    profile = Profile.preset("smoke").replace(**changes)
+    train_source(frames, profile).save(tmp_path / "start.pt")
+    frozen = profile.replace(input="pretrained")
+    with pytest.raises(ValueError, match="needs the weights of a pretrained network"):
+        train_source(frames, frozen)
+    start = ForceModel.load(tmp_path / "start.pt").network
+    trained = train_source(frames, frozen, weights=tmp_path / "start.pt").network
+    for own, other in zip(trained.backbone.parameters(), start.backbone.parameters(), strict=True):
+        torch.testing.assert_close(own, other)
+    assert not torch.equal(trained.bottleneck[0].weight, start.bottleneck[0].weight)
+
+
+def test_former_names_are_read():
+    assert Profile(input_standardisation="domain").input == "standardised"
+    assert Profile(input_standardisation="none").input == "pictures"
+    kept = InputMap.of(np.diag([2.0, 4.0]), np.array([1.0, 0.0]))
+    found = kept(torch.ones(1, 2, 1, 1))
+    assert found.flatten().tolist() == [3.0, 4.0]
+
+
+def test_a_former_checkpoint_keeps_its_standardisation(tmp_path):
+    frames = dents(np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]]))
+    changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 1, "colour_mixing": 0.0}
+    model = train_source(frames, Profile.preset("smoke").replace(input="standardised", **changes))
+    model.save(tmp_path / "model.pt")
+    content = torch.load(tmp_path / "model.pt", weights_only=True)
+    matrix, offset = map(np.array, content.pop("input_map"))
+    std = 1 / np.diag(matrix)
+    content["input_statistics"] = [(-offset * std).tolist(), std.tolist()]
+    content["profile"] = content["profile"].replace(
+        '"input":"standardised"', '"input_standardisation":"domain"'
+    )
+    torch.save(content, tmp_path / "former.pt")
+    former = ForceModel.load(tmp_path / "former.pt")
+    np.testing.assert_allclose(former.predict_n(frames), model.predict_n(frames), atol=1e-5)
+
+
+def test_averaged_weights_are_the_result_and_repeat():
+    frames = dents(np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]]))
+    changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 6, "colour_mixing": 0.0, "batch_size": 4}
+    last = Profile.preset("smoke").replace(**changes)
+    averaged = last.replace(averaging=0.9)
+    one, two, plain = (
+        train_source(frames, profile).predict_n(frames) for profile in (averaged, averaged, last)
+    )
+    np.testing.assert_array_equal(one, two)
+    assert np.abs(one - plain).max() > 1e-4

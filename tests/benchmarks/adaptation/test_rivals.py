@@ -1,0 +1,59 @@
+"""Inputs, drawn lights and crossed gaps: what is run, and the tables of stored and of made-up records."""
+
+from pathlib import Path
+
+from run_records import record, write_runs
+
+from gelgap.adapt.inputs import INPUTS
+from gelgap.benchmarks.adaptation import calm, designs, rivals
+from gelgap.benchmarks.adaptation.study import Study
+
+STORED = Path(__file__).parents[3] / "docs" / "results" / "runs" / "board"
+
+
+def test_every_input_is_run_where_it_can_be_shown():
+    runs = rivals.input_grid([("mb0i0", "mb1i1"), ("mb0i0", "wmb0i0")], ["adabn"], [0])
+    shown = {(run["target"], dict(run["changes"]).get("input", "pictures")) for run in runs}
+    assert {name for target, name in shown if target == "mb1i1"} == set(INPUTS) - {"pretrained"}
+    assert {name for target, name in shown if target == "wmb0i0"} == set(INPUTS) - {"pretrained", "markers"}
+    study = Study(Path(), Path(), "board")
+    assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained"}
+
+
+def test_stored_measurement_is_the_published_table():
+    (table,) = rivals.INPUT_PART.tables(STORED)
+    rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
+    assert rows["source-only / calibrated"]["closed"] == "63 %"
+    assert rows["adabn / pictures"]["closed"] == "44 %"
+    page = (STORED.parents[1] / "README.md").read_text(encoding="utf-8")
+    for name in ("adabn / pictures", "source-only / calibrated"):
+        cells = [f"{rows[name][column]}" for column in ("mean, N", "Fz, N", "shear, N")]
+        assert all(cell in page for cell in cells)
+
+
+def test_effects_of_crossed_gaps(tmp_path):
+    runs = [
+        record(("mb0i0", name), "adabn", 0.1 + 0.2 * cell["drive"] - 0.05 * cell["gel"], data=designs.DATA)
+        for name, cell in designs.factorial_cells()
+    ]
+    write_runs(tmp_path / rivals.CROSSED_RUNS, runs)
+    (table,) = rivals.CROSSED_PART.tables(tmp_path)
+    effects = {row[0]: row[1] for row in table.cells}
+    found = {name: float(value) for name, value in effects.items()}
+    assert found["drive"] == 0.2
+    assert found["gel"] == -0.05
+    assert found["mean of all cells"] == 0.175
+    assert {found[name] for name in ("friction", "markers", "geometry", "spectrum")} == {0}
+
+
+def test_runs_that_come_apart(tmp_path):
+    changes = calm.VARIANTS["board"]
+    group = calm.GROUPS[0]
+    pairs = []
+    for seed, apart in ((0, 0.01), (1, 0.03)):
+        for rounding in (0, 1):
+            setting, results = record(group, "adabn", 0.1 + apart * rounding, seed, designs.DATA, changes)
+            pairs.append((setting | {"rounding": rounding}, results))
+    write_runs(tmp_path / calm.FILE, pairs)
+    (table,) = calm.PART.tables(tmp_path)
+    assert table.cells == [["board", "adabn", "0.110", "0.020", "0.030", "2"]]
