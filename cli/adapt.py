@@ -140,7 +140,7 @@ class Adapt(opt.Command):
 
 
 def _table(runs: "Sequence[Run]") -> str:
-    """Return the error of each run that did not fail beside rules and oracles without a network, and what went wrong."""
+    """Return each run's error, if it did not fail, beside rules and oracles without a network, and what went wrong."""
     from gelgap.adapt.evaluation import errors_text, worse_than_constant
 
     done = [run for run in runs if run.method != CONSTANT_MEAN and not run.problem]
