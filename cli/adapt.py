@@ -147,9 +147,9 @@ def _table(runs: "Sequence[Run]") -> str:
     errors = {"constant mean": runs[0].target_constant_mean} | runs[0].baselines | runs[0].oracles
     errors |= {run.method: run.target_test for run in done}
     lines = [f"{runs[0].group}, target test frames", errors_text(errors)]
+    noted = {run.method: worse_than_constant(run.target_test) for run in done}
+    lines += [f"{method}: {note}" for method, note in noted.items() if note]
     for run in runs:
-        if not run.problem and (note := worse_than_constant(run.target_test)):
-            lines.append(f"{run.method}: {note}")
         if run.problem:
             lines.append(f"{run.method}: {run.problem}")
         if run.skipped_steps:
