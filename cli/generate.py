@@ -79,7 +79,9 @@ class Generate(opt.Command):
     body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = field(
         default_factory=opt.IndenterOptions
     )
-    further_indenters: Annotated[tuple[str, ...], opt.optional("[NAME ...]", "none"), opt.indenter_name] = ()
+    further_indenters: Annotated[
+        tuple[str, ...] | None, opt.optional("NAME [NAME ...]", "none"), opt.indenter_name
+    ] = None
     """Indenters that go the whole path after the first: shapes, presets, TOML or mesh files; column `indenter`."""
     path: Annotated[str, opt.preset_or_file("paths")] = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
@@ -155,7 +157,7 @@ class Generate(opt.Command):
 
         settings = {
             "indenter": self.body.make(),
-            "further_indenters": tuple(map(load_indenter, self.further_indenters)),
+            "further_indenters": tuple(map(load_indenter, self.further_indenters or ())),
             "sensor": opt.named(Sensor, self.sensor),
             "columns": tuple(dict.fromkeys((*self.columns, *["indenter"] * bool(self.further_indenters)))),
             "quality": self.quality,
