@@ -1,6 +1,7 @@
 """A small domain drawn with NumPy, whose pictures determine the force, a profile that learns it, and valid files."""
 
 import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,12 @@ import pytest
 
 from gelgap.adapt.profile import Profile
 from gelgap.domains import ArrayFrames
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible():
+    """Ctrl-C ends what tests start, although a shell has what it runs in the background ignore it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -57,6 +57,7 @@ NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
     r"gelgap demo": "tests/cli/test_demo.py runs it",
     r"gelgap benchmark real": "tests/benchmarks/real runs each form",
+    r"gelgap benchmark physics --what estimate": "hours; tests/benchmarks/physics/test_estimate.py runs its parts",
     r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
     r"gelgap benchmark adaptation --what (augmentations|tuning|transfer|gaps|labels)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
