@@ -32,11 +32,14 @@ class Speaker(logging.Handler):
         self._level = _ROOMS.level
         _ROOMS.setLevel(logging.INFO)
         _ROOMS.addHandler(self)
-        threading.Thread(target=self._watch, daemon=True).start()
+        self._watcher = threading.Thread(target=self._watch, daemon=True)
+        self._watcher.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
+        # Else its last line might come within the sentence that ends the command.
+        self._watcher.join()
         _ROOMS.removeHandler(self)
         _ROOMS.setLevel(self._level)
 
@@ -62,4 +65,5 @@ class Speaker(logging.Handler):
     def _print(self, line: str) -> None:
         self._said_at = time.monotonic()
         with contextlib.suppress(OSError, ValueError):
-            print(f"gelgap: {line}", file=self._stream or sys.stderr, flush=True)
+            # The line break comes with it: other threads print, too.
+            print(f"gelgap: {line}\n", end="", file=self._stream or sys.stderr, flush=True)

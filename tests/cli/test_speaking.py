@@ -3,6 +3,7 @@
 import io
 import json
 import logging
+import threading
 import time
 
 import pytest
@@ -46,6 +47,27 @@ def test_short_work_and_other_users_of_logging_are_left_in_peace() -> None:
     assert stream.getvalue() == ""
     assert logging.getLogger("gelgap").level == level
     assert not [h for h in logging.getLogger("gelgap").handlers if isinstance(h, speaking.Speaker)]
+
+
+class SlowStream(io.StringIO):
+    """A stream that takes a while for each line, and says when one has begun."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun = threading.Event()
+
+    def write(self, text: str) -> int:
+        self.begun.set()
+        time.sleep(0.1)
+        return super().write(text)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_line_that_has_begun_is_whole_before_the_command_says_how_it_ended() -> None:
+    stream = SlowStream()
+    with speaking.Speaker("press: preparing", stream):
+        assert stream.begun.wait(30)
+    assert stream.getvalue() == "gelgap: press: preparing\n"
 
 
 def test_a_warning_is_said_at_once() -> None:
