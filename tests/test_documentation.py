@@ -92,9 +92,9 @@ def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
 TINY_PATH = """
 points_x_mm = [-1.5, 0.0, 1.5]
 points_y_mm = [-1.0, 1.0]
-depths_mm = [0.2]
+depths_mm = [0.1, 0.3]
 radii_mm = [0.1]
-angles_deg = [0, 90, 180, 270]
+angles_deg = [0, 180]
 """
 
 

@@ -19,7 +19,7 @@ from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, sa
 from gelgap.render.light.leds import Illumination
 from gelgap.render.light.scattered import LARGEST, Scattered
 from gelgap.render.renderer import MembraneRenderer
-from gelgap.render.sensor import Sensor, save_sensor
+from gelgap.render.sensor import Markers, Sensor, save_sensor
 
 Membranes = Callable[[set[float], float | None], Mapping[float, PressProfiles]]
 FEWEST_PRESSES = 6
@@ -315,7 +315,13 @@ class LightTask:
         names = [led.name for led in own.leds]
         leds = light.bars.leds(names, light.theta[:count], np.array(coating.albedo), camera.exposure)
         illumination = Illumination(name=own.name, leds=leds, scattered=scattered)
-        update = {"camera": camera, "coating": coating, "illumination": illumination, "flat_field": None}
+        update = {
+            "camera": camera,
+            "coating": coating,
+            "markers": Markers(layout="none"),  # the flat field has those of the reference
+            "illumination": illumination,
+            "flat_field": None,
+        }
         return self.sensor.model_copy(update=update)
 
     def result(self, fit: LightFit) -> dict[str, object]:
