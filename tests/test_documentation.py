@@ -92,7 +92,7 @@ def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
 TINY_PATH = """
 points_x_mm = [-1.5, 0.0, 1.5]
 points_y_mm = [-1.0, 1.0]
-depths_mm = [0.1, 0.3]
+depths_mm = [0.2, 0.4]
 radii_mm = [0.1]
 angles_deg = [0, 180]
 """
