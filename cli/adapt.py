@@ -68,9 +68,9 @@ class Adapt(opt.Command):
     repeated, an interrupted one goes on from its last epoch.
 
     For example:
-      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --out runs
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --profile cpu --classes from-force 20
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
-      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --input calibrated --out runs
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --input calibrated --out colour-runs
     """
 
     when_stopped: ClassVar[str] = "finished runs and epochs are kept, run the same command again to go on"

@@ -37,8 +37,8 @@ DESCRIPTION = """Synthetic GelSight data with a domain gap that is known and und
 
 For example:
   gelgap demo
-  gelgap generate mb0i0 wmb1i1 --path cpu --out data
-  gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --out runs
+  gelgap generate mb0i0 wmb1i1 --path cpu-random --quality draft --out data
+  gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method source-only dsan --profile cpu --classes from-force 20
 
 Every command explains itself with --help; --version says which gelgap this is. Add --debug to any command for a full
 traceback."""

@@ -47,6 +47,7 @@ QUICKEST = {
     r"--recipe gap.toml": f"--recipe gap.toml {SMALL}",
     r"tuned.pt --profile cpu --split-by clip": "tuned.pt --profile smoke",
     r"--profile cpu": "--profile smoke",
+    r"--mm-per-px 0.03": "--mm-per-px 0.12",
     r"--test later/later-clips --clips 7": "--test later/later-clips --clips 2",
     r"own/mine --clips 5": "own/mine --clips 1",
     r"source_epochs=150": "source_epochs=4",
