@@ -21,7 +21,7 @@ from gelgap.assets.checksums import file_sha256
 from gelgap.domains.formats.domain_folder import check_is_new, new_folder
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
 from gelgap.domains.formats.public_layouts import write_feats, write_lerobot, write_mini_pretrain
-from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
+from gelgap.domains.formats.shards import COLUMNS, FORCES, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
 from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import (
     PUBLISHED_FORCES,
@@ -49,6 +49,7 @@ _CROISSANT_TYPES = {
     pa.string(): "sc:Text",
     PICTURE: "sc:ImageObject",
     POINTS: "sc:Float",
+    FORCES: "sc:Float",
 }
 _CROISSANT_FORMATS = {".parquet": "application/x-parquet", ".png": "image/png"}
 Axis = Literal["x", "y", "z"]
@@ -249,7 +250,7 @@ def _croissant(folder: Path) -> str:
         files=files,
         types=_CROISSANT_TYPES,
         picture=PICTURE,
-        points=POINTS,
+        lists=(POINTS, FORCES),
     )
     return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 

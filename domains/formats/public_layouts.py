@@ -52,7 +52,7 @@ def write_feats(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
     """`<domain>/{train,val,test}/<frame>.npy`, a dictionary a frame, and `<domain>/normalization.npy`.
 
     A dictionary in an `.npy` is a pickle, which FEATS's own reader loads as such. `grid_x`, `grid_y` and `grid_z`, the
-    force on each of 24×32 cells, are left out: frames have no force maps.
+    force on each of 24×32 cells of the view, are there if the domain was generated with `--columns traction`.
     """
     for frames in domains:
         bounds: dict[str, dict[str, float]] = {}
@@ -61,9 +61,8 @@ def write_feats(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
             folder.mkdir(parents=True)
             for index in indices:
                 forces = (frames.force_n[index] * _FEATS_SIGNS + 0.0).tolist()
-                label = {"gs_img": frames.picture(index)} | dict(
-                    zip(("f_x", "f_y", "f_z"), forces, strict=True)
-                )
+                label = {"gs_img": frames.picture(index)} | _feats_maps(frames, index)
+                label |= dict(zip(("f_x", "f_y", "f_z"), forces, strict=True))
                 np.save(folder / f"{int(frames.columns['frame_id'][index]):06d}.npy", label)
                 if part == "train":
                     for name, value in label.items():
@@ -71,6 +70,15 @@ def write_feats(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
                         known["min"] = min(known["min"], float(np.min(value)))
                         known["max"] = max(known["max"], float(np.max(value)))
         np.save(out_dir / frames.name / "normalization.npy", bounds)
+
+
+def _feats_maps(frames: GeneratedDomain, index: int) -> dict[str, np.ndarray]:
+    from gelgap.sim.traction import COARSE_SHAPE
+
+    if "traction" not in frames.optional_columns:
+        return {}
+    maps_n = frames.optional("traction", index).reshape(*COARSE_SHAPE, 3) * _FEATS_SIGNS + 0.0
+    return {f"grid_{axis}": maps_n[..., k] for k, axis in enumerate("xyz")}
 
 
 def write_mini_pretrain(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:

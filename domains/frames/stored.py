@@ -25,7 +25,7 @@ from gelgap.domains.formats.domain_folder import (
     remembered_sha256,
 )
 from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
-from gelgap.domains.formats.shards import ShardFile, damaged
+from gelgap.domains.formats.shards import OPTIONAL, ShardFile, damaged
 from gelgap.domains.frames.dataset import LabelledFrames
 
 if TYPE_CHECKING:
@@ -235,7 +235,7 @@ class GeneratedDomain(StoredFrames):
         return self.shards[int(self._places[index][0])].path.name
 
     def optional(self, column: str, index: int) -> np.ndarray:
-        """Return one frame's value of an optional column: a picture (h, w) as stored, or points (m, 2).
+        """Return one frame's value of an optional column: a picture (h, w) as stored, points (m, 2), or numbers.
 
         Raises
         ------
@@ -247,7 +247,7 @@ class GeneratedDomain(StoredFrames):
                 f"data set {self.name} was generated without the column {column!r}; it has "
                 f"{', '.join(self.optional_columns) or 'no optional columns'}: generate it with --columns {column}"
             )
-        cell = self._cell(index, column)
+        cell = self._cell(index, OPTIONAL[column][0].name)
         return decode_picture(cell) if isinstance(cell, bytes) else np.array(cell)
 
     def height_map_mm(self, index: int) -> np.ndarray:

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from gelgap.domains import library, stream
+from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.generation.generate import GenerationReport, generate
 from gelgap.sim import ContactPath
 
@@ -19,7 +21,7 @@ TINY = ContactPath(
     angles_deg=tuple(30.0 * k for k in range(12)),
 )
 SETTINGS = {"quality": "draft", "render_quality": "draft", "size_px": (80, 60)}
-EVERY_COLUMN = ("contact_mask", "diagnostics", "height_map", "marker_px", "marker_rest_mm")
+EVERY_COLUMN = get_args(OptionalColumn)
 
 
 @pytest.fixture(scope="session", autouse=True)

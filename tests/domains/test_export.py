@@ -77,7 +77,7 @@ def test_the_croissant_metadata_names_every_file_and_column_and_is_valid(data: P
         for part in metadata["recordSet"]
     }
     assert fields["mb0i1/test"]["fz_n"] == "the same; ≤ 0 in compression, N"
-    assert {"height_map", "marker_px", "residual"} <= fields["mb0i0/train"].keys()
+    assert {"height_map", "marker_px", "residual", "traction_n", "tz_n_mm"} <= fields["mb0i0/train"].keys()
     croissant = pytest.importorskip("mlcroissant")
     dataset = croissant.Dataset(jsonld=tmp_path / "out/croissant.json")
     assert not dataset.metadata.issues.errors
@@ -142,6 +142,22 @@ def test_feats_dictionaries_hold_pictures_and_forces_by_its_axes(data: Path, tmp
         if path.parent.name == "train":
             assert all(bounds[name]["min"] <= label[name] <= bounds[name]["max"] for name in ("f_x", "f_z"))
     assert bounds["gs_img"]["max"] <= 255
+
+
+def test_feats_force_maps_are_the_forces_where_the_picture_shows_the_contact(data: Path, tmp_path: Path):
+    export(data / "mb0i0", "feats", tmp_path / "out")
+    original = open_domain(data / "mb0i0")
+    for path in (tmp_path / "out" / "mb0i0").glob("*/*.npy"):
+        label = np.load(path, allow_pickle=True).item()
+        maps_n = np.stack([label[f"grid_{axis}"] for axis in "xyz"])
+        assert maps_n.shape == (3, 24, 32)
+        assert maps_n.sum(axis=(1, 2)) == pytest.approx([label[f"f_{axis}"] for axis in "xyz"], abs=1e-4)
+        (index,) = np.flatnonzero(original.columns["frame_id"] == int(path.stem))
+        if label["f_z"] < 0:
+            row, column = np.unravel_index(maps_n[2].argmin(), (24, 32))
+            change = np.abs(original.picture(index).astype(int) - original.reference).sum(axis=2)
+            rows, columns = np.nonzero(change > 60)
+            assert (row / 24, column / 32) == pytest.approx((rows.mean() / 60, columns.mean() / 80), abs=0.1)
 
 
 def test_the_mini_pretrain_columns_load_beside_those_of_the_set(data: Path, tmp_path: Path):
