@@ -23,7 +23,7 @@ class Cache(opt.Command):
     when_stopped: ClassVar[str] = "what was deleted is gone, the rest is kept; run the same command again"
 
     clear: opt.Flag = False
-    """Delete every cached solution, the colours of LEDs, and shrunken pictures that do not lie beside their data."""
+    """Delete every cached solution, responses of cameras, and shrunken pictures that do not lie beside their data."""
 
     def run(self, started: float) -> None:
         """List or clear the cache."""

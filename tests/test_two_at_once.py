@@ -24,9 +24,9 @@ LED = """
 from gelgap.render.light import spectra
 from gelgap.render.light.spectra import PeakSpectrum
 made = []
-spectra.camera_rgb = lambda *_: made.append(1) or ((0.1, 0.2, 0.3),)
-spectrum = PeakSpectrum(peak_nm=470.0, width_nm=20.0)
-print(len(made), spectra.cached_camera_rgb((spectrum,), "test", None), len(made))
+read = spectra._tabulated_response
+spectra._tabulated_response = lambda name: (made.append(1), read(name))[1]
+print(spectra.camera_rgb((PeakSpectrum(peak_nm=470.0, width_nm=20.0),), "Nikon 5100 (NPL)", None), len(made))
 """
 PICTURES = """
 import sys
@@ -63,7 +63,7 @@ def test_several_processes_on_a_cold_cache_solve_once(tmp_path: Path) -> None:
     assert [path.suffix for path in tmp_path.iterdir()] == [".solution"]
 
 
-def test_several_processes_on_a_cold_cache_compute_the_colours_of_leds_once(tmp_path: Path) -> None:
+def test_several_processes_on_a_cold_cache_read_the_cameras_response_once(tmp_path: Path) -> None:
     printed = several_processes(LED, tmp_path)
     assert sorted(words[-1] for words in printed) == ["0"] * (PROCESSES - 1) + ["1"]
     assert [path.suffix for path in tmp_path.iterdir()] == [".led"]

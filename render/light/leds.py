@@ -14,7 +14,7 @@ from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.render.camera import Camera
 from gelgap.render.light.scattered import Scattered
-from gelgap.render.light.spectra import Spectrum, cached_camera_rgb
+from gelgap.render.light.spectra import Spectrum, camera_rgb
 
 Vector = tuple[float, float, float]
 Length = Annotated[float, Field(gt=0, le=200)]
@@ -159,9 +159,8 @@ class Illumination(Settings):
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""
-        rgb = cached_camera_rgb(
-            tuple(led.spectrum for led in self.leds), camera.sensitivity, camera.white_balance_cct_k
-        )
+        spectra = [led.spectrum for led in self.leds]
+        rgb = camera_rgb(spectra, camera.sensitivity, camera.white_balance_cct_k)
         return camera.exposure * np.array([led.drive for led in self.leds])[:, None] * np.array(rgb)
 
     def emitters(self, camera: Camera, led_to_camera: np.ndarray | None = None) -> tuple[Emitter, ...]:

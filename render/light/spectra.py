@@ -1,12 +1,12 @@
-"""LED spectra, and what a camera makes of them: linear camera RGB, kept on disk by content.
+"""LED spectra, and what a camera makes of them: linear camera RGB.
 
-Only the first use of a spectrum imports colour-science.
+Only the first use of a camera imports colour-science; its response is kept on disk.
 """
 
 import contextlib
 import hashlib
 import json
-from functools import lru_cache
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -21,8 +21,11 @@ from gelgap.assets.whole_file import DAMAGED_SUFFIX, set_aside, write_whole
 
 FIRST_NM, LAST_NM = 380, 780
 VISIBLE_NM = (400.0, 700.0)
-# Raise it when `camera_rgb` computes something else, or the file in the cache has another form.
-_MODEL = 2
+_WAVELENGTH_NM = np.arange(FIRST_NM, LAST_NM + 1.0)
+# Planck's constants, W m² and m K, as colorimetry takes them (ITS-90; CIE 15:2004).
+_C1, _C2 = 3.741771e-16, 1.4388e-2
+# Raise it when the file in the cache has another form.
+_MODEL = 3
 Channel = Annotated[float, Field(ge=0, le=100)]
 Rgb = tuple[float, float, float]
 
@@ -70,28 +73,27 @@ class WhiteSpectrum(Settings):
 Spectrum = PeakSpectrum | TableSpectrum | RgbSpectrum | WhiteSpectrum
 
 
-def _power(spectrum: PeakSpectrum | TableSpectrum | WhiteSpectrum, wavelength_nm: np.ndarray) -> np.ndarray:
-    """Return the spectral power on a grid of 1 nm, scaled to unit total power."""
-    import colour
-
+def _power(spectrum: PeakSpectrum | TableSpectrum | WhiteSpectrum) -> np.ndarray:
+    """Return the spectral power at `_WAVELENGTH_NM`, scaled to unit total power."""
     match spectrum:
         case PeakSpectrum():
             sigma_nm = spectrum.width_nm / (2 * np.sqrt(2 * np.log(2)))
-            power = np.exp(-0.5 * ((wavelength_nm - spectrum.peak_nm) / sigma_nm) ** 2)
+            power = np.exp(-0.5 * ((_WAVELENGTH_NM - spectrum.peak_nm) / sigma_nm) ** 2)
         case TableSpectrum():
-            power = np.interp(wavelength_nm, spectrum.wavelength_nm, spectrum.power, left=0, right=0)
+            power = np.interp(_WAVELENGTH_NM, spectrum.wavelength_nm, spectrum.power, left=0, right=0)
         case WhiteSpectrum():
-            power = colour.colorimetry.planck_law(wavelength_nm * 1e-9, spectrum.cct_k)
-            power = np.where((wavelength_nm >= VISIBLE_NM[0]) & (wavelength_nm <= VISIBLE_NM[1]), power, 0)
+            wavelength_m = _WAVELENGTH_NM * 1e-9
+            power = _C1 * wavelength_m**-5 / np.pi * (1 / np.expm1(_C2 / (wavelength_m * spectrum.cct_k)))
+            first, last = np.searchsorted(_WAVELENGTH_NM, VISIBLE_NM)
+            power[:first] = power[last + 1 :] = 0
     total = power.sum()
     if total <= 0:
         raise ValueError(f"the spectrum {spectrum!r} has no power between {FIRST_NM} and {LAST_NM} nm")
     return power / total
 
 
-@lru_cache(maxsize=64)
 def camera_rgb(
-    spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None
+    spectra: Sequence[Spectrum], sensitivity: str, white_balance_cct_k: float | None
 ) -> tuple[Rgb, ...]:
     """Return the linear camera RGB of each spectrum at unit power.
 
@@ -105,6 +107,41 @@ def camera_rgb(
     """
     if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
         return tuple(spectrum.rgb for spectrum in spectra)
+    response = camera_response(sensitivity)
+    white = (
+        TableSpectrum(wavelength_nm=VISIBLE_NM, power=(1.0, 1.0))
+        if white_balance_cct_k is None
+        else WhiteSpectrum(cct_k=white_balance_cct_k)
+    )
+    gain = 1 / (_power(white) @ response)
+
+    def rgb(spectrum: Spectrum) -> Rgb:
+        if isinstance(spectrum, RgbSpectrum):
+            return spectrum.rgb
+        return tuple((_power(spectrum) @ response * gain).tolist())
+
+    return tuple(rgb(spectrum) for spectrum in spectra)
+
+
+def camera_response(sensitivity: str) -> np.ndarray:
+    """Return (401, 3): how a camera's channels respond to light of 380 to 780 nm, kept in the user's cache folder.
+
+    A damaged file is named and set aside; one that cannot be written costs an import of colour-science and nothing
+    else.
+    """
+    text = json.dumps([sensitivity, version("colour-science"), _MODEL])
+    key = hashlib.sha256(text.encode()).hexdigest()
+    path = cache_folder() / f"{key}.led"
+    if (found := _kept(path)) is None:
+        with key_lock(cache_folder(), key):
+            if (found := _kept(path)) is None:
+                found = _tabulated_response(sensitivity)
+                with contextlib.suppress(RuntimeError):
+                    write_whole(path, json.dumps(with_checksum({"response": found.tolist()})).encode())
+    return found
+
+
+def _tabulated_response(sensitivity: str) -> np.ndarray:
     import colour
 
     cameras = colour.MSDS_CAMERA_SENSITIVITIES
@@ -112,65 +149,28 @@ def camera_rgb(
         raise ValueError(
             f"camera sensitivity {sensitivity!r} is unknown; known: {', '.join(sorted(cameras))}"
         )
-    wavelength_nm = np.arange(FIRST_NM, LAST_NM + 1.0)
     table = cameras[sensitivity]
-    response = np.stack(
-        [np.interp(wavelength_nm, table.wavelengths, table.values[:, k], left=0, right=0) for k in range(3)],
-        axis=1,
+    channels = (
+        np.interp(_WAVELENGTH_NM, table.wavelengths, table.values[:, k], left=0, right=0) for k in range(3)
     )
-    white = (
-        TableSpectrum(wavelength_nm=VISIBLE_NM, power=(1.0, 1.0))
-        if white_balance_cct_k is None
-        else WhiteSpectrum(cct_k=white_balance_cct_k)
-    )
-    gain = 1 / (_power(white, wavelength_nm) @ response)
-
-    def rgb(spectrum: Spectrum) -> Rgb:
-        if isinstance(spectrum, RgbSpectrum):
-            return spectrum.rgb
-        return tuple((_power(spectrum, wavelength_nm) @ response * gain).tolist())
-
-    return tuple(rgb(spectrum) for spectrum in spectra)
-
-
-def cached_camera_rgb(
-    spectra: tuple[Spectrum, ...], sensitivity: str, white_balance_cct_k: float | None
-) -> tuple[Rgb, ...]:
-    """Return `camera_rgb` of these spectra from the user's cache folder, or compute and keep it.
-
-    A damaged file is named and set aside; one that cannot be written costs the time to compute and nothing else.
-    """
-    if all(isinstance(spectrum, RgbSpectrum) for spectrum in spectra):
-        return camera_rgb(spectra, sensitivity, white_balance_cct_k)
-    content = [[type(spectrum).__name__, spectrum.model_dump()] for spectrum in spectra]
-    text = json.dumps([content, sensitivity, white_balance_cct_k, version("colour-science"), _MODEL])
-    key = hashlib.sha256(text.encode()).hexdigest()
-    path = cache_folder() / f"{key}.led"
-    if (found := _kept(path, len(spectra))) is None:
-        with key_lock(cache_folder(), key):
-            if (found := _kept(path, len(spectra))) is None:
-                found = camera_rgb(spectra, sensitivity, white_balance_cct_k)
-                with contextlib.suppress(RuntimeError):
-                    write_whole(path, json.dumps(with_checksum({"rgb": found})).encode())
-    return found
+    return np.stack(list(channels), axis=1)
 
 
 def clear_led_cache() -> None:
-    """Delete what `cached_camera_rgb` has kept."""
+    """Delete the responses of cameras, and what earlier versions kept for each light."""
     for pattern in ("*.led", f"*.led{DAMAGED_SUFFIX}"):
         for path in cache_folder().glob(pattern):
             path.unlink(missing_ok=True)
 
 
-def _kept(path: Path, count: int) -> tuple[Rgb, ...] | None:
-    """Return the colours of a file; None if there is none, or it was damaged and is now set aside."""
+def _kept(path: Path) -> np.ndarray | None:
+    """Return the response in a file; None if there is none, or it was damaged and is now set aside."""
     if not path.is_file():
         return None
     try:
-        rows = without_checksum(read_json(path)).get("rgb")
-        found = tuple((float(red), float(green), float(blue)) for red, green, blue in rows)
-        if len(found) != count or not np.isfinite(found).all():
-            raise ValueError(f"it does not hold {count} colours")
+        found = np.array(without_checksum(read_json(path)).get("response"), dtype=float)
+        if found.shape != (len(_WAVELENGTH_NM), 3) or not np.isfinite(found).all():
+            raise ValueError("it does not hold the response of three channels")
     except (OSError, ValueError, TypeError) as error:
         set_aside(path, f"is damaged ({error})")
         return None

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from gelgap.assets import list_presets
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import picture_gap
+from gelgap.render.light import spectra
 from gelgap.render.light.irradiance import direct_light
 from gelgap.render.light.leds import Illumination, Led, ShadowDetail, led_samples
 from gelgap.render.light.spectra import (
@@ -15,7 +16,6 @@ from gelgap.render.light.spectra import (
     RgbSpectrum,
     TableSpectrum,
     WhiteSpectrum,
-    cached_camera_rgb,
     camera_rgb,
     clear_led_cache,
 )
@@ -27,12 +27,12 @@ NIKON = "Nikon 5100 (NPL)"
 
 
 def test_spectra_look_like_their_colours():
-    spectra = (
+    lights = (
         PeakSpectrum(peak_nm=630, width_nm=20),
         PeakSpectrum(peak_nm=525, width_nm=35),
         PeakSpectrum(peak_nm=465, width_nm=25),
     )
-    assert np.argmax(camera_rgb(spectra, NIKON, None), axis=1).tolist() == [0, 1, 2]
+    assert np.argmax(camera_rgb(lights, NIKON, None), axis=1).tolist() == [0, 1, 2]
     warm, cold = camera_rgb((WhiteSpectrum(cct_k=3000), WhiteSpectrum(cct_k=8000)), NIKON, None)
     assert warm[0] / warm[2] > 2 > 1 > cold[0] / cold[2]
 
@@ -54,23 +54,35 @@ def test_bad_spectra_are_refused():
         camera_rgb((TableSpectrum(wavelength_nm=(300, 350), power=(1, 1)),), NIKON, None)
 
 
-def test_led_colours_are_kept_on_disk_and_a_damaged_file_is_computed_anew(tmp_path, monkeypatch):
+def test_white_light_is_that_of_colour_science():
+    colour = pytest.importorskip("colour")
+    wavelength_nm = np.arange(400.0, 701.0)
+    for kelvin in (1500, 6504):
+        expected = colour.colorimetry.planck_law(wavelength_nm * 1e-9, kelvin)
+        found = spectra._power(WhiteSpectrum(cct_k=kelvin))
+        np.testing.assert_allclose(found[20:321], expected / expected.sum(), rtol=1e-13)
+        assert found[20:321].sum() == pytest.approx(1)
+
+
+def test_a_cameras_response_is_kept_on_disk_once_and_a_damaged_file_is_made_anew(tmp_path, monkeypatch):
     monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
-    spectra = (PeakSpectrum(peak_nm=611, width_nm=17), WhiteSpectrum(cct_k=4321))
-    truth = camera_rgb(spectra, NIKON, None)
-    assert cached_camera_rgb(spectra, NIKON, None) == truth
+    lights = (PeakSpectrum(peak_nm=611, width_nm=17), WhiteSpectrum(cct_k=4321))
+    truth = camera_rgb(lights, NIKON, None)
     (file,) = tmp_path.glob("*.led")
-    monkeypatch.setattr("gelgap.render.light.spectra.camera_rgb", lambda *_: pytest.fail("computed again"))
-    assert cached_camera_rgb(spectra, NIKON, None) == truth
-    monkeypatch.setattr("gelgap.render.light.spectra.camera_rgb", camera_rgb)
-    assert cached_camera_rgb(spectra, NIKON, 5000.0) != truth
+    read_table = spectra._tabulated_response
+    monkeypatch.setattr(spectra, "_tabulated_response", lambda *_: pytest.fail("computed again"))
+    assert camera_rgb(lights, NIKON, None) == truth
+    # Other lights, as a stream draws them without end, leave no file of their own.
+    assert camera_rgb(lights, NIKON, 5000.0) != truth
+    assert list(tmp_path.glob("*.led")) == [file]
+    monkeypatch.setattr(spectra, "_tabulated_response", read_table)
     for damage in ("", "[[1, 2, 3]]", '[["a", 1, 2], [1, 2, 3]]', "7"):
         file.write_text(damage)
-        assert cached_camera_rgb(spectra, NIKON, None) == truth
+        assert camera_rgb(lights, NIKON, None) == truth
     clear_led_cache()
     assert not list(tmp_path.glob("*.led*"))
     monkeypatch.setenv("GELGAP_CACHE", "/proc/nowhere")
-    assert cached_camera_rgb(spectra, NIKON, None) == truth
+    assert camera_rgb(lights, NIKON, None) == truth
 
 
 @pytest.mark.parametrize("kind", ["bar", "disc", "point"])
