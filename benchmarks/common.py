@@ -1,4 +1,5 @@
-"""What every study is made of: settings → hash → record, tables of records, a bootstrap, PSNR, and a plot of costs.
+"""What every study is made of: settings → hash → record, tables of records, a bootstrap, a stopwatch, and a plot of
+costs.
 
 A study is a grid of settings (plain dicts), a function that measures one of them, and tables that are queries on the
 records: `run_missing` measures what has no record yet and returns all as a DataFrame, `show` prints one.
@@ -12,6 +13,7 @@ import json
 import math
 import multiprocessing
 import os
+import statistics
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -36,6 +38,8 @@ Setting = dict[str, Any]
 Results = dict[str, Any]
 """What was measured, by names that no setting has: what JSON can hold, and arrays."""
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+RESAMPLES = 4000
+"""How many draws a bootstrap takes."""
 _JOB, _ARRAYS = "job", "arrays"
 
 
@@ -290,28 +294,20 @@ def write_json(path: Path, results: Any) -> None:
     write_whole(path, (json.dumps(results, indent=1, default=_plain) + "\n").encode())
 
 
-def bootstrap(
-    values: np.ndarray,
-    statistic: Callable[[np.ndarray], np.ndarray] | None = None,
-    seed: int = 0,
-    resamples: int = 4000,
-) -> tuple[float, float]:
-    """Return the 95 % percentile interval of a statistic of values (…, cases, seeds), NaN where there is no run.
+def bootstrap(values: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % percentile interval of the mean over cases of the means over seeds (cases, seeds), NaN: no run.
 
     Cases and seeds are drawn with replacement, independently of each other: a seed gives all cases their split and
-    their initial weights, so that its runs are drawn together. `statistic` takes (…, resamples, cases, seeds) to
-    (resamples,); by default it is the mean over cases of the means over seeds. The interval is NaN for one case, or
-    where a case has no run.
+    their initial weights, so that its runs are drawn together. The interval is NaN for one case, or where a case has no
+    run.
     """
-    *_, cases, seeds = values.shape
-    if cases < 2 or not (~np.isnan(values)).any(axis=-1).all():
+    cases, seeds = values.shape
+    if cases < 2 or not (~np.isnan(values)).any(axis=1).all():
         return math.nan, math.nan
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(cases, size=(resamples, cases, 1))
-    columns = rng.integers(seeds, size=(resamples, 1, seeds))
-    drawn = values[..., rows, columns]
-    found = statistic(drawn) if statistic else mean_of(mean_of(drawn, axis=-1), axis=-1)
-    low, high = np.nanpercentile(found, [2.5, 97.5])
+    rng = np.random.default_rng(0)
+    rows = rng.integers(cases, size=(RESAMPLES, cases, 1))
+    columns = rng.integers(seeds, size=(RESAMPLES, 1, seeds))
+    low, high = np.nanpercentile(mean_of(mean_of(values[rows, columns], axis=-1), axis=-1), [2.5, 97.5])
     return float(low), float(high)
 
 
@@ -320,6 +316,18 @@ def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np
     there = ~np.isnan(values)
     count = there.sum(axis=axis)
     return np.where(count > 0, np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
+
+
+def processor_s(
+    work: Callable[[], object], repeats: int = 0, clock: Callable[[], float] = time.process_time
+) -> float:
+    """Return the time of some work by a clock; with `repeats` their median, after one run to warm up."""
+    times = []
+    for _ in range(repeats + 1):
+        start = clock()
+        work()
+        times.append(clock() - start)
+    return statistics.median(times[1:] or times)
 
 
 def kendall_tau(first: np.ndarray, second: np.ndarray) -> float:

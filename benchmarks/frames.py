@@ -9,8 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import show, write_json
-from gelgap.benchmarks.stages import processor_s
+from gelgap.benchmarks.common import processor_s, show, write_json
 from gelgap.domains import (
     LibraryPlan,
     PoseLibrary,

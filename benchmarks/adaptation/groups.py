@@ -92,10 +92,8 @@ def headline_grid(
     return found + grid([(board.LABEL_SHIFT, group) for group in groups], main, seeds)
 
 
-def load_headline(
-    folder: Path, data: str = designs.DATA, changes: board.Changes = board.BY_POINT
-) -> pd.DataFrame:
-    """Return the runs of a data set and split.
+def load_headline(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
+    """Return the runs of a data set.
 
     Raises
     ------
@@ -103,7 +101,7 @@ def load_headline(
         If the runs of a group are not all of one configuration.
     """
     runs = load_runs(folder / RUNS)
-    runs = runs[(runs["data"] == data) & runs["changes"].isin([changes]) & runs["group"].isin(NAMES)]
+    runs = runs[(runs["data"] == data) & runs["changes"].isin([board.BY_POINT]) & runs["group"].isin(NAMES)]
     for group, own in runs.groupby("group"):
         if len(own[["profile", "configuration"]].drop_duplicates()) > 1:
             raise ValueError(
@@ -113,10 +111,10 @@ def load_headline(
     return runs
 
 
-def load_ceilings(folder: Path, changes: board.Changes = board.BY_POINT) -> pd.DataFrame:
+def load_ceilings(folder: Path) -> pd.DataFrame:
     """Return the runs of targets that were trained on themselves, by target and seed."""
     runs = load_runs(folder / RUNS)
-    own = runs[(runs["source"] == runs["target"]) & runs["changes"].isin([changes])]
+    own = runs[(runs["source"] == runs["target"]) & runs["changes"].isin([board.BY_POINT])]
     return own.set_index(["target", "seed"]).sort_index()
 
 

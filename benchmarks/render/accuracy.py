@@ -24,6 +24,7 @@ from gelgap.benchmarks.common import (
     Results,
     Setting,
     plot_frontier,
+    processor_s,
     run_missing,
     show,
     write_json,
@@ -214,13 +215,7 @@ def median_ms(
     work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.thread_time
 ) -> float:
     """Return the median time of some work, after one run to warm up."""
-    work()
-    times = []
-    for _ in range(repeats):
-        started = clock()
-        work()
-        times.append(clock() - started)
-    return 1e3 * statistics.median(times)
+    return 1e3 * processor_s(work, repeats, clock)
 
 
 def frames_ms(

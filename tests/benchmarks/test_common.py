@@ -16,7 +16,6 @@ from gelgap.benchmarks.common import (
     bootstrap,
     kendall_tau,
     key_of,
-    mean_of,
     plot_frontier,
     read_records,
     result_table,
@@ -192,14 +191,6 @@ def test_bootstrap_interval_holds_the_mean():
     assert bootstrap(ragged)[0] < values.mean() < bootstrap(ragged)[1]
     assert math.isnan(bootstrap(np.full((3, 2), math.nan))[0])
     assert math.isnan(bootstrap(np.ones((1, 5)))[0])
-
-
-def test_bootstrap_of_two_kinds_of_values_draws_them_together():
-    own, control = np.random.default_rng(0).random((2, 12, 6)) + 1
-    ratio = lambda drawn: mean_of(drawn[0], (1, 2)) / mean_of(drawn[1], (1, 2))  # noqa: E731
-    assert bootstrap(np.stack([2 * control, control]), ratio) == pytest.approx((2, 2))
-    low, high = bootstrap(np.stack([own, control]), ratio)
-    assert low < own.mean() / control.mean() < high
 
 
 def test_seeds_that_shift_all_groups_widen_the_interval():
