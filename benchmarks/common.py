@@ -1,5 +1,4 @@
-"""What every study is made of: settings → hash → record, tables of records, a bootstrap, a stopwatch, and a plot of
-costs.
+"""What every study is made of: settings → hash → record, tables of records, a bootstrap and a stopwatch.
 
 A study is a grid of settings (plain dicts), a function that measures one of them, and tables that are queries on the
 records: `run_missing` measures what has no record yet and returns all as a DataFrame, `show` prints one.
@@ -330,6 +329,11 @@ def processor_s(
     return statistics.median(times[1:] or times)
 
 
+def rms(values: Any) -> float:
+    """Return the root mean square of an array, or of what makes one."""
+    return float(np.sqrt(np.square(values).mean()))
+
+
 def kendall_tau(first: np.ndarray, second: np.ndarray) -> float:
     """Return Kendall's τ-b of two orders of values (n,): SciPy's, without its slow p-value. NaN where a value is."""
     pairs = np.triu_indices(len(first), 1)
@@ -345,41 +349,3 @@ result_table = ResultTable.of
 def show(title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None) -> None:
     """Print a table; see `ResultTable.of`."""
     ResultTable.of(title, frame, note, formats).show()
-
-
-def plot_frontier(
-    path: Path,
-    points: "pd.DataFrame",
-    *,
-    title: str,
-    error_label: str,
-    time_label: str = "run time, s",
-    uncertainty: float | None = None,
-    targets: Sequence[float] = (),
-    unjoined: Sequence[str] = (),
-) -> None:
-    """Draw error against run time, log-log; `uncertainty` of the reference is shaded, targets are dashed.
-
-    `points` has the columns series, name, seconds and error. A line joins the points of a series in the order of
-    their run time, except in the series `unjoined`.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    axes = figure.subplots()
-    for series, own in points.groupby("series", sort=False):
-        members = own.sort_values("seconds", kind="stable")
-        axes.loglog(members["seconds"], members["error"], "o" if series in unjoined else "o-", label=series)
-        for number, point in enumerate(members.itertuples()):
-            place, at = (point.seconds, point.error), (5, (4, -11, 15)[number % 3])
-            axes.annotate(point.name, place, xytext=at, textcoords="offset points", fontsize=8)
-    if uncertainty is not None:
-        span = min(axes.get_ylim()[0], uncertainty / 3), uncertainty
-        axes.axhspan(*span, color="0.85", label="the reference's uncertainty")
-    for target in targets:
-        axes.axhline(target, color="0.4", linestyle="--", linewidth=1)
-    axes.set(title=title, xlabel=time_label, ylabel=error_label)
-    axes.grid(visible=True, which="both", linewidth=0.3)
-    figure.legend(fontsize=8, loc="outside lower center", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)

@@ -18,14 +18,7 @@ from gelgap.adapt.baselines import BASELINES, CONSTANT
 from gelgap.adapt.report import mean_and_deviation
 from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.adaptation.board import AXES, CEILING, DATA_SETS, GROUPS, LIGHT_GROUPS, PLAIN
-from gelgap.benchmarks.adaptation.statistics import (
-    drawn_means,
-    halves,
-    holm,
-    interval,
-    p_value,
-    sensor_pair,
-)
+from gelgap.benchmarks.adaptation.statistics import drawn_means, halves, holm, interval, p_value, sensor_pair
 from gelgap.benchmarks.adaptation.study import (
     RUNS,
     Part,

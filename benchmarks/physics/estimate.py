@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import show, write_json
+from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.benchmarks.fem import theory
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
 from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION, Descent, own_cases, stable_press
@@ -204,7 +204,7 @@ def rows_of(case: Case, found: Any, truth: Truth | None, finer: Any) -> Iterator
             "Fz": off[2] / size,
             "shear": float(np.hypot(*off[:2])) / size,
             "radius": state.contact_radius_mm / max(radius_mm, 1e-9) - 1,
-            "membrane": float(np.sqrt((apart**2).mean())) / pose.depth_mm if near.any() else 0.0,
+            "membrane": rms(apart) / pose.depth_mm if near.any() else 0.0,
             **_estimates(state, pose),
             **dict(zip(CAUSES, together, strict=True)),
         }
@@ -252,7 +252,7 @@ def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:
                     "quality": quality,
                     "error of": error,
                     "poses": len(own),
-                    "rms %": 100 * float(np.sqrt((true**2).mean())),
+                    "rms %": 100 * rms(true),
                     "median estimate %": 100 * estimate.median(),
                     "true < 2 estimates, %": 100 * (true < 2 * estimate).mean(),
                     "estimate < 4 true, %": 100 * (estimate < 4 * true).mean(),

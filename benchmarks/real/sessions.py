@@ -257,8 +257,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     show(
         "Force from one session to another, on real grasps: MAE of Fz on held-out target clips",
         pd.DataFrame(
-            rows,
-            columns=["source → target", "method", "labels of", "MAE, N", "95 % interval", "ms a fold"],
+            rows, columns=["source → target", "method", "labels of", "MAE, N", "95 % interval", "ms a fold"]
         ),
         f"GelSight Wedge, {', '.join(sorted(set(both[SESSIONS[0]]['object'])))}: {' and '.join(amounts)}. "
         f"Mean of clips; {FOLDS} folds by clip, {len(seeds)} seed(s), every seed with every fold.",

@@ -16,7 +16,6 @@ from gelgap.benchmarks.common import (
     bootstrap,
     kendall_tau,
     key_of,
-    plot_frontier,
     read_records,
     result_table,
     run_missing,
@@ -231,18 +230,3 @@ def test_results_are_written_as_json(tmp_path):
     write_json(tmp_path / "new" / "results.json", {"table": frame, "array": np.ones(2)})
     found = json.loads((tmp_path / "new" / "results.json").read_text())
     assert found == {"table": [{"name": "a", "value": 0.5}], "array": [1.0, 1.0]}
-
-
-def test_the_frontier_is_drawn(tmp_path):
-    points = pd.DataFrame(
-        {
-            "series": ["ours", "ours", "other"],
-            "name": ["b", "a", "c"],
-            "seconds": [2.0, 1.0, 3.0],
-            "error": [1.0, 2.0, 5.0],
-        }
-    )
-    plot_frontier(
-        tmp_path / "plots" / "f.png", points, title="t", error_label="e", uncertainty=0.5, targets=[1.0]
-    )
-    assert (tmp_path / "plots" / "f.png").stat().st_size > 10_000
