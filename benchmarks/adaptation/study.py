@@ -7,7 +7,6 @@ record. A study is a grid of settings, a file of records, and tables that are qu
 import hashlib
 import json
 import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -86,11 +85,6 @@ class Study:
     def is_quick(self) -> bool:
         """Whether one small group is enough, to see everything run."""
         return self.profile == "smoke"
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no further run is to be begun."""
-        return time.time() >= self.stop
 
     def known_methods(self) -> tuple[str, ...]:
         """Return the names of the chosen methods, if any; classes of one's own are known by theirs from now on."""
