@@ -470,7 +470,7 @@ def _weights(nodes: Floats, value: float) -> tuple[NDArray[np.intp], Floats]:
     weights[k] = (1 + 2 * s) * (1 - s) ** 2
     weights[k + 1] = s**2 * (3 - 2 * s)
     # By node the weights of its slope: of the parabola through it and its two neighbours.
-    slopes = np.gradient(np.eye(len(nodes)), nodes, axis=0, edge_order=min(2, last))
+    slopes = np.gradient(np.eye(len(nodes)), nodes, axis=0, edge_order=2 if last > 1 else 1)
     weights += step * s * (1 - s) ** 2 * slopes[k] + step * s**2 * (s - 1) * slopes[k + 1]
     return near, weights[near]
 

@@ -22,8 +22,6 @@ GROUPS: tuple[Group, ...] = (
     *(("mb0i0", "wmb1i1"), ("mb0i0", "wmb2i2"), ("wmb1i1", "mb0i0")),
 )
 """The paper's adaptation groups (its table I)."""
-PAPER_METHODS = ("dann", "daregram", "dsan")
-"""The paper's methods of adaptation."""
 
 PLAIN, CEILING = "source-only", "supervised"
 SOURCE_FREE = ("ssa", "tasfar", "psc", "online-ssa")
@@ -35,7 +33,7 @@ METHODS = (
     *("tasfar", "ssa", "psc", "online-ssa", CEILING),
 )
 """All methods: controls, alignment of distributions, other ways to adapt, source-free ones, training on both."""
-MAIN_METHODS = (PLAIN, "adabn", "no-transfer", "classifier-only", *PAPER_METHODS, CEILING)
+MAIN_METHODS = (PLAIN, "adabn", "no-transfer", "classifier-only", "dann", "daregram", "dsan", CEILING)
 """The paper's methods, their controls, and training on the labels of both domains."""
 
 LIGHT_GROUPS: tuple[Group, ...] = (

@@ -94,12 +94,12 @@ class Study:
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
         """Generate what is missing of some domains of a data set."""
-        from gelgap.domains import generate_recipes
+        from gelgap.domains import generate_recipes, shown_progress
 
-        scheduler = "synchronous" if self.workers == 1 else None
-        print(
-            generate_recipes(recipes, self.data / data, scheduler=scheduler, workers=self.workers), flush=True
-        )
+        where = {"scheduler": "synchronous" if self.workers == 1 else None, "workers": self.workers}
+        with shown_progress() as progress:
+            report = generate_recipes(recipes, self.data / data, **where, progress=progress)
+        print(report, flush=True)
 
     def generate_sets(self, *data: str) -> None:
         """Generate what is missing of some of the board's data sets."""

@@ -8,7 +8,7 @@ table.
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -207,7 +207,7 @@ def pretrain_once(study: FewLabelStudy, start: str) -> None:
     if checkpoint.is_file():
         return
     from gelgap.adapt import Profile, console_progress, pretrain
-    from gelgap.domains import PretrainingRanges, generate_recipes, pretraining_recipes, shown_progress
+    from gelgap.domains import PretrainingRanges, pretraining_recipes
 
     ranges, profile = PretrainingRanges.default(), Profile.preset(study.profile)
     domains, frames = _DOMAINS, _FRAMES
@@ -216,12 +216,9 @@ def pretrain_once(study: FewLabelStudy, start: str) -> None:
         domains, frames = _QUICK_DOMAINS, _QUICK_FRAMES
     undrawn = [start.removeprefix(WITHOUT)] if start.startswith(WITHOUT) else []
     recipes = pretraining_recipes(domains, frames, ranges, without=undrawn)
-    folder = checkpoint.parent / "domains"
-    scheduler = "synchronous" if study.workers == 1 else None
-    with shown_progress() as progress:
-        generate_recipes(recipes, folder, scheduler=scheduler, workers=study.workers, progress=progress)
+    replace(study, data=checkpoint.parent).generate(recipes, "domains")
     with console_progress() as progress:
-        folders = [folder / recipe.name for recipe in recipes]
+        folders = [checkpoint.parent / "domains" / recipe.name for recipe in recipes]
         print(pretrain(folders, checkpoint.parent, profile, progress=progress), flush=True)
 
 
