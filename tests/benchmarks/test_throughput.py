@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from gelgap.benchmarks import stages, throughput
-from gelgap.benchmarks.stages import STAGES, recipes_of, scaling, solve_costs, stages_ms
+from gelgap.benchmarks.stages import STAGES, recipes_of, scaling, stages_ms
 from gelgap.domains import plan_generation
 
 
@@ -28,8 +28,8 @@ def test_each_stage_of_a_frame_is_found_in_its_profile(tmp_path: Path, monkeypat
     monkeypatch.setattr(stages, "REPEATS", 1)
     monkeypatch.setattr(stages, "POINTS", {"small": (1, 1)})
     plan = plan_generation(recipes_of("small", "draft"))
-    solves = solve_costs(list(plan.solves.values()))
-    assert (solves["iterations"] >= solves["load_steps"]).all()
+    for solve in plan.solves.values():
+        solve.run()
     ms = stages_ms(plan.batches[0], tmp_path)
     assert ms.keys() == {*STAGES, "labels, rest"}
     assert all(value > 0 for value in ms.values())
