@@ -143,3 +143,7 @@ def test_the_frontier_is_drawn(tmp_path):
     )
     plot_frontier(tmp_path / "plots" / "f.png", points)
     assert (tmp_path / "plots" / "f.png").stat().st_size > 10_000
+
+
+def test_no_case_needs_no_solve(tmp_path):
+    assert Solver(1, tmp_path).cases([]) == {}
