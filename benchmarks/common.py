@@ -1,4 +1,4 @@
-"""What every study is made of: settings → hash → record, tables of records, a bootstrap, PSNR, and a plot of costs.
+"""What every study is made of: settings → hash → record, tables of records, a bootstrap and a stopwatch.
 
 A study is a grid of settings (plain dicts), a function that measures one of them, and tables that are queries on the
 records: `run_missing` measures what has no record yet and returns all as a DataFrame, `show` prints one.
@@ -12,6 +12,7 @@ import json
 import math
 import multiprocessing
 import os
+import statistics
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -36,6 +37,8 @@ Setting = dict[str, Any]
 Results = dict[str, Any]
 """What was measured, by names that no setting has: what JSON can hold, and arrays."""
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+RESAMPLES = 4000
+"""How many draws a bootstrap takes."""
 _JOB, _ARRAYS = "job", "arrays"
 
 
@@ -290,28 +293,20 @@ def write_json(path: Path, results: Any) -> None:
     write_whole(path, (json.dumps(results, indent=1, default=_plain) + "\n").encode())
 
 
-def bootstrap(
-    values: np.ndarray,
-    statistic: Callable[[np.ndarray], np.ndarray] | None = None,
-    seed: int = 0,
-    resamples: int = 4000,
-) -> tuple[float, float]:
-    """Return the 95 % percentile interval of a statistic of values (…, cases, seeds), NaN where there is no run.
+def bootstrap(values: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % percentile interval of the mean over cases of the means over seeds (cases, seeds), NaN: no run.
 
     Cases and seeds are drawn with replacement, independently of each other: a seed gives all cases their split and
-    their initial weights, so that its runs are drawn together. `statistic` takes (…, resamples, cases, seeds) to
-    (resamples,); by default it is the mean over cases of the means over seeds. The interval is NaN for one case, or
-    where a case has no run.
+    their initial weights, so that its runs are drawn together. The interval is NaN for one case, or where a case has no
+    run.
     """
-    *_, cases, seeds = values.shape
-    if cases < 2 or not (~np.isnan(values)).any(axis=-1).all():
+    cases, seeds = values.shape
+    if cases < 2 or not (~np.isnan(values)).any(axis=1).all():
         return math.nan, math.nan
-    rng = np.random.default_rng(seed)
-    rows = rng.integers(cases, size=(resamples, cases, 1))
-    columns = rng.integers(seeds, size=(resamples, 1, seeds))
-    drawn = values[..., rows, columns]
-    found = statistic(drawn) if statistic else mean_of(mean_of(drawn, axis=-1), axis=-1)
-    low, high = np.nanpercentile(found, [2.5, 97.5])
+    rng = np.random.default_rng(0)
+    rows = rng.integers(cases, size=(RESAMPLES, cases, 1))
+    columns = rng.integers(seeds, size=(RESAMPLES, 1, seeds))
+    low, high = np.nanpercentile(mean_of(mean_of(values[rows, columns], axis=-1), axis=-1), [2.5, 97.5])
     return float(low), float(high)
 
 
@@ -320,6 +315,23 @@ def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np
     there = ~np.isnan(values)
     count = there.sum(axis=axis)
     return np.where(count > 0, np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
+
+
+def processor_s(
+    work: Callable[[], object], repeats: int = 0, clock: Callable[[], float] = time.process_time
+) -> float:
+    """Return the time of some work by a clock; with `repeats` their median, after one run to warm up."""
+    times = []
+    for _ in range(repeats + 1):
+        start = clock()
+        work()
+        times.append(clock() - start)
+    return statistics.median(times[1:] or times)
+
+
+def rms(values: Any) -> float:
+    """Return the root mean square of an array, or of what makes one."""
+    return float(np.sqrt(np.square(values).mean()))
 
 
 def kendall_tau(first: np.ndarray, second: np.ndarray) -> float:
@@ -337,41 +349,3 @@ result_table = ResultTable.of
 def show(title: str, frame: "pd.DataFrame", note: str = "", formats: Mapping[str, str] | None = None) -> None:
     """Print a table; see `ResultTable.of`."""
     ResultTable.of(title, frame, note, formats).show()
-
-
-def plot_frontier(
-    path: Path,
-    points: "pd.DataFrame",
-    *,
-    title: str,
-    error_label: str,
-    time_label: str = "run time, s",
-    uncertainty: float | None = None,
-    targets: Sequence[float] = (),
-    unjoined: Sequence[str] = (),
-) -> None:
-    """Draw error against run time, log-log; `uncertainty` of the reference is shaded, targets are dashed.
-
-    `points` has the columns series, name, seconds and error. A line joins the points of a series in the order of
-    their run time, except in the series `unjoined`.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    axes = figure.subplots()
-    for series, own in points.groupby("series", sort=False):
-        members = own.sort_values("seconds", kind="stable")
-        axes.loglog(members["seconds"], members["error"], "o" if series in unjoined else "o-", label=series)
-        for number, point in enumerate(members.itertuples()):
-            place, at = (point.seconds, point.error), (5, (4, -11, 15)[number % 3])
-            axes.annotate(point.name, place, xytext=at, textcoords="offset points", fontsize=8)
-    if uncertainty is not None:
-        span = min(axes.get_ylim()[0], uncertainty / 3), uncertainty
-        axes.axhspan(*span, color="0.85", label="the reference's uncertainty")
-    for target in targets:
-        axes.axhline(target, color="0.4", linestyle="--", linewidth=1)
-    axes.set(title=title, xlabel=time_label, ylabel=error_label)
-    axes.grid(visible=True, which="both", linewidth=0.3)
-    figure.legend(fontsize=8, loc="outside lower center", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=150)

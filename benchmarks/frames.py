@@ -9,16 +9,8 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import show, write_json
-from gelgap.benchmarks.stages import processor_s
-from gelgap.domains import (
-    LibraryPlan,
-    PoseLibrary,
-    PoseRanges,
-    PressStream,
-    PretrainingRanges,
-    TactileSensor,
-)
+from gelgap.benchmarks.common import processor_s, rms, show, write_json
+from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges, PressStream, PretrainingRanges, TactileSensor
 from gelgap.sim import Elastomer, Pose, PosePath, SolvePlan, Sphere, load_path, plan_solves, solve_poses
 
 GEL, CONTACTS = "b0", 500
@@ -176,7 +168,3 @@ def loop_errors() -> pd.DataFrame:
             off = 100 * (reading.force_n - state.force_n) / largest
             rows.append((number, step, np.hypot(*off[:2]), abs(off[2]), " ".join(reading.flags)))
     return pd.DataFrame(rows, columns=["loop", "step", "shear %", "Fz %", "flags"])
-
-
-def rms(values: pd.Series) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

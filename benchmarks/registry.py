@@ -81,12 +81,7 @@ _MEASURED = {
         ("speed", "training steps beside a plain loop", "adaptation.speed:PART", ANEW),
     ],
     "real": [
-        (
-            "sessions",
-            "force from one session's light to another's, on real grasps",
-            "real.sessions",
-            ANEW,
-        ),
+        ("sessions", "force from one session's light to another's, on real grasps", "real.sessions", ANEW),
         ("networks", "the same with all methods of adaptation", "real.networks", EXTRA),
         (
             "contact-point",

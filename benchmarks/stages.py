@@ -1,13 +1,11 @@
-"""Where the time of a data set goes, stage by stage, beside the least that each could take; and how it scales."""
+"""Where the time of a data set goes, stage by stage, and how it scales."""
 
 import cProfile
 import inspect
 import os
 import pstats
 import shutil
-import statistics
 import time
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,7 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import show, write_json
+from gelgap.benchmarks.common import processor_s, show, write_json
 from gelgap.domains import (
     DomainFolder,
     DomainRecipe,
@@ -32,7 +30,7 @@ from gelgap.domains.generation.plan import GenerationPlan
 from gelgap.domains.generation.shard import FrameBatch, render_batch
 from gelgap.render import MembraneRenderer, imaging
 from gelgap.render.surface import Membrane, shared_surface
-from gelgap.sim import ContactPath, Solve, SolvePlan, load_solution
+from gelgap.sim import ContactPath, SolvePlan, load_solution
 
 GEL_DOMAINS = ("mb0i0", "wmb0i0")
 """The domains whose frames are taken apart: two of the paper's, of one gel, the second with its dots inpainted."""
@@ -65,8 +63,10 @@ def run(quick: bool, out_dir: Path) -> None:
     paper = plan_generation(preset_recipes("paper", quality=quality))
     small, large = (plan_generation(recipes_of(size, quality)) for size in POINTS)
     with patch.dict(os.environ, GELGAP_CACHE=str(folder / "solves")):
-        solves = solve_costs([*large.solves.values(), *paper.solves.values()])[len(large.solves) :]
-        costs = stage_costs(large.batches[0], paper, solves, folder / "frames")
+        for solve in large.solves.values():
+            solve.run()
+        solves_s = pd.Series([processor_s(solve.run) for solve in paper.solves.values()])
+        costs = stage_costs(large.batches[0], paper, solves_s.sum(), folder / "frames")
         generated = []
         for plan, workers in ((small, 1), (large, 1), (large, 2)):
             wall_s, client_s = time.perf_counter(), time.process_time()
@@ -77,13 +77,12 @@ def run(quick: bool, out_dir: Path) -> None:
         f"Where the processor time of the paper's data set goes, {quality} quality",
         costs,
         f"{paper.frames} frames of 320×240 px, {costs['s in all'].sum():.0f} s. Frames: {' and '.join(GEL_DOMAINS)}, "
-        "shares by the profiler, of the time without it. A floor is the least that the stage must do, done here by one "
-        "call of a library.",
+        "shares by the profiler, of the time without it.",
     )
     times = pd.DataFrame(generated, columns=["frames", "workers", "wall_s", "client_s"])
     title = f"Wall time by workers, {quality} quality"
-    show(title, *scaling(times, paper.frames, solves["core_s"]))
-    write_json(out_dir / "stages.json", {"stages": costs, "solves": solves, "generated": times})
+    show(title, *scaling(times, paper.frames, solves_s))
+    write_json(out_dir / "stages.json", {"stages": costs, "solves_s": solves_s.tolist(), "generated": times})
 
 
 def recipes_of(size: str, quality: str) -> tuple[DomainRecipe, ...]:
@@ -93,27 +92,6 @@ def recipes_of(size: str, quality: str) -> tuple[DomainRecipe, ...]:
     directions = tuple(24.0 * k for k in range(15))
     path = ContactPath(size, tuple(x_mm.tolist()), tuple(y_mm.tolist()), (0.2,), (0.1,), directions)
     return make_recipes(GEL_DOMAINS, path, quality=quality)
-
-
-def processor_s(work: Callable[[], object], repeats: int = 0) -> float:
-    """Return the processor time of some work; with `repeats` their median, after one run to warm up."""
-    times = []
-    for _ in range(repeats + 1):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return statistics.median(times[1:] or times)
-
-
-def solve_costs(solves: Sequence[Solve]) -> pd.DataFrame:
-    """Solve into the cache; return core s, load steps and Newton iterations, each of which factorises once or more."""
-    rows = []
-    for solve in solves:
-        start = time.process_time()
-        records = solve.run().records
-        iterations = sum(record.diagnostics.iterations for record in records)
-        rows.append((time.process_time() - start, solve.problem.load_steps, iterations))
-    return pd.DataFrame(rows, columns=["core_s", "load_steps", "iterations"])
 
 
 def rendering(batch: FrameBatch, folder: Path | None = None) -> Callable[[], None]:
@@ -129,30 +107,20 @@ def rendering(batch: FrameBatch, folder: Path | None = None) -> Callable[[], Non
     return work
 
 
-def stage_costs(batch: FrameBatch, plan: GenerationPlan, solves: pd.DataFrame, folder: Path) -> pd.DataFrame:
-    """Return the ms per frame of each stage of a data set, the time in it, and the least that it could take.
+def stage_costs(batch: FrameBatch, plan: GenerationPlan, solving_s: float, folder: Path) -> pd.DataFrame:
+    """Return the ms per frame of each stage of a data set, and the time in it.
 
     The batch has two domains, of which the second is inpainted: it is made with both, and with the first alone.
     """
     both, plain = (stages_ms(one, folder) for one in (batch, replace(batch, recipes=batch.recipes[:1])))
     inpainted = sum(len(one) for one in plan.batches for recipe in one.recipes if recipe.inpainted_from)
     # Of the frames of both, every second one is inpainted.
-    share, total = 2 * inpainted / plan.frames, solves.sum()
-    solve_ms = 1e3 * total["core_s"] / plan.frames
-    least = {
-        "solve": (
-            solve_ms * total["load_steps"] / total["iterations"],
-            "one Newton iteration for each load step",
-        )
-    }
-    ms = {"solve": solve_ms} | {name: share * both[name] + (1 - share) * plain[name] for name in both}
-    floors = least | floors_ms(batch.recipes[0], folder)
+    share = 2 * inpainted / plan.frames
+    ms = {"solve": 1e3 * solving_s / plan.frames}
+    ms |= {name: share * both[name] + (1 - share) * plain[name] for name in both}
     table = pd.DataFrame({"stage": list(ms), "ms per frame": ms.values()})
     table["s in all"] = 1e-3 * plan.frames * table["ms per frame"]
     table["share, %"] = 100 * table["ms per frame"] / table["ms per frame"].sum()
-    table["floor, ms per frame"] = [floors.get(name, (np.nan,))[0] for name in ms]
-    table["times the floor"] = table["ms per frame"] / table["floor, ms per frame"]
-    table["floor"] = [floors.get(name, (None, None))[1] for name in ms]
     return table
 
 
@@ -170,34 +138,6 @@ def stages_ms(batch: FrameBatch, folder: Path) -> dict[str, float]:
         shares[name] = sum(stats.stats[place][3] for place in places if place in stats.stats) / stats.total_tt
     shares["labels, rest"] = 1 - sum(shares.values())
     return {name: share * frame_ms for name, share in shares.items()}
-
-
-def floors_ms(recipe: DomainRecipe, folder: Path) -> dict[str, tuple[float, str]]:
-    """Return the least time per frame of stages, ms, and of what: one pass of one library over the same numbers."""
-    lattice = MembraneRenderer(
-        recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality
-    ).lattice
-    grid = np.ones((lattice.rows, lattice.columns, 3), np.float32)
-    light = np.ones((len(recipe.illumination.leds), lattice.rows, lattice.columns), np.float32)
-    pixels = np.ones((*recipe.size_px[::-1], 3), np.float32)
-    rng = np.random.default_rng(0)
-    raw = rng.bytes(pixels.size)
-    packed = raw[: len(raw) // 3]  # what compression leaves
-    work: dict[str, tuple[Callable[[], object], str]] = {
-        "membrane": (grid.copy, "copying three numbers for each vertex"),
-        "light": (lambda: light * light + light, "a product and a sum for each vertex and LED"),
-        "raster": (pixels.copy, "copying three numbers for each pixel"),
-        "pixels and dots": (pixels.copy, "copying three numbers for each pixel"),
-        "noise": (lambda: rng.bytes(pixels.size), "a random byte for each pixel and colour"),
-        "8 bits": (lambda: pixels.astype(np.uint8), "rounding three numbers for each pixel"),
-        "PNG": (lambda: (zlib.crc32(raw), zlib.adler32(raw)), "its two checksums of the picture"),
-        "Parquet": (lambda: bytearray(raw), "copying the bytes of the picture"),
-        "write": (
-            lambda: (folder / "floor").write_bytes(packed),
-            "giving the bytes of the file to the system",
-        ),
-    }
-    return {name: (1e3 * processor_s(job, REPEATS), what) for name, (job, what) in work.items()}
 
 
 def scaling(times: pd.DataFrame, frames: int, solves_s: pd.Series) -> tuple[pd.DataFrame, str]:

@@ -1,4 +1,4 @@
-"""How fast domains are made and read, what sharing saves, and what a picture costs by PNG setting."""
+"""How fast domains are made and read, and what sharing saves."""
 
 import os
 import resource
@@ -14,8 +14,8 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
-from gelgap.benchmarks.stages import processor_s, rendering
+from gelgap.benchmarks.common import Results, Setting, processor_s, run_missing, show, write_json
+from gelgap.benchmarks.stages import rendering
 from gelgap.domains import (
     DomainFolder,
     DomainRecipe,
@@ -27,7 +27,6 @@ from gelgap.domains import (
     preset_recipes,
     shown_progress,
 )
-from gelgap.domains.formats.pictures import encode_png
 from gelgap.sim import ContactPath, Solve
 
 READING_SIZE_PX = 64
@@ -39,7 +38,7 @@ ALONE = "alone: extrapolated from one solve's time per load step and a few frame
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Measure generation, reading and encoding; print tables and write `throughput.json`.
+    """Measure generation and reading; print tables and write `throughput.json`.
 
     The full form makes the paper's four domains at standard quality, gel by gel; the quick one two small domains at
     draft quality, one solve per gel, with one worker. A benchmark that was stopped goes on with the next generation.
@@ -70,10 +69,8 @@ def run(quick: bool, out_dir: Path) -> None:
     sharing = pd.DataFrame(rows, ways, columns)
     show("What sharing saved, hours of one core", sharing, ALONE)
     frames = open_domain(folder / "data" / recipes[0].name)
-    reading, png = reading_rates(frames), png_costs(frames)
-    show(f"Reading at {READING_SIZE_PX} px on one core", reading, READING_AIMS)
-    show("PNG of a {}×{} frame with sensor noise".format(*frames.size_px), png)
-    tables = {"generation": runs.reset_index(), "sharing": sharing, "reading": reading, "png": png}
+    show(f"Reading at {READING_SIZE_PX} px on one core", reading := reading_rates(frames), READING_AIMS)
+    tables = {"generation": runs.reset_index(), "sharing": sharing, "reading": reading}
     write_json(out_dir / "throughput.json", tables)
     file.unlink()
 
@@ -163,23 +160,3 @@ def reading_rates(frames: LabelledFrames) -> pd.DataFrame:
         way = f"DataLoader from the cache, {pairing}, batches of {BATCH}"
         rates.append((way, epochs * len(frames) / processor_s(work, 3)))
     return pd.DataFrame(rates, columns=["way", "frames/s"])
-
-
-def png_costs(frames: LabelledFrames) -> pd.DataFrame:
-    """Return mean size and median time of encoding some of the frames, by PNG setting."""
-    import cv2
-
-    level, strategy = cv2.IMWRITE_PNG_COMPRESSION, cv2.IMWRITE_PNG_STRATEGY
-    settings = {f"OpenCV, level {value}": [level, value] for value in (0, 1, 3, 6, 9)} | {
-        "OpenCV, run-length": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_RLE],
-        "OpenCV, Huffman only": [level, 1, strategy, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY],
-        "Huffman only, average filter (used)": None,
-    }
-    pictures, rows = [frames.picture(i) for i in range(0, len(frames), len(frames) // 10)], []
-    for name, own in settings.items():
-        for picture in pictures:
-            bgr, start = picture[..., ::-1], time.process_time()
-            data = encode_png(picture) if own is None else cv2.imencode(".png", bgr, own)[1].tobytes()
-            rows.append((name, len(data) / 1e3, 1e3 * (time.process_time() - start)))
-    table = pd.DataFrame(rows, columns=["setting", "kB", "ms"])
-    return table.groupby("setting", sort=False, as_index=False).agg({"kB": "mean", "ms": "median"})

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import show, write_json
+from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.render import Illumination, MembraneRenderer, RgbSpectrum, Sensor
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, SolvedPath, plan_path, solve_pose
 from gelgap.view.pictures import SIZE_PX
@@ -134,4 +134,4 @@ def picture_rms(shown: Shown, state: MembraneState) -> float:
     renderer = MembraneRenderer(now.sensor, now.illumination, SIZE_PX, now.quality)
     rng = np.random.default_rng(0) if now.noise else None
     anew = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm, now.markers, rng)
-    return float(np.sqrt(np.mean((anew.astype(float) - shown.picture) ** 2)))
+    return rms(anew.astype(float) - shown.picture)

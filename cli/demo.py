@@ -1,9 +1,8 @@
 """`gelgap demo`: the whole chain at its smallest, on two domains, from presses to a report."""
 
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -20,7 +19,6 @@ SEED = 0
 CLASSES = 10
 # The contact whose force is compared with theory and the reference tables (assets/reference).
 CURVE_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
-_MEMORY_PERIOD_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -60,9 +58,9 @@ class Demo(opt.Command):
 
         print(f"\n{result.headline}\n")
         print(errors_text({f"{row.predictor}, {row.domain}": row.evaluation for row in result.rows}))
-        print(f"\n{'stage':<20} {'s':>7} {'MiB':>7}")
+        print(f"\n{'stage':<20} {'s':>7}")
         for stage in result.stages:
-            print(f"{stage.name:<20} {stage.wall_s:7.1f} {stage.peak_memory_mib:7.0f}")
+            print(f"{stage.name:<20} {stage.wall_s:7.1f}")
         print(f"\n{time.perf_counter() - started:.0f} s in all; report: {self.out / 'report.html'}")
 
     def result(self) -> "DemoResult":
@@ -159,31 +157,9 @@ def force_curve(quality: str) -> "ForceCurve":
 
 @contextmanager
 def timed(name: str, stages: "list[Stage]") -> Iterator[None]:
-    """Time what happens inside, sample the memory of this process and its children, and append both to the stages."""
-    import psutil
-
+    """Append the wall time of what happens inside to the stages."""
     from gelgap.cli.demo_page import Stage
 
-    peak_bytes, ended = 0, threading.Event()
-
-    def sample() -> None:
-        nonlocal peak_bytes
-        own = psutil.Process()
-        while True:
-            together = 0
-            for process in (own, *own.children(recursive=True)):
-                with suppress(psutil.NoSuchProcess):
-                    together += process.memory_info().rss
-            peak_bytes = max(peak_bytes, together)
-            if ended.wait(_MEMORY_PERIOD_S):
-                return
-
-    sampler = threading.Thread(target=sample, daemon=True)
     started = time.perf_counter()
-    sampler.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        sampler.join()
-        stages.append(Stage(name, time.perf_counter() - started, peak_bytes / 1024**2))
+    yield
+    stages.append(Stage(name, time.perf_counter() - started))

@@ -44,11 +44,10 @@ class ForceCurve:
 
 @dataclass(frozen=True)
 class Stage:
-    """What one stage took: wall time in s and the largest resident memory of all its processes together in MiB."""
+    """What one stage took: wall time in s."""
 
     name: str
     wall_s: float
-    peak_memory_mib: float
 
 
 @dataclass(frozen=True)

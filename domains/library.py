@@ -469,23 +469,10 @@ def _weights(nodes: Floats, value: float) -> tuple[NDArray[np.intp], Floats]:
     weights = np.zeros(len(nodes))
     weights[k] = (1 + 2 * s) * (1 - s) ** 2
     weights[k + 1] = s**2 * (3 - 2 * s)
-    weights += step * s * (1 - s) ** 2 * _slope(nodes, k) + step * s**2 * (s - 1) * _slope(nodes, k + 1)
+    # By node the weights of its slope: of the parabola through it and its two neighbours.
+    slopes = np.gradient(np.eye(len(nodes)), nodes, axis=0, edge_order=2 if last > 1 else 1)
+    weights += step * s * (1 - s) ** 2 * slopes[k] + step * s**2 * (s - 1) * slopes[k + 1]
     return near, weights[near]
-
-
-def _slope(nodes: Floats, k: int) -> Floats:
-    """Return the weights (nodes,) of the slope at node k of the parabola through it and its two neighbours."""
-    first = min(max(k - 1, 0), max(len(nodes) - 3, 0))
-    three = np.arange(first, min(first + 3, len(nodes)))
-    weights = np.zeros(len(nodes))
-    for a in three:
-        others = [b for b in three if b != a]
-        below = np.prod([nodes[a] - nodes[b] for b in others])
-        if len(others) == 1:
-            weights[a] = 1 / below
-        else:
-            weights[a] = (2 * nodes[k] - nodes[others].sum()) / below
-    return weights
 
 
 def _combined(

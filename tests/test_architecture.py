@@ -36,8 +36,8 @@ LINES = {
     "domains": 7630,
     "adapt": 5720,
     "view": 1600,
-    "cli": 2570,
-    "benchmarks": 10200,
+    "cli": 2546,
+    "benchmarks": 9790,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.

@@ -12,14 +12,14 @@ from typing import Any
 
 import pandas as pd
 
-from gelgap.adapt import SELECTORS, ResultTable
+from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation import board
 from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, scored_run, with_errors
 from gelgap.benchmarks.common import Setting, result_table
 
 SELECTOR = "reverse validation"
 """Fixed by argument: of the six it alone goes by the target's predictions back to known forces, so that features which
-are aligned wrongly cost it as much as features which are not. The others are shown beside it, not used."""
+are aligned wrongly cost it as much as features which are not."""
 AUGMENTATIONS, TUNED = "augmentations.jsonl", "tuning.jsonl"
 SEEDS = (0,)
 NINE = [("paired", group) for group in board.GROUPS]
@@ -44,27 +44,26 @@ VARIANTS["shifts, inputs standardised by domain"] = (*VARIANTS["shifts"], ("inpu
 def compared(runs: pd.DataFrame, candidates: Iterable) -> pd.DataFrame:
     """Return the cases (data set, group, seed) in which every candidate was run, with columns for each candidate.
 
-    `error_n` is the test error on the target, which no selector sees, `regret_n` that less the best candidate's; under
-    the name of a selector stands the rank by its score, 1 the best, ties shared.
+    `rank` is that by the selector's score, 1 the best, ties shared, `error_n` the test error on the target, which the
+    selector does not see, and `regret_n` that less the best candidate's.
     """
     names = list(candidates)
     runs = runs[runs["candidate"].isin(names)]
-    values = runs.reindex(columns=[f"scores.{name}" for name in SELECTORS]).set_axis(list(SELECTORS), axis=1)
-    values[runs["problem"].notna() | runs["alarm"].astype(bool)] = math.inf
-    values = values.fillna(math.inf).assign(error_n=runs["error_n"])
+    score = runs.get(f"scores.{SELECTOR}", pd.Series(math.nan, runs.index))
+    useless = runs["problem"].notna() | runs["alarm"].astype(bool)
+    values = {"rank": score.mask(useless).fillna(math.inf), "error_n": runs["error_n"]}
     index = pd.MultiIndex.from_frame(runs[["data", "group", "seed", "candidate"]])
-    columns = pd.MultiIndex.from_product([values.columns, names])
-    table = values.set_axis(index).unstack().reindex(columns=columns)
+    columns = pd.MultiIndex.from_product([values, names])
+    table = pd.DataFrame(values).set_axis(index).unstack().reindex(columns=columns)
     table = table[table["error_n"].notna().all(axis=1)]
     errors_n = table["error_n"]
-    ranks = {name: table[name].rank(axis=1) for name in SELECTORS}
-    least_n = errors_n.min(axis=1)
-    return pd.concat({"error_n": errors_n, "regret_n": errors_n.sub(least_n, axis=0), **ranks}, axis=1)
+    regret_n = errors_n.sub(errors_n.min(axis=1), axis=0)
+    return pd.concat({"rank": table["rank"].rank(axis=1), "error_n": errors_n, "regret_n": regret_n}, axis=1)
 
 
-def chosen(found: pd.DataFrame, selector: str = SELECTOR) -> Any:
+def chosen(found: pd.DataFrame) -> Any:
     """Return the candidate of least mean rank over the cases; the first of equals."""
-    return found[selector].mean().idxmin()
+    return found["rank"].mean().idxmin()
 
 
 def of_grid(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -168,35 +167,26 @@ def edge_of(value: float, values: Sequence[float]) -> str:
     return {values[0]: "lowest", values[-1]: "highest"}.get(value, "")
 
 
-def choice_frame(found: dict[str, pd.DataFrame], choice: dict[str, float]) -> pd.DataFrame:
-    """Return what is known of each method's candidates and of the chosen one, whose regret is over the cases."""
+def tuning_tables(folder: Path) -> list[ResultTable]:
+    """Return each method's mean rank by candidate, what was chosen, and the regret on the tuning groups."""
     rows = {}
-    for method, value in choice.items():
-        own, means = found[method], found[method].mean()
+    for method, own in of_grid(load_runs(folder / TUNED)).items():
+        value, ranks = chosen(own), own["rank"].mean()
         regret_n = own["regret_n", value]
         rows[method] = {
-            "candidates": ", ".join(map("{:g}".format, means["error_n"].index)),
-            "mean ranks": ", ".join(map("{:.1f}".format, means[SELECTOR])),
-            "mean MAE, N": ", ".join(map("{:.3f}".format, means["error_n"])),
+            "candidates": ", ".join(map("{:g}".format, ranks.index)),
+            "mean ranks": ", ".join(map("{:.1f}".format, ranks)),
             "chosen": f"{value:g}",
-            "on the edge": edge_of(value, list(means["error_n"].index)),
-            "best one for all groups": f"{means['error_n'].idxmin():g}",
+            "on the edge": edge_of(value, list(ranks.index)),
             "regret, N": regret_n.mean(),
             "worst, N": regret_n.max(),
             "cases": len(own),
         }
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("method")
-
-
-def tuning_tables(folder: Path) -> list[ResultTable]:
-    """Return each method's mean rank by candidate, what was chosen, and the regret on the tuning groups."""
-    found = of_grid(load_runs(folder / TUNED))
-    if not found:
+    if not rows:
         return []
-    frame = choice_frame(found, {method: chosen(own) for method, own in found.items()})
     table = result_table(
         "What was chosen for each method, on the tuning groups",
-        frame.drop(columns=["mean MAE, N", "best one for all groups"]),
+        pd.DataFrame.from_dict(rows, orient="index").rename_axis("method"),
         "Mean ranks are over groups and designs by reverse validation, which sees no target label. Regret: test error "
         "of the chosen candidate less that of the best in each group. Of 0 as the lowest no loss is better.",
         {"": "{:.3f}", "cases": "{:d}"},
@@ -211,7 +201,7 @@ def augmentation_tables(folder: Path) -> list[ResultTable]:
     formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
     if len(found):
         frame = axis_frame(runs[on_tuning])
-        frame.insert(0, "mean rank", found[SELECTOR].mean())
+        frame.insert(0, "mean rank", found["rank"].mean())
         frame.insert(1, "chosen", ["yes" if name == chosen(found) else "" for name in frame.index])
         note = (
             f"Mean over {len(found)} cases of group and design. Ranks by reverse validation, which sees no "

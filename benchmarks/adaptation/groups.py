@@ -16,16 +16,10 @@ import pandas as pd
 from gelgap.adapt import NamedFigure, ResultTable
 from gelgap.adapt.baselines import BASELINES, CONSTANT
 from gelgap.adapt.report import mean_and_deviation
+from gelgap.adapt.result_table import cell
 from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.adaptation.board import AXES, CEILING, DATA_SETS, GROUPS, LIGHT_GROUPS, PLAIN
-from gelgap.benchmarks.adaptation.statistics import (
-    drawn_means,
-    halves,
-    holm,
-    interval,
-    p_value,
-    sensor_pair,
-)
+from gelgap.benchmarks.adaptation.statistics import drawn_means, halves, holm, interval, p_value, sensor_pair
 from gelgap.benchmarks.adaptation.study import (
     RUNS,
     Part,
@@ -92,10 +86,8 @@ def headline_grid(
     return found + grid([(board.LABEL_SHIFT, group) for group in groups], main, seeds)
 
 
-def load_headline(
-    folder: Path, data: str = designs.DATA, changes: board.Changes = board.BY_POINT
-) -> pd.DataFrame:
-    """Return the runs of a data set and split.
+def load_headline(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
+    """Return the runs of a data set.
 
     Raises
     ------
@@ -103,7 +95,7 @@ def load_headline(
         If the runs of a group are not all of one configuration.
     """
     runs = load_runs(folder / RUNS)
-    runs = runs[(runs["data"] == data) & runs["changes"].isin([changes]) & runs["group"].isin(NAMES)]
+    runs = runs[(runs["data"] == data) & runs["changes"].isin([board.BY_POINT]) & runs["group"].isin(NAMES)]
     for group, own in runs.groupby("group"):
         if len(own[["profile", "configuration"]].drop_duplicates()) > 1:
             raise ValueError(
@@ -113,10 +105,10 @@ def load_headline(
     return runs
 
 
-def load_ceilings(folder: Path, changes: board.Changes = board.BY_POINT) -> pd.DataFrame:
+def load_ceilings(folder: Path) -> pd.DataFrame:
     """Return the runs of targets that were trained on themselves, by target and seed."""
     runs = load_runs(folder / RUNS)
-    own = runs[(runs["source"] == runs["target"]) & runs["changes"].isin([changes])]
+    own = runs[(runs["source"] == runs["target"]) & runs["changes"].isin([board.BY_POINT])]
     return own.set_index(["target", "seed"]).sort_index()
 
 
@@ -182,11 +174,6 @@ def constant_mean(runs: pd.DataFrame) -> pd.Series:
     return runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
 
 
-def stage1_s(runs: pd.DataFrame) -> float:
-    """Return the median time of the first stage, which all methods of a source and seed share; NaN if none has one."""
-    return float(runs.loc[runs["stage1_s"] > 0, "stage1_s"].median())
-
-
 def tables(folder: Path) -> list[ResultTable]:
     """Return all tables about the groups that the finished runs allow."""
     if not is_benchmark(folder):
@@ -198,9 +185,7 @@ def tables(folder: Path) -> list[ResultTable]:
         for table in (method_table, control_table, group_table)
         for data, runs in sets.items()
     ]
-    if len(ceilings):
-        found.append(ceiling_table(ceilings))
-    return [*found, *(time_table(runs, data) for data, runs in sets.items())]
+    return [*found, ceiling_table(ceilings)] if len(ceilings) else found
 
 
 def usable(ceilings: pd.DataFrame) -> list[str]:
@@ -281,8 +266,10 @@ SUMMARY_FORMATS = (
 
 
 def method_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
-    """Each method's share of the headroom, errors, R² per axis and ranks; in the note how stable the order is."""
+    """Each method's share of the headroom, errors, R² per axis, ranks and time; in the note how stable the order is."""
     frame, errors = summary(runs, ceilings), counted(runs)
+    frame["stage 2, s"] = runs.groupby("method")["stage2_s"].median()
+    stage1_s = float(runs.loc[runs["stage1_s"] > 0, "stage1_s"].median())
     collapsed = runs.groupby("method")["problem"].count()
     frame = frame.assign(collapsed=collapsed) if collapsed.any() else frame
     used = headroom(runs, ceilings)
@@ -293,8 +280,10 @@ def method_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resul
         f"Split by contact point; {_seeds(runs)}. Closed: of the headroom, from {PLAIN}'s error, or the constant "
         f"mean's where less, to that of training on the target itself; {groups} groups, whose targets' ceilings have "
         f"R² ≥ {LEAST_R2:g} on every axis. No shear: the method's Fz beside the source's mean shear. Intervals: "
-        f"bootstrap, 95 %. {CAVEAT} A run that collapsed counts with the constant mean's error. {halves(errors)}",
-        {**SUMMARY_FORMATS, "collapsed": "{:d}"},
+        f"bootstrap, 95 %. {CAVEAT} A run that collapsed counts with the constant mean's error. Stage 2: median wall "
+        "time of one core; stage 1, which all methods of a source and seed share, took "
+        f"{cell(stage1_s, '{:.1f}') or '–'} s. {halves(errors)}",
+        {**SUMMARY_FORMATS, "collapsed": "{:d}", "stage 2, s": "{:.1f}"},
     )
 
 
@@ -375,17 +364,6 @@ def ceiling_table(ceilings: pd.DataFrame) -> ResultTable:
         f"{ceilings.index.get_level_values('seed').nunique()} seed(s); on the target's test points, which training "
         f"does not show. A target whose R² is below {LEAST_R2:g} on an axis is left out of the headroom.",
         FORMATS,
-    )
-
-
-def time_table(runs: pd.DataFrame, design: str) -> ResultTable:
-    """Error against training time."""
-    times = {"stage 1, s": stage1_s(runs), "stage 2, s": runs.groupby("method")["stage2_s"].median()}
-    return result_table(
-        f"Target MAE against training time, {design} contacts",
-        over_groups(counted(runs)).to_frame("mean MAE, N").assign(**times),
-        "Medians of one core's wall time on a shared machine; stage 1 is shared by all methods of a source and seed.",
-        {"mean MAE, N": "{:.3f}", "": "{:.1f}"},
     )
 
 

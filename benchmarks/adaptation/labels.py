@@ -1,5 +1,6 @@
 """How many labelled target frames close a gap: fine-tuning, an affine correction and both, without and after DSAN."""
 
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -43,7 +44,7 @@ def measure(study: Study) -> None:
     seeds, nine = study.seeds or SEEDS, [("paired", group) for group in board.GROUPS]
     study.run(label_run, grid(nine, METHODS, seeds), RECORD)
     own, recipes = study.within("gaps", PROFILE), unseen_gaps().values()
-    if not own.is_over:
+    if time.time() < own.stop:
         own.generate(list(recipes))
         cases = [("paired", (BASE, recipe.name)) for recipe in recipes]
         own.run(label_run, grid(cases, METHODS, seeds, board.AT_RANDOM), RECORD)

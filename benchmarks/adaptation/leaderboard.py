@@ -2,8 +2,8 @@
 
 A record is an .npz file: `record`, the JSON of a `Record` as bytes, and `predicted_n_K` (n, 3) float32 for run K, the
 force on each of the target's test frames. The command opens the board's data, compares their hashes and configuration,
-computes every error from the predictions, and ranks what agrees. The former records (JSON, format 1) have errors alone:
-they are read for comparisons with other data, and not ranked.
+computes every error from the predictions, and ranks what agrees. The former records (JSON, format 1) have errors alone,
+and are not ranked.
 """
 
 import argparse
@@ -21,80 +21,21 @@ from pydantic import Field
 from gelgap.adapt import ResultTable, evaluate_constant_mean, evaluate_predictions
 from gelgap.adapt.methods import registry
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.checksums import read_json
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import Settings
 from gelgap.assets.whole_file import whole_file, write_whole
 from gelgap.benchmarks.adaptation import board, designs
-from gelgap.benchmarks.adaptation.board import GROUPS, PLAIN
-from gelgap.benchmarks.adaptation.groups import (
-    SEEDS,
-    SUMMARY_FORMATS,
-    load_ceilings,
-    load_headline,
-    summary,
-)
+from gelgap.benchmarks.adaptation.board import PLAIN
+from gelgap.benchmarks.adaptation.groups import SUMMARY_FORMATS, load_ceilings, load_headline, summary
 from gelgap.benchmarks.adaptation.study import BOARD, Study, grid, with_errors
 from gelgap.benchmarks.common import result_table
 
 OWN = "trained-on-target"
 """The name of the ceilings' record."""
 _BAD_INPUT = 2
-_PLACES = [(*group, seed) for group in GROUPS for seed in SEEDS]
 _PLACE = ["source", "target", "seed"]
 _AGREE_N = 1e-3
 _Error = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-
-
-class EntryRun(Settings):
-    """One run of an entry: errors on the target's test frames per axis, N, and R²."""
-
-    source: str
-    target: str
-    seed: int = Field(ge=0)
-    configuration: str = Field(description="hash of what methods share: profile and both domains' recipes")
-    mae_n: tuple[_Error, _Error, _Error]
-    r2: tuple[float, float, float]
-
-
-class Entry(Settings):
-    """A record of the former board: errors on one design, nine groups and five seeds, split by contact point."""
-
-    format: Literal[1] = 1
-    method: str
-    design: Literal["paired", "independent"]
-    profile: str
-    settings: dict[str, Any] = Field(description="the method's own settings that differ from its defaults")
-    who: str = Field(description="who ran it")
-    when: datetime.date
-    versions: str
-    runs: tuple[EntryRun, ...]
-
-    @property
-    def errors_n(self) -> np.ndarray:
-        """Mean MAE over the axes (groups, seeds), N."""
-        place = {(run.source, run.target, run.seed): float(np.mean(run.mae_n)) for run in self.runs}
-        return np.array([place[one] for one in _PLACES]).reshape(len(GROUPS), len(SEEDS))
-
-
-def read_entries(folder: Path) -> list[Entry]:
-    """Read the former records (format 1) of a folder.
-
-    Raises
-    ------
-    ValueError
-        If a file is none, or lacks a run; the message names the file.
-    """
-    found = []
-    for path in sorted(folder.glob("*.json")):
-        try:
-            found.append(Entry(**dict(read_json(path))))
-            found[-1].errors_n  # noqa: B018
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{path}: {error}") from None
-    if not found:
-        raise ValueError(f"{folder} holds no former records of the leaderboard")
-    return found
 
 
 class RankedRun(Settings):

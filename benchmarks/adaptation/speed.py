@@ -45,14 +45,14 @@ def measure(study: Study) -> None:
     for method in methods:
         adapted = adapt(model, frames, frames, method, short.replace(transfer_weight=1e-6))
         histories[f"stage 2, {method}"] = adapted.history[EPOCHS:]
-    found = pd.DataFrame({"name": ["plain PyTorch, source regression"], "step_ms": loop_ms})
+    rows = [{"name": "plain PyTorch, source regression", "step_ms": loop_ms}]
     for name, history in histories.items():
         epochs = pd.DataFrame(history)
         step_ms = 1e3 * epochs["wall_s"].median() / (count // profile.batch_size)
         waiting = (epochs["wait_s"] / epochs["wall_s"]).median()
-        found.loc[len(found), ["name", "step_ms", "wait_share"]] = name, step_ms, waiting
-    found.loc[found["name"] == "stage 1", "overhead"] = np.median(overheads)
-    write_results(study.out / RESULTS, [row.dropna().to_dict() for _, row in found.iterrows()])
+        overhead = {"overhead": np.median(overheads)} if name == "stage 1" else {}
+        rows.append({"name": name, "step_ms": step_ms, "wait_share": waiting} | overhead)
+    write_results(study.out / RESULTS, rows)
 
 
 def random_frames(profile: "Profile", count: int) -> "ArrayFrames":

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import kendall_tau
-
-RESAMPLES = 4000
+from gelgap.benchmarks.common import RESAMPLES, kendall_tau
 
 
 def sensor_pair(group: str) -> tuple[str, ...]:
@@ -20,8 +18,8 @@ def sensor_pair(group: str) -> tuple[str, ...]:
     return tuple(sorted(name.removeprefix("w").removeprefix("m") for name in group.split(" → ")))
 
 
-def drawn_means(values: np.ndarray, pairs: Sequence[object], resamples: int = RESAMPLES) -> np.ndarray:
-    """Return the means (resamples, …) of values (…, groups, seeds) over drawn pairs and seeds; the same in every call.
+def drawn_means(values: np.ndarray, pairs: Sequence[object]) -> np.ndarray:
+    """Return the means (RESAMPLES, …) of values (…, groups, seeds) over drawn pairs and seeds; the same in every call.
 
     Draws with fewer than two pairs or seeds to choose from have no meaning: then all are NaN.
     """
@@ -29,10 +27,10 @@ def drawn_means(values: np.ndarray, pairs: Sequence[object], resamples: int = RE
     _, member = np.unique(np.array([repr(pair) for pair in pairs]), return_inverse=True)
     count = int(member.max()) + 1
     if count < 2 or seeds < 2 or np.isnan(values).any():
-        return np.full((resamples, *values.shape[:-2]), math.nan)
+        return np.full((RESAMPLES, *values.shape[:-2]), math.nan)
     rng = np.random.default_rng(0)
-    of_pairs = rng.multinomial(count, np.full(count, 1 / count), resamples)[:, member].astype(float)
-    of_seeds = rng.multinomial(seeds, np.full(seeds, 1 / seeds), resamples) / seeds
+    of_pairs = rng.multinomial(count, np.full(count, 1 / count), RESAMPLES)[:, member].astype(float)
+    of_seeds = rng.multinomial(seeds, np.full(seeds, 1 / seeds), RESAMPLES) / seeds
     of_pairs /= of_pairs.sum(axis=1, keepdims=True)
     return np.einsum("rg,rs,...gs->r...", of_pairs, of_seeds, values)
 
@@ -44,7 +42,7 @@ def interval(draws: np.ndarray) -> tuple[float, float]:
 
 
 def p_value(draws: np.ndarray) -> float:
-    """Return the two-sided p of a difference being 0, from its draws; never below 2/(resamples + 1)."""
+    """Return the two-sided p of a difference being 0, from its draws; never below 2/(draws + 1)."""
     if np.isnan(draws).any():
         return math.nan
     least = min((draws <= 0).sum(), (draws >= 0).sum())

@@ -7,7 +7,6 @@ record. A study is a grid of settings, a file of records, and tables that are qu
 import hashlib
 import json
 import math
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -87,11 +86,6 @@ class Study:
         """Whether one small group is enough, to see everything run."""
         return self.profile == "smoke"
 
-    @property
-    def is_over(self) -> bool:
-        """Whether no further run is to be begun."""
-        return time.time() >= self.stop
-
     def known_methods(self) -> tuple[str, ...]:
         """Return the names of the chosen methods, if any; classes of one's own are known by theirs from now on."""
         from gelgap.adapt.methods.registry import use_method
@@ -100,12 +94,12 @@ class Study:
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
         """Generate what is missing of some domains of a data set."""
-        from gelgap.domains import generate_recipes
+        from gelgap.domains import generate_recipes, shown_progress
 
-        scheduler = "synchronous" if self.workers == 1 else None
-        print(
-            generate_recipes(recipes, self.data / data, scheduler=scheduler, workers=self.workers), flush=True
-        )
+        where = {"scheduler": "synchronous" if self.workers == 1 else None, "workers": self.workers}
+        with shown_progress() as progress:
+            report = generate_recipes(recipes, self.data / data, **where, progress=progress)
+        print(report, flush=True)
 
     def generate_sets(self, *data: str) -> None:
         """Generate what is missing of some of the board's data sets."""

@@ -124,6 +124,8 @@ class Solver:
     def cases(self, cases: Iterable[Case]) -> dict[Case, Any]:
         """Solve cases, the slowest first; each has its `states` beside what `solve` returns."""
         ordered = sorted(cases, key=lambda case: SLOWEST_FIRST.index(case.quality))
+        if not ordered:
+            return {}
         found = self.solve({f"{case.study}, {case.name}, {case.quality}": case.solve for case in ordered})
         found["states"] = [case.states(own) for case, own in zip(ordered, found["solution"], strict=True)]
         return dict(zip(ordered, found.itertuples(), strict=True))

@@ -16,7 +16,7 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import Results, show
+from gelgap.benchmarks.common import Results, rms, show
 from gelgap.benchmarks.physics.cases import Case, Solver
 from gelgap.sim import (
     CLASS_DEPTHS_MM,
@@ -96,7 +96,7 @@ def changes(state: MembraneState, right: MembraneState, way: Way) -> dict[str, f
         "Fx %": fx,
         "Fz %": fz,
         "force %": 100 * np.linalg.norm(state.force_n - right.force_n) / np.linalg.norm(right.force_n),
-        "surface rms µm": np.sqrt((moved_um**2).mean()),
+        "surface rms µm": rms(moved_um),
         "worst µm": moved_um.max(),
     }
 

@@ -4,7 +4,7 @@ The methods' settings are those of the profile, which were chosen on generated d
 tuned on real data.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,9 @@ import pandas as pd
 
 from gelgap.adapt import ResultTable
 from gelgap.adapt.result_table import cell
-from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS, PLAIN, Changes
+from gelgap.assets.checksums import read_json
+from gelgap.benchmarks.adaptation.board import CEILING, DESIGNS, GROUPS, METHODS, Changes
 from gelgap.benchmarks.adaptation.groups import methods_of
-from gelgap.benchmarks.adaptation.leaderboard import Entry, read_entries
 from gelgap.benchmarks.adaptation.study import control_of, grid, versions_line
 from gelgap.benchmarks.common import Results, Setting, bootstrap, kendall_tau, mean_of, write_json
 from gelgap.benchmarks.real.sessions import (
@@ -124,9 +124,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
         for own, (source, target) in zip(both, directions, strict=True)
     ]
     if not quick:
-        tables.append(
-            order_table(both, read_entries(SYNTHETIC_RECORDS) if SYNTHETIC_RECORDS.is_dir() else [])
-        )
+        tables.append(order_table(both, former_errors(SYNTHETIC_RECORDS)))
     for table in tables:
         table.show()
     write_json(out_dir / "real-networks.json", tables)
@@ -145,8 +143,9 @@ def direction_table(runs: pd.DataFrame, source: Session, target: Session) -> Res
     """Each method's error beside that of the plain ones, and what it brings against its own control."""
     errors_n, rows = errors_of(runs), []
     tested = next(iter(errors_n.values()))
+    folds = {seed: list(clip_folds(source, target, seed)) for seed in tested.columns}
     for method, labels, predict in PLAIN_METHODS:
-        own, ms = plain_errors(source, target, predict, list(tested.columns))
+        own, ms = plain_errors(predict, folds)
         rows.append([method, labels, *_error(own.loc[tested.index]), None, None, None, f"{ms / 1e3:.4f}"])
     for method, own in errors_n.items():
         of_method = runs[runs["method"] == method]
@@ -165,7 +164,7 @@ def direction_table(runs: pd.DataFrame, source: Session, target: Session) -> Res
         "Intervals: bootstrap over clips and seeds. Differences: error less that of the control on the same clips, "
         "negative where the method is better. Time: median of stage 2, or of a fit; stage 1 took "
         f"{cell(float(stage1_s), '{:.1f}') or '–'} s. "
-        f"{stopped} of {len(runs)} runs stopped and count with the constant mean's error.{_closed(errors_n)}",
+        f"{stopped} of {len(runs)} runs stopped and count with the constant mean's error.",
     )
 
 
@@ -175,40 +174,31 @@ def _name(runs: pd.DataFrame) -> str:
 
 def _error(errors_n: pd.DataFrame, form: str = "{:.2f}") -> tuple[str | None, str | None]:
     values = errors_n.to_numpy()
-    return cell(_mean(values), form), cell(bootstrap(values), form)
+    return cell(float(mean_of(mean_of(values, axis=1))), form), cell(bootstrap(values), form)
 
 
-def _mean(values: np.ndarray) -> float:
-    """Return the mean over clips of the means over seeds."""
-    return float(mean_of(mean_of(values, axis=1)))
+def former_errors(folder: Path) -> pd.DataFrame:
+    """Return the former board's errors, N, by design, method and group (rows) and seed; empty without its records."""
+    records = [read_json(path) for path in sorted(folder.glob("*.json"))]
+    if not records:
+        return pd.DataFrame()
+    runs = pd.json_normalize(records, "runs", ["design", "method"])
+    runs["error_n"] = runs["mae_n"].map(np.mean)
+    return runs.pivot(index=["design", "method", "source", "target"], columns="seed", values="error_n")
 
 
-def _closed(errors_n: Mapping[str, pd.DataFrame]) -> str:
-    """Say how far the best method without target labels comes; it is found by its errors, so that this is a bound."""
-    if not {PLAIN, CEILING} <= errors_n.keys():
-        return ""
-    means_n = {method: _mean(own.to_numpy()) for method, own in errors_n.items()}
-    start, end = means_n[PLAIN], means_n.pop(CEILING)
-    if not start > end:
-        return f" {PLAIN} is not worse than {CEILING}."
-    best = min(means_n, key=means_n.get)
-    share = (start - means_n[best]) / (start - end)
-    return f" {best}, the best in hindsight, closes {100 * share:.0f} % of the way from {PLAIN} to {CEILING}."
-
-
-def order_table(both: Sequence[pd.DataFrame], entries: Sequence[Entry]) -> ResultTable:
+def order_table(both: Sequence[pd.DataFrame], former: pd.DataFrame) -> ResultTable:
     """Kendall's τ between the orders of methods, both ways here, and with those of the leaderboard's records."""
     here = {_name(runs): {method: own.to_numpy() for method, own in errors_of(runs).items()} for runs in both}
     (first, ours), (_, back) = here.items()
     compared, notes = [(f"{first} and back", ours, back)], []
     for design in DESIGNS:
-        own = {entry.method: entry.errors_n for entry in entries if entry.design == design}
-        if not own:
+        if design not in former.index:
             notes.append(f"No records of the nine groups with {design} contacts are in {SYNTHETIC_RECORDS}.")
             continue
         for name, groups in (("nine groups", GROUPS), (f"{len(ALIKE)} groups without markers", ALIKE)):
-            chosen = [GROUPS.index(group) for group in groups]
-            theirs = {method: errors_n[chosen] for method, errors_n in own.items()}
+            of_methods = former.loc[design].groupby(level="method")
+            theirs = {method: own.loc[method].loc[list(groups)].to_numpy() for method, own in of_methods}
             compared += [(f"{way} and {name}, {design}", errors_n, theirs) for way, errors_n in here.items()]
     rows = []
     for name, ours, theirs in compared:

@@ -157,11 +157,7 @@ def read_pickled_array(path: Path) -> np.ndarray:
         ) from None
 
 
-SERIES = {
-    "calibration": ("ball", 2.42),
-    "calibration2": ("cal", 2.42),
-    "calibration3": ("cal", 1.98),
-}
+SERIES = {"calibration": ("ball", 2.42), "calibration2": ("cal", 2.42), "calibration3": ("cal", 1.98)}
 """Series of presses of one ball: the beginning of the pictures' names and the ball's radius, mm, by the folder."""
 
 

@@ -6,7 +6,7 @@ clip are never drawn one by one, because neighbours are nearly equal.
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -224,19 +224,20 @@ PLAIN_METHODS: tuple[tuple[str, str, Callable[[Fold], np.ndarray]], ...] = (
 
 
 def plain_errors(
-    source: Session, target: Session, predict: Callable[[Fold], np.ndarray], seeds: Sequence[int]
+    predict: Callable[[Fold], np.ndarray], folds: Mapping[int, Sequence[Fold]]
 ) -> tuple[pd.DataFrame, float]:
-    """Return a method's MAE of Fz on each clip of the target (rows) with each seed, N, and the time of a fold, ms."""
+    """Return a method's MAE of Fz, N, on each tested clip (rows) with each seed's folds, and the time of a fold, ms."""
     found, seconds = {}, 0.0
-    for seed in seeds:
+    for seed, own in folds.items():
         errors_n = []
-        for fold in clip_folds(source, target, seed):
+        for fold in own:
             started = time.process_time()
             predicted_n = predict(fold)
             seconds += time.process_time() - started
-            errors_n.append((fold.target_test["fz_n"] - predicted_n).abs())
-        found[seed] = pd.concat(errors_n).groupby(target["clip"]).mean()
-    return pd.DataFrame(found), 1e3 * seconds / (len(seeds) * FOLDS)
+            tested = fold.target_test
+            errors_n.append((tested["fz_n"] - predicted_n).abs().groupby(tested["clip"]).mean())
+        found[seed] = pd.concat(errors_n)
+    return pd.DataFrame(found).sort_index(), 1e3 * seconds / sum(map(len, folds.values()))
 
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
@@ -245,8 +246,9 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     both = read_sessions(converted_sessions(data, out_dir))
     rows, found = [], []
     for source, target in (SESSIONS, SESSIONS[::-1]):
+        folds = {seed: list(clip_folds(both[source], both[target], seed)) for seed in seeds}
         for method, labels, predict in PLAIN_METHODS:
-            errors_n, ms = plain_errors(both[source], both[target], predict, seeds)
+            errors_n, ms = plain_errors(predict, folds)
             mae_n = errors_n.to_numpy()
             of = {"source": source, "target": target, "method": method, "labels": labels}
             found.append({**of, "clips": list(errors_n.index), "mae_n": mae_n, "ms_per_fold": ms})
@@ -255,8 +257,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     show(
         "Force from one session to another, on real grasps: MAE of Fz on held-out target clips",
         pd.DataFrame(
-            rows,
-            columns=["source → target", "method", "labels of", "MAE, N", "95 % interval", "ms a fold"],
+            rows, columns=["source → target", "method", "labels of", "MAE, N", "95 % interval", "ms a fold"]
         ),
         f"GelSight Wedge, {', '.join(sorted(set(both[SESSIONS[0]]['object'])))}: {' and '.join(amounts)}. "
         f"Mean of clips; {FOLDS} folds by clip, {len(seeds)} seed(s), every seed with every fold.",

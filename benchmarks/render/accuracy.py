@@ -20,14 +20,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import (
-    Results,
-    Setting,
-    plot_frontier,
-    run_missing,
-    show,
-    write_json,
-)
+from gelgap.benchmarks.common import Results, Setting, processor_s, run_missing, show, write_json
 from gelgap.benchmarks.render.scenes import (
     ALL_SCENES,
     OWN_LIT_SENSORS,
@@ -71,7 +64,7 @@ print(time.process_time() - started)
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Measure errors and run times, print the tables and write JSON and a plot to `out_dir`.
+    """Measure errors and run times, print the tables and write JSON to `out_dir`.
 
     `quick` compares with the stored path-traced pictures; otherwise all scenes are traced, and kept for a rerun.
     """
@@ -106,21 +99,9 @@ def run(quick: bool, out_dir: Path) -> None:
         summary.loc[f"path tracer, {FEWEST_SAMPLES} samples"] = row
         print(f"two path-traced pictures: {noise['PSNR dB']:.1f} dB, SSIM {noise['SSIM']:.4f}")
     show("Error against time, matt scenes, 320×240, i0's time", summary)
-    tables["summary"] = points = summary.reset_index()
-    points = points.rename(columns={"way": "name", "mean error %": "error"})
-    plot_frontier(
-        out_dir / "render.png",
-        points.assign(
-            series=points["name"].map(lambda way: "gelgap" if way in QUALITIES else way),
-            seconds=points["ms per frame"] / 1e3,
-        ),
-        title="Rendering a matt membrane at 320×240: error against time",
-        error_label="mean error in linear light, %",
-        time_label="run time per frame, s",
-        targets=(2.0,),
-    )
+    tables["summary"] = summary.reset_index()
     write_json(out_dir / "render.json", tables)
-    print(f"wrote {out_dir}/render.json and render.png")
+    print(f"wrote {out_dir}/render.json")
 
 
 def path_traced(scenes: Iterable[RenderScene], folder: Path, seed: int = 0) -> dict[RenderScene, np.ndarray]:
@@ -214,13 +195,7 @@ def median_ms(
     work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.thread_time
 ) -> float:
     """Return the median time of some work, after one run to warm up."""
-    work()
-    times = []
-    for _ in range(repeats):
-        started = clock()
-        work()
-        times.append(clock() - started)
-    return 1e3 * statistics.median(times)
+    return 1e3 * processor_s(work, repeats, clock)
 
 
 def frames_ms(

@@ -1,4 +1,4 @@
-"""A sensor whose ball, scale and marks are hardly known: how well it is predicted, and what not knowing them costs.
+"""A sensor whose ball, scale and marks are hardly known: how well it is predicted.
 
 The published marks go round whole dents, so every press is placed in its own picture (`refined`), and besides the
 marked circles there is the contact as the whole model finds it. Even presses are fitted, the ball's size too.
@@ -26,19 +26,16 @@ VARIANTS = {
     WHOLE: Variant(),
     SHARP: Variant(),
 }
-# What may be assumed instead: the ball's diameter, in fitted ones, and the scale, in those of the package.
-OTHER_DIAMETERS, OTHER_SCALES = (0.8, 1.25, 1.6), (0.8, 1.25)
 
 
 def run(quick: bool, out_dir: Path) -> None:
     """Print how odd presses are predicted; write JSON. Quick: two presses, the whole model alone."""
     found = taxim_presses(SET)
-    count, (height, width, _) = len(found.presses), found.reference.shape
+    count = len(found.presses)
     even, odd = range(0, count, 2), range(1, 5 if quick else count, 2)
     presses = [found.presses[k] for k in even]
     size = unknown_sphere_size(found.start, found.reference, presses, sphere_profiles)
-    ball_mm, mm_per_px = size.diameter_mm, found.start.camera.footprint_mm((width, height))[0] / width
-    profiles = sphere_profiles({ball_mm})[ball_mm]
+    profiles = sphere_profiles({size.diameter_mm})[size.diameter_mm]
     contacts = found_contacts(ball_task(found, profiles, Variant()), even, odd)
 
     models = {("the reference, unchanged", ""): partial(rivals.unchanged, found)}
@@ -46,15 +43,6 @@ def run(quick: bool, out_dir: Path) -> None:
         own = sharp(found) if name == SHARP else found
         task = partial(ball_task, own, profiles, VARIANTS[name])
         models |= light_models(name, task, VARIANTS[name], ("refined",))
-    assumed = {} if quick else {WHOLE: (ball_mm, mm_per_px)}
-    balls = [] if quick else [(found, mm_per_px, profiles.scaled(factor)) for factor in OTHER_DIAMETERS]
-    for factor in () if quick else OTHER_SCALES:
-        solved = sphere_profiles({factor * ball_mm})[factor * ball_mm]
-        balls.append((taxim_presses(SET, factor * mm_per_px), factor * mm_per_px, solved))
-    for own, scale, around in balls:
-        assumed[name := f"ball {len(assumed)}"] = 2 * around.sphere_radius_mm, scale
-        task = partial(ball_task, own, around, Variant())
-        models |= light_models(name, task, Variant(), ("refined",))
     split = {f"{len(odd)} odd presses": (even, odd)}
     kept = out_dir / "unknown-ball.jsonl"
     records = Study(found.presses, models, split, contacts).records(kept)
@@ -62,19 +50,12 @@ def run(quick: bool, out_dir: Path) -> None:
     radius_px = np.median([press.radius_px for press in contacts.values()])
     show_scores(
         f"{SET}: even presses fitted, {len(odd)} odd ones predicted; PSNR in dB, median (worst)",
-        records[~records["model"].str.startswith("ball ")],
+        records,
         ("model", "fit, s", "ms per frame"),
         f"contact: as found, radius {radius_px:.0f} px; the other regions are the marked circles'. Ball fitted to the "
-        f"even presses: {ball_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm",
+        f"even presses: {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm",
     )
-    assumptions = records[records["model"].isin(assumed)].drop(columns=["contact", "SSIM", "mean abs"])
-    if len(assumptions):
-        values = zip(*assumptions["model"].map(assumed), strict=True)
-        columns = dict(zip(("diameter, mm", "mm per px"), values, strict=True))
-        title = "what the assumed ball and scale cost; PSNR in dB, median (worst)"
-        show_scores(title, assumptions.assign(**columns), tuple(columns))
-    results = {"size": size, "predictions": records, "assumptions": assumed}
-    write_json(out_dir / "unknown-ball.json", results)
+    write_json(out_dir / "unknown-ball.json", {"size": size, "predictions": records})
     kept.unlink()
 
 

@@ -30,7 +30,7 @@ from gelgap.domains.frames.folders import (
     UNSPLIT,
     open_domain,
 )
-from gelgap.domains.frames.splits import PARTS, split_frames
+from gelgap.domains.frames.splits import PARTS, indices_by_part, split_frames, stated_split
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.inspection import domain_folders, inspect_domain
 
@@ -103,7 +103,7 @@ def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
         if frames.has_classes:
             header.append(PUBLISHED_LABEL)
             values = [[*own, int(label)] for own, label in zip(values, frames.contact_class, strict=True)]
-        is_test = _stated_split(frames) == "test"
+        is_test = stated_split(frames) == "test"
         parts = {
             UNSPLIT: np.arange(len(frames)),
             "train": np.flatnonzero(~is_test),
@@ -133,7 +133,7 @@ def _webdataset(domains: Iterable[StoredFrames], out_dir: Path) -> None:
         folder = out_dir / frames.name
         folder.mkdir()
         (folder / "reference.png").write_bytes(encode_png(frames.reference))
-        for split, indices in _by_split(frames).items():
+        for split, indices in indices_by_part(frames).items():
             for start in range(0, len(indices), _SAMPLES_PER_TAR):
                 path = folder / f"{split}-{start // _SAMPLES_PER_TAR:06d}.tar"
                 with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
@@ -159,21 +159,11 @@ def _plain_json(value: Any) -> Any:
     return None if isinstance(value, float) and np.isnan(value) else value
 
 
-def _stated_split(frames: LabelledFrames) -> np.ndarray:
-    """Return the part (n,) of each frame; without a stated split all are for training."""
-    return frames.columns.get("split", np.full(len(frames), "train", dtype=object))
-
-
 def _drawn_split(frames: LabelledFrames, by: str) -> np.ndarray:
     split = np.empty(len(frames), dtype=object)
     for part, indices in zip(PARTS, split_frames(frames, by), strict=True):
         split[indices] = part
     return split
-
-
-def _by_split(frames: LabelledFrames) -> dict[str, np.ndarray]:
-    split = _stated_split(frames)
-    return {part: np.flatnonzero(split == part) for part in PARTS if (split == part).any()}
 
 
 def _huggingface(generated: Sequence[GeneratedDomain], out_dir: Path) -> None:
@@ -188,9 +178,9 @@ def _huggingface(generated: Sequence[GeneratedDomain], out_dir: Path) -> None:
             part: pq.ParquetWriter(
                 folder / f"{part}-00000.parquet", frames.shards[0].schema, compression="zstd"
             )
-            for part in _by_split(frames)
+            for part in indices_by_part(frames)
         }
-        part_of = dict(zip(frames.columns["frame_id"].tolist(), _stated_split(frames).tolist(), strict=True))
+        part_of = dict(zip(frames.columns["frame_id"].tolist(), stated_split(frames).tolist(), strict=True))
         for table in (shard.table() for shard in frames.shards):
             table = table.filter(table["converged"])
             split = pa.array([part_of[frame] for frame in table["frame_id"].to_pylist()], pa.string())
@@ -205,7 +195,9 @@ def _huggingface(generated: Sequence[GeneratedDomain], out_dir: Path) -> None:
     card = html_page(
         "data-card.md",
         **_ABOUT,
-        domains=[(frames, inspect_domain(frames.folder), list(_by_split(frames))) for frames in generated],
+        domains=[
+            (frames, inspect_domain(frames.folder), list(indices_by_part(frames))) for frames in generated
+        ],
         # The height map's scale is in no other file of the export.
         optional=[columns for name, columns in OPTIONAL.items() if name in used],
         points_apart=all(map(_keeps_points_apart, generated)),
@@ -217,7 +209,7 @@ def _huggingface(generated: Sequence[GeneratedDomain], out_dir: Path) -> None:
 
 def _keeps_points_apart(frames: GeneratedDomain) -> bool:
     """Return whether every contact point is in one part of the split."""
-    pairs = set(zip(frames.point_id.tolist(), _stated_split(frames).tolist(), strict=True))
+    pairs = set(zip(frames.point_id.tolist(), stated_split(frames).tolist(), strict=True))
     return len(pairs) == len(np.unique(frames.point_id))
 
 

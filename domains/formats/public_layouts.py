@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from gelgap.domains.formats.pictures import encode_jpeg
 from gelgap.domains.formats.shards import PICTURE
-from gelgap.domains.frames.splits import PARTS
+from gelgap.domains.frames.splits import PARTS, indices_by_part
 from gelgap.domains.frames.stored import GeneratedDomain
 
 _FEATS_SIGNS = (-1.0, -1.0, 1.0)
@@ -56,7 +56,7 @@ def write_feats(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
     """
     for frames in domains:
         bounds: dict[str, dict[str, float]] = {}
-        for part, indices in _by_part(frames):
+        for part, indices in indices_by_part(frames).items():
             folder = out_dir / frames.name / _FEATS_PARTS[part]
             folder.mkdir(parents=True)
             for index in indices:
@@ -88,7 +88,7 @@ def write_mini_pretrain(domains: Sequence[GeneratedDomain], out_dir: Path) -> No
     for frames in domains:
         folder = out_dir / frames.name
         folder.mkdir()
-        for part, indices in _by_part(frames):
+        for part, indices in indices_by_part(frames).items():
             path = folder / f"{_FEATS_PARTS[part]}-00000-of-00001.parquet"
             with pq.ParquetWriter(path, MINI_SCHEMA, compression="snappy") as writer:
                 for start in range(0, len(indices), 100):
@@ -274,10 +274,3 @@ class _Statistics:
                 what: getattr(stacked, what)(axis=0).tolist() for what in ("min", "max", "mean", "std")
             } | {"count": [len(stacked)]}
         return found
-
-
-def _by_part(frames: GeneratedDomain) -> Iterator[tuple[str, list[int]]]:
-    split = frames.columns["split"]
-    for part in PARTS:
-        if len(indices := np.flatnonzero(split == part).tolist()):
-            yield part, indices

@@ -248,6 +248,17 @@ def _check_filled(frames: LabelledFrames, parts: np.ndarray, shares: Shares, dra
             raise ValueError(f"data set {frames.name}: {drawn} are too few for a {name} share of {share:g}")
 
 
+def stated_split(frames: LabelledFrames) -> np.ndarray:
+    """Return the part (n,) of each frame; without a stated split all are for training."""
+    return frames.columns.get("split", np.full(len(frames), PARTS[0], dtype=object))
+
+
+def indices_by_part(frames: LabelledFrames) -> dict[str, np.ndarray]:
+    """Return the indices of the frames of each part that has any."""
+    split = stated_split(frames)
+    return {part: np.flatnonzero(split == part) for part in PARTS if (split == part).any()}
+
+
 def contact_points(*domains: LabelledFrames) -> tuple[np.ndarray, ...]:
     """Return the number (n,) of each frame's contact point, from 0; equal numbers are one point, across the domains.
 

@@ -1,4 +1,4 @@
-"""The cost of data sets: its tables, the stages of a frame and their floors, and the model of how a data set scales."""
+"""The cost of data sets: its tables, the stages of a frame, and the model of how a data set scales."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from gelgap.benchmarks import stages, throughput
-from gelgap.benchmarks.stages import STAGES, floors_ms, recipes_of, scaling, solve_costs, stages_ms
+from gelgap.benchmarks.stages import STAGES, recipes_of, scaling, stages_ms
 from gelgap.domains import plan_generation
 
 
@@ -28,8 +28,8 @@ def test_each_stage_of_a_frame_is_found_in_its_profile(tmp_path: Path, monkeypat
     monkeypatch.setattr(stages, "REPEATS", 1)
     monkeypatch.setattr(stages, "POINTS", {"small": (1, 1)})
     plan = plan_generation(recipes_of("small", "draft"))
-    solves = solve_costs(list(plan.solves.values()))
-    assert (solves["iterations"] >= solves["load_steps"]).all()
+    for solve in plan.solves.values():
+        solve.run()
     ms = stages_ms(plan.batches[0], tmp_path)
     assert ms.keys() == {*STAGES, "labels, rest"}
     assert all(value > 0 for value in ms.values())
@@ -56,9 +56,3 @@ def test_the_frames_taken_apart_need_one_solve_and_the_larger_path_shards_to_sha
     assert small.solves.keys() == large.solves.keys()
     assert len(large.solves) == 1
     assert len(large.batches) == 4 > len(small.batches)
-
-
-def test_floors_are_of_known_stages_and_take_time(tmp_path: Path):
-    floors = floors_ms(recipes_of("small", "draft")[0], tmp_path)
-    assert floors.keys() <= STAGES.keys()
-    assert all(floor_ms > 0 for floor_ms, _ in floors.values())

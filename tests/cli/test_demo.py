@@ -1,5 +1,6 @@
 """The demo at its smallest: every stage runs, the page holds its pictures."""
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -46,11 +47,10 @@ def test_the_demo_runs_end_to_end(
     assert result.headline in shown
 
 
-def test_time_and_memory_of_a_stage_are_measured() -> None:
+def test_the_time_of_a_stage_is_measured() -> None:
     stages: list[Stage] = []
-    with timed("allocate", stages):
-        block = np.ones(40_000_000)
-        block += 1
+    with timed("wait", stages):
+        time.sleep(0.05)
     (stage,) = stages
-    assert stage.name == "allocate"
-    assert stage.peak_memory_mib > 300
+    assert stage.name == "wait"
+    assert stage.wall_s >= 0.05

@@ -16,7 +16,6 @@ from gelgap.benchmarks.adaptation.board import (
     LIGHT_GROUPS,
     MAIN_METHODS,
     METHODS,
-    PAPER_MAE_N,
 )
 from gelgap.benchmarks.adaptation.groups import (
     PART,
@@ -67,14 +66,6 @@ def rows_of(table) -> dict[str, dict[str, str]]:
 def changed(found: list[Record], chosen, **results) -> list[Record]:
     """Return records, those that are chosen with other results."""
     return [(run, own | results if chosen(run) else own) for run, own in found]
-
-
-def test_the_papers_means():
-    assert len(GROUPS) == 9
-    means = {name: np.mean(values) for name, values in PAPER_MAE_N.items()}
-    assert means["source-only"] == pytest.approx(0.290, abs=5e-4)
-    assert means["dsan"] == pytest.approx(0.135, abs=5e-4)
-    assert list(means) == sorted(means, key=means.get, reverse=True)
 
 
 def test_a_stop_at_any_time_leaves_complete_seeds():
@@ -231,8 +222,11 @@ def test_all_tables_of_two_data_sets(tmp_path):
     errors = {"source-only": 0.3, "adabn": 0.2, "dann": 0.16, "daregram": 0.15, "dsan": 0.14}
     both = [*records(errors, data=designs.DATA), *records(errors, data="independent"), *ceilings(0.05)]
     folder = write_benchmark(tmp_path, [*both, record(GROUPS[0], "jan", 0.1, data=designs.DATA)])
-    titles = [table.title for table in PART.tables(folder)]
-    assert len(titles) == len(set(titles)) == 9
+    found = PART.tables(folder)
+    titles = [table.title for table in found]
+    assert len(titles) == len(set(titles)) == 7
+    assert rows_of(found[0])["dsan"]["stage 2, s"] == "30.0"
+    assert "took 60.0 s" in found[0].note
     order = ["source-only", "adabn", "jan", "dann", "daregram", "dsan"]
     assert list(counted(load_headline(folder)).columns) == order
 

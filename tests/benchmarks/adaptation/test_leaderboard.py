@@ -9,8 +9,8 @@ from run_records import record, write_runs
 
 from gelgap.adapt import split_for_training
 from gelgap.assets.array_file import read_arrays
-from gelgap.benchmarks.adaptation import board, designs
-from gelgap.benchmarks.adaptation.leaderboard import OWN, main, ranked, read_entries, write_records
+from gelgap.benchmarks.adaptation import designs
+from gelgap.benchmarks.adaptation.leaderboard import OWN, main, ranked, write_records
 from gelgap.benchmarks.adaptation.study import RUNS, Study, grid
 from gelgap.domains import ArrayFrames
 
@@ -166,9 +166,3 @@ def test_the_page_names_what_is_not_ranked(study, folder, capsys):
     assert "| **mine.Mine** | 67 % |" in text
     assert "- `adabn-disjoint.npz` is of profile smoke" in text
     assert "not ranked: adabn-disjoint.npz" in capsys.readouterr().err
-
-
-def test_former_records_are_still_read():
-    entries = read_entries(FORMER)
-    assert {entry.design for entry in entries} == set(board.DESIGNS)
-    assert entries[0].errors_n.shape == (9, 5)

@@ -4,9 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from gelgap.benchmarks.physics.accuracy import LESS_DEEP_MM, errors, normals, surface_errors
+from gelgap.benchmarks.physics import savings
+from gelgap.benchmarks.physics.accuracy import LESS_DEEP_MM, errors, normals, plot_frontier, surface_errors
 from gelgap.benchmarks.physics.cases import Case, Solver
 from gelgap.benchmarks.physics.references import (
     LARGER_SPHERES,
@@ -128,3 +130,20 @@ def test_the_condensed_solve_changes_nothing_but_time(tmp_path, capsys):
 def test_condensation_is_measured_on_every_shape_of_mesh_at_two_qualities():
     chosen = condensation_cases(quick=False)
     assert len({(case.name, case.quality) for case in chosen}) == len(chosen) == 8
+
+
+def test_the_frontier_is_drawn(tmp_path):
+    points = pd.DataFrame(
+        {
+            "series": ["ours", "ours", savings.SERIES],
+            "name": ["b", "a", "c"],
+            "seconds": [2.0, 1.0, 3.0],
+            "error": [1.0, 2.0, 5.0],
+        }
+    )
+    plot_frontier(tmp_path / "plots" / "f.png", points)
+    assert (tmp_path / "plots" / "f.png").stat().st_size > 10_000
+
+
+def test_no_case_needs_no_solve(tmp_path):
+    assert Solver(1, tmp_path).cases([]) == {}

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from gelgap.benchmarks.physics import estimate
+from gelgap.benchmarks.physics.cases import Truth
 from gelgap.sim import Sphere
 from gelgap.sim.estimate import CAUSES, ERRORS
 
@@ -58,11 +59,14 @@ def test_rows_of_a_state_beside_itself_have_no_error(monkeypatch: pytest.MonkeyP
         np.array([0.1, 0.0, -0.5]),
         contact_radius_mm=1.0,
     )
-    right = estimate.Expected(state.force_n, 1.0, state.displacement_mm, np.zeros(len(CAUSES)))
 
     class Found:
         states = (state,)
 
-    rows = list(estimate.rows_of(case, Found, iter([right])))
-    assert [rows[0][error] for error in ERRORS] == [0, 0, 0, 0]
-    assert [rows[0][cause] for cause in CAUSES] == [1] * len(CAUSES)
+    flat = np.array([[0.0, 10.0], [0.0, 0.0], [0.0, 0.0]])
+    truth = Truth(state.force_n[None], radius_mm=np.ones(1), profiles=(flat,))
+    # A finer solve has errors of its own, a true solution has none.
+    for known, finer, together in ((truth, None, 1.0), (None, Found, np.sqrt(2))):
+        (row,) = estimate.rows_of(case, Found, known, finer)
+        assert [row[error] for error in ERRORS] == [0, 0, 0, 0]
+        assert [row[cause] for cause in CAUSES] == [together] * len(CAUSES)

@@ -52,7 +52,8 @@ def test_seeds_deal_clips_anew():
 
 
 def errors_n(source: Session, target: Session) -> list[float]:
-    found = (plain_errors(source, target, predict, (0, 1))[0] for _, _, predict in PLAIN_METHODS)
+    folds = {seed: list(clip_folds(source, target, seed)) for seed in (0, 1)}
+    found = (plain_errors(predict, folds)[0] for _, _, predict in PLAIN_METHODS)
     return [float(mae_n.to_numpy().mean()) for mae_n in found]
 
 
@@ -73,7 +74,8 @@ def test_errors_are_those_of_each_clip_and_seed():
     def too_much(fold):
         return fold.target_test["fz_n"] + fold.target_test["clip"].map(off_n)
 
-    mae_n = plain_errors(session("a"), target, too_much, (0, 1))[0].to_numpy()
+    folds = {seed: list(clip_folds(session("a"), target, seed)) for seed in (0, 1)}
+    mae_n = plain_errors(too_much, folds)[0].to_numpy()
     assert mae_n == pytest.approx(np.repeat(np.arange(6.0)[:, None], 2, axis=1))
     low, high = bootstrap(mae_n)
     assert low < mae_n.mean() < high
