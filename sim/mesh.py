@@ -121,7 +121,7 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
     """Return plane cells for a contact that is round, and the width of the finest."""
     size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
     contact = problem.meshed_radius_mm
-    *axis, aside, direction = straightest_line(problem.segments_mm[:, :, :2])
+    *axis, aside, direction = straightest_line(problem.segments[:, :, :2])
     fine_radius = _FINE_MARGIN * contact + aside + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
     if problem.contact_width > 1:
@@ -149,7 +149,7 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
 
 def _between_lines(problem: ContactProblem) -> tuple[Points, Cells, float]:
     """Return plane cells between lines along x and y, for any contact, and the width of the finest."""
-    thickness, points = problem.thickness_mm, problem.segments_mm.reshape(-1, 3)
+    thickness, points = problem.thickness_mm, problem.segments.reshape(-1, 6)
     cut_mm = np.reshape(problem.cut_mm, (2, 2))
     beside = _BESIDE_WIDE_CONTACT_THICKNESSES if problem.contact_width > 1 else _DISC_THICKNESSES
     lines, finest = [], np.inf
@@ -432,7 +432,7 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
     points_mm, radius_mm = mesh.vertices_mm[mesh.surface, :2], problem.penetration_radius_mm
     margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)
     beyond_mm = np.full(len(points_mm), np.inf)
-    for start, end in problem.segments_mm[:, :, :2]:
+    for start, end in problem.segments[:, :, :2]:
         along = end - start
         if problem.is_round:
             share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)

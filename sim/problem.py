@@ -304,11 +304,6 @@ class ContactProblem:
         places = np.vstack([self.commands, np.zeros(6)])
         return np.stack([places[list(self.parents)], places[:-1]], axis=1)
 
-    @property
-    def segments_mm(self) -> NDArray[np.float64]:
-        """The segments' displacements, (n, 2, 3)."""
-        return self.segments[..., :3]
-
     def arc_mm(self, turn_deg: NDArray[np.float64]) -> float:
         """Return about how far a turn (3,) moves what touches the gel."""
         *roll, twist = np.radians(turn_deg)

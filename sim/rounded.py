@@ -275,10 +275,7 @@ def _onto_hull(points_mm: Floats, facets: _Facets) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=64)
 def _rotation(yaw_deg: float, tilt_deg: tuple[float, float]) -> Floats:
-    from scipy.spatial.transform import Rotation
-
-    yaw = Rotation.from_euler("z", yaw_deg, degrees=True)
-    return (Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True) * yaw).as_matrix()
+    return rotation(np.array([*tilt_deg, 0.0])) @ rotation(np.array([0.0, 0.0, yaw_deg]))
 
 
 @lru_cache(maxsize=256)

@@ -191,11 +191,6 @@ class Pose:
         return *self.roll_deg, self.twist_deg
 
     @property
-    def turns(self) -> bool:
-        """Whether the indenter is turned at all."""
-        return any(self.turn_deg)
-
-    @property
     def angle_deg(self) -> float:
         """Direction of the shear, degrees in [0, 360), from +x towards +y."""
         return round(math.degrees(math.atan2(self.shear_y_mm, self.shear_x_mm)), 9) % 360.0
@@ -277,14 +272,11 @@ class CanonicalFrame:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
 
-    def turn_deg(self, pose: Pose) -> NDArray[np.float64]:
-        """Return the rotation vector (3,) of a pose in this frame."""
-        return np.linalg.det(self.to_sensor).round() * (self.to_sensor_3d.T @ np.array(pose.turn_deg))
-
     def command(self, pose: Pose) -> tuple[float, ...]:
         """Return how far the indenter goes (x, y, z), mm, and turns (x, y, z), degrees, in this frame."""
-        x, y = np.round(self.travel_mm(pose), 12).tolist()
-        return x, y, -pose.depth_mm, *np.round(self.turn_deg(pose), 12).tolist()
+        turn = np.linalg.det(self.to_sensor).round() * (self.to_sensor_3d.T @ np.array(pose.turn_deg))
+        x, y, *turn_deg = np.round([*self.travel_mm(pose), *turn], 12).tolist()
+        return x, y, -pose.depth_mm, *turn_deg
 
     @property
     def to_sensor_3d(self) -> NDArray[np.float64]:

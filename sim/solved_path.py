@@ -94,7 +94,7 @@ class SolvedPath:
         ValueError
             If the pose is deeper or further sideways than the path, or turns.
         """
-        if pose.turns:
+        if any(pose.turn_deg):
             raise ValueError(
                 "twist_deg and roll_deg: a path has no poses that turn; solve this one by itself"
             )

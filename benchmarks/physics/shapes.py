@@ -71,7 +71,10 @@ TWISTED_DEPTHS = 2
 # A sphere on thick gel that turns until all of its contact slips: radius, thickness, depth, friction and twist.
 FULL_SLIP = (3.0, 10.0, 0.1, 0.3, 20.0)
 NOTE = "displacement within 5 mm; ref ±: the references' own; core s: a process with imports, over its poses"
-TARGETS = "targets at standard: round bodies 3 % rms, 6 % worst, 8 µm; lying cylinder and box 4 % rms, 10 µm, Fx 6 % rms"
+TARGETS = (
+    "targets at standard: round bodies 3 % rms, 6 % worst, 8 µm; "
+    "lying cylinder and box 4 % rms, 10 µm, Fx 6 % rms"
+)
 
 
 def run(quick: bool, out_dir: Path) -> None:

@@ -32,7 +32,7 @@ class LibraryPoses:
     ) -> "LibraryPoses | SolvePlan":
         """Return the contacts of a path: a solve plan if a library serves none of them."""
         served = [
-            p.depth_mm > 0 and p.trajectory is None and not p.turns and is_interior(gel, p)
+            p.depth_mm > 0 and p.trajectory is None and not any(p.turn_deg) and is_interior(gel, p)
             for p in path.poses
         ]
         of_library = [pose for pose, is_served in zip(path.poses, served, strict=True) if is_served]
