@@ -187,7 +187,7 @@ def test_a_mesh_that_is_its_own_mirror_image_shares_as_a_box_does() -> None:
 
 
 def _ball_of_triangles() -> ConvexMesh:
-    corners = trimesh.creation.icosphere(subdivisions=4, radius=1.5).vertices + [0.0, 0.0, 1.5]
+    corners = trimesh.creation.icosphere(subdivisions=4, radius=1.5).vertices + np.array([0, 0, 1.5])
     return ConvexMesh(hull_mm=tuple(map(tuple, corners.round(6).tolist())))
 
 
