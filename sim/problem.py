@@ -208,7 +208,8 @@ class ContactProblem:
         for start, end in self.segments[:, :, 3:] if self.turns_deg else ():
             steps = math.ceil(np.linalg.norm(end - start) / _TURN_BETWEEN_STANDS_DEG)
             bodies |= dict.fromkeys(self.indenter.turned(turn) for turn in np.linspace(start, end, steps + 1))
-        return tuple((body, self.origin_at_deepest_mm + body.origin_height_mm) for body in bodies)
+        own_mm = self.indenter.origin_height_mm
+        return tuple((body, self.depth_mm + (body.origin_height_mm - own_mm)) for body in bodies)
 
     @property
     def is_round(self) -> bool:

@@ -231,7 +231,7 @@ class Scene:
         """Raise ValueError if a pose lies off the pad, or deeper or further sideways than can be solved."""
         gel, indenter = self.elastomer, self.indenter.turned(pose.turn_deg)
         # A body that is turned about its origin may reach deeper.
-        depth_mm = pose.depth_mm + indenter.origin_height_mm - self.indenter.origin_height_mm
+        depth_mm = pose.depth_mm + (indenter.origin_height_mm - self.indenter.origin_height_mm)
         for name, size in zip(("point_x_mm", "point_y_mm"), gel.pad_size_mm, strict=True):
             value, half = getattr(pose, name), size / 2
             if abs(value) > half:
