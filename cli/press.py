@@ -24,6 +24,7 @@ class Press(opt.Command):
     For example:
       gelgap press --young-modulus-mpa 0.3 --poisson-ratio 0.49 --depth-mm 0.6 --shear-x-mm 0.3 --json
       gelgap press --elastomer b1 --force-n 0.5 --save state.npz
+      gelgap press --depth-mm 0.5 --twist-deg 10
       gelgap press --indenter cone --half-angle-deg 60 --tip-radius-mm 0.4 --depth-mm 0.5 --traction map.npz
     """
 
@@ -61,6 +62,10 @@ class Press(opt.Command):
     """Commanded sideways travel along x after the press, in mm."""
     shear_y_mm: Annotated[float, opt.between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along y (down in the image) after the press, in mm."""
+    twist_deg: Annotated[float, opt.between(-90, 90, "°")] = 0.0
+    """Turn of the indenter about the vertical on its way sideways, or after the press, degrees from +x towards +y."""
+    roll_deg: Annotated[tuple[float, float], opt.between(-90, 90, "°")] = (0.0, 0.0)
+    """Turn about x and y on the same way, in degrees: about a sphere's centre, another body's lowest point."""
     point_x_mm: float = 0.0
     """Contact point along x in mm; 0 is the centre of the pad."""
     point_y_mm: float = 0.0
@@ -94,6 +99,8 @@ class Press(opt.Command):
             depth_mm=DEFAULT_DEPTH_MM if self.depth_mm is None else self.depth_mm,
             shear_x_mm=self.shear_x_mm,
             shear_y_mm=self.shear_y_mm,
+            twist_deg=self.twist_deg,
+            roll_deg=self.roll_deg,
         )
         point_mm = (pose.point_x_mm, pose.point_y_mm)
         if self.normal_force_n is not None:
@@ -114,7 +121,8 @@ class Press(opt.Command):
             sensor = Sensor.preset("paper")
             renderer = MembraneRenderer(sensor, Illumination.preset("i0"), MESH_PICTURE_PX)
             picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
-            save_mesh(self.mesh, solved, point_mm, indenter, sensor.camera, picture)
+            turned = indenter.turned(pose.turn_deg)
+            save_mesh(self.mesh, solved, point_mm, turned, sensor.camera, picture)
         force_n, found = [float(component) for component in state.force_n], state.diagnostics
         wall_s = time.perf_counter() - started
         if self.json:

@@ -95,6 +95,10 @@ class PoseRanges:
         """Raise ValueError if a pose is none of these; between 0 and `shallowest_mm` poses are extrapolated."""
         if pose.depth_mm > self.deepest_mm + 1e-9:
             raise ValueError(f"depth_mm = {pose.depth_mm:g}: the library ends at {self.deepest_mm:g} mm")
+        if any(pose.turn_deg):
+            raise ValueError(
+                "twist_deg and roll_deg: a library has no poses that turn; solve this one by itself"
+            )
         if pose.radius_mm > self.farthest_mm(pose.depth_mm) + 1e-6 and pose.depth_mm > 0:
             farthest_mm = self.farthest_mm(pose.depth_mm)
             raise ValueError(

@@ -90,13 +90,24 @@ class FrictionalContacts:
         """Forget the last load step; the new one starts where the next contacts are found."""
         self._start_mm = None
 
-    def impose_friction(self, active: NDArray[np.bool_]) -> None:
+    def turn(self, turn: Floats, indenter: Indenter) -> None:
+        """Go on with the indenter turned by a matrix (3, 3) about its origin; what sticks to it goes along."""
+        self._indenter = indenter
+        if self._start_mm is not None:
+            self._start_mm, self._anchor_mm = self._start_mm @ turn.T, self._anchor_mm @ turn.T
+
+    def carried_mm(self, turn: Floats) -> Floats:
+        """Return how far a turn (3, 3) of the indenter carries its surface along normal and tangents, (contacts, 3)."""
+        place_mm, frames = self._places_mm()[self.nodes], self._data.contact.frame.reshape(-1, 3, 3)
+        return np.einsum("nij,nj->ni", frames, place_mm @ turn.T - place_mm) * self._sign()
+
+    def impose_friction(self, active: NDArray[np.bool_], turn: Floats | None = None) -> None:
         """Write into MuJoCo's contacts what makes its friction act as Coulomb's law of the load step.
 
         A contact's surface velocity is added to its friction rows; as an iteration takes 1 s, it stands for the slip so
         far. MuJoCo's convex friction cone lets a node that slides by s rise by μ s (Anitescu 2006, Math.
         Program. 105:113). The gap is widened by as much, so that a settled node slides on the indenter (the fixed point
-        of De Saxcé & Feng 1998, Math. Comput. Model. 28:225).
+        of De Saxcé & Feng 1998, Math. Comput. Model. 28:225). In this iteration the indenter turns by `turn` (3, 3).
         """
         data, nodes, place_mm = self._data, self.nodes, self._places_mm()
         if self._start_mm is None:
@@ -109,6 +120,11 @@ class FrictionalContacts:
         slip_mm = np.einsum("nij,nj->ni", tangents, (place_mm - self._anchor_mm)[nodes]) * self._sign()
         slip_mm[~held] = 0.0
         data.contact.surfacevel[:, :2] = slip_mm
+        if turn is not None:
+            # As its travel does, the indenter's turn moves the surface on during the iteration.
+            carried_mm = self.carried_mm(turn)
+            data.contact.dist[:] -= carried_mm[:, 0]
+            data.contact.surfacevel[held, :2] -= carried_mm[held, 1:]
         # Most nodes that landed go back and stick; a widened gap would press them into the indenter.
         slides_mm = np.where(self._landed[nodes], 0.0, np.linalg.norm(slip_mm, axis=1))
         data.contact.dist[:] += self._friction * slides_mm

@@ -6,10 +6,12 @@ at most 1/across, so that cells on another body are no wider than where its own 
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gelgap.sim.indenter import Indenter
 from gelgap.sim.problem import ContactProblem
 
 Floats = NDArray[np.float64]
@@ -68,10 +70,18 @@ def sizes_along(
     Where its surface is curved the cells are fine, and at the ends of the contact; from there to the middle of a flat
     face they widen to half as much again as those of a contact as wide as the gel is thick.
     """
+    parts = zip(*(_sizes_under(problem, *stand, axis, swept_mm) for stand in problem.stands), strict=True)
+    return Sizes(*map(np.concatenate, parts), largest_mm)
+
+
+def _sizes_under(
+    problem: ContactProblem, body: Indenter, depth_mm: float, axis: int, swept_mm: tuple[float, float]
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Return the places, sizes and growths of `Sizes` under the indenter as it is turned once on its way."""
     cell_mm, size = problem.cell_mm, problem.mesh_size
-    low, high = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))[axis]
+    low, high = np.reshape(body.cut_mm(depth_mm), (2, 2))[axis]
     growth = math.log(size.ring_growth)
-    places, radius = problem.indenter.curvature(problem.depth_mm, axis, cell_mm)
+    places, radius = body.curvature(depth_mm, axis, cell_mm)
     turned = _TURN_PER_CELL * radius / size.across
     curved = np.flatnonzero(turned < cell_mm)
     curved = curved[:: max(1, len(curved) // _CURVED_PLACES)]
@@ -92,13 +102,12 @@ def sizes_along(
     place, margin = np.concatenate([places[curved], middle]), np.concatenate([0 * places[curved], margin])
     # Towards the middle of the contact, where it carries load, cells grow half as fast as away from it.
     beyond = place > (low + high) / 2
-    return Sizes(
+    return (
         place - margin + swept_mm[0],
         place + margin + swept_mm[1],
         np.concatenate([turned[curved], within]),
         growth * np.where(beyond, _INWARDS, 1.0),
         growth * np.where(beyond, 1.0, _INWARDS),
-        largest_mm,
     )
 
 
@@ -110,8 +119,8 @@ def sharpest_mm(problem: ContactProblem) -> float:
 def check_sharpness(problem: ContactProblem) -> None:
     """Raise ValueError if the indenter's surface, where it is pressed, has an edge that the mesh does not serve."""
     served_mm, indenter = sharpest_mm(problem), problem.indenter
-    for axis in (0, 1):
-        _, radius = indenter.curvature(problem.depth_mm, axis, served_mm)
+    for (body, depth_mm), axis in product(problem.stands, (0, 1)):
+        _, radius = body.curvature(depth_mm, axis, served_mm)
         # Over such a step an edge of this radius turns by one radian, and any sharper one by more.
         if radius.min(initial=np.inf) < 0.98 * served_mm:
             raise ValueError(

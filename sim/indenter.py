@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from enum import Enum
 from typing import Annotated, ClassVar, NamedTuple, Self
 
@@ -34,7 +35,7 @@ class Projection(NamedTuple):
 
 
 class Indenter(Settings, ABC):
-    """A convex rigid body that is moved without being turned.
+    """A convex rigid body.
 
     Points (…, 3) are mm from the body's origin, with axes parallel to the sensor's. A shape is a subclass and a part of
     `AnyIndenter`; the names of its fields tell it from other shapes in a recipe.
@@ -103,6 +104,17 @@ class Indenter(Settings, ABC):
     def yawed(self, yaw_deg: float) -> Self:
         """Return the body turned about the vertical axis by so much more."""
         return self
+
+    def turned(self, turn_deg: Sequence[float]) -> Self:
+        """Return the body turned about its origin by a rotation vector (x, y, z): as it was, if that looks the same."""
+        return self
+
+
+def rotation(turn_deg: Floats) -> Floats:
+    """Return the matrix (3, 3) that turns by the length of a vector (3,), about it."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()
 
 
 class Sphere(Indenter):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from gelgap.sim.grading import Sizes, sizes_along
-from gelgap.sim.indenter import Sphere, Symmetry
+from gelgap.sim.indenter import Sphere
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import PadEdges
 
@@ -107,7 +107,7 @@ def mesh_for(problem: ContactProblem) -> GelMesh:
 
 def unordered_mesh(problem: ContactProblem) -> GelMesh:
     """Return the mesh of `mesh_for` before its vertices are put in the order of elimination."""
-    if problem.indenter.symmetry is Symmetry.REVOLUTION:
+    if problem.is_round:
         plane, cells, finest_mm = _around_axis(problem)
     else:
         plane, cells, finest_mm = _between_lines(problem)
@@ -121,7 +121,7 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
     """Return plane cells for a contact that is round, and the width of the finest."""
     size, thickness, spacing = problem.mesh_size, problem.thickness_mm, problem.cell_mm
     contact = problem.meshed_radius_mm
-    *axis, aside, direction = straightest_line(problem.segments_mm[:, :, :2])
+    *axis, aside, direction = straightest_line(problem.segments[:, :, :2])
     fine_radius = _FINE_MARGIN * contact + aside + spacing
     radius = max(_DISC_THICKNESSES * thickness, _SMALLEST_DISC * fine_radius)
     if problem.contact_width > 1:
@@ -149,8 +149,8 @@ def _around_axis(problem: ContactProblem) -> tuple[Points, Cells, float]:
 
 def _between_lines(problem: ContactProblem) -> tuple[Points, Cells, float]:
     """Return plane cells between lines along x and y, for any contact, and the width of the finest."""
-    thickness, points = problem.thickness_mm, problem.segments_mm.reshape(-1, 3)
-    cut_mm = np.reshape(problem.indenter.cut_mm(problem.depth_mm), (2, 2))
+    thickness, points = problem.thickness_mm, problem.segments.reshape(-1, 6)
+    cut_mm = np.reshape(problem.cut_mm, (2, 2))
     beside = _BESIDE_WIDE_CONTACT_THICKNESSES if problem.contact_width > 1 else _DISC_THICKNESSES
     lines, finest = [], np.inf
     for axis in (0, 1):
@@ -431,11 +431,10 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
     """
     points_mm, radius_mm = mesh.vertices_mm[mesh.surface, :2], problem.penetration_radius_mm
     margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)
-    round_ = problem.indenter.symmetry is Symmetry.REVOLUTION
     beyond_mm = np.full(len(points_mm), np.inf)
-    for start, end in problem.segments_mm[:, :, :2]:
+    for start, end in problem.segments[:, :, :2]:
         along = end - start
-        if round_:
+        if problem.is_round:
             share = np.clip((points_mm - start) @ along / max(along @ along, 1e-12), 0, 1)
             from_axis_mm = np.linalg.norm(points_mm - start - share[:, None] * along, axis=1)
             beyond_mm = np.minimum(beyond_mm, from_axis_mm - radius_mm)
@@ -443,7 +442,8 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
         for share in np.linspace(0, 1, 1 + math.ceil(np.hypot(*along) / _TOUCHING_STEP_MM)):
             aside = points_mm - start - share * along
             from_origin = np.column_stack([aside, np.full(len(aside), problem.origin_at_deepest_mm)])
-            beyond_mm = np.minimum(beyond_mm, problem.indenter.project(from_origin).distance_mm)
+            for body, _ in problem.stands:
+                beyond_mm = np.minimum(beyond_mm, body.project(from_origin).distance_mm)
     return mesh.surface[beyond_mm <= margin_mm]
 
 

@@ -137,6 +137,17 @@ def _body_xml(vertex: int, mesh: GelMesh, mass_t: float, is_node: bool) -> str:
     </body>"""
 
 
+def _geom_xml(problem: ContactProblem) -> str:
+    """Return the attributes of the indenter's geom: those of a box around all that it fills as it turns, if it does."""
+    bodies = [body for body, _ in problem.stands]
+    if len(bodies) == 1:
+        return bodies[0].mujoco_geom
+    reach_mm = np.max([body.reach_mm(np.concatenate([np.eye(3), -np.eye(3)])) for body in bodies], axis=0)
+    half, centre = (reach_mm[:3] + reach_mm[3:]) / 2, (reach_mm[:3] - reach_mm[3:]) / 2
+    size, place = (" ".join(f"{value:.12g}" for value in values) for values in (half, centre))
+    return f'type="box" size="{size}" pos="{place}"'
+
+
 def _indenter_xml(problem: ContactProblem, symmetric: bool, gel_mass_t: float) -> str:
     mass, spring = _RIGID_MASS_T, ""
     if problem.mount_stiffness_n_per_mm is not None:
@@ -153,7 +164,7 @@ def _indenter_xml(problem: ContactProblem, symmetric: bool, gel_mass_t: float) -
   <size memory="4G"/>
   <worldbody>
     <body name="indenter" pos="0 0 {problem.indenter.origin_height_mm:.12g}">{joints}
-      <geom name="indenter" {problem.indenter.mujoco_geom} mass="{mass:.12g}" contype="1" conaffinity="2"
+      <geom name="indenter" {_geom_xml(problem)} mass="{mass:.12g}" contype="1" conaffinity="2"
             condim="3" friction="{problem.friction:.12g} 0 0" {_CONTACT} priority="1"
             margin="{_CONTACT_MARGIN_MM:.12g}"/>
     </body>

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from gelgap.sim.audit import audit_contact
 from gelgap.sim.contact import ContactNewton, FrictionalContacts
+from gelgap.sim.indenter import Indenter, rotation
 from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
@@ -68,12 +70,13 @@ def solve(problem: ContactProblem, progress: SolveProgress = silent, *, condense
 class State:
     """All that the next load step depends on; its arrays are replaced, never changed.
 
-    `command_mm` (3,) is where the indenter's drive is, `active` (geoms,) which nodes the last iteration pressed,
+    `command` (6,) is where the indenter's drive is, in mm, and its rotation vector in degrees, both from touching the
+    gel, `active` (geoms,) which nodes the last iteration pressed,
     `slip_mm` (geoms,) how far each has slid since it touched, and `snapped` whether the contact ever has.
     """
 
     qpos: Floats
-    command_mm: Floats
+    command: Floats
     active: NDArray[np.bool_]
     slip_mm: Floats
     snapped: bool
@@ -92,7 +95,8 @@ class StaticNewton:
         self.gel = gel = build_gel_model(problem, mesh, problem.mesh_moduli)
         self.data = mujoco.MjData(gel.model)
         self.contacts = FrictionalContacts(gel, self.data, problem.indenter, problem.friction)
-        self.command_mm = np.zeros(3)
+        self.body: Indenter = problem.indenter
+        self.command = np.zeros(6)
         self.active = np.zeros(gel.model.ngeom, dtype=bool)
         self.slip_mm = np.zeros(gel.model.ngeom)
         self.snapped = False
@@ -109,17 +113,17 @@ class StaticNewton:
         progress(done, total)
         states = {-1: self.state()}
         records = []
-        for index, (waypoint, parent) in enumerate(zip(problem.waypoints_mm, problem.parents, strict=True)):
+        for index, (command, parent) in enumerate(zip(problem.commands, problem.parents, strict=True)):
             if parent != index - 1:
                 self.return_to(states[parent])
             self.iterations = 0
-            start_mm, displacement_mm = self.command_mm, np.array(waypoint) - self.command_mm
-            steps = problem.quality.load_steps(displacement_mm)
+            start, change = self.command, command - self.command
+            steps = problem.steps(change)
             shares = np.arange(1, steps + 1) / steps
-            if not self.active.any() and displacement_mm[2] < 0:
+            if not self.active.any() and change[2] < 0:
                 shares = np.concatenate([np.array(_FIRST_CONTACT_SHARES) / steps, shares])
             for number, share in enumerate(shares, start=1):
-                converged = self._advance(start_mm + displacement_mm * share)
+                converged = self._advance(start + change * share)
                 # The smaller steps at first contact are part of the first load step.
                 progress(done + max(0, number - len(shares) + steps), total)
             records.append(self._polished_record(converged))
@@ -128,36 +132,44 @@ class StaticNewton:
                 states[index] = self.state()
         return Solution(problem, mesh.vertices_mm[mesh.surface, :2], tuple(records))
 
-    def _advance(self, command_mm: Floats) -> bool:
+    def _advance(self, command: Floats) -> bool:
         """Take a load step, in halves if need be, and return whether it converged."""
-        start, middle_mm = self.state(), 0.5 * (self.command_mm + command_mm)
-        converged, ran_away = self.load_step(command_mm, _ITERATIONS_PER_STEP)
+        start, middle = self.state(), 0.5 * (self.command + command)
+        converged, ran_away = self.load_step(command, _ITERATIONS_PER_STEP)
         if converged and not ran_away:
             return True
         self.return_to(start)
-        self.load_step(middle_mm, _ITERATIONS_PER_HALF_STEP)
-        converged, _ = self.load_step(command_mm, _ITERATIONS_PER_HALF_STEP)
+        self.load_step(middle, _ITERATIONS_PER_HALF_STEP)
+        converged, _ = self.load_step(command, _ITERATIONS_PER_HALF_STEP)
         return converged
 
-    def load_step(self, command_mm: Floats, most_iterations: int) -> tuple[bool, bool]:
-        """Move the drive to a command (3,) and iterate to equilibrium, or until the iterations are spent.
+    def load_step(self, command: Floats, most_iterations: int) -> tuple[bool, bool]:
+        """Move the drive to a command (6,) and iterate to equilibrium, or until the iterations are spent.
 
         Returns whether it converged, and whether a loaded node ran away.
         """
         data, quality = self.data, self.problem.quality
         start = self.state()
-        displacement_mm, self.command_mm = command_mm - self.command_mm, command_mm
-        tolerance = quality.travel_tolerance if displacement_mm[:2].any() else quality.press_tolerance
+        change, self.command = command - self.command, command
+        displacement_mm, moved_mm = change[:3], float(np.linalg.norm(change[:3]))
+        turn = None
+        if change[3:].any():
+            turn = rotation(command[3:]) @ rotation(start.command[3:]).T
+            moved_mm += self.problem.arc_mm(change[3:])
+        is_travel = displacement_mm[:2].any() or turn is not None
+        tolerance = quality.travel_tolerance if is_travel else quality.press_tolerance
         furthest_mm = _EXTRAPOLATION_SHARE * self.problem.indenter.feature_size_mm
         if not self._rigid:
-            self.gel.model.qpos_spring[self.gel.indenter_qpos] = command_mm
+            self.gel.model.qpos_spring[self.gel.indenter_qpos] = command[:3]
         self.contacts.begin_load_step()
         force, series, converged = np.full(3, np.inf), GeometricSeries(), False
+        motion: tuple[Any, ...] = (displacement_mm if self._rigid else 0.0, turn)
         for iteration in range(most_iterations):
             if iteration > 0:
                 active_dofs = self.gel.dofs(np.flatnonzero(self.active))
                 data.qpos[:] += series.remainder(data.qvel, active_dofs, furthest_mm) * data.qvel
-            gap_mm = self.iterate(displacement_mm if self._rigid and iteration == 0 else 0.0)
+            gap_mm = self.iterate(*motion)
+            motion = ()
             if not np.all(np.isfinite(data.qpos)):
                 return False, False
             last_force, force = force, self.indenter_force_n
@@ -171,10 +183,10 @@ class StaticNewton:
             )
             if converged:
                 break
-        return converged, self._add_slip(start, float(np.linalg.norm(displacement_mm)))
+        return converged, self._add_slip(start, moved_mm, turn)
 
-    def iterate(self, indenter_step_mm: Floats | float = 0.0) -> float:
-        """Take one Newton iteration, a MuJoCo step of 1 s in which the indenter moves by a step (3,).
+    def iterate(self, indenter_step_mm: Floats | float = 0.0, turn: Floats | None = None) -> float:
+        """Take one Newton iteration, a MuJoCo step of 1 s in which the indenter moves by a step (3,) and turns (3, 3).
 
         The increment of positions is then the velocity. Returns the largest distance from the indenter, mm, at which
         the iteration found nodes that it left with a force. Nodes that come near the indenter are constrained before
@@ -190,18 +202,25 @@ class StaticNewton:
         gap_mm = np.abs(data.contact.dist)
         if data.ncon:
             data.contact.includemargin[:] = 0
-            self.contacts.impose_friction(self.active)
+            self.contacts.impose_friction(self.active, turn)
             mujoco.mj_makeConstraint(model, data)
         self._accelerate()
         data.qvel[:] += data.qacc
         data.qpos[:] += data.qvel
         if self._rigid:
-            data.qpos[self.gel.indenter_qpos] = self.command_mm
+            data.qpos[self.gel.indenter_qpos] = self.command[:3]
+        if turn is not None:
+            self._turn(turn)
         self.iterations += 1
         pushed = self.contacts.normal_force_n > 0
         self.active = np.zeros(model.ngeom, dtype=bool)
         self.active[self.contacts.nodes[pushed]] = True
         return float(gap_mm[pushed].max(initial=0.0))
+
+    def _turn(self, turn: Floats) -> None:
+        """Have the indenter stand as the command says, turned by a matrix (3, 3) from where it stood."""
+        self.body = self.problem.indenter.turned(self.command[3:])
+        self.contacts.turn(turn, self.body)
 
     def _accelerate(self) -> None:
         """Let MuJoCo solve for the accelerations: it takes the solution of the condensed problem, or goes on itself."""
@@ -232,14 +251,17 @@ class StaticNewton:
         self.gel.model.opt.tolerance = tolerance
         mujoco.mj_forwardSkip(self.gel.model, self.data, mujoco.mjtStage.mjSTAGE_POS, 1)
 
-    def _add_slip(self, start: State, moved_mm: float) -> bool:
+    def _add_slip(self, start: State, moved_mm: float, turn: Floats | None) -> bool:
         """Add what nodes that stayed in touch slid in the load step; return whether a loaded one ran away."""
         nodes, load = self.contacts.nodes, self.contacts.normal_force_n
         slid = np.zeros(self.data.nefc)
         if len(nodes):
             mujoco.mj_mulJacVec(self.gel.model, self.data, slid, self.data.qpos - start.qpos)
+        slid = slid.reshape(-1, 3)
+        if turn is not None:
+            slid = slid - self.contacts.carried_mm(turn)
         stayed = (start.active & self.active)[nodes]
-        slip_mm = np.where(stayed, np.linalg.norm(slid.reshape(-1, 3)[:, 1:], axis=1), 0.0)
+        slip_mm = np.where(stayed, np.linalg.norm(slid[:, 1:], axis=1), 0.0)
         total_mm = self.slip_mm.copy()
         total_mm[nodes] += slip_mm
         self.slip_mm = np.where(self.active, total_mm, 0.0)
@@ -250,13 +272,14 @@ class StaticNewton:
     def state(self) -> State:
         """Return the present state, to come back to."""
         qpos = np.array(self.data.qpos)
-        return State(qpos, self.command_mm, self.active, self.slip_mm, self.snapped)
+        return State(qpos, self.command, self.active, self.slip_mm, self.snapped)
 
     def return_to(self, state: State) -> None:
         """Restore a state."""
         self.data.qpos[:] = state.qpos
-        self.command_mm, self.active = state.command_mm, state.active
+        self.command, self.active = state.command, state.active
         self.slip_mm, self.snapped = state.slip_mm, state.snapped
+        self._turn(np.eye(3))
 
     @property
     def indenter_force_n(self) -> Floats:
@@ -287,12 +310,13 @@ class StaticNewton:
         if mesh.symmetric:
             force[1] = 0.0
         indenter_mm = np.array(self.data.qpos[gel.indenter_qpos])
+        indenter_mm[2] += problem.indenter.origin_height_mm - self.body.origin_height_mm
         finite = bool(np.isfinite(vertices_mm).all() and np.isfinite(force).all())
         found = SolveDiagnostics(iterations=self.iterations)
         if finite:
-            origin_mm = indenter_mm + np.array([0.0, 0.0, problem.indenter.origin_height_mm])
+            origin_mm = indenter_mm + np.array([0.0, 0.0, self.body.origin_height_mm])
             found = replace(
-                audit_contact(mesh, vertices_mm, gel.moduli, problem.friction, problem.indenter, origin_mm),
+                audit_contact(mesh, vertices_mm, gel.moduli, problem.friction, self.body, origin_mm),
                 iterations=self.iterations,
                 sticking_fraction=self.contacts.sticking_fraction(),
                 slip_mm=float(self.slip_mm.max()),

@@ -108,6 +108,7 @@ class PosePath:
         """Return a path of trajectories {"point_mm": (x, y), "waypoints_mm": ((shear x, shear y, depth), …)}.
 
         A reference without contact comes before each. The first waypoint is reached straight down and then sideways.
+        How far the indenter is turned at each waypoint may be in lists as long, "twist_deg" and "roll_deg" (x, y).
 
         Raises
         ------
@@ -120,10 +121,9 @@ class PosePath:
             where = f"trajectory {number} of path {name}"
             if not isinstance(trajectory, Mapping):
                 raise ValueError(f"{where} = {trajectory!r}: must be a table of point_mm and waypoints_mm")
-            if unknown := trajectory.keys() - {"point_mm", "waypoints_mm"}:
-                raise ValueError(
-                    f"{where}: unknown field {sorted(unknown)[0]}; known: point_mm, waypoints_mm"
-                )
+            known = ("point_mm", "waypoints_mm", "twist_deg", "roll_deg")
+            if unknown := trajectory.keys() - set(known):
+                raise ValueError(f"{where}: unknown field {sorted(unknown)[0]}; known: {', '.join(known)}")
             x, y = point = _numbers(trajectory.get("point_mm", (0.0, 0.0)), 2, f"point_mm of {where}")
             waypoints = trajectory.get("waypoints_mm")
             if not waypoints or not isinstance(waypoints, Sequence):
@@ -131,11 +131,16 @@ class PosePath:
             index = points.setdefault(point, len(points))
             place = {"point_x_mm": x, "point_y_mm": y, "point_id": _point_id(x, y, index)}
             poses.append(Pose(depth_mm=0.0, contact_class=0, **place))
-            for waypoint in waypoints:
+            count = len(waypoints)
+            twists = _numbers(trajectory.get("twist_deg", [0.0] * count), count, f"twist_deg of {where}")
+            rolls = trajectory.get("roll_deg", [(0.0, 0.0)] * count)
+            if not isinstance(rolls, Sequence) or len(rolls) != count:
+                raise ValueError(f"roll_deg of {where} = {rolls!r}: must be {count} pairs of numbers")
+            for waypoint, twist, roll in zip(waypoints, twists, rolls, strict=True):
                 shear_x, shear_y, depth = _numbers(waypoint, 3, f"a waypoint of {where}")
-                poses.append(
-                    Pose(depth_mm=depth, shear_x_mm=shear_x, shear_y_mm=shear_y, trajectory=number, **place)
-                )
+                moved = {"depth_mm": depth, "shear_x_mm": shear_x, "shear_y_mm": shear_y}
+                turned = {"twist_deg": twist, "roll_deg": _numbers(roll, 2, f"a roll_deg of {where}")}
+                poses.append(Pose(**moved, **turned, trajectory=number, **place))
         return cls(name, tuple(poses))
 
     @classmethod

@@ -35,7 +35,6 @@ from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.problem import (
     ContactProblem,
     SolveProgress,
-    Waypoint,
     silent,
 )
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
@@ -159,7 +158,7 @@ class SolvePlan:
         no further than the pad if that is larger than the grid by default.
         """
         pose, placement = self.poses[pose_index], self.placements[pose_index]
-        indenter = self.indenter if placement is None else solution.problem.indenter
+        indenter = self.indenter if placement is None else solution.problem.body_at(placement.record)
         reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
         point_mm = pose.point_x_mm, pose.point_y_mm
         extent_mm = tuple(
@@ -262,7 +261,9 @@ _Served = tuple[ContactProblem, dict[int, tuple[int, CanonicalFrame]]]
 
 
 def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
-    for pose in {(p.point_x_mm, p.point_y_mm, p.depth_mm, p.radius_mm): p for p in poses}.values():
+    for pose in {
+        (p.point_x_mm, p.point_y_mm, p.depth_mm, p.radius_mm, p.turn_deg): p for p in poses
+    }.values():
         scene.check(pose)
     solves: list[Solve] = []
     placements: list[Placement | None] = [None] * len(poses)
@@ -275,11 +276,12 @@ def _plan(scene: Scene, poses: tuple[Pose, ...]) -> SolvePlan:
 
 
 class _Drag(NamedTuple):
-    """A press to a depth, then a travel sideways (0 for a press alone), as seen in the canonical frame."""
+    """A press to a depth, then a travel sideways (0 for a press alone) and a turn, as seen in the canonical frame."""
 
     depth_mm: float
     direction: tuple[float, float]
     travel_mm: float
+    turn_deg: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 def _descent_problems(scene: Scene, poses: Sequence[Pose]) -> list[_Served]:
@@ -291,17 +293,18 @@ def _descent_problems(scene: Scene, poses: Sequence[Pose]) -> list[_Served]:
             continue
         frame = frames[index] = canonical_frame(scene, pose)
         direction = np.round(frame.travel_mm(pose) / (pose.radius_mm or 1.0), 9) + 0.0
-        drag = _Drag(pose.depth_mm, tuple(direction.tolist()), pose.radius_mm)
-        alone = None if scene.sharing.path else index
+        drag = _Drag(pose.depth_mm, tuple(direction.tolist()), pose.radius_mm, frame.command(pose)[3:])
+        # A turn needs a mesh of its own.
+        alone = (drag if any(drag.turn_deg) else None) if scene.sharing.path else index
         group = groups.setdefault((frame.pad_mm, alone), {})
         group.setdefault(drag, []).append(index)
     problems = []
     for (pad_mm, *_), group in groups.items():
         for share in _descents(scene.indenter, sorted({drag.depth_mm for drag in group})):
             drags = [drag for drag in group if drag.depth_mm in share]
-            waypoints_mm, parents, record_of = _branching_descent(drags)
+            commands, parents, record_of = _branching_descent(drags)
             served = {index: (record_of[drag], frames[index]) for drag in drags for index in group[drag]}
-            problems.append((ContactProblem.of(scene, pad_mm, waypoints_mm, parents), served))
+            problems.append((ContactProblem.of(scene, pad_mm, commands, parents), served))
     # The deepest, which take longest, come first, so that processes which share the solves end together.
     return sorted(problems, key=lambda item: -item[0].depth_mm)
 
@@ -331,12 +334,13 @@ def _trajectory_problems(scene: Scene, poses: Sequence[Pose]) -> Iterator[_Serve
             raise ValueError("poses: must share one contact point to be visited in one go")
         if not any(pose.depth_mm for pose in visited):
             continue
-        frame = canonical_frame(scene, max(visited, key=lambda pose: pose.radius_mm))
-        travels = [np.round(frame.travel_mm(pose), 12) + 0.0 for pose in visited]
-        waypoints = [(x, y, -pose.depth_mm) for (x, y), pose in zip(travels, visited, strict=True)]
-        if travels[0].any():
+        furthest = max(visited, key=lambda pose: (pose.radius_mm, np.linalg.norm(pose.roll_deg)))
+        frame = canonical_frame(scene, furthest)
+        waypoints = [frame.command(pose) for pose in visited]
+        x, y, z, *turn = waypoints[0]
+        if any((x, y, *turn)):
             # The first pose is reached straight down and then sideways.
-            waypoints.insert(0, (0.0, 0.0, waypoints[0][2]))
+            waypoints.insert(0, (0.0, 0.0, z, 0.0, 0.0, 0.0))
         records = range(len(waypoints) - len(visited), len(waypoints))
         served = {
             index: (record, frame)
@@ -348,12 +352,12 @@ def _trajectory_problems(scene: Scene, poses: Sequence[Pose]) -> Iterator[_Serve
 
 def _branching_descent(
     drags: list[_Drag],
-) -> tuple[tuple[Waypoint, ...], tuple[int, ...], dict[_Drag, int]]:
+) -> tuple[tuple[tuple[float, ...], ...], tuple[int, ...], dict[_Drag, int]]:
     """Lead through the depths; at each, a branch for every direction goes through its travels.
 
     Returns waypoints and parents, as in a `ContactProblem`, and by drag the waypoint that it ends on.
     """
-    waypoints: list[Waypoint] = []
+    waypoints: list[tuple[float, ...]] = []
     parents: list[int] = []
     record_of: dict[_Drag, int] = {}
     press, depth, direction = -1, 0.0, (0.0, 0.0)
@@ -361,12 +365,12 @@ def _branching_descent(
         if drag.depth_mm != depth:
             parents.append(press)
             press, depth, direction = len(waypoints), drag.depth_mm, (0.0, 0.0)
-            waypoints.append((0.0, 0.0, -depth))
-        if drag.travel_mm == 0:
+            waypoints.append((0.0, 0.0, -depth, 0.0, 0.0, 0.0))
+        if drag.travel_mm == 0 and not any(drag.turn_deg):
             record_of[drag] = press
         else:
             parents.append(len(waypoints) - 1 if drag.direction == direction else press)
             direction, (x, y) = drag.direction, drag.direction
             record_of[drag] = len(waypoints)
-            waypoints.append((x * drag.travel_mm, y * drag.travel_mm, -depth))
+            waypoints.append((x * drag.travel_mm, y * drag.travel_mm, -depth, *drag.turn_deg))
     return tuple(waypoints), tuple(parents), record_of

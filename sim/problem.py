@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -24,6 +25,12 @@ _SMALLEST_CONTACT_MM = 1e-3  # that a mesh is made for
 _WIDEST_CONTACT_THICKNESSES = 0.566  # its radius
 # Part of every key: raise it when the method changes, so that cached solutions of the old one are not taken.
 _METHOD_VERSION = 22
+# Shapes whose own method has changed since.
+_METHOD_OF_SHAPE = {"mesh": 23, "ellipsoid": 23}
+# A contact is round if its rim is nowhere nearer to the axis than this share of where it is furthest.
+_ROUND_SHARE = 0.98
+# The mesh is made for the indenter as it stands this often while it turns.
+_TURN_BETWEEN_STANDS_DEG = 5.0
 # A gel of this modulus is solved for all: at fixed friction, geometry and mount over modulus, forces scale with it.
 _SHARED_MODULUS_MPA = 0.3
 
@@ -84,10 +91,10 @@ class Quality:
     press_tolerance: float
     travel_tolerance: float
 
-    def load_steps(self, displacement_mm: NDArray[np.float64]) -> int:
-        """Return in how many load steps the indenter moves by (x, y, z) in a straight line."""
+    def load_steps(self, displacement_mm: NDArray[np.float64], arc_mm: float = 0.0) -> int:
+        """Return in how many load steps the indenter moves by (x, y, z) in a straight line, and turns along an arc."""
         press = abs(displacement_mm[2]) / self.press_step_mm
-        travel = math.hypot(displacement_mm[0], displacement_mm[1]) / self.travel_step_mm
+        travel = (math.hypot(displacement_mm[0], displacement_mm[1]) + arc_mm) / self.travel_step_mm
         return max(1, math.ceil(max(press, travel) - 1e-9))
 
 
@@ -138,7 +145,8 @@ class ContactProblem:
     contact point; None stands for a pad without edges, a disc whose rim is too far to matter. `waypoints_mm` are
     commanded displacements (x, y, z) of the indenter from touching the gel; a state is recorded at each. `parents` says
     for each from which waypoint it is reached, by its index, −1 for the undeformed gel: several drags can branch off
-    one press.
+    one press. `turns_deg` are rotation vectors by which the indenter is turned about its origin at each waypoint; none
+    if it never is.
     """
 
     moduli: Moduli
@@ -150,12 +158,23 @@ class ContactProblem:
     waypoints_mm: tuple[Waypoint, ...]
     parents: tuple[int, ...]
     quality: Quality
+    turns_deg: tuple[Waypoint, ...] = ()
 
     @classmethod
     def of(
-        cls, scene: Scene, pad_mm: PadEdges | None, waypoints_mm: Sequence[Waypoint], parents: Sequence[int]
+        cls,
+        scene: Scene,
+        pad_mm: PadEdges | None,
+        commands: Sequence[Sequence[float]],
+        parents: Sequence[int],
     ) -> Self:
-        """Return the problem of waypoints in a scene, at the modulus that elastomers share."""
+        """Return the problem of waypoints in a scene, at the modulus that elastomers share.
+
+        A command is a displacement (x, y, z) in mm, and a rotation vector (x, y, z) in degrees if it turns.
+        """
+        # Adding 0 turns −0, which would have another key, into 0.
+        commands = [tuple(float(c) + 0.0 for c in command) for command in commands]
+        turns = tuple(command[3:] for command in commands)
         gel, moduli = scene.elastomer, scene.elastomer.mujoco_moduli
         scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
         mount = gel.mount_stiffness_n_per_mm
@@ -166,18 +185,46 @@ class ContactProblem:
             indenter=scene.indenter_in_frame(edges=pad_mm is not None),
             mount_stiffness_n_per_mm=None if mount is None else round(mount * scale, 9),
             pad_mm=pad_mm,
-            # Adding 0 turns −0, which would have another key, into 0.
-            waypoints_mm=tuple(tuple(float(c) + 0.0 for c in point) for point in waypoints_mm),
+            waypoints_mm=tuple(command[:3] for command in commands),
             parents=tuple(parents),
             quality=quality_named(scene.quality),
+            turns_deg=turns if any(map(any, turns)) else (),
+        )
+
+    @property
+    def commands(self) -> NDArray[np.float64]:
+        """Displacement and turn at each waypoint, (n, 6)."""
+        turns = self.turns_deg or np.zeros((len(self.waypoints_mm), 3))
+        return np.hstack([np.array(self.waypoints_mm), np.array(turns)])
+
+    def body_at(self, record: int) -> AnyIndenter:
+        """Return the indenter as it is turned at a waypoint."""
+        return self.indenter.turned(self.turns_deg[record]) if self.turns_deg else self.indenter
+
+    @cached_property
+    def stands(self) -> tuple[tuple[AnyIndenter, float], ...]:
+        """The indenter as it is turned on its way, first as it starts, and how deep its lowest point goes at most."""
+        bodies = {self.indenter: None}
+        for start, end in self.segments[:, :, 3:] if self.turns_deg else ():
+            steps = math.ceil(np.linalg.norm(end - start) / _TURN_BETWEEN_STANDS_DEG)
+            bodies |= dict.fromkeys(self.indenter.turned(turn) for turn in np.linspace(start, end, steps + 1))
+        own_mm = self.indenter.origin_height_mm
+        return tuple((body, self.depth_mm + (body.origin_height_mm - own_mm)) for body in bodies)
+
+    @property
+    def is_round(self) -> bool:
+        """Whether what the indenter cuts of the rest membrane is always a disc around its axis, or nearly so."""
+        return all(
+            min(map(abs, body.cut_mm(depth_mm))) >= _ROUND_SHARE * body.penetration_radius_mm(depth_mm)
+            for body, depth_mm in self.stands
         )
 
     @property
     def symmetric(self) -> bool:
         """Whether indenter, gel and waypoints are symmetric about y = 0, so that only y ≥ 0 is solved."""
         _, _, y_min, y_max = self.pad_mm or (0.0, 0.0, 0.0, 0.0)
-        straight = y_max == -y_min and all(y == 0 for _, y, _ in self.waypoints_mm)
-        return straight and self.indenter.symmetry is not Symmetry.NONE
+        straight = y_max == -y_min and not self.commands[:, [1, 3, 5]].any()
+        return straight and all(body.symmetry is not Symmetry.NONE for body, _ in self.stands)
 
     @property
     def mesh_size(self) -> MeshSize:
@@ -197,7 +244,7 @@ class ContactProblem:
     @property
     def penetration_radius_mm(self) -> float:
         """The radius within which the indenter, at its deepest, cuts the undeformed membrane."""
-        return self.indenter.penetration_radius_mm(self.depth_mm)
+        return max(body.penetration_radius_mm(depth_mm) for body, depth_mm in self.stands)
 
     @property
     def origin_at_deepest_mm(self) -> float:
@@ -205,9 +252,17 @@ class ContactProblem:
         return self.depth_mm - self.indenter.origin_height_mm
 
     @property
+    def cut_mm(self) -> tuple[float, float, float, float]:
+        """(x min, x max, y min, y max) of where the indenter, at its deepest, cuts the undeformed membrane."""
+        x_min, x_max, y_min, y_max = zip(
+            *(body.cut_mm(depth_mm) for body, depth_mm in self.stands), strict=True
+        )
+        return min(x_min), max(x_max), min(y_min), max(y_max)
+
+    @property
     def half_cut_mm(self) -> tuple[float, float]:
         """Half of how far, along x and y, the indenter at its deepest cuts the undeformed membrane."""
-        x_min, x_max, y_min, y_max = self.indenter.cut_mm(self.depth_mm)
+        x_min, x_max, y_min, y_max = self.cut_mm
         return max((x_max - x_min) / 2, _SMALLEST_CONTACT_MM), max((y_max - y_min) / 2, _SMALLEST_CONTACT_MM)
 
     @property
@@ -245,19 +300,34 @@ class ContactProblem:
         return Moduli(young_mpa * rise / (1 + self.stiffness_excess), poisson_ratio - beyond)
 
     @property
-    def segments_mm(self) -> NDArray[np.float64]:
-        """The straight segment (start, end) to each waypoint from its parent, (n, 2, 3)."""
-        places = np.array([*self.waypoints_mm, (0.0, 0.0, 0.0)])
+    def segments(self) -> NDArray[np.float64]:
+        """The straight segment (start, end) to each waypoint from its parent, in displacement and turn, (n, 2, 6)."""
+        places = np.vstack([self.commands, np.zeros(6)])
         return np.stack([places[list(self.parents)], places[:-1]], axis=1)
+
+    def arc_mm(self, turn_deg: NDArray[np.float64]) -> float:
+        """Return about how far a turn (3,) moves what touches the gel."""
+        *roll, twist = np.radians(turn_deg)
+        radius_mm = self.penetration_radius_mm if turn_deg.any() else 0.0
+        lever_mm = math.hypot(radius_mm, self.indenter.origin_height_mm)
+        return abs(twist) * radius_mm + math.hypot(*roll) * lever_mm
+
+    def steps(self, change: NDArray[np.float64]) -> int:
+        """Return in how many load steps the indenter moves and turns by a change (6,) of its command."""
+        return self.quality.load_steps(change[:3], self.arc_mm(change[3:]))
 
     @property
     def load_steps(self) -> int:
         """The number of load steps through all waypoints, not counting halved ones."""
-        return sum(self.quality.load_steps(end - start) for start, end in self.segments_mm)
+        return sum(self.steps(end - start) for start, end in self.segments)
 
     @property
     def key(self) -> str:
         """A hash of the physics and of the method that solves it."""
-        values = {"method": _METHOD_VERSION, "shape": self.indenter.shape, **asdict(self)}
+        shape = self.indenter.shape
+        method = _METHOD_OF_SHAPE.get(shape, _METHOD_VERSION)
+        values = {"method": method, "shape": shape, **asdict(self)}
+        if not self.turns_deg:
+            del values["turns_deg"]
         text = json.dumps(values, sort_keys=True, default=Indenter.model_dump)
         return hashlib.sha256(text.encode()).hexdigest()

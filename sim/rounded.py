@@ -7,6 +7,7 @@ cuts the membrane and how curved it is there, follows from these two by one way 
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Annotated, Any, NamedTuple, Self
 
@@ -14,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gelgap.assets.settings import within
-from gelgap.sim.indenter import Floats, Indenter, Projection, Symmetry
+from gelgap.sim.indenter import Floats, Indenter, Projection, Symmetry, rotation
 
 LARGEST_TILT_DEG = 15.0
 # Where a body is cut is sampled in this many directions, each halved this many times.
@@ -107,6 +108,20 @@ class Shape(Indenter):
         turned = (self.yaw_deg + yaw_deg + 180.0) % 360.0 - 180.0
         return self.model_copy(update={"yaw_deg": round(turned, 9) + 0.0, "tilt_deg": tilt})
 
+    def turned(self, turn_deg: Sequence[float]) -> Self:
+        if not any(turn_deg):
+            return self
+        from scipy.spatial.transform import Rotation
+
+        whole = Rotation.from_matrix(rotation(np.array(turn_deg)) @ self._turn)
+        _, _, z, w = whole.as_quat()
+        yaw_deg = math.degrees(2 * math.atan2(z, w))
+        tilt = (whole * Rotation.from_euler("z", -yaw_deg, degrees=True)).as_rotvec(degrees=True)
+        # How far a body of revolution is turned about its own axis does not show.
+        yaw_deg = self.yaw_deg if self._upright_symmetry is Symmetry.REVOLUTION else round(yaw_deg, 9)
+        tilt_deg = tuple(round(angle, 9) + 0.0 for angle in tilt[:2].tolist())
+        return self.model_copy(update={"yaw_deg": yaw_deg, "tilt_deg": tilt_deg})
+
     @property
     def _turn(self) -> Floats:
         """The rotation (3, 3) from the upright body's axes to the sensor's."""
@@ -156,6 +171,11 @@ class Shape(Indenter):
         return places_mm, 1 / np.maximum(turn_per_mm, 1e-9)
 
     def check(self, depth_mm: float) -> None:
+        if np.abs(self.tilt_deg).max() > LARGEST_TILT_DEG + 1e-9:
+            raise ValueError(
+                f"roll_deg: tilts the {self.shape} by {np.abs(self.tilt_deg).max():.3g}° about x or y; "
+                f"must be at most {LARGEST_TILT_DEG:g}°"
+            )
         lifted_mm = float((self._face_mm @ self._turn[2]).max()) - float(
             (self._face_mm @ self._turn[2]).min()
         )
@@ -255,10 +275,7 @@ def _onto_hull(points_mm: Floats, facets: _Facets) -> tuple[Floats, Floats]:
 
 @lru_cache(maxsize=64)
 def _rotation(yaw_deg: float, tilt_deg: tuple[float, float]) -> Floats:
-    from scipy.spatial.transform import Rotation
-
-    yaw = Rotation.from_euler("z", yaw_deg, degrees=True)
-    return (Rotation.from_rotvec([*tilt_deg, 0.0], degrees=True) * yaw).as_matrix()
+    return rotation(np.array([*tilt_deg, 0.0])) @ rotation(np.array([0.0, 0.0, yaw_deg]))
 
 
 @lru_cache(maxsize=256)

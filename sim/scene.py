@@ -28,6 +28,7 @@ NO_CLASS = -1
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
 _INTERIOR_THICKNESSES = 2.4
 _DEEPEST_THICKNESSES = 0.6
+LARGEST_TURN_DEG = 90.0
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,9 @@ class Pose:
     `contact_class` is 0 for the reference without contact, 1 + 72·depth index + 12·radius index + angle index on the
     paper's grid, and `NO_CLASS` elsewhere. Poses of one `trajectory` are visited in their order, each in a straight
     line from the one before, so that friction depends on all that came before.
+
+    As it goes sideways the indenter turns about its origin, which is a sphere's centre and otherwise the lowest point
+    of the axis: about the vector (roll x, roll y, twist), by its length.
     """
 
     depth_mm: float
@@ -159,8 +163,17 @@ class Pose:
     point_id: int = 0
     contact_class: int = NO_CLASS
     trajectory: int | None = None
+    # Recipes and hashes of contacts that do not turn know nothing of turns.
+    twist_deg: Annotated[float, Field(exclude_if=lambda value: not value)] = 0.0
+    roll_deg: Annotated[tuple[float, float], Field(exclude_if=lambda value: not any(value))] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
+        for field, values in (("twist_deg", (self.twist_deg,)), ("roll_deg", self.roll_deg)):
+            if not all(abs(value) <= LARGEST_TURN_DEG for value in values):
+                text = " ".join(f"{value:g}" for value in values)
+                raise ValueError(
+                    f"{field} = {text}: must be in [−{LARGEST_TURN_DEG:g}, {LARGEST_TURN_DEG:g}]°"
+                )
         for field in ("depth_mm", "shear_x_mm", "shear_y_mm", "point_x_mm", "point_y_mm"):
             value = getattr(self, field)
             if not math.isfinite(value):
@@ -171,6 +184,11 @@ class Pose:
     @property
     def radius_mm(self) -> float:
         return round(math.hypot(self.shear_x_mm, self.shear_y_mm), 9)
+
+    @property
+    def turn_deg(self) -> tuple[float, float, float]:
+        """The rotation vector (x, y, z) by which the indenter is turned."""
+        return *self.roll_deg, self.twist_deg
 
     @property
     def angle_deg(self) -> float:
@@ -211,23 +229,25 @@ class Scene:
 
     def check(self, pose: Pose) -> None:
         """Raise ValueError if a pose lies off the pad, or deeper or further sideways than can be solved."""
-        gel, indenter = self.elastomer, self.indenter
+        gel, indenter = self.elastomer, self.indenter.turned(pose.turn_deg)
+        # A body that is turned about its origin may reach deeper.
+        depth_mm = pose.depth_mm + (indenter.origin_height_mm - self.indenter.origin_height_mm)
         for name, size in zip(("point_x_mm", "point_y_mm"), gel.pad_size_mm, strict=True):
             value, half = getattr(pose, name), size / 2
             if abs(value) > half:
                 raise ValueError(f"{name} = {value:g}: lies off the pad, must be in [{-half:g}, {half:g}] mm")
         deepest = min(_DEEPEST_THICKNESSES * gel.thickness_mm, indenter.deepest_mm)
-        if pose.depth_mm > deepest:
+        if depth_mm > deepest:
             raise ValueError(
-                f"depth_mm = {pose.depth_mm:g}: must be in [0, {deepest:g}] mm, at most {_DEEPEST_THICKNESSES:g} of "
+                f"depth_mm = {depth_mm:g}: must be in [0, {deepest:g}] mm, at most {_DEEPEST_THICKNESSES:g} of "
                 f"the pad's thickness and {indenter.deepest_mm:g} mm for the indenter ({indenter.label})"
             )
-        indenter.check(pose.depth_mm)
-        x_min, x_max, y_min, y_max = indenter.cut_mm(pose.depth_mm)
+        indenter.check(depth_mm)
+        x_min, x_max, y_min, y_max = indenter.cut_mm(depth_mm)
         for axis, width, size in zip("xy", (x_max - x_min, y_max - y_min), gel.pad_size_mm, strict=True):
             if width > size:
                 raise ValueError(
-                    f"indenter ({indenter.label}): is {width:.3g} mm wide along {axis} at a depth of {pose.depth_mm:g} "
+                    f"indenter ({indenter.label}): is {width:.3g} mm wide along {axis} at a depth of {depth_mm:g} "
                     f"mm, must be at most the pad's {size:g} mm"
                 )
         if pose.radius_mm > gel.thickness_mm:
@@ -251,6 +271,12 @@ class CanonicalFrame:
     def travel_mm(self, pose: Pose) -> NDArray[np.float64]:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
+
+    def command(self, pose: Pose) -> tuple[float, ...]:
+        """Return how far the indenter goes (x, y, z), mm, and turns (x, y, z), degrees, in this frame."""
+        turn = np.linalg.det(self.to_sensor).round() * (self.to_sensor_3d.T @ np.array(pose.turn_deg))
+        x, y, *turn_deg = np.round([*self.travel_mm(pose), *turn], 12).tolist()
+        return x, y, -pose.depth_mm, *turn_deg
 
     @property
     def to_sensor_3d(self) -> NDArray[np.float64]:
@@ -290,7 +316,11 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     interior = sharing.translation and is_interior(elastomer, pose)
     indenter = scene.indenter_in_frame(edges=not interior)
     if interior and indenter.symmetry is Symmetry.REVOLUTION:
-        return CanonicalFrame(None, _turn(math.atan2(pose.shear_y_mm, pose.shear_x_mm)))
+        x, y = pose.shear_x_mm, pose.shear_y_mm
+        if not pose.radius_mm and any(pose.roll_deg):
+            # A roll about y leads along x.
+            x, y = pose.roll_deg[1], -pose.roll_deg[0]
+        return CanonicalFrame(None, _turn(math.atan2(y, x)))
     turn = _turn(math.radians(scene.indenter.yaw - indenter.yaw))
     x, y = (0.0, 0.0) if interior else (x, y)
     shear_x, shear_y = turn.T @ [pose.shear_x_mm, pose.shear_y_mm]

@@ -256,7 +256,7 @@ class ConvexMesh(RoundedHull):
 
     @property
     def _upright_symmetry(self) -> Symmetry:
-        return Symmetry.NONE
+        return _hull_symmetry(self.hull_mm)
 
     @property
     def _height_mm(self) -> float:
@@ -321,3 +321,10 @@ def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) ->
 @lru_cache(maxsize=8)
 def _hull_mm(points: tuple[tuple[float, float, float], ...]) -> Floats:
     return np.array(points)
+
+
+@lru_cache(maxsize=8)
+def _hull_symmetry(points: tuple[tuple[float, float, float], ...]) -> Symmetry:
+    corners = {tuple(corner) for corner in (_hull_mm(points).round(4) + 0.0).tolist()}
+    images = ({(-x + 0.0, y, z) for x, y, z in corners}, {(x, -y + 0.0, z) for x, y, z in corners})
+    return Symmetry.MIRROR if all(image == corners for image in images) else Symmetry.NONE

@@ -57,8 +57,8 @@ class Record:
 
     `displacement_mm` (n, 3) belongs to the solution's surface vertices, `normal_force_n` (n,) is the normal contact
     force at each of them, `contact_force_n` (n, 3) the whole one, `indenter_mm` (3,) the indenter's displacement from
-    touching the gel, `force_n` (3,) its force on the gel, and `torque_n_mm` (3,) its torque about the contact point,
-    the origin of the problem's frame.
+    touching the gel, turned as it is, `force_n` (3,) its force on the gel, and `torque_n_mm` (3,) its torque about the
+    contact point, the origin of the problem's frame.
     """
 
     displacement_mm: NDArray[np.float32]

@@ -92,8 +92,12 @@ class SolvedPath:
         Raises
         ------
         ValueError
-            If the pose is deeper or further sideways than the path.
+            If the pose is deeper or further sideways than the path, or turns.
         """
+        if any(pose.turn_deg):
+            raise ValueError(
+                "twist_deg and roll_deg: a path has no poses that turn; solve this one by itself"
+            )
         deepest, farthest = self.depths_mm[-1], self.travels_mm[-1]
         if pose.depth_mm > deepest:
             raise ValueError(f"depth_mm = {pose.depth_mm:g}: the path ends at {deepest:g} mm")

@@ -31,13 +31,13 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 LINES = {
     "assets": 585,
-    "sim": 5245,
+    "sim": 5455,
     "render": 5210,
     "domains": 7630,
     "adapt": 5720,
     "view": 1600,
-    "cli": 2546,
-    "benchmarks": 9830,
+    "cli": 2555,
+    "benchmarks": 10090,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.

@@ -227,23 +227,29 @@ class Touch:
 class SphereContact:
     """A sphere that touches the surface at the origin where it is not displaced.
 
-    Nodes enter the sphere by pressure / `penalty` and give way by shear / `stick_stiffness`, both in MPa/mm. `friction`
-    is Coulomb's coefficient: 0 slips freely, `inf` never slips.
+    With a core, half the size (d,) of a box, it is the body that a sphere rounds whose centre goes everywhere in the
+    box: a long cylinder lies along an endless core, and a flat face is as large as the core. Nodes enter it by pressure
+    / `penalty` and give way by shear / `stick_stiffness`, both in MPa/mm. `friction` is Coulomb's coefficient: 0 slips
+    freely, `inf` never slips.
     """
 
     radius_mm: float
     friction: float
     penalty: float
     stick_stiffness: float
+    core_mm: tuple[float, ...] = ()
 
     def touch(self, position_mm: Floats, area_mm2: Floats, sphere_mm: Floats, stick_mm: Floats) -> Touch:
         """Return the contact of nodes at a position (k, d) with the sphere displaced by `sphere_mm` (d,)."""
         identity = np.eye(len(sphere_mm))
         from_centre = position_mm - sphere_mm - self.radius_mm * identity[-1]
-        distance = np.linalg.norm(from_centre, axis=1)
-        normal = from_centre / distance[:, None]
+        core = np.array(self.core_mm or np.zeros(len(sphere_mm)))
+        from_core = from_centre - np.clip(from_centre, -core, core)
+        distance = np.linalg.norm(from_core, axis=1)
+        normal = from_core / distance[:, None]
         across = identity - _outer(normal, normal)
-        d_normal = across / distance[:, None, None]
+        curved = identity * (np.abs(from_centre) > core)[:, None, :]
+        d_normal = (curved - _outer(normal, normal)) / distance[:, None, None]
         gap = distance - self.radius_mm
         active = gap < 0
         pressure = np.where(active, -self.penalty * gap, 0.0)

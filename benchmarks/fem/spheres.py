@@ -322,7 +322,7 @@ def half_pad(problem: Drag, furthest_mm: float) -> Pad:
     return Pad(
         nodes=nodes,
         connectivity=connectivity,
-        element=_trilinear(),
+        element=trilinear(),
         material=NeoHookean(problem.young_modulus_mpa, problem.poisson_ratio),
         fixed_dofs=np.concatenate([(3 * bonded[:, None] + np.arange(3)).ravel(), 3 * mirror + 1]),
         surface=surface,
@@ -330,7 +330,7 @@ def half_pad(problem: Drag, furthest_mm: float) -> Pad:
     )
 
 
-def _trilinear() -> Element:
+def trilinear() -> Element:
     """Return the element of eight nodes with 2×2×2 Gauss points; J is averaged."""
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
     corner = np.concatenate([np.column_stack([corners, np.full(4, z)]) for z in (-1.0, 1.0)])

@@ -1,10 +1,12 @@
 """`gelgap benchmark physics --what shapes`: other indenters than spheres, against finite elements and one another.
 
-A body of revolution has tables of forces and surfaces, a long lying cylinder those of plane strain, which its middle is
-in. A mesh file of a body is compared with the body itself, whose problem is solved on another mesh of the gel.
+A body of revolution has tables of forces, surfaces and torques, a long lying cylinder those of plane strain, which its
+middle is in; a long box is pressed and dragged across beside the project's own finite elements in plane strain. A mesh
+file of a body is compared with the body itself.
 """
 
 import json
+import math
 import shutil
 import tempfile
 import time
@@ -18,7 +20,9 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets import asset_path
-from gelgap.benchmarks.common import show, write_json
+from gelgap.benchmarks.common import Results, show, write_json
+from gelgap.benchmarks.fem.sections import Section, solve_section
+from gelgap.benchmarks.fem.theory import hertz_contact_radius_mm
 from gelgap.benchmarks.physics.accuracy import (
     SURFACE_REACH_MM,
     at_both,
@@ -54,16 +58,30 @@ COLUMNS = (
     *("case", "quality", "Fz rms %", "worst %", "Fz by pose %", "ref ± %", "u_z rms µm", "in-plane rms µm"),
     *("core s/pose", "vertices", "unconverged"),
 )
+QUALITIES = ("draft", "standard")
 SAME_DEPTHS_MM = (0.2, 0.4, 0.6)
+# Places (travel, depth) of a long box, 3 mm wide, that is pressed and dragged across.
+ACROSS_MM = ((0.0, 0.2), (0.0, 0.4), (0.1, 0.4), (0.2, 0.4))
+ACROSS = {"no slip": NO_SLIP_FRICTION, "friction 0.3": 0.3}
+LONG_BOX = Box(size_mm=(3.0, LONG_MM), edge_radius_mm=0.5)
+SECTION_ELEMENT_MM = 0.12
+# Twists by this much are small; so many depths of each body have one.
+TWIST_DEG = 1.0
+TWISTED_DEPTHS = 2
+# A sphere on thick gel that turns until all of its contact slips: radius, thickness, depth, friction and twist.
+FULL_SLIP = (3.0, 10.0, 0.1, 0.3, 20.0)
 NOTE = "displacement within 5 mm; ref ±: the references' own; core s: a process with imports, over its poses"
-TARGETS = "targets at standard: round bodies 3 % rms, 6 % worst, 8 µm; lying cylinder 4 % rms, 10 µm"
+TARGETS = (
+    "targets at standard: round bodies 3 % rms, 6 % worst, 8 µm; "
+    "lying cylinder and box 4 % rms, 10 µm, Fx 6 % rms"
+)
 
 
 def run(quick: bool, out_dir: Path) -> None:
     """Print errors and run time by shape, and write `shapes.json` to `out_dir`.
 
-    The quick form has two depths of each round body at `draft`; the full one all depths at `draft` and `standard`, the
-    lying cylinder, and bodies that are the same.
+    The quick form has two depths of each round body at `draft`, and one twist of each; the full one all depths at
+    `draft` and `standard`, the lying cylinder, the long box, and bodies that are the same.
     """
     started = time.perf_counter()
     solver = Solver(1, out_dir / "shape-solves")
@@ -79,7 +97,15 @@ def run(quick: bool, out_dir: Path) -> None:
     maps = pd.DataFrame([map_row(case, solved[case]) for case in cases if case.name != lying.name])
     results["traction"] = maps
     show("Traction maps: their integrals beside force and torque of the solve", maps)
+    twists = twist_cases(1, ["draft"]) if quick else twist_cases(TWISTED_DEPTHS, QUALITIES)
+    twisted = solver.cases(twists)
+    results["twist"] = pd.DataFrame([twist_row(case, twisted[case], *own) for case, own in twists.items()])
+    note = "torque per degree without slip beside the tables; in full slip beside Hertz's 3π/16 μ P a"
+    show("Twists of a pressed indenter", results["twist"], note)
     if not quick:
+        results["across"] = across_rows(solver)
+        note = f"per mm of length, beside plane strain by elements of {SECTION_ELEMENT_MM:g} mm; {TARGETS}"
+        show("A long box in its middle, pressed and dragged across", results["across"], note)
         results["same"] = same_bodies(solver)
         note = "difference of a body from the one it is the same as; targets: 1 %, 3 µm"
         show("Bodies that are the same", results["same"], note)
@@ -115,7 +141,12 @@ def lying_case() -> Case:
     own = _tables()[_tables()["kind"].str.startswith("plane strain")]
     radius_mm = json.loads(own["shape_params"].iloc[0])["R"]
     body = Edge(diameter_mm=2 * radius_mm, length_mm=LONG_MM, edge_radius_mm=0.5)
-    return _case(own["case"].iloc[0], body, own)
+    case = _case(own["case"].iloc[0], body, own)
+    # The table has one side of the cylinder.
+    sides = tuple(
+        np.hstack([[[-1], [-1], [1]] * profile[:, :0:-1], profile]) for profile in case.truth.profiles
+    )
+    return replace(case, truth=replace(case.truth, profiles=sides))
 
 
 def _case(name: str, body: AnyIndenter, own: pd.DataFrame) -> Case:
@@ -151,7 +182,7 @@ def row(case: Case, solved: Any) -> dict[str, Any]:
     states, truth = solved.states, case.truth
     if isinstance(case.indenter, Edge):
         maps = [traction_map(case.plan, k, solved.solution, state) for k, state in enumerate(states)]
-        force_n = np.array([middle_force_n(found) for found in maps])
+        force_n = np.array([middle_force_n(found)[2] for found in maps])
         surfaces = [
             middle_errors(state, profile) for state, profile in zip(states, truth.profiles, strict=True)
         ]
@@ -182,24 +213,124 @@ def _surface(surfaces: Sequence[dict[str, float]]) -> dict[str, float]:
     return {name: rms([one[name] for one in surfaces]) for name in names}
 
 
-def middle_force_n(found: Traction) -> float:
-    """Return the normal force per mm of length on the middle of a body that lies along x."""
-    middle = np.abs(found.state.x_mm) < MIDDLE_MM + 1e-9
-    per_column = found.cell_force_n[:, middle, 2].sum(axis=0)
-    spacing_mm = found.state.x_mm[1] - found.state.x_mm[0]
-    return float(per_column.mean() / spacing_mm)
+def middle_force_n(found: Traction, along: int = 0) -> Floats:
+    """Return the force (3,) per mm of length on the middle of a body that lies along x or y (0, 1)."""
+    place_mm = (found.state.x_mm, found.state.y_mm)[along]
+    middle = np.abs(place_mm) < MIDDLE_MM + 1e-9
+    per_slice = np.compress(middle, found.cell_force_n, axis=1 - along).sum(axis=along)
+    return per_slice.mean(axis=0) / (place_mm[1] - place_mm[0])
 
 
-def middle_errors(state: MembraneState, profile: Floats) -> dict[str, float]:
-    """Compare the membrane in the plane x = 0 with a profile (r, u_r, u_z)."""
-    column = int(np.abs(state.x_mm).argmin())
-    near = np.abs(state.y_mm) <= SURFACE_REACH_MM
-    y, found = state.y_mm[near], state.displacement_mm[near, column].astype(float)
-    r, u_r, u_z = profile
-    aside, down = np.interp(np.abs(y), r, u_r) * np.sign(y), np.interp(np.abs(y), r, u_z)
+def middle_errors(state: MembraneState, profile: Floats, along: int = 0) -> dict[str, float]:
+    """Compare the membrane in the middle of a body that lies along x or y with a profile (place, aside, u_z)."""
+    across_mm, along_mm = (state.y_mm, state.x_mm)[:: 1 - 2 * along]
+    found = np.take(state.displacement_mm, np.abs(along_mm).argmin(), axis=1 - along).astype(float)
+    near = np.abs(across_mm) <= SURFACE_REACH_MM
+    place, found, (at, u_aside, u_z) = across_mm[near], found[near], profile
+    aside, down = np.interp(place, at, u_aside), np.interp(place, at, u_z)
     return {
         "u_z rms µm": 1e3 * rms(found[:, 2] - down),
-        "in-plane rms µm": 1e3 * rms(np.hypot(found[:, 1] - aside, found[:, 0])),
+        "in-plane rms µm": 1e3 * rms(np.hypot(found[:, 1 - along] - aside, found[:, along])),
+    }
+
+
+def section_truth(section: Section) -> Results:
+    """Return what the project's own finite elements find in plane strain: forces per mm, and surfaces."""
+    states = solve_section(section, ACROSS_MM)
+    return {
+        "force_n": np.array([state.force_n_per_mm for state in states]),
+        "profiles": np.array([state.surface_mm for state in states]),
+    }
+
+
+def across_rows(solver: Solver, qualities: Sequence[str] = QUALITIES) -> pd.DataFrame:
+    """Compare the middle of a long box that is pressed and dragged across with plane strain."""
+    flat_mm = LONG_BOX.size_mm[0] - 2 * LONG_BOX.edge_radius_mm
+    travel_mm = max(travel for travel, _ in ACROSS_MM)
+    sections = {
+        name: Section(flat_mm, LONG_BOX.edge_radius_mm, own, travel_mm, SECTION_ELEMENT_MM)
+        for name, own in ACROSS.items()
+    }
+    truths = solver.measure(section_truth, sections, tasks_per_worker=None)
+    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.0, pad_size_mm=PAD_MM)
+    poses = tuple(Pose(depth_mm=depth, shear_x_mm=travel) for travel, depth in ACROSS_MM)
+    cases = [
+        Case("across", name, gel.model_copy(update={"friction": own}), poses, quality, LONG_BOX)
+        for name, own in ACROSS.items()
+        for quality in qualities
+    ]
+    rows = []
+    for case, own in solver.cases(cases).items():
+        truth = truths.loc[case.name]
+        maps = [traction_map(case.plan, k, own.solution, state) for k, state in enumerate(own.states)]
+        error = 100 * (
+            np.array([middle_force_n(found, along=1)[[0, 2]] for found in maps]) / truth["force_n"] - 1
+        )
+        dragged = np.array(ACROSS_MM)[:, 0] > 0
+        surfaces = [middle_errors(*pair, along=1) for pair in zip(own.states, truth["profiles"], strict=True)]
+        rows.append(
+            {
+                "contact": case.name,
+                "quality": case.quality,
+                "Fz by pose %": signed(error[:, 1]),
+                "Fz rms %": rms(error[:, 1]),
+                "Fx by pose %": signed(error[dragged, 0]),
+                "Fx rms %": rms(error[dragged, 0]),
+                **_surface(surfaces),
+                "Coulomb excess": max(state.diagnostics.coulomb_excess for state in own.states),
+                "core s/pose": own.core_s / len(poses),
+                "unconverged": sum(not state.converged for state in own.states),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def twist_cases(depths: int, qualities: Sequence[str]) -> dict[Case, tuple[float, float]]:
+    """Return small twists with their torques by the tables and how far these may be off, %, and a twist to full slip.
+
+    Some of the depths of each body without slip have a table; in full slip Hertz's 3π/16 μ P a takes its place.
+    """
+    rows = pd.read_csv(asset_path("reference", "shapes", "torque.csv"))
+    radius_mm, thickness_mm, depth_mm, friction, twist_deg = FULL_SLIP
+    gel = {
+        "young_modulus_mpa": 0.3,
+        "poisson_ratio": 0.48,
+        "friction": friction,
+        "thickness_mm": thickness_mm,
+    }
+    thick = Elastomer(**gel, pad_size_mm=(9 * thickness_mm, 9 * thickness_mm))
+    expected = {}
+    for quality in qualities:
+        for case in round_cases():
+            for row in rows[rows["case"] == case.name].iloc[::-2][:depths].itertuples():
+                pose, name = Pose(depth_mm=row.depth_mm), f"{case.name}, {row.depth_mm:g} mm"
+                poses = (pose, replace(pose, twist_deg=TWIST_DEG))
+                twist = replace(case, study="twists", name=name, poses=poses, quality=quality)
+                expected[twist] = row.T_per_deg_best_Nmm * TWIST_DEG, row.unc_pct
+        pose, ball = Pose(depth_mm=depth_mm), Sphere(diameter_mm=2 * radius_mm)
+        poses = (pose, replace(pose, twist_deg=twist_deg))
+        expected[Case("twists", "sphere, full slip", thick, poses, quality, ball)] = math.nan, math.nan
+    return expected
+
+
+def twist_row(case: Case, solved: Any, expected_n_mm: float, uncertain: float) -> dict[str, Any]:
+    """Compare the torque of a twist with what is expected, which in full slip follows from the press."""
+    pressed, twisted = solved.states
+    torque_n_mm, force_n = float(twisted.torque_n_mm[2]), -float(pressed.force_n[2])
+    if math.isnan(expected_n_mm):
+        radius_mm = float(hertz_contact_radius_mm(case.indenter.radius_mm, case.poses[0].depth_mm))
+        expected_n_mm = 3 * math.pi / 16 * case.elastomer.friction * force_n * radius_mm
+    return {
+        "case": case.name,
+        "quality": case.quality,
+        "torque, N mm": torque_n_mm,
+        "expected": expected_n_mm,
+        "error %": 100 * (torque_n_mm / expected_n_mm - 1),
+        "ref ± %": uncertain,
+        "force sideways / Fz": float(np.linalg.norm(twisted.force_n[:2]) / force_n),
+        "sticks": twisted.diagnostics.sticking_fraction,
+        "core s/pose": solved.core_s / 2,
+        "unconverged": sum(not state.converged for state in solved.states),
     }
 
 
@@ -233,12 +364,12 @@ def same_bodies(solver: Solver) -> pd.DataFrame:
     named = {
         (name, quality, which): Case("same", f"{name} {which}", gel, poses, quality=quality, indenter=body)
         for name, pair in bodies.items()
-        for quality in ("draft", "standard")
+        for quality in QUALITIES
         for which, body in enumerate(pair)
     }
     solved = solver.cases(named.values())
     for name in bodies:
-        for quality in ("draft", "standard"):
+        for quality in QUALITIES:
             own, other = (solved[named[name, quality, which]] for which in (0, 1))
             error = [
                 100 * (a.force_n[2] / b.force_n[2] - 1) for a, b in zip(own.states, other.states, strict=True)

@@ -127,6 +127,7 @@ _HEIGHT = f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGH
 _REST = "(x, y) of each dot on the undeformed membrane"
 _SEEN = "(x, y) of each dot in the picture, pixel centres at +0.5"
 _TORQUE = "torque of the indenter on the sensor about the contact point on the undeformed membrane"
+_TURN = "commanded rotation vector of the indenter, along {}"
 _TRACTION = "force (Fx, Fy, Fz) on each cell of 24 rows × 32 columns of the view; null without a picture"
 LABELS = (
     Column("frame_id", _INT, "", "position on the path", lambda c: c.frame),
@@ -160,6 +161,7 @@ OptionalColumn = Literal[
     "indenter",
     "torque",
     "traction",
+    "turn",
 ]
 OPTIONAL: dict[str, tuple[Column, ...]] = {
     "height_map": (Column("height_map", PICTURE, "mm", _HEIGHT, cell=_height_map),),
@@ -184,6 +186,10 @@ OPTIONAL: dict[str, tuple[Column, ...]] = {
         for k, axis in enumerate("xyz")
     ),
     "traction": (Column("traction_n", FORCES, "N", _TRACTION, cell=_traction),),
+    "turn": tuple(
+        Column(name, _FLOAT, "°", _TURN.format(axis), lambda c, k=k: c.pose.turn_deg[k])
+        for k, (name, axis) in enumerate(zip(("roll_x_deg", "roll_y_deg", "twist_deg"), "xyz", strict=True))
+    ),
 }
 """What a domain may also hold, by the names by which it is asked for."""
 

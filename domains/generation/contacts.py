@@ -31,7 +31,10 @@ class LibraryPoses:
         cls, gel: Elastomer, indenter: Indenter, path: ContactPath | PosePath, quality: str
     ) -> "LibraryPoses | SolvePlan":
         """Return the contacts of a path: a solve plan if a library serves none of them."""
-        served = [p.depth_mm > 0 and p.trajectory is None and is_interior(gel, p) for p in path.poses]
+        served = [
+            p.depth_mm > 0 and p.trajectory is None and not any(p.turn_deg) and is_interior(gel, p)
+            for p in path.poses
+        ]
         of_library = [pose for pose, is_served in zip(path.poses, served, strict=True) if is_served]
         left = [
             replace(pose, depth_mm=0.0) if is_served else pose

@@ -203,7 +203,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
 def _expected_s(solve: "Solve") -> float:
     """Return the seconds of a core that a solve takes; the meshes of other shapes than spheres are of all sizes."""
     problem = solve.problem
-    if problem.indenter.shape == "sphere":
+    if problem.indenter.shape == "sphere" and not problem.turns_deg:
         return _STEP_S[problem.quality.name] * problem.load_steps
     return solve.expected_core_s
 
@@ -218,13 +218,18 @@ def _by_indenter(plan: GenerationPlan) -> tuple[str, ...]:
         Symmetry.NONE: "no directions share solves",
     }
     by_label: dict[str, list[Solve]] = {}
+    shares: dict[str, str] = {}
     for solve in plan.solves.values():
-        by_label.setdefault(solve.problem.indenter.label, []).append(solve)
-    if len(by_label) == 1 and next(iter(plan.solves.values())).problem.indenter.shape == "sphere":
+        problem = solve.problem
+        label, share = problem.indenter.label, shared[problem.indenter.symmetry]
+        if problem.turns_deg:
+            label, share = f"{label}, turning", "what turns shares solves only where it all is the same"
+        by_label.setdefault(label, []).append(solve)
+        shares[label] = share
+    if len(by_label) == 1 and next(iter(by_label)).startswith("sphere") and not problem.turns_deg:
         return ()
     return tuple(
-        f"{label}: {len(own)} solves, {sum(map(_expected_s, own)):.0f} s of a core; "
-        f"{shared[own[0].problem.indenter.symmetry]}"
+        f"{label}: {len(own)} solves, {sum(map(_expected_s, own)):.0f} s of a core; {shares[label]}"
         for label, own in by_label.items()
     )
 

@@ -1,11 +1,13 @@
 """Domains of several indenters: frames, columns and splits."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gelgap.domains import generate_recipes, make_recipes, open_domain, preset_recipes, split_frames
+from gelgap.domains.formats.shards import OPTIONAL
 from gelgap.domains.generation.plan import estimate, plan_generation
 from gelgap.sim import Cone, PosePath, Sphere
 
@@ -68,3 +70,21 @@ def test_the_preset_says_what_each_shape_shares() -> None:
     assert len(lines) == 5
     assert "all directions" in lines[0]
     assert "mirrored" in lines[3]
+
+
+def test_turns_are_told_with_their_time_and_in_columns() -> None:
+    way = {"waypoints_mm": [(0.0, 0.0, 0.2), (0.0, 0.0, 0.2)], "twist_deg": [0.0, 5.0]}
+    path = PosePath.from_trajectories("twist", [way])
+    (recipe,) = make_recipes(["mb0i0"], path, quality="draft", columns=("turn",))
+    (note,) = estimate((recipe,), 1).indenters
+    assert "turning" in note
+    assert "where it all is the same" in note
+    contact = SimpleNamespace(pose=path.poses[-1])
+    assert {column.name: column.value(contact) for column in OPTIONAL["turn"]} == {
+        "roll_x_deg": 0.0,
+        "roll_y_deg": 0.0,
+        "twist_deg": 5.0,
+    }
+    assert type(recipe)(**recipe.configuration()).key == recipe.key
+    (straight,) = make_recipes(["mb0i0"], PATH)
+    assert "twist_deg" not in str(straight.configuration())

@@ -14,7 +14,8 @@ from gelgap.sim.scene import Elastomer, Scene, Sharing
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5)
 # A load step down, one further, and two sideways, in which nodes slide.
-COMMANDS_MM = ((0.0, 0.0, -0.1), (0.0, 0.0, -0.3), (0.08, 0.0, -0.3), (0.16, 0.0, -0.3))
+PLACES_MM = ((0.0, 0.0, -0.1), (0.0, 0.0, -0.3), (0.08, 0.0, -0.3), (0.16, 0.0, -0.3))
+COMMANDS = tuple((*place, 0.0, 0.0, 0.0) for place in PLACES_MM)
 
 
 def _problem(mount_stiffness_n_per_mm: float | None = None) -> ContactProblem:
@@ -29,9 +30,9 @@ def test_mujoco_takes_the_condensed_solution_and_finds_the_same_alone(
 ) -> None:
     problem = _problem(mount_stiffness_n_per_mm)
     condensed, alone = (StaticNewton(problem, condensed=switch) for switch in (True, False))
-    for command_mm in COMMANDS_MM:
+    for command in COMMANDS:
         for newton in (condensed, alone):
-            assert newton.load_step(np.array(command_mm), 30) == (True, False)
+            assert newton.load_step(np.array(command), 30) == (True, False)
         assert condensed.iterations == alone.iterations
         np.testing.assert_allclose(condensed.indenter_force_n, alone.indenter_force_n, atol=1e-9)
         np.testing.assert_allclose(condensed.vertices_mm(), alone.vertices_mm(), atol=1e-8)
@@ -68,10 +69,10 @@ def test_a_solve_takes_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_mujoco_goes_on_from_a_start_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = _problem()
     right, wrong = (StaticNewton(problem, condensed=True) for _ in range(2))
-    right.load_step(np.array(COMMANDS_MM[0]), 30)
+    right.load_step(np.array(COMMANDS[0]), 30)
     acceleration = contact.ContactNewton.acceleration
     monkeypatch.setattr(contact.ContactNewton, "acceleration", lambda self: 0.7 * acceleration(self))
-    wrong.load_step(np.array(COMMANDS_MM[0]), 30)
+    wrong.load_step(np.array(COMMANDS[0]), 30)
     assert wrong.left_to_mujoco == wrong.iterations
     np.testing.assert_allclose(wrong.indenter_force_n, right.indenter_force_n, atol=1e-9)
 
@@ -82,12 +83,12 @@ def test_where_there_is_no_factor_mujoco_solves_alone(
 ) -> None:
     problem = _problem()
     right, failing = (StaticNewton(problem, condensed=True) for _ in range(2))
-    right.load_step(np.array(COMMANDS_MM[0]), 30)
+    right.load_step(np.array(COMMANDS[0]), 30)
     condense = contact.Condensation.condense
 
     def with_another_diagonal(self: contact.Condensation, values: np.ndarray, *others: np.ndarray) -> object:
         return condense(self, values, others[0] + stiffness, others[1])
 
     monkeypatch.setattr(contact.Condensation, "condense", with_another_diagonal)
-    failing.load_step(np.array(COMMANDS_MM[0]), 30)
+    failing.load_step(np.array(COMMANDS[0]), 30)
     np.testing.assert_allclose(failing.indenter_force_n, right.indenter_force_n, atol=1e-9)

@@ -101,10 +101,11 @@ def test_moduli_agree_with_each_other():
     assert 9 * k * mu / (3 * k + mu) == pytest.approx(0.3)
 
 
-def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces(half):
+@pytest.mark.parametrize("core_mm", [(), (0.2, 0.1, 0.0)])
+def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces(half, core_mm):
     pad = half
     rng = np.random.default_rng(1)
-    contact = SphereContact(radius_mm=1.5, friction=0.3, penalty=300.0, stick_stiffness=150.0)
+    contact = SphereContact(1.5, friction=0.3, penalty=300.0, stick_stiffness=150.0, core_mm=core_mm)
     rest = pad.nodes[pad.surface]
     u, direction = (0.02 * rng.normal(size=pad.size), rng.normal(size=pad.size))
     displaced, direction = rest + u[pad.surface_dofs], direction[pad.surface_dofs]
