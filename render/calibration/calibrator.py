@@ -352,7 +352,7 @@ def _predicted(fit: LightFit, seen: PlacedPresses, press: int, table: PlainTable
     marked, refined = (
         seen.picture_of(fit.light, fit.field, press, pose_mm, reach_mm)
         for pose_mm, reach_mm in (
-            (seen.poses_mm[press], max(MODELLED_MM, scored_mm)),
+            (fit.expected_mm(seen, press), max(MODELLED_MM, scored_mm)),
             (fit.refined(seen, press).presses[0], scored_mm),
         )
     )

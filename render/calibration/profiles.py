@@ -10,7 +10,11 @@ STEP_MM = 0.02
 GRID_MM = 0.1
 _DEPTHS = 64
 _TOUCHING_MM = 0.004
-_FADE_MM = 1.5
+_DECAY_MM = 1.5  # over what of a solve's end its decay is taken
+_BEYOND = 2.5  # profiles reach so many times as far as solves
+_SMOOTHED, _SHARP_MM, _TURNS = 0.15, 0.2, 400  # share of the distance beyond what
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
+_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class PressProfiles:
         from scipy.interpolate import PchipInterpolator
 
         reach_mm = min(press.radius_mm.max() for press in solves)
-        radii = np.arange(0, reach_mm + STEP_MM / 2, STEP_MM)
+        radii = np.arange(0, _BEYOND * reach_mm, STEP_MM)
         rows, edges = [np.zeros(len(radii))], [0.0]
         for press in solves:
             row, edge = _profile(press, sphere_radius_mm, radii, reach_mm)
@@ -76,9 +80,8 @@ class PressProfiles:
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
         if self.softness_mm > 0:
             # Blurred in the plane, by Gauss–Hermite quadrature.
-            nodes, weights = np.polynomial.hermite_e.hermegauss(7)
-            x, y = (self.softness_mm * axis.ravel() for axis in np.meshgrid(nodes, nodes))
-            weights = np.outer(weights, weights).ravel() / (2 * np.pi)
+            x, y = (self.softness_mm * axis.ravel() for axis in np.meshgrid(_NODES, _NODES))
+            weights = np.outer(_WEIGHTS, _WEIGHTS).ravel()
             z = np.interp(np.hypot(r[:, None] + x, y), r, z) @ weights
             return z, np.gradient(z, STEP_MM)
         of_sphere = r / np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
@@ -153,19 +156,27 @@ def _sphere(radius_mm: float, depth_mm: float, r: np.ndarray) -> np.ndarray:
 
 
 def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, reach_mm: float):
-    """Return z at the radii, and where the membrane leaves the sphere."""
+    """Return z at the radii, and where the membrane leaves the sphere; from `reach_mm` on it decays as it did before."""
     from scipy.interpolate import PchipInterpolator
+    from scipy.ndimage import gaussian_filter1d
 
     r, z, sphere = press.radius_mm, press.z_mm, partial(_sphere, sphere_radius_mm, press.depth_mm)
     gap = np.hypot(r, z - (sphere_radius_mm - press.depth_mm)) - sphere_radius_mm
     touching = np.flatnonzero(gap < _TOUCHING_MM)
     edge = float(r[touching.max()]) if touching.size else 0.0
     outside = r > edge + 0.03
-    fade = np.clip((reach_mm - r) / _FADE_MM, 0, 1)
     inner = edge * np.array([0.9, 0.97, 1.0]) if edge > 0 else np.array([0.0])
-    known_r = np.concatenate([inner, r[outside], [reach_mm + 1]])
-    known_z = np.concatenate([sphere(inner), (z * fade)[outside], [0.0]])
+    known_r, known_z = np.concatenate([inner, r[outside]]), np.concatenate([sphere(inner), z[outside]])
     order = np.argsort(known_r)
     known_r, first = np.unique(known_r[order], return_index=True)
     beyond = PchipInterpolator(known_r, known_z[order][first])
-    return np.where(radii < edge, sphere(radii), beyond(radii)), edge
+    before, last = beyond((reach_mm - _DECAY_MM, reach_mm))
+    decays = np.log(np.clip(before / last, 1.2, 2.7) if last else 2.7) / _DECAY_MM  # per mm
+    # A coarse mesh leaves ripples, whose slopes show: they are smoothed the more, the farther from the edge.
+    turn = np.linspace(0, np.arcsinh((_BEYOND * reach_mm - edge) / _SHARP_MM), _TURNS)
+    away = edge + _SHARP_MM * np.sinh(turn)
+    solved = beyond(np.minimum(away, reach_mm)) * np.exp(decays * np.minimum(reach_mm - away, 0))
+    smooth = gaussian_filter1d(solved, _SMOOTHED / turn[1], mode="nearest")
+    return np.where(
+        radii < edge, sphere(radii), PchipInterpolator(away, smooth)(np.maximum(radii, edge))
+    ), edge
