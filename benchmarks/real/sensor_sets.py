@@ -210,7 +210,7 @@ class Predictors:
 
     def _fit(self, fitted: tuple[int, ...]) -> tuple[LightFit, float, float]:
         """Return the fit, the level at which its sensor shows its own reference, and its time."""
-        task = LightTask(self.start, self.placed, *self._form(fitted), far=True, shadows=True)
+        task = LightTask(self.start, self.placed, *self._form(fitted))
         started = time.process_time()
         fit = task.fit(np.array(fitted))
         fit_s = time.process_time() - started
@@ -302,7 +302,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     show(
         "real sensors, presses predicted as marked; PSNR in dB, median (worst)",
         table[["set", "predicted", "model", *cells]],
-        "untouched: the rendered reference beside the real one, worst of the fits; mean abs: of the whole, code values; "
-        "PSNR of pixels without dots",
+        "untouched: the rendered reference beside the real one, worst of the fits; mean abs: of the whole, code "
+        "values; PSNR of pixels without dots",
     )
     write_json(out_dir / "sensor-sets.json", {"predictions": records})

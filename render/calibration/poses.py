@@ -204,7 +204,7 @@ class PlacedPresses:
     def picture_of(
         self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float
     ) -> np.ndarray:
-        """Return the uint8 picture of a press: modelled up to a distance, fading over one mm to untouched gel beyond."""
+        """Return the uint8 picture of a press: modelled up to a distance, over one mm fading to untouched gel."""
         rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
         base, factor = field.at(rows, columns, self.levels[press])
         share = np.clip(reach_mm + 1 - np.hypot(*(self._plane_mm - pose_mm[:2]).T), 0, 1)[:, None]

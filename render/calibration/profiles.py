@@ -10,11 +10,10 @@ STEP_MM = 0.02
 GRID_MM = 0.1
 _DEPTHS = 64
 _TOUCHING_MM = 0.004
-_DECAY_MM = 1.5  # over what of a solve's end its decay is taken
-_BEYOND = 2.5  # profiles reach so many times as far as solves
-_SMOOTHED, _SHARP_MM, _TURNS = 0.15, 0.2, 400  # share of the distance beyond what
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
-_WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
+# Profiles reach so many times as far as solves, whose decay is that of their last mm.
+_BEYOND, _DECAY_MM = 2.5, 1.5
+# By what share of the distance from the edge they are smoothed, by as much nearer than this; and in how many steps.
+_SMOOTHED, _SHARP_MM, _TURNS = 0.15, 0.2, 400
 
 
 @dataclass(frozen=True)
@@ -80,8 +79,9 @@ class PressProfiles:
         z = np.where(r < self.sphere_radius_mm, np.minimum(z, sphere), z)  # never inside the sphere
         if self.softness_mm > 0:
             # Blurred in the plane, by Gauss–Hermite quadrature.
-            x, y = (self.softness_mm * axis.ravel() for axis in np.meshgrid(_NODES, _NODES))
-            weights = np.outer(_WEIGHTS, _WEIGHTS).ravel()
+            nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+            x, y = (self.softness_mm * axis.ravel() for axis in np.meshgrid(nodes, nodes))
+            weights = np.outer(weights, weights).ravel() / (2 * np.pi)
             z = np.interp(np.hypot(r[:, None] + x, y), r, z) @ weights
             return z, np.gradient(z, STEP_MM)
         of_sphere = r / np.sqrt(np.maximum(self.sphere_radius_mm**2 - r**2, 1e-9))
@@ -156,7 +156,7 @@ def _sphere(radius_mm: float, depth_mm: float, r: np.ndarray) -> np.ndarray:
 
 
 def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, reach_mm: float):
-    """Return z at the radii, and where the membrane leaves the sphere; from `reach_mm` on it decays as it did before."""
+    """Return z at the radii, beyond `reach_mm` decaying as it did before, and where the membrane leaves the sphere."""
     from scipy.interpolate import PchipInterpolator
     from scipy.ndimage import gaussian_filter1d
 
@@ -167,9 +167,8 @@ def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, rea
     outside = r > edge + 0.03
     inner = edge * np.array([0.9, 0.97, 1.0]) if edge > 0 else np.array([0.0])
     known_r, known_z = np.concatenate([inner, r[outside]]), np.concatenate([sphere(inner), z[outside]])
-    order = np.argsort(known_r)
-    known_r, first = np.unique(known_r[order], return_index=True)
-    beyond = PchipInterpolator(known_r, known_z[order][first])
+    known_r, first = np.unique(known_r, return_index=True)
+    beyond = PchipInterpolator(known_r, known_z[first])
     before, last = beyond((reach_mm - _DECAY_MM, reach_mm))
     decays = np.log(np.clip(before / last, 1.2, 2.7) if last else 2.7) / _DECAY_MM  # per mm
     # A coarse mesh leaves ripples, whose slopes show: they are smoothed the more, the farther from the edge.
@@ -177,6 +176,5 @@ def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, rea
     away = edge + _SHARP_MM * np.sinh(turn)
     solved = beyond(np.minimum(away, reach_mm)) * np.exp(decays * np.minimum(reach_mm - away, 0))
     smooth = gaussian_filter1d(solved, _SMOOTHED / turn[1], mode="nearest")
-    return np.where(
-        radii < edge, sphere(radii), PchipInterpolator(away, smooth)(np.maximum(radii, edge))
-    ), edge
+    outer = PchipInterpolator(away, smooth)(np.maximum(radii, edge))
+    return np.where(radii < edge, sphere(radii), outer), edge
