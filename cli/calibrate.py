@@ -207,8 +207,9 @@ def warnings_of(fit: "LightCalibration") -> list[str]:
     for where, (fitted, table) in zip(("inside", "around"), levels, strict=False):
         if table > fitted + DOUBTFUL_DB:
             warnings.append(
-                f"{where} the contact a plain table of the same presses predicts {table - fitted:.1f} dB better: the "
-                "pictures hold more than the fit explains; check the spheres' diameters, the scale and the marks"
+                f"{where} the contact a plain table of the same presses predicts {table - fitted:.1f} dB better, for "
+                "this ball alone: check the spheres' diameters, the scale and the marks; if they are right, the "
+                "sensor has light or shadows that the fit lacks"
             )
     return warnings
 
