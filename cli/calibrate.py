@@ -197,7 +197,8 @@ def warnings_of(fit: "LightCalibration") -> list[str]:
     if fit.rms_code_values > DOUBTFUL_RMS:
         warnings.append(
             f"a residual of {fit.rms_code_values:.2f} code values is not a good fit (above {DOUBTFUL_RMS:g}): check "
-            "the spheres' diameters, the scale and, among few presses, the picture of each, since one can spoil the fit"
+            "that no pictures are mirrored or have red and blue exchanged, diameters, scale and, among few presses, "
+            "the picture of each, since one can spoil the fit"
         )
     levels = [
         [median(getattr(press, kind)[region] for press in fit.held_out) for kind in ("marked", "table")]
