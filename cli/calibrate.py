@@ -197,7 +197,8 @@ def warnings_of(fit: "LightCalibration") -> list[str]:
     if fit.rms_code_values > DOUBTFUL_RMS:
         warnings.append(
             f"a residual of {fit.rms_code_values:.2f} code values is not a good fit (above {DOUBTFUL_RMS:g}): check "
-            "the spheres' diameters, the scale and, among few presses, the picture of each, since one can spoil the fit"
+            "that no pictures are mirrored or have red and blue exchanged, diameters, scale and, among few presses, "
+            "the picture of each, since one can spoil the fit"
         )
     levels = [
         [median(getattr(press, kind)[region] for press in fit.held_out) for kind in ("marked", "table")]
@@ -207,8 +208,9 @@ def warnings_of(fit: "LightCalibration") -> list[str]:
     for where, (fitted, table) in zip(("inside", "around"), levels, strict=False):
         if table > fitted + DOUBTFUL_DB:
             warnings.append(
-                f"{where} the contact a plain table of the same presses predicts {table - fitted:.1f} dB better: the "
-                "pictures hold more than the fit explains; check the spheres' diameters, the scale and the marks"
+                f"{where} the contact a plain table of the same presses predicts {table - fitted:.1f} dB better, for "
+                "this ball alone: check the spheres' diameters, the scale and the marks; if they are right, the "
+                "sensor has light or shadows that the fit lacks"
             )
     return warnings
 

@@ -36,8 +36,8 @@ EVERY_OTHER_FROM = 40  # presses from which on every other one is fitted; fewer 
 PARTS = 3
 SAME_PLACE = 0.1  # contact radii
 MINI_BALL_MM = 1.4  # as in the preset that was fitted to that set
-# DIGIT: places of 30 presses each, marked by eye in the mean of their differences: x, y, radius in px.
-DIGIT_MARKS = ((66, 218, 36), (74, 207, 36), (82, 196, 36), (90, 185, 36), (98, 175, 36))
+# DIGIT: places of 30 presses each; contacts marked by eye in the mean of the differences, 0.8 of the rims, in px.
+DIGIT_MARKS = ((66, 218, 29), (74, 207, 29), (82, 196, 29), (90, 185, 29), (98, 175, 29))
 DIGIT_AT_PLACE, DIGIT_TAKEN = 30, 5
 # GelSlim: contacts marked by eye in the differences, 0.8 of the dents' rims, by the picture's number.
 GELSLIM_MARKS = {
@@ -210,7 +210,7 @@ class Predictors:
 
     def _fit(self, fitted: tuple[int, ...]) -> tuple[LightFit, float, float]:
         """Return the fit, the level at which its sensor shows its own reference, and its time."""
-        task = LightTask(self.start, self.placed, *self._form(fitted), far=True, shadows=True)
+        task = LightTask(self.start, self.placed, *self._form(fitted))
         started = time.process_time()
         fit = task.fit(np.array(fitted))
         fit_s = time.process_time() - started
@@ -230,7 +230,9 @@ class Predictors:
         seen = self.placed.seen_from(fit.distance_mm)
 
         def draw(press: int) -> Callable[[], np.ndarray]:
-            return partial(seen.picture_of, fit.light, fit.field, press, seen.poses_mm[press], MODELLED_MM)
+            return partial(
+                seen.picture_of, fit.light, fit.field, press, fit.expected_mm(seen, press), MODELLED_MM
+            )
 
         return draw, None
 
@@ -249,7 +251,7 @@ def measure(own: SensorSet, out_dir: Path, quick: bool) -> pd.DataFrame:
     rows = []
     for split, parts in splits.items():
         named = {f"{split} {part}": indices for part, indices in enumerate(parts)}
-        study = Study(predict.presses, models, named)
+        study = Study(predict.presses, models, named, clear=predict.placed.clear_of_dots)
         for model, press in models:
             settings = [{"predicted": part, "model": model, "press": press} for part in named]
             found = [study.measure(setting) for setting in settings]
@@ -300,6 +302,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     show(
         "real sensors, presses predicted as marked; PSNR in dB, median (worst)",
         table[["set", "predicted", "model", *cells]],
-        "untouched: the rendered reference beside the real one, worst of the fits; mean abs: of the whole, code values",
+        "untouched: the rendered reference beside the real one, worst of the fits; mean abs: of the whole, code "
+        "values; PSNR of pixels without dots",
     )
     write_json(out_dir / "sensor-sets.json", {"predictions": records})

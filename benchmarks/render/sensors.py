@@ -177,8 +177,16 @@ def rival_models(
     return models
 
 
-def scores(picture: np.ndarray, press: PressPicture, contact: PressPicture | None = None) -> dict[str, float]:
-    """Return the metrics of one picture, PSNR in dB by region; `contact` marks where the ball really touches."""
+def scores(
+    picture: np.ndarray,
+    press: PressPicture,
+    contact: PressPicture | None = None,
+    clear: np.ndarray | bool = True,
+) -> dict[str, float]:
+    """Return the metrics of one picture, PSNR in dB by region, of pixels that are clear (of dots).
+
+    `contact` marks where the ball really touches.
+    """
     from skimage.metrics import structural_similarity
 
     rows, columns = np.indices(press.picture.shape[:2])
@@ -195,7 +203,7 @@ def scores(picture: np.ndarray, press: PressPicture, contact: PressPicture | Non
         "whole": share >= 0,
     }
     return {
-        **{name: psnr_db(picture, press.picture, where) for name, where in regions.items()},
+        **{name: psnr_db(picture, press.picture, where & clear) for name, where in regions.items()},
         "SSIM": float(structural_similarity(picture, press.picture, channel_axis=2)),
         "mean abs": float(np.abs(picture.astype(float) - press.picture).mean()),
     }
@@ -209,6 +217,7 @@ class Study:
     models: Mapping[tuple[str, str], Model]
     splits: Mapping[str, tuple[Sequence[int], Sequence[int]]]
     contacts: Mapping[int, PressPicture] | None = None
+    clear: Callable[[int], np.ndarray | bool] = lambda press: True
 
     def measure(self, setting: Setting) -> Results:
         """Fit a model, predict the presses that were not fitted, and return each metric of all of them."""
@@ -220,7 +229,8 @@ class Study:
             started = time.process_time()
             picture = frame()
             times.append(time.process_time() - started)
-            found.append(scores(picture, self.presses[press], self.contacts and self.contacts[press]))
+            contact = self.contacts and self.contacts[press]
+            found.append(scores(picture, self.presses[press], contact, self.clear(press)))
         frame_ms = 1e3 * float(np.median(times))
         return pd.DataFrame(found).to_dict("list") | {"fit, s": fit_s, "ms per frame": frame_ms}
 

@@ -6,6 +6,7 @@ What the membrane looks like around a sphere is given, so that nothing here solv
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -99,8 +100,6 @@ def calibrate_light(
     *,
     order: int | None = None,
     degree: int | None = None,
-    far: bool = True,
-    shadows: bool = True,
     keep_camera: bool = False,
     folds: int = 3,
 ) -> LightCalibration:
@@ -120,10 +119,6 @@ def calibrate_light(
         called with all diameters once the pictures are known to be right. `gelgap.domains.sphere_profiles` is one.
     order, degree
         Of scattered light; by default 3 and 2 from 12 presses on, and 2 and 1 below.
-    far
-        Whether a press changes the picture where it does not touch (`loaded` and `gain` of the flat field).
-    shadows
-        Whether the dent casts shadows in the fit's own model.
     keep_camera
         Whether the camera stays where it is; otherwise its distance is fitted, and it shows the same of the gel.
     folds
@@ -161,7 +156,7 @@ def calibrate_light(
     rich = len(presses) >= FEWEST_FOR_ORDER_3
     order = (3 if rich else 2) if order is None else order
     degree = (2 if rich else 1) if degree is None else degree
-    task = LightTask(sensor, placed, order, degree, far, shadows, keep_camera)
+    task = LightTask(sensor, placed, order, degree, keep_camera=keep_camera)
     everything = np.arange(len(presses))
     fit = task.fit(everything)
     suspects = outliers = _suspects(fit)
@@ -272,8 +267,8 @@ class LightTask:
     placed: PlacedPresses
     order: int
     degree: int
-    far: bool
-    shadows: bool
+    far: bool = True  # whether a press changes the picture where it does not touch
+    shadows: bool = True  # whether the dent casts them
     keep_camera: bool = False
 
     def fit(self, which: np.ndarray, rounds: int = 3) -> LightFit:
@@ -282,17 +277,13 @@ class LightTask:
         at_mm = placed.poses_mm[which, :2]
         far = placed.far_field(which) if self.far else placed.untouched
         (x0, y0), (x1, y1) = at_mm.min(0) - MARGIN_MM, at_mm.max(0) + MARGIN_MM
-        nearest_mm = (
-            1.05 * max(camera.footprint_mm(placed.size_px)) / 2
-        )  # outside of the view, upright ones too
+        nearest_mm = 1.05 * max(camera.footprint_mm(placed.size_px)) / 2  # out of the view, upright ones too
         bars = Bars.of(self.sensor.illumination.leds, nearest_mm)
         where = placed.scale_mm, (x0, x1, y0, y1)
         light = Light(self.order, self.degree, self.shadows, *where, bars, theta=np.zeros((0, 3)))
         # The camera may look from as near as it was given, or nearer than most, to nearly parallel.
-        nearest_mm = min(NEAREST_CAMERA_MM, -camera.position_mm[2])
-        nearness_range = (
-            None if self.keep_camera else (1 / camera.farthest_mm(placed.size_px), 1 / nearest_mm)
-        )
+        range_mm = camera.farthest_mm(placed.size_px), min(NEAREST_CAMERA_MM, -camera.position_mm[2])
+        nearness_range = None if self.keep_camera else (1 / range_mm[0], 1 / range_mm[1])
         fit = LightFit(placed, which, far, light, camera.position_mm, nearness_range)
         fit.run(rounds)
         return fit
@@ -349,13 +340,9 @@ class LightTask:
 def _predicted(fit: LightFit, seen: PlacedPresses, press: int, table: PlainTable) -> HeldOut:
     """Predict a press that the fit has not seen, `seen` by the camera where the fit has put it."""
     scored_mm = SCORED_RADII * seen.radii_px[press] * 2 * seen.half_view_mm / seen.size_px[0] + MARGIN_MM
-    marked, refined = (
-        seen.picture_of(fit.light, fit.field, press, pose_mm, reach_mm)
-        for pose_mm, reach_mm in (
-            (seen.poses_mm[press], max(MODELLED_MM, scored_mm)),
-            (fit.refined(seen, press).presses[0], scored_mm),
-        )
-    )
+    draw = partial(seen.picture_of, fit.light, fit.field, press)
+    marked = draw(fit.expected_mm(seen, press), max(MODELLED_MM, scored_mm))
+    refined = draw(fit.refined(seen, press).presses[0], scored_mm)
     plain = seen.at_level(press, table.picture(seen.centers_px[press]))
     scores = [seen.scores(press, picture) for picture in (seen.reference, plain, marked, refined)]
     return HeldOut(seen.names[press], *scores, picture=marked)
@@ -411,7 +398,7 @@ def unknown_sphere_size(
         diameter = 2 * profiles.sphere_radius_mm
         tried = [replace(presses[k], sphere_diameter_mm=diameter) for k in some]
         placed = place_presses(sensor.camera, reference, tried, {diameter: profiles})
-        task = LightTask(sensor, placed, 2, 1, far=False, shadows=True, keep_camera=keep_camera)
+        task = LightTask(sensor, placed, 2, 1, far=False, keep_camera=keep_camera)
         return task.fit(np.arange(len(some)), rounds=2).press_errors()
 
     mark_mm = mm_per_px * float(np.median([press.radius_px for press in presses]))

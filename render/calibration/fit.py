@@ -246,6 +246,11 @@ class LightFit:
                 self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
                 self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
 
+    def expected_mm(self, seen: PlacedPresses, press: int) -> np.ndarray:
+        """Return (3,) where a press is expected: as marked, or off a rough mark as the fitted ones are off theirs."""
+        off = np.median(self.presses - self.start_presses, axis=0)
+        return seen.poses_mm[press] + off * seen.presses[press].has_rough_marks
+
     def refined(self, seen: PlacedPresses, press: int) -> "LightFit":
         """Return the light with one press only, moved to where the light explains its picture best.
 

@@ -128,11 +128,8 @@ def check_presses(reference: np.ndarray, presses: Sequence[PressPicture]) -> Non
     if (reference > DARK).mean() < LEAST_USABLE:
         raise ValueError("the reference is dark; expose it more")
     for name, press in zip(press_names(presses), presses, strict=True):
-        (height, width, _), depth_mm, diameter_mm = (
-            press.picture.shape,
-            press.depth_mm,
-            press.sphere_diameter_mm,
-        )
+        height, width, _ = press.picture.shape
+        depth_mm, diameter_mm = press.depth_mm, press.sphere_diameter_mm
         if press.picture.shape != shape:
             wrong = (
                 f" is a picture of {width}×{height} px, and the reference of {shape[1]}×{shape[0]} px; they must come "

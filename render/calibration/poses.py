@@ -128,8 +128,9 @@ class PlacedPresses:
         return srgb_decode(self.presses[press].picture / 255) / self.levels[press]
 
     def at_level(self, press: int, code: np.ndarray) -> np.ndarray:
-        """Return a uint8 picture at the level of a press's picture."""
-        return np.round(255 * srgb_encode(srgb_decode(code / 255) * self.levels[press])).astype(np.uint8)
+        """Return a uint8 picture without dots at the level of a press's picture, with the reference's dots."""
+        linear = srgb_decode(code / 255) * self.levels[press] * (1 if self.dots is None else self.dots)
+        return np.round(255 * srgb_encode(linear)).astype(np.uint8)
 
     def table(self, which: np.ndarray, degree: int) -> PlainTable:
         """Return the plain table of some presses, from levelled pictures."""
@@ -186,14 +187,14 @@ class PlacedPresses:
         width, height = self.size_px
         seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
         rows, columns = rows[seen], columns[seen]
-        clear = ~self._dots(press)[rows, columns]
+        clear = self.clear_of_dots(press)[rows, columns]
         return rows[clear], columns[clear]
 
-    def _dots(self, press: int) -> np.ndarray:
-        """Return (h, w): where the picture of a press or the reference has dots."""
+    def clear_of_dots(self, press: int) -> np.ndarray:
+        """Return (h, w): where neither the picture of a press nor the reference has dots."""
         if not self.has_dots:
-            return np.zeros(self.reference.shape[:2], bool)
-        return found_dots(self.presses[press].picture) | found_dots(self.reference)
+            return np.ones(self.reference.shape[:2], bool)
+        return ~(found_dots(self.presses[press].picture) | found_dots(self.reference))
 
     @cached_property
     def _plane_mm(self) -> np.ndarray:
@@ -203,15 +204,16 @@ class PlacedPresses:
     def picture_of(
         self, light: Light, field: FarField, press: int, pose_mm: np.ndarray, reach_mm: float
     ) -> np.ndarray:
-        """Return the uint8 picture of a press: modelled around it, the untouched gel's beyond."""
+        """Return the uint8 picture of a press: modelled up to a distance, over one mm fading to untouched gel."""
         rows, columns = (values.ravel() for values in np.indices(self.reference.shape[:2]))
         base, factor = field.at(rows, columns, self.levels[press])
-        near = np.hypot(*(self._plane_mm - pose_mm[:2]).T) < reach_mm
+        share = np.clip(reach_mm + 1 - np.hypot(*(self._plane_mm - pose_mm[:2]).T), 0, 1)[:, None]
+        near = share[:, 0] > 0
         plane_mm, camera_mm = self._plane_mm[near], np.array(self.camera.position_mm)
         index, profiles = np.zeros(len(plane_mm), int), [self.seen_profiles[press]]
         pressed = SeenPoints.pressed(plane_mm, index, pose_mm[None], profiles, camera_mm)
-        flat = SeenPoints.flat(plane_mm)
-        base[near] = predicted_light(base[near], pressed.light(light), flat.light(light))
+        lit = predicted_light(base[near], pressed.light(light), SeenPoints.flat(plane_mm).light(light))
+        base[near] += share[near] * (lit - base[near])
         if self.dots is not None:
             base *= self.dots.reshape(-1, 3)
             # Dots go where their points of the gel go.
@@ -224,7 +226,7 @@ class PlacedPresses:
         """Return PSNR in dB inside the contact, and from one to two radii, of pixels without dots."""
         share = _radii_away(predicted, self.centers_px[press], self.radii_px[press])
         real = self.presses[press].picture
-        clear = ~self._dots(press)
+        clear = self.clear_of_dots(press)
         inside, ring = clear & (share < 1), clear & (share >= 1) & (share < SCORED_RADII)
         return psnr_db(predicted[inside], real[inside]), psnr_db(predicted[ring], real[ring])
 

@@ -10,7 +10,10 @@ STEP_MM = 0.02
 GRID_MM = 0.1
 _DEPTHS = 64
 _TOUCHING_MM = 0.004
-_FADE_MM = 1.5
+# Profiles reach so many times as far as solves, whose decay is that of their last mm.
+_BEYOND, _DECAY_MM = 2.5, 1.5
+# By what share of the distance from the edge they are smoothed, by as much nearer than this; and in how many steps.
+_SMOOTHED, _SHARP_MM, _TURNS = 0.15, 0.2, 400
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class PressProfiles:
         from scipy.interpolate import PchipInterpolator
 
         reach_mm = min(press.radius_mm.max() for press in solves)
-        radii = np.arange(0, reach_mm + STEP_MM / 2, STEP_MM)
+        radii = np.arange(0, _BEYOND * reach_mm, STEP_MM)
         rows, edges = [np.zeros(len(radii))], [0.0]
         for press in solves:
             row, edge = _profile(press, sphere_radius_mm, radii, reach_mm)
@@ -153,19 +156,25 @@ def _sphere(radius_mm: float, depth_mm: float, r: np.ndarray) -> np.ndarray:
 
 
 def _profile(press: SolvedPress, sphere_radius_mm: float, radii: np.ndarray, reach_mm: float):
-    """Return z at the radii, and where the membrane leaves the sphere."""
+    """Return z at the radii, beyond `reach_mm` decaying as it did before, and where the membrane leaves the sphere."""
     from scipy.interpolate import PchipInterpolator
+    from scipy.ndimage import gaussian_filter1d
 
     r, z, sphere = press.radius_mm, press.z_mm, partial(_sphere, sphere_radius_mm, press.depth_mm)
     gap = np.hypot(r, z - (sphere_radius_mm - press.depth_mm)) - sphere_radius_mm
     touching = np.flatnonzero(gap < _TOUCHING_MM)
     edge = float(r[touching.max()]) if touching.size else 0.0
     outside = r > edge + 0.03
-    fade = np.clip((reach_mm - r) / _FADE_MM, 0, 1)
     inner = edge * np.array([0.9, 0.97, 1.0]) if edge > 0 else np.array([0.0])
-    known_r = np.concatenate([inner, r[outside], [reach_mm + 1]])
-    known_z = np.concatenate([sphere(inner), (z * fade)[outside], [0.0]])
-    order = np.argsort(known_r)
-    known_r, first = np.unique(known_r[order], return_index=True)
-    beyond = PchipInterpolator(known_r, known_z[order][first])
-    return np.where(radii < edge, sphere(radii), beyond(radii)), edge
+    known_r, known_z = np.concatenate([inner, r[outside]]), np.concatenate([sphere(inner), z[outside]])
+    known_r, first = np.unique(known_r, return_index=True)
+    beyond = PchipInterpolator(known_r, known_z[first])
+    before, last = beyond((reach_mm - _DECAY_MM, reach_mm))
+    decays = np.log(np.clip(before / last, 1.2, 2.7) if last else 2.7) / _DECAY_MM  # per mm
+    # A coarse mesh leaves ripples, whose slopes show: they are smoothed the more, the farther from the edge.
+    turn = np.linspace(0, np.arcsinh((_BEYOND * reach_mm - edge) / _SHARP_MM), _TURNS)
+    away = edge + _SHARP_MM * np.sinh(turn)
+    solved = beyond(np.minimum(away, reach_mm)) * np.exp(decays * np.minimum(reach_mm - away, 0))
+    smooth = gaussian_filter1d(solved, _SMOOTHED / turn[1], mode="nearest")
+    outer = PchipInterpolator(away, smooth)(np.maximum(radii, edge))
+    return np.where(radii < edge, sphere(radii), outer), edge

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -10,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import lit_from_dents
 from gelgap.render.calibration.calibrator import (
+    LightTask,
     _suspects,
     calibrate_light,
     fit_sphere_size,
@@ -93,8 +95,49 @@ def test_a_new_press_is_predicted(pictures, calibration, tmp_path):
     sensor = Sensor.load(tmp_path / "fitted.toml")
     renderer = MembraneRenderer(sensor, sensor.illumination, SIZE_PX)
     assert psnr(renderer.reference(), reference) > 45  # with the seams, which no light has
+    smaller = tuple(side // 2 for side in SIZE_PX)
+    half = MembraneRenderer(sensor, sensor.illumination, smaller).reference()
+    assert psnr(half, cv2.resize(reference, smaller, interpolation=cv2.INTER_AREA)) > 45
     predicted = renderer.picture(*sphere_dent(0.6, point_mm=NEW_POINT))
     assert psnr(predicted, shots[-1]) > max(32, psnr(reference, shots[-1]) + 6)
+
+
+def test_untouched_gel_is_predicted_as_it_is_and_no_edge_shows_where_the_model_ends(pictures):
+    start, reference, shots = pictures
+    placed = place_presses(start.camera, reference, pressed(shots[:-1], depth_mm=0.6), profiles(None, None))
+    fit = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(len(POINTS)))
+    assert (
+        psnr(placed.picture_of(fit.light, placed.untouched, 0, np.array([40.0, 0, 0.6]), 2.0), reference) > 45
+    )
+    point = np.array([0.0, 0.0, 0.6])
+    narrow, wide = (
+        placed.picture_of(fit.light, placed.untouched, 0, point, reach_mm).astype(int)
+        for reach_mm in (1.0, 9.0)
+    )
+    away_mm = np.hypot(*(placed._plane_mm.T)).reshape(SIZE_PX[::-1])
+    assert (narrow == wide)[away_mm < 1].all()
+    unlike, change = (np.abs(other - wide) for other in (narrow, reference.astype(int)))
+    lost_within, lost_beyond = (
+        unlike[ring].mean() / change[ring].mean()
+        for ring in (abs(away_mm - edge) < 0.1 for edge in (1.1, 1.9))
+    )
+    assert lost_within < 0.3
+    assert lost_beyond > 0.7
+
+
+def test_the_membrane_decays_beyond_its_solves_without_a_step():
+    radius = np.arange(0, 7.05, 0.1)
+    solves = [
+        SolvedPress(depth, radius, -depth * np.exp(-2 * radius) + 0.05 * depth * np.exp(-radius / 4), 0.1)
+        for depth in (0.2, 0.4, 0.6)
+    ]
+    z, slope = PressProfiles.from_solves(5.0, solves).at(0.5)
+    far = np.arange(len(z)) * 0.02 > 5
+    assert len(z) * 0.02 > 15
+    assert (z[far] > 0).all()
+    assert (np.diff(z[far]) < 0).all()
+    assert abs(z[-1]) < 0.1 * z[far][0]
+    assert np.abs(np.diff(slope[far])).max() < 0.05 * np.abs(slope[far]).max()
 
 
 @pytest.fixture(scope="module")
@@ -333,6 +376,11 @@ def test_rough_marks_are_only_where_to_look(pictures):
     )
     fit = calibrate_light(start, reference, presses, profiles, folds=0)
     np.testing.assert_allclose(fit.poses_mm[:, :2], POINTS, atol=0.1)
+    placed = place_presses(start.camera, reference, presses, profiles(None, None))
+    few = LightTask(start, placed, 2, 0, keep_camera=True).fit(np.arange(6))
+    # A rough mark does not say how deep a press is; the others do.
+    assert abs(few.expected_mm(placed, 6)[2] - 0.6) < 0.08
+    assert abs(placed.poses_mm[6, 2] - 0.6) > 0.15
 
 
 def ball_profiles(diameters, deepest):
