@@ -1,7 +1,9 @@
 """A small domain drawn with NumPy, whose pictures determine the force, a profile that learns it, and valid files."""
 
+import os
 import shutil
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,18 @@ from gelgap.domains import ArrayFrames
 def interruptible():
     """Ctrl-C ends what tests start, although a shell has what it runs in the background ignore it."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def users_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What tests solve is solved once by all test processes together, and the user's own cache is left alone."""
+    folder = tmp_path_factory.getbasetemp()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(
+            "XDG_CACHE_HOME",
+            str((folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cache"),
+        )
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
