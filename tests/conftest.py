@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coarse_meshes import coarsen
 
 from gelgap.adapt.profile import Profile
 from gelgap.domains import ArrayFrames
@@ -68,6 +69,12 @@ def draw_domain(
         contact_class=1 + 72 * depth + 12 * radius + angle,
         point_id=point,
     )
+
+
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solves on a coarser mesh."""
+    coarsen(monkeypatch)
 
 
 @pytest.fixture(scope="session")

@@ -21,6 +21,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from coarse_meshes import coarsen
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
 from real_clones import write_ball_clone, write_recordings, write_wedge_clone
 
@@ -38,7 +39,7 @@ QUICKEST = {
     r"--path cpu(?!-)": f"--path tiny.toml {SMALL}",
     r"from-force 20": "from-force 4",
     r"classes_from_force=20": "classes_from_force=4",
-    r"PressStream\(seed=0, size_px=\(320, 240\)": 'PressStream("small.toml", seed=0, size_px=(48, 36)',
+    r"PressStream\(seed=0, size_px=\(320, 240\), stop=64": 'PressStream("small.toml", seed=0, size_px=(48, 36), stop=8',
     r"PoseRanges\(0.1, 1.0, travel_mm=0.6\)": "PoseRanges(0.05, 0.55, travel_mm=0.25)",
     r'TactileSensor\("b0"': 'TactileSensor("b0", deepest_mm=0.45, farthest_mm=0.15',
     r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
@@ -91,7 +92,7 @@ def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
 
 
 TINY_PATH = """
-points_x_mm = [-1.5, 0.0, 1.5]
+points_x_mm = [-1.5, 1.5]
 points_y_mm = [-1.0, 1.0]
 depths_mm = [0.2, 0.4]
 radii_mm = [0.1]
@@ -105,7 +106,13 @@ depths = 1
 sphere_diameter_mm = [3.0, 3.0]
 deepest_by_thickness = [0.05, 0.05]
 """
-FEWEST_POSES = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1, "_HELD_OUT_TRAVELS": (0.0, 1.5)}
+FEWEST_POSES = {
+    "_DEPTHS": 2,
+    "MOST_SOLVES": 3,
+    "_STICKING_TRAVELS": 1,
+    "_SLIDING_TRAVELS": 1,
+    "_HELD_OUT_TRAVELS": (0.0, 1.5),
+}
 """Of a library."""
 
 
@@ -302,6 +309,7 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(Profile, "preset", shorter(Profile.preset))
+        coarsen(patch)
         patch.setattr("gelgap.adapt.few_labels.NEW_SENSOR_STEPS", 4)
         for name, value in FEWEST_POSES.items():
             patch.setattr(f"gelgap.domains.library.{name}", value)

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from coarse_meshes import coarsen
 
 from gelgap.domains import library, stream
 from gelgap.domains.formats.shards import OptionalColumn
@@ -25,8 +26,9 @@ EVERY_COLUMN = get_args(OptionalColumn)
 
 
 @pytest.fixture(scope="session", autouse=True)
-def solve_cache(tmp_path_factory: pytest.TempPathFactory):
+def solve_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
+        coarsen(patch)
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("solves")))
         yield
 
