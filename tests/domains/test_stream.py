@@ -17,6 +17,11 @@ def drawn(few_solves: None, solve_cache: None) -> PressStream:
     return PressStream(RANGES, seed=5, size_px=SIZE_PX, stop=12, batch_size=4)
 
 
+@pytest.fixture(scope="module")
+def samples(drawn: PressStream) -> list[PressSample]:
+    return list(drawn)
+
+
 def assert_same(one: PressSample, other: PressSample) -> None:
     assert one.number == other.number
     assert one.draw == other.draw
@@ -24,8 +29,7 @@ def assert_same(one: PressSample, other: PressSample) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_a_sample_is_a_picture_of_a_press_and_tells_it(drawn: PressStream) -> None:
-    samples = list(drawn)
+def test_a_sample_is_a_picture_of_a_press_and_tells_it(samples: list[PressSample]) -> None:
     assert [sample.number for sample in samples] == list(range(12))
     assert {sample.picture.shape for sample in samples} == {(36, 48, 3)}
     pressed = [sample for sample in samples if sample.draw["depth_mm"] > 0]
@@ -37,14 +41,13 @@ def test_a_sample_is_a_picture_of_a_press_and_tells_it(drawn: PressStream) -> No
     assert len(brightness) > 1
 
 
-def test_sample_n_is_the_same_whatever_came_before(drawn: PressStream) -> None:
-    in_order = list(drawn)
+def test_sample_n_is_the_same_whatever_came_before(drawn: PressStream, samples: list[PressSample]) -> None:
     resumed = PressStream(RANGES, seed=5, size_px=SIZE_PX, start=7, stop=12)
-    for one, other in zip(in_order[7:], resumed, strict=True):
+    for one, other in zip(samples[7:], resumed, strict=True):
         assert_same(one, other)
-    assert_same(in_order[3], pickle.loads(pickle.dumps(drawn)).sample(3))
+    assert_same(samples[3], pickle.loads(pickle.dumps(drawn)).sample(3))
     assert not np.array_equal(
-        PressStream(RANGES, seed=6, size_px=SIZE_PX).sample(3).picture, in_order[3].picture
+        PressStream(RANGES, seed=6, size_px=SIZE_PX).sample(3).picture, samples[3].picture
     )
 
 
@@ -75,10 +78,10 @@ def test_contacts_that_cannot_be_seen_are_drawn_again_and_counted(
         drawn.sample(2)
 
 
-def test_frames_for_training_are_its_samples(drawn: PressStream) -> None:
+def test_frames_for_training_are_its_samples(drawn: PressStream, samples: list[PressSample]) -> None:
     frames = drawn.frames(0, 12)
     assert len(frames) == 12
-    force_n = np.stack([sample.force_n for sample in drawn])
+    force_n = np.stack([sample.force_n for sample in samples])
     assert sorted(frames.force_n[:, 2].tolist()) == pytest.approx(sorted(force_n[:, 2].tolist()))
 
 

@@ -169,6 +169,7 @@ def test_a_factor_that_helps_has_a_positive_difference():
     ]
 
 
+@pytest.mark.usefixtures("coarse")
 def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(tmp_path: Path, capsys, monkeypatch):
     write_wedge_clone(tmp_path / "clones/EstimateModulus")
     command = ["benchmark", "real", "--what", "pretraining", "--quick"]
