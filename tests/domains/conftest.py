@@ -60,8 +60,9 @@ def data(tmp_path_factory: pytest.TempPathFactory, make: Callable[..., Generatio
 
 @pytest.fixture(scope="module")
 def few_solves() -> Iterator[None]:
-    """Libraries of two depths and two drags at each."""
+    """Libraries of two depths and two drags at each, and a held-out one between."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(library, "MOST_SOLVES", 4)
         patch.setattr(library, "_DEPTHS", 2)
         patch.setattr(stream, "_DEPTHS", 2)
         patch.setattr(library, "_STICKING_TRAVELS", 1)

@@ -1,6 +1,7 @@
 """A stream's sample n is the same whoever draws it, a picture of the press that it tells."""
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -51,7 +52,24 @@ def test_sample_n_is_the_same_whatever_came_before(drawn: PressStream, samples: 
     )
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+def test_workers_draw_every_other_batch(
+    drawn: PressStream, samples: list[PressSample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shares = []
+    for worker in range(2):
+        info = SimpleNamespace(id=worker, num_workers=2)
+        monkeypatch.setattr(stream, "get_worker_info", lambda info=info: info)
+        shares.append(list(drawn))
+    assert [[sample.number for sample in share] for share in shares] == [
+        [0, 1, 2, 3, 8, 9, 10, 11],
+        [4, 5, 6, 7],
+    ]
+    for share in shares:
+        for sample in share:
+            assert_same(sample, samples[sample.number])
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_batches_are_the_same_whatever_the_workers(drawn: PressStream, workers: int) -> None:
     batches = list(drawn.loader(workers))
     assert [batch.number.tolist() for batch in batches] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
