@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from coarse_meshes import coarsen
+from quick_solves import coarsen
 
 from gelgap.adapt.profile import Profile
 from gelgap.domains import ArrayFrames

@@ -21,8 +21,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from coarse_meshes import coarsen
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
+from quick_solves import coarsen, shrink_libraries
 from real_clones import write_ball_clone, write_recordings, write_wedge_clone
 
 from gelgap.adapt import Profile
@@ -106,14 +106,6 @@ depths = 1
 sphere_diameter_mm = [3.0, 3.0]
 deepest_by_thickness = [0.05, 0.05]
 """
-FEWEST_POSES = {
-    "_DEPTHS": 2,
-    "MOST_SOLVES": 3,
-    "_STICKING_TRAVELS": 1,
-    "_SLIDING_TRAVELS": 1,
-    "_HELD_OUT_TRAVELS": (0.0, 1.5),
-}
-"""Of a library."""
 
 
 def measured_in_this_process(real: Callable) -> Callable:
@@ -311,9 +303,7 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
         patch.setattr(Profile, "preset", shorter(Profile.preset))
         coarsen(patch)
         patch.setattr("gelgap.adapt.few_labels.NEW_SENSOR_STEPS", 4)
-        for name, value in FEWEST_POSES.items():
-            patch.setattr(f"gelgap.domains.library.{name}", value)
-        patch.setattr("gelgap.domains.stream._DEPTHS", 2)
+        shrink_libraries(patch)
         run_all(snippets(README), folder)
         yield folder
 

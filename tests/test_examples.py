@@ -5,8 +5,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from coarse_meshes import coarsen
 from loaded_file import load_file
+from quick_solves import coarsen, shrink_libraries
 
 from gelgap.domains import open_domain
 from gelgap.sim import ContactPath
@@ -59,15 +59,7 @@ def test_own_sensor_sees_the_contact_from_any_folder(tmp_path: Path, monkeypatch
 
 def test_a_pi_law_holds_a_force(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("gymnasium")
-    fewest = {
-        "_DEPTHS": 2,
-        "MOST_SOLVES": 3,
-        "_STICKING_TRAVELS": 1,
-        "_SLIDING_TRAVELS": 1,
-        "_HELD_OUT_TRAVELS": (0.0,),
-    }
-    for name, value in fewest.items():
-        monkeypatch.setattr(f"gelgap.domains.library.{name}", value)
+    shrink_libraries(monkeypatch)
     share = load("hold_force").main(40, deepest_mm=0.3, farthest_mm=0.05, size_px=(48, 36))
     assert share[0] < 0.5
     assert np.abs(share[-5:] - 1).max() < 0.02

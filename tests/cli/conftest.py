@@ -1,7 +1,7 @@
 """Commands solve on a coarse mesh: none of their tests asks how accurate it is."""
 
 import pytest
-from coarse_meshes import coarsen
+from quick_solves import coarsen
 
 
 @pytest.fixture(autouse=True)

@@ -5,6 +5,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from quick_solves import shrink_libraries
 
 from gelgap.adapt import ForceModel, Profile, train_source
 from gelgap.cli.main import main
@@ -69,10 +70,7 @@ def test_what_cannot_be_trained_on_is_refused_before_it_is_made(
 def test_a_network_is_pretrained_on_a_stream_without_a_data_set(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fewest = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1}
-    for name, value in fewest.items():
-        monkeypatch.setattr(f"gelgap.domains.library.{name}", value)
-    monkeypatch.setattr("gelgap.domains.stream._DEPTHS", 2)
+    shrink_libraries(monkeypatch)
     (tmp_path / "profile.toml").write_text('base = "smoke"\nwidth = 0.125\nfeature_dim = 16\n')
     command = f"pretrain --stream --quick --profile {tmp_path}/profile.toml --out {tmp_path}/out"
     main([*command.split(), "--dry-run"])

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from coarse_meshes import coarsen
+from quick_solves import coarsen, shrink_libraries
 
-from gelgap.domains import library, stream
 from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.generation.generate import GenerationReport, generate
 from gelgap.sim import ContactPath
@@ -60,12 +59,7 @@ def data(tmp_path_factory: pytest.TempPathFactory, make: Callable[..., Generatio
 
 @pytest.fixture(scope="module")
 def few_solves() -> Iterator[None]:
-    """Libraries of two depths and two drags at each, and a held-out one between."""
+    """Libraries of few poses."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(library, "MOST_SOLVES", 4)
-        patch.setattr(library, "_DEPTHS", 2)
-        patch.setattr(stream, "_DEPTHS", 2)
-        patch.setattr(library, "_STICKING_TRAVELS", 1)
-        patch.setattr(library, "_SLIDING_TRAVELS", 1)
-        patch.setattr(library, "_HELD_OUT_TRAVELS", (0.0, 1.5))
+        shrink_libraries(patch)
         yield

@@ -1,10 +1,19 @@
-"""Solves on a coarser mesh, for tests that ask nothing of their accuracy."""
+"""Fewer and coarser solves, for tests that ask nothing of their accuracy."""
 
 from dataclasses import replace
 
 import pytest
 
 from gelgap.sim.problem import QUALITIES
+
+FEWEST_POSES = {
+    "library._DEPTHS": 2,
+    "library.MOST_SOLVES": 4,
+    "library._STICKING_TRAVELS": 1,
+    "library._SLIDING_TRAVELS": 1,
+    "library._HELD_OUT_TRAVELS": (0.0, 1.5),
+    "stream._DEPTHS": 2,
+}
 
 
 def coarsen(patch: pytest.MonkeyPatch) -> None:
@@ -14,3 +23,9 @@ def coarsen(patch: pytest.MonkeyPatch) -> None:
     meshes = {name: replace(getattr(draft, name), **wider) for name in ("disc", "pad")}
     for name in ("draft", "standard"):
         patch.setitem(QUALITIES, name, replace(draft, name=name, **meshes))
+
+
+def shrink_libraries(patch: pytest.MonkeyPatch) -> None:
+    """Give libraries two depths, two drags at each, and a held-out depth between."""
+    for name, value in FEWEST_POSES.items():
+        patch.setattr(f"gelgap.domains.{name}", value)
