@@ -3,7 +3,7 @@
 import os
 import shutil
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +69,22 @@ def draw_domain(
         contact_class=1 + 72 * depth + 12 * radius + angle,
         point_id=point,
     )
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run a command that ends with an exit code and one line on standard error; return the line."""
+
+    def run(*words: str | Path, code: int = 2) -> str:
+        from gelgap.cli.main import main
+
+        with pytest.raises(SystemExit) as stop:
+            main([str(word) for word in words])
+        said = capsys.readouterr().err
+        assert (stop.value.code, said.count("\n")) == (code, 1), said
+        return said
+
+    return run
 
 
 @pytest.fixture
