@@ -164,7 +164,9 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "benchmarks.frames.random_path": few_shallow_contacts,
         "benchmarks.frames.load_path": lambda real: lambda name: SimpleNamespace(poses=()),
         "benchmarks.frames.SIZES_PX": lambda real: ((48, 36),),
-        "benchmarks.frames.FRAMES": lambda real: (45, real[1]),
+        "benchmarks.frames.FRAMES": lambda real: (25, real[1]),
+        "benchmarks.frames.seen_along_x": lambda real: lambda number: real(1),
+        "benchmarks.frames.stream_rates": lambda real: lambda frames, workers: real(frames, (0,)),
     },
     "gelgap benchmark view --quick": {
         "benchmarks.view.QUICK_REPEATS": lambda real: 1,
