@@ -34,6 +34,8 @@ SMALL = "--quality draft --size 64 48 --scheduler synchronous"
 QUICKEST = {
     r"^make ": "make --dry-run ",
     r"^gelgap press ": "gelgap press --quality draft ",
+    r"(--mm-per-px \S+) -o": r"\1 --held-out-parts 2 -o",
+    r"--sensor start.toml -o": "--sensor start.toml --held-out-parts 0 -o",
     r"--domains 60 --frames-per-domain 60": "--quick --scheduler synchronous",
     r"--path cpu-random --quality draft": f"--path tiny.toml {SMALL}",
     r"--path cpu(?!-)": f"--path tiny.toml {SMALL}",
