@@ -87,6 +87,11 @@ NOT_RUN = {
 }
 """What does not run, and why. Commands of gelgap are parsed nevertheless, code is compiled."""
 
+RUN_SLOWLY = re.compile(
+    r"gelgap benchmark (throughput|throughput --what stages|physics|stability --what \w+) --quick"
+)
+"""Run by the slow form of a page's test alone: tests/benchmarks runs the parts of these."""
+
 
 def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
     """Train for a few epochs only, whatever the profile."""
@@ -213,22 +218,23 @@ def smallest_case(line: str) -> dict[str, Callable[[Any], Any]]:
     return next((parts for command, parts in SMALLEST.items() if line.startswith(command)), {})
 
 
-def run_all(listed: list[Snippet], folder: Path) -> None:
+def run_all(listed: list[Snippet], folder: Path, slowly: bool = False) -> None:
     """Run snippets one after another in a folder; the first that fails is named with its place."""
     with contextlib.chdir(folder):
         for snippet in listed:
             output = io.StringIO()
             try:
                 with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-                    run(snippet)
+                    run(snippet, slowly)
             except BaseException as error:
                 said = output.getvalue()[-2000:]
                 raise AssertionError(f"{snippet.where}: {snippet.text}\n{error!r}\n{said}") from error
 
 
-def run(snippet: Snippet) -> None:
+def run(snippet: Snippet, slowly: bool) -> None:
     """Run one snippet in its quickest form, or check what can be checked without."""
-    excused = reason_not_to_run(snippet.text) is not None
+    left_out = not slowly and RUN_SLOWLY.match(snippet.text)
+    excused = bool(left_out) or reason_not_to_run(snippet.text) is not None
     text = snippet.text if excused else quickest(snippet.text)[0]
     if snippet.kind == "file":
         Path(snippet.file_name).write_text(text)
@@ -317,14 +323,23 @@ def test_the_readme_runs_in_an_empty_folder(after_the_readme: Path) -> None:
     assert (after_the_readme / "runs/report.html").is_file()
 
 
-@pytest.mark.parametrize("page", [page for page in OTHER_PAGES if snippets(page)])
-def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
+def pages() -> Iterator[Any]:
+    """Yield the pages that have something to run, in their slow form if they have one."""
+    for page in OTHER_PAGES:
+        if snippets(page):
+            yield pytest.param(page, False, id=page)
+        if any(RUN_SLOWLY.match(snippet.text) for snippet in snippets(page)):
+            yield pytest.param(page, True, id=f"{page}, slowly", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("page", "slowly"), pages())
+def test_a_page_runs(page: str, slowly: bool, after_the_readme: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_readme, tmp_path / "page")
     if any(snippet.text.startswith("gelgap calibrate") for snippet in snippets(page)):
         take_pictures_to_calibrate_with(tmp_path / "page")
     if "gelgap convert" in page_text(page):
         write_recordings_to_convert(tmp_path / "page")
-    run_all(snippets(page), tmp_path / "page")
+    run_all(snippets(page), tmp_path / "page", slowly)
 
 
 def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> None:
