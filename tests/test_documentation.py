@@ -9,6 +9,7 @@ import glob
 import io
 import pkgutil
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -88,7 +89,7 @@ NOT_RUN = {
 """What does not run, and why. Commands of gelgap are parsed nevertheless, code is compiled."""
 
 RUN_SLOWLY = re.compile(
-    r"gelgap benchmark (throughput|throughput --what stages|physics|stability --what \w+) --quick"
+    r"gelgap benchmark (throughput|throughput --what stages|physics|stability --what physics) --quick"
 )
 """Run by the slow form of a page's test alone: tests/benchmarks runs the parts of these."""
 
@@ -262,11 +263,18 @@ def run_command(line: str, parse_only: bool) -> None:
     elif words[0] == "python":
         assert (ROOT / words[1]).is_file(), f"there is no file {words[1]}"
         if not parse_only:
-            run_program([sys.executable, str(ROOT / words[1]), *words[2:]])
+            run_script(ROOT / words[1], words[2:])
     elif words[0] == "make":
         run_program([*words, "--directory", str(ROOT)])
     else:
         assert parse_only, f"{words[0]} is not a program that this test knows"
+
+
+def run_script(path: Path, arguments: list[str]) -> None:
+    """Run a script as Python would, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(path), *arguments])
+        runpy.run_path(str(path), run_name="__main__")
 
 
 def run_program(words: list[str]) -> None:
