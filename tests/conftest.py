@@ -1,11 +1,14 @@
 """A small domain drawn with NumPy, whose pictures determine the force, a profile that learns it, and valid files."""
 
+import os
 import shutil
 import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from quick_solves import coarsen
 
 from gelgap.adapt.profile import Profile
 from gelgap.domains import ArrayFrames
@@ -15,6 +18,18 @@ from gelgap.domains import ArrayFrames
 def interruptible():
     """Ctrl-C ends what tests start, although a shell has what it runs in the background ignore it."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def users_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What tests solve is solved once by all test processes together, and the user's own cache is left alone."""
+    folder = tmp_path_factory.getbasetemp()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(
+            "XDG_CACHE_HOME",
+            str((folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cache"),
+        )
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -54,6 +69,28 @@ def draw_domain(
         contact_class=1 + 72 * depth + 12 * radius + angle,
         point_id=point,
     )
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """Run a command that ends with an exit code and one line on standard error; return the line."""
+
+    def run(*words: str | Path, code: int = 2) -> str:
+        from gelgap.cli.main import main
+
+        with pytest.raises(SystemExit) as stop:
+            main([str(word) for word in words])
+        said = capsys.readouterr().err
+        assert (stop.value.code, said.count("\n")) == (code, 1), said
+        return said
+
+    return run
+
+
+@pytest.fixture
+def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solves on a coarser mesh."""
+    coarsen(monkeypatch)
 
 
 @pytest.fixture(scope="session")

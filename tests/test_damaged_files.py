@@ -82,7 +82,7 @@ def timer() -> Iterator[Callable[[], object]]:
     signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize("tries", [20, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tries", [10, pytest.param(500, marks=pytest.mark.slow)])
 # Of a table of presses, a changed name of a picture is another picture's.
 @pytest.mark.parametrize("name", sorted(KINDS.keys() - {"presses"}))
 def test_no_damage_passes_unseen(

@@ -9,6 +9,7 @@ import glob
 import io
 import pkgutil
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -22,6 +23,7 @@ from typing import Any
 
 import pytest
 from documented import FENCE, OTHER_PAGES, PAGES, README, ROOT, Snippet, help_examples, page_text, snippets
+from quick_solves import coarsen, shrink_libraries
 from real_clones import write_ball_clone, write_recordings, write_wedge_clone
 
 from gelgap.adapt import Profile
@@ -33,12 +35,14 @@ SMALL = "--quality draft --size 64 48 --scheduler synchronous"
 QUICKEST = {
     r"^make ": "make --dry-run ",
     r"^gelgap press ": "gelgap press --quality draft ",
+    r"(--mm-per-px \S+) -o": r"\1 --held-out-parts 2 -o",
+    r"--sensor start.toml -o": "--sensor start.toml --held-out-parts 0 -o",
     r"--domains 60 --frames-per-domain 60": "--quick --scheduler synchronous",
     r"--path cpu-random --quality draft": f"--path tiny.toml {SMALL}",
     r"--path cpu(?!-)": f"--path tiny.toml {SMALL}",
     r"from-force 20": "from-force 4",
     r"classes_from_force=20": "classes_from_force=4",
-    r"PressStream\(seed=0, size_px=\(320, 240\)": 'PressStream("small.toml", seed=0, size_px=(48, 36)',
+    r"PressStream\(seed=0, size_px=\(320, 240\), stop=64": 'PressStream("small.toml", seed=0, size_px=(48, 36), stop=8',
     r"PoseRanges\(0.1, 1.0, travel_mm=0.6\)": "PoseRanges(0.05, 0.55, travel_mm=0.25)",
     r'TactileSensor\("b0"': 'TactileSensor("b0", deepest_mm=0.45, farthest_mm=0.15',
     r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
@@ -84,6 +88,11 @@ NOT_RUN = {
 }
 """What does not run, and why. Commands of gelgap are parsed nevertheless, code is compiled."""
 
+RUN_SLOWLY = re.compile(
+    r"gelgap benchmark (throughput|throughput --what stages|physics|stability --what physics) --quick"
+)
+"""Run by the slow form of a page's test alone: tests/benchmarks runs the parts of these."""
+
 
 def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
     """Train for a few epochs only, whatever the profile."""
@@ -91,7 +100,7 @@ def shorter(preset: Callable[[str], Profile]) -> Callable[[str], Profile]:
 
 
 TINY_PATH = """
-points_x_mm = [-1.5, 0.0, 1.5]
+points_x_mm = [-1.5, 1.5]
 points_y_mm = [-1.0, 1.0]
 depths_mm = [0.2, 0.4]
 radii_mm = [0.1]
@@ -105,8 +114,6 @@ depths = 1
 sphere_diameter_mm = [3.0, 3.0]
 deepest_by_thickness = [0.05, 0.05]
 """
-FEWEST_POSES = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1, "_HELD_OUT_TRAVELS": (0.0, 1.5)}
-"""Of a library."""
 
 
 def measured_in_this_process(real: Callable) -> Callable:
@@ -165,7 +172,9 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "benchmarks.frames.random_path": few_shallow_contacts,
         "benchmarks.frames.load_path": lambda real: lambda name: SimpleNamespace(poses=()),
         "benchmarks.frames.SIZES_PX": lambda real: ((48, 36),),
-        "benchmarks.frames.FRAMES": lambda real: (45, real[1]),
+        "benchmarks.frames.FRAMES": lambda real: (25, real[1]),
+        "benchmarks.frames.seen_along_x": lambda real: lambda number: real(1),
+        "benchmarks.frames.stream_rates": lambda real: lambda frames, workers: real(frames, (0,)),
     },
     "gelgap benchmark view --quick": {
         "benchmarks.view.QUICK_REPEATS": lambda real: 1,
@@ -210,22 +219,23 @@ def smallest_case(line: str) -> dict[str, Callable[[Any], Any]]:
     return next((parts for command, parts in SMALLEST.items() if line.startswith(command)), {})
 
 
-def run_all(listed: list[Snippet], folder: Path) -> None:
+def run_all(listed: list[Snippet], folder: Path, slowly: bool = False) -> None:
     """Run snippets one after another in a folder; the first that fails is named with its place."""
     with contextlib.chdir(folder):
         for snippet in listed:
             output = io.StringIO()
             try:
                 with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-                    run(snippet)
+                    run(snippet, slowly)
             except BaseException as error:
                 said = output.getvalue()[-2000:]
                 raise AssertionError(f"{snippet.where}: {snippet.text}\n{error!r}\n{said}") from error
 
 
-def run(snippet: Snippet) -> None:
+def run(snippet: Snippet, slowly: bool) -> None:
     """Run one snippet in its quickest form, or check what can be checked without."""
-    excused = reason_not_to_run(snippet.text) is not None
+    left_out = not slowly and RUN_SLOWLY.match(snippet.text)
+    excused = bool(left_out) or reason_not_to_run(snippet.text) is not None
     text = snippet.text if excused else quickest(snippet.text)[0]
     if snippet.kind == "file":
         Path(snippet.file_name).write_text(text)
@@ -253,11 +263,18 @@ def run_command(line: str, parse_only: bool) -> None:
     elif words[0] == "python":
         assert (ROOT / words[1]).is_file(), f"there is no file {words[1]}"
         if not parse_only:
-            run_program([sys.executable, str(ROOT / words[1]), *words[2:]])
+            run_script(ROOT / words[1], words[2:])
     elif words[0] == "make":
         run_program([*words, "--directory", str(ROOT)])
     else:
         assert parse_only, f"{words[0]} is not a program that this test knows"
+
+
+def run_script(path: Path, arguments: list[str]) -> None:
+    """Run a script as Python would, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [str(path), *arguments])
+        runpy.run_path(str(path), run_name="__main__")
 
 
 def run_program(words: list[str]) -> None:
@@ -302,10 +319,9 @@ def after_the_readme(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(Profile, "preset", shorter(Profile.preset))
+        coarsen(patch)
         patch.setattr("gelgap.adapt.few_labels.NEW_SENSOR_STEPS", 4)
-        for name, value in FEWEST_POSES.items():
-            patch.setattr(f"gelgap.domains.library.{name}", value)
-        patch.setattr("gelgap.domains.stream._DEPTHS", 2)
+        shrink_libraries(patch)
         run_all(snippets(README), folder)
         yield folder
 
@@ -315,14 +331,23 @@ def test_the_readme_runs_in_an_empty_folder(after_the_readme: Path) -> None:
     assert (after_the_readme / "runs/report.html").is_file()
 
 
-@pytest.mark.parametrize("page", [page for page in OTHER_PAGES if snippets(page)])
-def test_a_page_runs(page: str, after_the_readme: Path, tmp_path: Path) -> None:
+def pages() -> Iterator[Any]:
+    """Yield the pages that have something to run, in their slow form if they have one."""
+    for page in OTHER_PAGES:
+        if snippets(page):
+            yield pytest.param(page, False, id=page)
+        if any(RUN_SLOWLY.match(snippet.text) for snippet in snippets(page)):
+            yield pytest.param(page, True, id=f"{page}, slowly", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(("page", "slowly"), pages())
+def test_a_page_runs(page: str, slowly: bool, after_the_readme: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_readme, tmp_path / "page")
     if any(snippet.text.startswith("gelgap calibrate") for snippet in snippets(page)):
         take_pictures_to_calibrate_with(tmp_path / "page")
     if "gelgap convert" in page_text(page):
         write_recordings_to_convert(tmp_path / "page")
-    run_all(snippets(page), tmp_path / "page")
+    run_all(snippets(page), tmp_path / "page", slowly)
 
 
 def test_the_examples_of_help_run(after_the_readme: Path, tmp_path: Path) -> None:

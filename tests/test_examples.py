@@ -6,10 +6,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 from loaded_file import load_file
+from quick_solves import coarsen, shrink_libraries
 
 from gelgap.domains import open_domain
 from gelgap.sim import ContactPath
 
+pytestmark = pytest.mark.usefixtures("coarse")
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -28,7 +30,9 @@ def own_gap(tmp_path_factory: pytest.TempPathFactory) -> Path:
         radii_mm=(0.2,),
         angles_deg=(0.0, 60.0, 120.0, 180.0, 240.0, 300.0),
     )
-    load("own_gap").main(out_dir, path, "draft", size_px=(64, 48))
+    with pytest.MonkeyPatch.context() as patch:
+        coarsen(patch)
+        load("own_gap").main(out_dir, path, "draft", size_px=(64, 48))
     return out_dir
 
 
@@ -55,9 +59,7 @@ def test_own_sensor_sees_the_contact_from_any_folder(tmp_path: Path, monkeypatch
 
 def test_a_pi_law_holds_a_force(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("gymnasium")
-    fewest = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1, "_HELD_OUT_TRAVELS": (0.0,)}
-    for name, value in fewest.items():
-        monkeypatch.setattr(f"gelgap.domains.library.{name}", value)
+    shrink_libraries(monkeypatch)
     share = load("hold_force").main(40, deepest_mm=0.3, farthest_mm=0.05, size_px=(48, 36))
     assert share[0] < 0.5
     assert np.abs(share[-5:] - 1).max() < 0.02

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-PROCESSES = 5
+PROCESSES = 3
 SOLVE = """
 import sys
 from gelgap.sim import Elastomer, Pose, Sphere, solve_pose

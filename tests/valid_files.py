@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from network_weights import weights
+from quick_solves import coarsen
 
 from gelgap.adapt import (
     ForceModel,
@@ -64,6 +65,7 @@ KEPT = np.linspace(0, 1, 500)
 def make_valid_files(folder: Path) -> None:
     """Write the files below a folder: solves to its own cache, decoded pictures beside the data."""
     with pytest.MonkeyPatch.context() as patch:
+        coarsen(patch)
         patch.setenv("GELGAP_CACHE", str(folder / "cache"))
         path = ContactPath("valid", (-0.75, 0.75), (0.0,), (0.2,), (0.1,), (0.0, 90.0, 180.0, 270.0))
         generate(

@@ -9,13 +9,8 @@ import torch
 from gelgap.adapt.evaluation import evaluate
 from gelgap.adapt.few_labels import affine_correction, draw_labelled, fine_tune
 from gelgap.adapt.model import AffineCorrection, ForceModel
-from gelgap.adapt.trainer import adapt, train_source
+from gelgap.adapt.trainer import adapt
 from gelgap.domains import ArrayFrames
-
-
-@pytest.fixture(scope="module")
-def stage1(source, profile):
-    return train_source(source, profile.replace(source_epochs=8))
 
 
 @pytest.fixture(scope="module")

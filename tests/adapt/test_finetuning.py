@@ -6,16 +6,16 @@ from pathlib import Path
 import cv2
 import pytest
 
-from gelgap.adapt import Evaluation, ForceModel, evaluate, finetune, train_source
+from gelgap.adapt import Evaluation, ForceModel, evaluate, finetune
 from gelgap.adapt.few_labels import Pretraining
 from gelgap.cli.main import main
 from gelgap.domains import open_domain
 
 
 @pytest.fixture(scope="module")
-def checkpoint(source, profile, tmp_path_factory) -> Path:
+def checkpoint(stage1, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("checkpoint") / "pretrained.pt"
-    train_source(source, profile).save(path)
+    stage1.save(path)
     return path
 
 

@@ -4,44 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.evaluation import evaluate
 from gelgap.adapt.methods.cdan import multilinear_map
 from gelgap.adapt.methods.importance_weighting import density_ratio
 from gelgap.adapt.methods.tasfar import Calibration, block_masses, calibrate, pseudo_labels
 from gelgap.adapt.methods.uga import Evidence, evidential_loss, similar
-from gelgap.adapt.trainer import adapt, train_source
-
-METHODS = ("mean-teacher", "cdan", "uga", "importance-weighting", "tasfar")
-
-
-@pytest.fixture(scope="module")
-def stage1(source, profile):
-    return train_source(source, profile.replace(source_epochs=8), seed=0)
+from gelgap.adapt.trainer import adapt
 
 
 def weights(model) -> np.ndarray:
     return torch.cat([value.flatten() for value in model.network.parameters()]).detach().numpy()
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_it_moves_the_network_the_same_way_each_time(stage1, source, target, method):
-    first, second = (adapt(stage1, source, target, method) for _ in range(2))
-    np.testing.assert_array_equal(weights(first), weights(second))
-    assert np.abs(weights(first) - weights(stage1)).max() > 1e-6
-    assert np.isfinite(evaluate(first, target).mean_mae_n)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_it_reads_no_target_label(stage1, source, target, method):
-    unlabelled = target.__class__(
-        target.name,
-        target.images(),
-        target.reference,
-        np.zeros_like(target.force_n),
-        target.contact_class * 0,
-    )
-    first, second = (adapt(stage1, source, frames, method) for frames in (target, unlabelled))
-    np.testing.assert_array_equal(weights(first), weights(second))
 
 
 def test_an_interrupted_mean_teacher_goes_on_from_its_teacher(stage1, source, target, tmp_path):

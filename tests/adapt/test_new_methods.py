@@ -111,19 +111,6 @@ def test_slack_is_none_where_the_rest_varies_as_in_the_source():
     assert float(slack_loss(features, doubled)) == pytest.approx((2 + 0.5 - 2) / 2)
 
 
-@pytest.mark.parametrize("method", ["deep-jdot", "fourier-style", "label-shift", "psc", "online-ssa"])
-def test_each_adapts_without_target_labels_and_repeats(domains, profile, method):
-    source, target = domains
-    stage1 = train_source(source, profile)
-    hidden = ArrayFrames("other", target.images(), target.reference, np.full((len(target), 3), -1.0))
-    one, two = (
-        adapt(stage1, source, frames, method, profile).predict_n(target) for frames in (target, hidden)
-    )
-    np.testing.assert_array_equal(one, two)
-    assert np.isfinite(one).all()
-    assert np.abs(one - stage1.predict_n(target)).max() > 0
-
-
 def test_online_adaptation_sees_each_picture_once(domains, profile, monkeypatch):
     source, target = domains
     stage1, passes = train_source(source, profile), []

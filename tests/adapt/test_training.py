@@ -22,11 +22,6 @@ from gelgap.adapt.trainer import adapt, train_source
 from gelgap.domains import ArrayFrames, join_domains
 
 
-@pytest.fixture(scope="module")
-def stage1(source, target, profile):
-    return train_source(split_for_training(source, target, profile, 0).source_train, profile, seed=0)
-
-
 def altered(frames: ArrayFrames, **changes: np.ndarray) -> ArrayFrames:
     """Return the frames with some arrays changed."""
     names = ("force_n", "contact_class", "point_id", "reference")
@@ -46,14 +41,6 @@ def test_same_seed_same_weights_another_seed_others(source, profile):
     torch.rand(7)
     np.testing.assert_array_equal(weights(first), weights(train_source(source, short, seed=3)))
     assert np.abs(weights(first) - weights(train_source(source, short, seed=4))).max() > 1e-3
-
-
-@pytest.mark.parametrize("method", ["source-only", "adabn", "dsan"])
-def test_adaptation_is_deterministic(stage1, source, target, method):
-    first, second = (adapt(stage1, source, target, method) for _ in range(2))
-    np.testing.assert_array_equal(weights(first), weights(second))
-    changed = np.abs(weights(first) - weights(stage1)).max() > 0
-    assert changed == (method != "source-only")
 
 
 def test_no_transfer_takes_only_normalisation_from_the_target(stage1, source, target):
@@ -132,7 +119,7 @@ def test_source_only_never_sees_target_pictures(stage1, source, target):
 
 
 @pytest.mark.parametrize("method", [m for m in method_names() if not find_method(m).uses_target_labels])
-def test_methods_do_not_read_target_labels(stage1, source, target, method):
+def test_a_method_repeats_itself_without_a_look_at_target_labels(stage1, source, target, method):
     short = stage1.profile.replace(adapt_epochs=1)
     lied = altered(
         target,
@@ -140,8 +127,10 @@ def test_methods_do_not_read_target_labels(stage1, source, target, method):
         contact_class=np.full_like(target.contact_class, -1),
         point_id=np.full_like(target.point_id, -1),
     )
-    honest = adapt(stage1, source, target, method, short)
-    np.testing.assert_array_equal(weights(honest), weights(adapt(stage1, source, lied, method, short)))
+    honest = weights(adapt(stage1, source, target, method, short))
+    np.testing.assert_array_equal(honest, weights(adapt(stage1, source, lied, method, short)))
+    assert np.isfinite(honest).all()
+    assert np.any(honest != weights(stage1)) == (method != "source-only")
 
 
 def test_resumed_training_gives_the_same_bytes(source, profile, tmp_path):

@@ -210,17 +210,30 @@ def wrong_values(option: Option) -> Iterator[tuple[str, list[str], str]]:
             yield f"{what}, second", [*before, *rest, value], value
 
 
-EVERY_OPTION = [
-    pytest.param(command, option, id=f"{command} {option.name}")
-    for command, definition in COMMANDS.items()
-    for option in options_of(definition)
-]
+OWN_TO_AN_OPTION = ("value of a switch", "missing", "negative", "huge", "unknown", "not there")
+"""Wrong values that are tried on every option; others depend on its type and its checks alone."""
 
 
-@pytest.mark.parametrize(("command", "option"), EVERY_OPTION)
+def every_option() -> Iterator[Any]:
+    """Yield each option; with all wrong values if it is the first of its type and checks, or slowly."""
+    first = {}
+    for command, definition in COMMANDS.items():
+        for option in options_of(definition):
+            kind = (str(option.type), option.checks)
+            if first.setdefault(kind, option) is option:
+                yield pytest.param(command, option, True, id=f"{command} {option.name}")
+            else:
+                yield pytest.param(command, option, False, id=f"{command} {option.name}")
+                yield pytest.param(
+                    command, option, True, id=f"{command} {option.name}, all", marks=pytest.mark.slow
+                )
+
+
+@pytest.mark.parametrize(("command", "option", "thorough"), every_option())
 def test_wrong_values_are_refused_in_one_sentence(
     command: str,
     option: Option,
+    thorough: bool,
     place: Path,
     tmp_path: Path,
     nothing_works: None,
@@ -229,6 +242,8 @@ def test_wrong_values_are_refused_in_one_sentence(
     before = contents(place)
     wrong = []
     for number, (what, typed, value) in enumerate(wrong_values(option)):
+        if not thorough and what not in OWN_TO_AN_OPTION:
+            continue
         here = tmp_path / str(number)
         shutil.copytree(place, here)
         with contextlib.chdir(here):

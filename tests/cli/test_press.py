@@ -1,17 +1,14 @@
 """`gelgap press` under load control."""
 
 import json
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
 from gelgap.cli.main import main
 
 
-def test_press_to_a_force(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path))
+def test_press_to_a_force(capsys: pytest.CaptureFixture[str]) -> None:
     main(["press", "--force-n", "0.2", "--quality", "draft", "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["force_n"][2] == pytest.approx(-0.2, rel=0.01)
@@ -26,12 +23,9 @@ def test_press_to_a_force(
     ],
 )
 def test_bad_load_control_is_refused(
-    options: list[str], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+    options: list[str], words: tuple[str, ...], refused: Callable[..., str]
 ) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(["press", "--force-n", "0.2", *options])
-    assert stop.value.code == 2
-    message = capsys.readouterr().err
+    message = refused("press", "--force-n", "0.2", *options)
     assert all(word in message for word in words)
 
 

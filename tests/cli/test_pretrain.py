@@ -1,10 +1,12 @@
 """`gelgap pretrain`: drawn domains, one network, and a checkpoint that training starts from."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
+from quick_solves import shrink_libraries
 
 from gelgap.adapt import ForceModel, Profile, train_source
 from gelgap.cli.main import main
@@ -57,22 +59,16 @@ def test_what_can_be_left_out_is_what_is_drawn() -> None:
     ],
 )
 def test_what_cannot_be_trained_on_is_refused_before_it_is_made(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, options: str, sentence: str
+    refused: Callable[..., str], tmp_path: Path, options: str, sentence: str
 ) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(f"pretrain {options} --out {tmp_path}/out".split())
-    assert stop.value.code == 2
-    assert sentence in capsys.readouterr().err
+    assert sentence in refused("pretrain", *options.split(), "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_network_is_pretrained_on_a_stream_without_a_data_set(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fewest = {"_DEPTHS": 2, "_STICKING_TRAVELS": 1, "_SLIDING_TRAVELS": 1}
-    for name, value in fewest.items():
-        monkeypatch.setattr(f"gelgap.domains.library.{name}", value)
-    monkeypatch.setattr("gelgap.domains.stream._DEPTHS", 2)
+    shrink_libraries(monkeypatch)
     (tmp_path / "profile.toml").write_text('base = "smoke"\nwidth = 0.125\nfeature_dim = 16\n')
     command = f"pretrain --stream --quick --profile {tmp_path}/profile.toml --out {tmp_path}/out"
     main([*command.split(), "--dry-run"])

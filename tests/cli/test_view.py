@@ -6,29 +6,19 @@ import socket
 import subprocess
 import sys
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from gelgap.cli.main import main
-
-
-def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Run the command, and return the one line that it ends with."""
-    with pytest.raises(SystemExit) as stop:
-        main(["view", "--no-browser", *arguments])
-    assert stop.value.code == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.count("\n") == 1
-    return said.err
+VIEW = ("view", "--no-browser")
 
 
 def test_without_viser_it_says_how_to_install_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
 ) -> None:
     monkeypatch.setattr("gelgap.cli.view.find_spec", lambda name: None)
-    assert "pip install 'gelgap[view]'" in refused([], capsys)
+    assert "pip install 'gelgap[view]'" in refused(*VIEW)
 
 
 @pytest.mark.parametrize(
@@ -42,31 +32,31 @@ def test_without_viser_it_says_how_to_install_it(
     ],
 )
 def test_bad_values_are_refused(
-    arguments: list[str], words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+    arguments: list[str], words: tuple[str, ...], refused: Callable[..., str]
 ) -> None:
-    message = refused(arguments, capsys)
+    message = refused(*VIEW, *arguments)
     assert all(word in message for word in words)
 
 
-def test_a_gel_too_thin_for_the_path_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_gel_too_thin_for_the_path_is_refused(tmp_path: Path, refused: Callable[..., str]) -> None:
     pytest.importorskip("viser")
     thin = tmp_path / "thin.toml"
     thin.write_text("young_modulus_mpa = 0.3\npoisson_ratio = 0.49\nfriction = 0.5\nthickness_mm = 0.8\n")
-    assert "depth_mm" in refused(["--elastomer", str(thin), "--port", "0"], capsys)
+    assert "depth_mm" in refused(*VIEW, "--elastomer", thin, "--port", "0")
 
 
-def test_a_taken_port_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_taken_port_is_refused(refused: Callable[..., str]) -> None:
     pytest.importorskip("viser")
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        assert f"--port = {port}: is taken" in refused(["--port", str(port)], capsys)
+        assert f"--port = {port}: is taken" in refused(*VIEW, "--port", str(port))
 
 
-def test_an_address_of_another_machine_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_address_of_another_machine_is_refused(refused: Callable[..., str]) -> None:
     pytest.importorskip("viser")
-    assert "--host = '203.0.113.7'" in refused(["--host", "203.0.113.7", "--port", "0"], capsys)
+    assert "--host = '203.0.113.7'" in refused(*VIEW, "--host", "203.0.113.7", "--port", "0")
 
 
 def test_it_serves_this_machine_and_ends_on_an_interrupt(tmp_path: Path) -> None:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from quick_solves import coarsen, shrink_libraries
 
-from gelgap.domains import library, stream
 from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.generation.generate import GenerationReport, generate
 from gelgap.sim import ContactPath
@@ -25,8 +25,9 @@ EVERY_COLUMN = get_args(OptionalColumn)
 
 
 @pytest.fixture(scope="session", autouse=True)
-def solve_cache(tmp_path_factory: pytest.TempPathFactory):
+def solve_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
+        coarsen(patch)
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("solves")))
         yield
 
@@ -58,11 +59,7 @@ def data(tmp_path_factory: pytest.TempPathFactory, make: Callable[..., Generatio
 
 @pytest.fixture(scope="module")
 def few_solves() -> Iterator[None]:
-    """Libraries of two depths and two drags at each."""
+    """Libraries of few poses."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(library, "_DEPTHS", 2)
-        patch.setattr(stream, "_DEPTHS", 2)
-        patch.setattr(library, "_STICKING_TRAVELS", 1)
-        patch.setattr(library, "_SLIDING_TRAVELS", 1)
-        patch.setattr(library, "_HELD_OUT_TRAVELS", (0.0, 1.5))
+        shrink_libraries(patch)
         yield

@@ -97,7 +97,10 @@ def test_a_domain_is_finished_although_the_cluster_does_not_close_in_time(
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     """A busy machine answers late; every frame is there by then."""
-    from distributed import Client
+    from distributed import Client, LocalCluster
+
+    def in_this_process(**options: object) -> LocalCluster:
+        return LocalCluster(**options | {"processes": False})
 
     close = Client.close
 
@@ -106,6 +109,7 @@ def test_a_domain_is_finished_although_the_cluster_does_not_close_in_time(
             close(client, *arguments)
             raise TimeoutError
 
+    monkeypatch.setattr("distributed.LocalCluster", in_this_process)
     monkeypatch.setattr(Client, "close", late)
     make(tmp_path, ("mb1i2",), scheduler=None, workers=1)
     assert json.loads((tmp_path / "mb1i2" / "manifest.json").read_text())["complete"]

@@ -152,7 +152,7 @@ def test_exact_solves_each_pose_and_its_configuration_is_as_before(random_path: 
     exact, served = (make_recipes(["mb0i0"], random_path, exact=exact, **SMALL)[0] for exact in (True, False))
     assert "interpolated" not in exact.configuration()
     assert exact.key != served.key
-    few = PosePath("few", random_path.poses[:20])
+    few = PosePath("few", random_path.poses[:10])
     assert not make_recipes(["mb0i0"], few, **SMALL)[0].interpolated
 
 

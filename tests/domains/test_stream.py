@@ -1,6 +1,7 @@
 """A stream's sample n is the same whoever draws it, a picture of the press that it tells."""
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,11 @@ def drawn(few_solves: None, solve_cache: None) -> PressStream:
     return PressStream(RANGES, seed=5, size_px=SIZE_PX, stop=12, batch_size=4)
 
 
+@pytest.fixture(scope="module")
+def samples(drawn: PressStream) -> list[PressSample]:
+    return list(drawn)
+
+
 def assert_same(one: PressSample, other: PressSample) -> None:
     assert one.number == other.number
     assert one.draw == other.draw
@@ -24,8 +30,7 @@ def assert_same(one: PressSample, other: PressSample) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-def test_a_sample_is_a_picture_of_a_press_and_tells_it(drawn: PressStream) -> None:
-    samples = list(drawn)
+def test_a_sample_is_a_picture_of_a_press_and_tells_it(samples: list[PressSample]) -> None:
     assert [sample.number for sample in samples] == list(range(12))
     assert {sample.picture.shape for sample in samples} == {(36, 48, 3)}
     pressed = [sample for sample in samples if sample.draw["depth_mm"] > 0]
@@ -37,18 +42,34 @@ def test_a_sample_is_a_picture_of_a_press_and_tells_it(drawn: PressStream) -> No
     assert len(brightness) > 1
 
 
-def test_sample_n_is_the_same_whatever_came_before(drawn: PressStream) -> None:
-    in_order = list(drawn)
+def test_sample_n_is_the_same_whatever_came_before(drawn: PressStream, samples: list[PressSample]) -> None:
     resumed = PressStream(RANGES, seed=5, size_px=SIZE_PX, start=7, stop=12)
-    for one, other in zip(in_order[7:], resumed, strict=True):
+    for one, other in zip(samples[7:], resumed, strict=True):
         assert_same(one, other)
-    assert_same(in_order[3], pickle.loads(pickle.dumps(drawn)).sample(3))
+    assert_same(samples[3], pickle.loads(pickle.dumps(drawn)).sample(3))
     assert not np.array_equal(
-        PressStream(RANGES, seed=6, size_px=SIZE_PX).sample(3).picture, in_order[3].picture
+        PressStream(RANGES, seed=6, size_px=SIZE_PX).sample(3).picture, samples[3].picture
     )
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+def test_workers_draw_every_other_batch(
+    drawn: PressStream, samples: list[PressSample], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shares = []
+    for worker in range(2):
+        info = SimpleNamespace(id=worker, num_workers=2)
+        monkeypatch.setattr(stream, "get_worker_info", lambda info=info: info)
+        shares.append(list(drawn))
+    assert [[sample.number for sample in share] for share in shares] == [
+        [0, 1, 2, 3, 8, 9, 10, 11],
+        [4, 5, 6, 7],
+    ]
+    for share in shares:
+        for sample in share:
+            assert_same(sample, samples[sample.number])
+
+
+@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_batches_are_the_same_whatever_the_workers(drawn: PressStream, workers: int) -> None:
     batches = list(drawn.loader(workers))
     assert [batch.number.tolist() for batch in batches] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]
@@ -75,10 +96,10 @@ def test_contacts_that_cannot_be_seen_are_drawn_again_and_counted(
         drawn.sample(2)
 
 
-def test_frames_for_training_are_its_samples(drawn: PressStream) -> None:
+def test_frames_for_training_are_its_samples(drawn: PressStream, samples: list[PressSample]) -> None:
     frames = drawn.frames(0, 12)
     assert len(frames) == 12
-    force_n = np.stack([sample.force_n for sample in drawn])
+    force_n = np.stack([sample.force_n for sample in samples])
     assert sorted(frames.force_n[:, 2].tolist()) == pytest.approx(sorted(force_n[:, 2].tolist()))
 
 

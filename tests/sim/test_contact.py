@@ -18,6 +18,9 @@ PLACES_MM = ((0.0, 0.0, -0.1), (0.0, 0.0, -0.3), (0.08, 0.0, -0.3), (0.16, 0.0, 
 COMMANDS = tuple((*place, 0.0, 0.0, 0.0) for place in PLACES_MM)
 
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
+
 def _problem(mount_stiffness_n_per_mm: float | None = None) -> ContactProblem:
     scene = Scene(GEL, Sphere(), "draft", Sharing())
     problem = ContactProblem.of(scene, None, ((0.0, 0.0, -0.3), (0.16, 0.0, -0.3)), (-1, 0))
@@ -43,8 +46,8 @@ def test_mujoco_takes_the_condensed_solution_and_finds_the_same_alone(
 def test_mujoco_starts_from_nothing_else() -> None:
     """Sideways on a mount, its own estimate without contacts looked better, and it ended there, without a force."""
     gel = Elastomer(young_modulus_mpa=0.7, poisson_ratio=0.49, friction=0.24, mount_stiffness_n_per_mm=20.0)
-    way = ((0.0, 0.0, -0.1), (0.1, 0.0, -0.1), (0.2, 0.0, -0.1))
-    problem = ContactProblem.of(Scene(gel, Sphere(), "draft", Sharing()), None, way, (-1, 0, 1))
+    way = ((0.0, 0.0, -0.1), (0.1, 0.0, -0.1))
+    problem = ContactProblem.of(Scene(gel, Sphere(), "draft", Sharing()), None, way, (-1, 0))
     condensed, alone = (solve(problem, condensed=switch).records for switch in (True, False))
     for one, other in zip(condensed, alone, strict=True):
         assert one.converged

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import surface
-from gelgap.sim import Elastomer, Pose, Sharing, Sphere, solve_poses
+from gelgap.sim import Elastomer, Pose, Sphere, solve_poses
 from gelgap.sim.estimate import CAUSES, LARGEST_ESTIMATE, causes_of_error, diagnose
 from gelgap.sim.membrane import FOLDED_AREA, grid_axes, is_folded
 from gelgap.sim.plan import plan_visit
@@ -64,9 +64,8 @@ def test_a_contact_of_hardly_a_cell_is_flagged_and_one_of_many_is_not() -> None:
 
 
 def test_a_shallow_pose_on_the_mesh_of_a_deep_one_is_coarse_and_alone_is_not() -> None:
-    sharing = Sharing(cache=False)
-    shared, _ = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.01), Pose(depth_mm=1.0)], "draft", sharing)
-    (alone,) = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.01)], "draft", sharing)
+    shared, _ = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.01), Pose(depth_mm=1.0)], "draft")
+    (alone,) = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.01)], "draft")
     assert shared.diagnostics.coarse
     assert not alone.diagnostics.coarse
     assert alone.converged

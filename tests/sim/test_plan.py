@@ -19,6 +19,9 @@ SMALL = GEL.model_copy(update={"pad_size_mm": (10.0, 8.0)})
 SHORT = ContactPath("short", (-1.0, 1.0), (0.0,), (0.1,), (0.1,), (0.0, 90.0))
 
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
+
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))

@@ -1,6 +1,5 @@
 """Solved scenes: signs, theory, symmetry, scaling, convergence, bad input."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,17 +25,10 @@ BALL = Sphere()
 ALONE = Sharing(cache=False)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def descent() -> tuple[MembraneState, ...]:
     poses = (*(Pose(depth_mm=depth) for depth in (0.1, 0.2, 0.4)), Pose(depth_mm=0.4, shear_x_mm=0.2))
-    return solve_poses(GEL, BALL, poses, "draft", ALONE)
+    return solve_poses(GEL, BALL, poses, "draft")
 
 
 def test_all_states_converge_and_are_finite(descent: tuple[MembraneState, ...]) -> None:
@@ -63,7 +55,7 @@ def test_pressing_gives_negative_fz_that_grows_with_depth(descent: tuple[Membran
 
 
 def test_a_centred_press_has_no_sideways_force(descent: tuple[MembraneState, ...]) -> None:
-    alone = solve_pose(GEL, BALL, Pose(depth_mm=0.2), "draft", ALONE)
+    alone = solve_pose(GEL, BALL, Pose(depth_mm=0.2), "draft")
     assert np.abs(alone.force_n[:2]).max() < 1e-6 * abs(alone.force_n[2])
     for state in descent[:3]:  # on a mesh that is drawn out along the drag
         assert np.abs(state.force_n[:2]).max() < 5e-3 * abs(state.force_n[2])
@@ -76,6 +68,7 @@ def test_dragging_to_positive_x_gives_positive_fx(descent: tuple[MembraneState, 
     assert np.hypot(*force[:2]) < 0.8 * 1.1 * abs(force[2])
 
 
+@pytest.mark.usefixtures("coarse")
 def test_the_force_to_expect_is_a_solved_presss_within_a_quarter() -> None:
     softly = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8, mount_stiffness_n_per_mm=1.0)
     for gel in (GEL, softly):
@@ -122,7 +115,7 @@ def test_force_scales_with_the_modulus_and_shape_does_not() -> None:
     pose = Pose(depth_mm=0.2)
     soft, hard = (
         solve_pose(GEL.model_copy(update={"young_modulus_mpa": modulus}), BALL, pose, "draft", sharing)
-        for modulus, sharing in ((0.3, ALONE), (3.0, Sharing(modulus=False, cache=False)))
+        for modulus, sharing in ((0.3, None), (3.0, Sharing(modulus=False)))
     )
     np.testing.assert_allclose(hard.force_n[2], 10 * soft.force_n[2], rtol=5e-3)
     np.testing.assert_allclose(hard.displacement_mm, soft.displacement_mm, atol=2e-3)
@@ -131,7 +124,7 @@ def test_force_scales_with_the_modulus_and_shape_does_not() -> None:
 def test_a_soft_mount_takes_part_of_the_way() -> None:
     pose = Pose(depth_mm=0.2)
     rigid = solve_pose(GEL, BALL, pose, "draft")
-    mounted = solve_pose(GEL.model_copy(update={"mount_stiffness_n_per_mm": 1.0}), BALL, pose, "draft", ALONE)
+    mounted = solve_pose(GEL.model_copy(update={"mount_stiffness_n_per_mm": 1.0}), BALL, pose, "draft")
     assert mounted.converged
     assert abs(mounted.force_n[2]) < abs(rigid.force_n[2])
     reached = -mounted.displacement_mm[..., 2].min()
@@ -139,9 +132,7 @@ def test_a_soft_mount_takes_part_of_the_way() -> None:
 
 
 def test_a_contact_on_the_pads_rim_is_about_half_a_contact() -> None:
-    inside, on_rim = (
-        solve_pose(GEL, BALL, Pose(depth_mm=0.4, point_y_mm=y), "draft", ALONE) for y in (0.0, 10.0)
-    )
+    inside, on_rim = (solve_pose(GEL, BALL, Pose(depth_mm=0.4, point_y_mm=y), "draft") for y in (0.0, 10.0))
     assert on_rim.converged
     assert 0.3 < on_rim.force_n[2] / inside.force_n[2] < 0.55
     assert on_rim.force_n[1] < -0.1 * abs(on_rim.force_n[2])
@@ -153,7 +144,7 @@ def test_a_contact_on_the_pads_rim_is_about_half_a_contact() -> None:
 def test_friction_survives_a_slide_over_the_rim() -> None:
     gel = Elastomer(young_modulus_mpa=0.01, poisson_ratio=0.3, friction=1.5, thickness_mm=6.0)
     poses = tuple(Pose(depth_mm=2.4, point_x_mm=12.0, shear_x_mm=travel) for travel in (0.0, 0.5, 1.0, 1.5))
-    states = solve_poses(gel, Sphere(diameter_mm=10.0), poses, "draft", ALONE)
+    states = solve_poses(gel, Sphere(diameter_mm=10.0), poses, "draft")
     assert all(state.converged for state in states)
     # Load steps a fifth as long give 0.0209 N.
     assert states[-1].force_n[0] == pytest.approx(0.0209, rel=0.03)
@@ -164,7 +155,7 @@ def test_a_drag_near_the_brink_of_sliding_bears_what_it_should_and_is_flagged_wh
 ):
     gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.8)
     poses = tuple(Pose(depth_mm=0.4, shear_x_mm=travel) for travel in (0.3, 0.4, 0.6))
-    before, near, beyond = solve_poses(gel, BALL, poses, "draft", ALONE)
+    before, near, beyond = solve_poses(gel, BALL, poses, "draft")
     # The ratio is `solve_drag`'s at ν = 0.49 on elements of 0.2 mm, which finds no equilibrium from 0.65 mm on.
     assert near.force_n[0] / -near.force_n[2] == pytest.approx(0.788, rel=0.04)
     assert before.converged
@@ -174,21 +165,24 @@ def test_a_drag_near_the_brink_of_sliding_bears_what_it_should_and_is_flagged_wh
     assert gel.friction < beyond.force_n[0] / -beyond.force_n[2] < 0.906
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_contact_that_lets_go_as_a_whole_is_flagged() -> None:
     gel = Elastomer(young_modulus_mpa=0.01, poisson_ratio=0.3, friction=1.0, thickness_mm=1.0)
     poses = tuple(Pose(depth_mm=0.4, point_x_mm=12.0, shear_x_mm=travel) for travel in (0.0, 0.2, 0.8))
-    states = solve_poses(gel, Sphere(diameter_mm=10.0), poses, "draft", ALONE)
+    states = solve_poses(gel, Sphere(diameter_mm=10.0), poses, "draft")
     assert [state.converged for state in states] == [True, True, False]
     assert states[-1].diagnostics.residual < 1e-2  # it has settled all the same
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_press_of_a_fifth_of_a_micrometre_is_in_equilibrium() -> None:
     """Vertices rounded to nine digits, off by 5e-8 mm, left 4 % of such a press's force on free ones."""
-    state = solve_pose(GEL, BALL, Pose(depth_mm=2e-4, point_x_mm=9.5, point_y_mm=8.6), "draft", ALONE)
+    state = solve_pose(GEL, BALL, Pose(depth_mm=2e-4, point_x_mm=9.5, point_y_mm=8.6), "draft")
     assert state.converged
     assert state.diagnostics.residual < 1e-3
 
 
+@pytest.mark.usefixtures("coarse")
 def test_load_control_finds_the_depth_of_a_force() -> None:
     pose = pose_for_force(GEL, BALL, 0.2, quality="draft")
     assert -solve_pose(GEL, BALL, pose, "draft").force_n[2] == pytest.approx(0.2, rel=0.01)
@@ -196,6 +190,7 @@ def test_load_control_finds_the_depth_of_a_force() -> None:
         pose_for_force(GEL, BALL, 50.0, quality="draft")
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_diagonal_drag_is_the_same_solve_with_and_without_pressure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,6 +203,7 @@ def test_a_diagonal_drag_is_the_same_solve_with_and_without_pressure(
     np.testing.assert_array_equal(full.state.force_n, state.force_n)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_the_same_scene_gives_the_same_bytes() -> None:
     pose = Pose(depth_mm=0.1)
     first, second = (solve_pose(GEL, BALL, pose, "draft", ALONE) for _ in range(2))
@@ -215,6 +211,7 @@ def test_the_same_scene_gives_the_same_bytes() -> None:
     assert first.force_n.tobytes() == second.force_n.tobytes()
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_solve_leaves_no_log_behind(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     solve_pose(GEL, BALL, Pose(depth_mm=0.05), "draft", ALONE)
@@ -240,6 +237,7 @@ def test_an_unknown_quality_lists_the_known_ones() -> None:
         solve_pose(GEL, BALL, Pose(depth_mm=0.2), "perfect")
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_path_of_forces_reaches_them_on_its_gel() -> None:
     path = ForcePath(ContactPath("forces", (0.0,), (0.0,), (0.3, 1.0), (0.0,), (0.0,)))
     pressed = path_on_gel(path, GEL, BALL, "draft")

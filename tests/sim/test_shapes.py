@@ -211,6 +211,7 @@ def test_a_cylinder_presses_as_finite_elements_say() -> None:
     np.testing.assert_allclose(state.displacement_mm[inside, 2], -0.3, atol=2e-3)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_turned_body_is_solved_once_and_its_answer_is_turned() -> None:
     body, pose = Ellipsoid(diameters_mm=(5.0, 3.0, 3.0)), Pose(depth_mm=0.3, shear_y_mm=0.05)
     straight = plan_visit(GEL, body, (pose,), "draft", ALONE)

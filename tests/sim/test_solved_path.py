@@ -14,10 +14,9 @@ STIFF = GEL.model_copy(update={"young_modulus_mpa": 0.9})
 
 
 @pytest.fixture(scope="module", autouse=True)
-def small_grid(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A path of few poses, in a cache of its own."""
+def small_grid() -> Iterator[None]:
+    """A path of few poses."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(module, "PATH_DEPTHS_MM", (0.2, 0.4))
         patch.setattr(module, "PATH_TRAVELS_MM", (0.0, 0.2))
         yield

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim import Elastomer, Pose, Sharing, Sphere, Traction, plan_visit, traction_map
+from gelgap.sim import Elastomer, Pose, Sphere, Traction, plan_visit, traction_map
 from gelgap.sim.solution import solution_bytes, solution_from_bytes
 
 GEL = Elastomer(young_modulus_mpa=0.6, poisson_ratio=0.47, friction=0.4)
@@ -14,7 +14,7 @@ POSES = (Pose(depth_mm=0.3), Pose(depth_mm=0.3, shear_x_mm=-0.05, shear_y_mm=0.2
 
 @pytest.fixture(scope="module")
 def maps() -> tuple[Traction, ...]:
-    plan = plan_visit(GEL, Sphere(), POSES, "draft", Sharing(cache=False))
+    plan = plan_visit(GEL, Sphere(), POSES, "draft")
     solution = solution_from_bytes(solution_bytes(plan.solves[0].run()))
     return tuple(traction_map(plan, index, solution) for index in range(len(POSES)))
 

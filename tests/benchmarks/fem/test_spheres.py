@@ -31,7 +31,6 @@ def reference_force_n(case: str, depth_mm: float) -> float:
 @pytest.mark.parametrize(
     ("case", "poisson_ratio", "energy", "friction"),
     [
-        ("nh48_frictionless", 0.48, "isochoric", 0.0),
         ("nh48_friction_0.5", 0.48, "isochoric", 0.5),
         ("nh499_no_slip", 0.499, "isochoric", math.inf),
         ("snh45_no_slip", 0.45, "stable", math.inf),

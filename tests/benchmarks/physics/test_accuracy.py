@@ -117,7 +117,11 @@ def test_drags_without_slip_come_first_and_those_with_friction_know_how_far_they
     assert ends[0] < ends[1] < without[0].truth.force_n[-1, 0]
 
 
-def test_the_condensed_solve_changes_nothing_but_time(tmp_path, capsys):
+@pytest.mark.usefixtures("coarse")
+def test_the_condensed_solve_changes_nothing_but_time(tmp_path, capsys, monkeypatch):
+    (case,) = condensation_cases(quick=True)
+    shallow = tuple(replace(pose, depth_mm=0.3) for pose in case.poses)
+    monkeypatch.setattr(savings, "condensation_cases", lambda quick: [replace(case, poses=shallow)])
     found = condensation_table(Solver(1, tmp_path), quick=True).iloc[0]
     assert found["iterations"] > 10
     assert found["core s"] > 0

@@ -163,6 +163,7 @@ def test_the_light_is_fitted_without_any_mark(clones: Path, tmp_path: Path, monk
     assert np.abs(centers - presses.centers_px).max() < 3
 
 
+@pytest.mark.usefixtures("coarse")
 def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing_even_of_old_records(
     clones: Path, tmp_path: Path, capsys, monkeypatch
 ):

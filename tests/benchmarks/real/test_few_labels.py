@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from real_clones import write_wedge_clone
 
 from gelgap.adapt import Profile
 from gelgap.adapt.data import steps_per_epoch
@@ -38,11 +37,9 @@ SESSION = "2023-12-06"
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> FewLabelStudy:
+def study(wedge: Path, tmp_path_factory: pytest.TempPathFactory) -> FewLabelStudy:
     """The study of a small clone, converted."""
-    folder = tmp_path_factory.mktemp("real")
-    write_wedge_clone(folder / "clones/EstimateModulus")
-    return FewLabelStudy.of(True, folder, folder / "clones")
+    return FewLabelStudy.of(True, tmp_path_factory.mktemp("real"), wedge.parent)
 
 
 @pytest.fixture(scope="module")
@@ -156,10 +153,12 @@ def test_a_factor_that_helps_has_a_positive_difference():
     ]
 
 
-def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(tmp_path: Path, capsys, monkeypatch):
-    write_wedge_clone(tmp_path / "clones/EstimateModulus")
+@pytest.mark.usefixtures("coarse")
+def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(
+    wedge: Path, tmp_path: Path, capsys, monkeypatch
+):
     command = ["benchmark", "real", "--what", "pretraining", "--quick"]
-    command += ["--data", str(tmp_path / "clones"), "--out", str(tmp_path / "out")]
+    command += ["--data", str(wedge.parent), "--out", str(tmp_path / "out")]
     main(command)
     printed = capsys.readouterr().out
     assert "Few labels on real grasps, 2023-12-16" in printed

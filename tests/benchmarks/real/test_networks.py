@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from real_clones import write_wedge_clone
 
 from gelgap.adapt.runs import Adapted, Stage1
 from gelgap.benchmarks.adaptation.board import DESIGNS, GROUPS
@@ -31,11 +30,9 @@ from gelgap.cli.main import main
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> FoldStudy:
+def study(wedge: Path, tmp_path_factory: pytest.TempPathFactory) -> FoldStudy:
     """The study of a small clone, converted."""
-    folder = tmp_path_factory.mktemp("real")
-    write_wedge_clone(folder / "clones/EstimateModulus")
-    return FoldStudy.of(True, folder, folder / "clones")
+    return FoldStudy.of(True, tmp_path_factory.mktemp("real"), wedge.parent)
 
 
 def clips(frames) -> set[str]:
@@ -94,10 +91,11 @@ def test_the_configuration_is_that_of_profile_and_sessions(study: FoldStudy, mon
     assert found != configuration(run)
 
 
-def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(tmp_path: Path, capsys, monkeypatch):
-    write_wedge_clone(tmp_path / "clones/EstimateModulus")
+def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(
+    wedge: Path, tmp_path: Path, capsys, monkeypatch
+):
     command = ["benchmark", "real", "--what", "networks", "--quick"]
-    command += ["--data", str(tmp_path / "clones"), "--out", str(tmp_path / "out")]
+    command += ["--data", str(wedge.parent), "--out", str(tmp_path / "out")]
     main(command)
     printed = capsys.readouterr().out
     assert "2023-12-06 → 2023-12-16" in printed

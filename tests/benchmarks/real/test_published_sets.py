@@ -16,7 +16,6 @@ from real_clones import (
     write_ball_clone,
     write_table,
     write_wedge_clip,
-    write_wedge_clone,
 )
 
 from gelgap.benchmarks.real.published_sets import LAYOUTS, read_pickled_array
@@ -25,14 +24,11 @@ from gelgap.domains import ConvertedClip, convert
 
 
 @pytest.fixture(scope="module")
-def wedge(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_wedge_clone(tmp_path_factory.mktemp("clones") / "EstimateModulus")
-
-
-@pytest.fixture(scope="module")
-def converted(wedge: Path) -> tuple[Path, tuple[ConvertedClip, ...]]:
+def converted(
+    wedge: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, tuple[ConvertedClip, ...]]:
     """The clone as picture folders, and what became of its clips."""
-    out_dir = wedge.parent / "converted"
+    out_dir = tmp_path_factory.mktemp("converted") / "out"
     return out_dir, convert(wedge, LAYOUTS["wedge"], out_dir)
 
 

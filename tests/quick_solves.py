@@ -1,0 +1,31 @@
+"""Fewer and coarser solves, for tests that ask nothing of their accuracy."""
+
+from dataclasses import replace
+
+import pytest
+
+from gelgap.sim.problem import QUALITIES
+
+FEWEST_POSES = {
+    "library._DEPTHS": 2,
+    "library.MOST_SOLVES": 4,
+    "library._STICKING_TRAVELS": 1,
+    "library._SLIDING_TRAVELS": 1,
+    "library._HELD_OUT_TRAVELS": (0.0, 1.5),
+    "stream._DEPTHS": 2,
+}
+
+
+def coarsen(patch: pytest.MonkeyPatch) -> None:
+    """Make draft solves take half their time, a third of it where MuJoCo solves alone, and standard ones as long."""
+    wider = {"across": 2.0, "ring_growth": 2.6, "layer_growth": 2.4}
+    draft = QUALITIES["draft"]
+    meshes = {name: replace(getattr(draft, name), **wider) for name in ("disc", "pad")}
+    for name in ("draft", "standard"):
+        patch.setitem(QUALITIES, name, replace(draft, name=name, **meshes))
+
+
+def shrink_libraries(patch: pytest.MonkeyPatch) -> None:
+    """Give libraries two depths, two drags at each, and a held-out depth between."""
+    for name, value in FEWEST_POSES.items():
+        patch.setattr(f"gelgap.domains.{name}", value)
