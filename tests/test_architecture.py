@@ -37,7 +37,7 @@ LINES = {
     "adapt": 5720,
     "view": 1600,
     "cli": 2555,
-    "benchmarks": 10090,
+    "benchmarks": 10095,
     "scripts": 840,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
