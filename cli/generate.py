@@ -23,6 +23,7 @@ OptionalColumn = Literal[
     "indenter",
     "torque",
     "traction",
+    "turn",
 ]
 
 

@@ -195,7 +195,7 @@ def picture_folder(folder: Path, frames: ArrayFrames, session: str) -> Path:
     return folder
 
 
-def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, tmp_path, capsys, refused):
+def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, tmp_path, capsys):
     lists = {"image_size_px": "[40, 32]", "target_split": "[0.6, 0.2, 0.2]"}
     values = short.model_dump(exclude={"settings", "name", *lists})
     lines = [f"{name} = {json.dumps(value)}" for name, value in values.items()]
@@ -216,7 +216,10 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
         str(tmp_path / "tiny.toml"),
     ]
     arguments += ["--method", "dsan", "--out", str(tmp_path / "runs")]
-    assert "needs contact classes" in refused(*arguments, "--split-by", "clip")
+    with pytest.raises(SystemExit) as stop:
+        main([*arguments, "--split-by", "clip"])
+    assert stop.value.code == 2
+    assert "needs contact classes" in capsys.readouterr().err
     choice = ["--labels", "fz_n", "--range", "fz_n=-12:0.5", "--classes", "from-force", "4"]
     main([*arguments, *choice, "--split-by", "clip", "--stratify", "object"])
     lines = capsys.readouterr().out.splitlines()

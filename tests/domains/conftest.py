@@ -27,8 +27,14 @@ EVERY_COLUMN = get_args(OptionalColumn)
 @pytest.fixture(scope="session", autouse=True)
 def solve_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        coarsen(patch)
         patch.setenv("GELGAP_CACHE", str(tmp_path_factory.mktemp("solves")))
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_solves() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        coarsen(patch)
         yield
 
 
@@ -43,7 +49,9 @@ def make() -> Callable[..., GenerationReport]:
     """Generate domains on the tiny path in this process."""
 
     def generate_tiny(out: Path, domains: tuple[str, ...] = ("mb0i0",), **changes) -> GenerationReport:
-        return generate(domains, TINY, out, **{"scheduler": "synchronous", **SETTINGS, **changes})
+        with pytest.MonkeyPatch.context() as patch:  # the session's data are made before a module's fixtures
+            coarsen(patch)
+            return generate(domains, TINY, out, **{"scheduler": "synchronous", **SETTINGS, **changes})
 
     return generate_tiny
 

@@ -30,7 +30,6 @@ def test_vertices_that_land_within_a_load_step_hardly_depend_on_its_size() -> No
     assert abs(coarse.force_n[2] / fine.force_n[2] - 1) < 0.013
 
 
-@pytest.mark.usefixtures("coarse")
 def test_a_load_step_that_does_not_settle_is_taken_in_halves(monkeypatch: pytest.MonkeyPatch) -> None:
     gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.8)
     way = ((0, 0, -0.4), (0.2, 0, -0.4))
