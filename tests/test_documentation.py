@@ -340,7 +340,7 @@ def pages() -> Iterator[Any]:
             yield pytest.param(page, True, id=f"{page}, slowly", marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(("page", "slowly"), pages())
+@pytest.mark.parametrize(("page", "slowly"), tuple(pages()))
 def test_a_page_runs(page: str, slowly: bool, after_the_readme: Path, tmp_path: Path) -> None:
     shutil.copytree(after_the_readme, tmp_path / "page")
     if any(snippet.text.startswith("gelgap calibrate") for snippet in snippets(page)):

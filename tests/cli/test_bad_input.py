@@ -229,7 +229,7 @@ def every_option() -> Iterator[Any]:
                 )
 
 
-@pytest.mark.parametrize(("command", "option", "thorough"), every_option())
+@pytest.mark.parametrize(("command", "option", "thorough"), tuple(every_option()))
 def test_wrong_values_are_refused_in_one_sentence(
     command: str,
     option: Option,
