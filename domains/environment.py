@@ -2,9 +2,13 @@
 
 from typing import Any, Literal
 
-import gymnasium
 import numpy as np
-from gymnasium import spaces
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError as error:
+    raise ImportError("PressEnv needs the package gymnasium; install it with: pip install 'gelgap[gym]'") from error
 
 from gelgap.domains.tactile import Reading, TactileSensor
 
