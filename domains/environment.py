@@ -8,7 +8,9 @@ try:
     import gymnasium
     from gymnasium import spaces
 except ImportError as error:
-    raise ImportError("PressEnv needs the package gymnasium; install it with: pip install 'gelgap[gym]'") from error
+    raise ImportError(
+        "PressEnv needs the package gymnasium; install it with: pip install 'gelgap[gym]'"
+    ) from error
 
 from gelgap.domains.tactile import Reading, TactileSensor
 

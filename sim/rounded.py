@@ -201,7 +201,11 @@ class RoundedProfile(Shape):
     def _nearest(self, points_mm: Floats) -> tuple[Floats, Floats]:
         from_axis = np.hypot(points_mm[:, 0], points_mm[:, 1])
         distance_mm, normal = _onto_polygon(np.stack([from_axis, points_mm[:, 2]], 1), self._core_mm)
-        outward = points_mm[:, :2] / np.maximum(from_axis, 1e-12)[:, None]
+        off_axis = from_axis[:, None] > 1e-12
+        # On the axis every direction is as near.
+        outward = np.divide(
+            points_mm[:, :2], from_axis[:, None], where=off_axis, out=np.full((len(from_axis), 2), [1.0, 0.0])
+        )
         return distance_mm - self._rounding_mm, np.column_stack([normal[:, :1] * outward, normal[:, 1]])
 
     def _support_mm(self, directions: Floats) -> Floats:

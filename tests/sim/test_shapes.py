@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gelgap.sim import (
@@ -53,6 +53,7 @@ directions = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).fil
 
 @settings(deadline=None, max_examples=60)
 @given(body=turned, point=st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 5)))
+@example(body=Cylinder(), point=(0.0, 0.0, 3.0))
 def test_a_distance_has_a_unit_gradient_and_leads_to_the_surface(
     body: Shape, point: tuple[float, ...]
 ) -> None:

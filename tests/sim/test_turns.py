@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
@@ -40,6 +40,8 @@ def test_a_turned_body_is_the_body_in_turned_axes(
     turned = body.turned(turn).project(points @ matrix.T)
     own = body.project(points)
     assert turned.distance_mm == pytest.approx(own.distance_mm, abs=1e-6)
+    # Deep inside, several places of the surface are equally near, and rounding chooses.
+    assume(own.distance_mm[0] > -0.1)
     np.testing.assert_allclose(turned.outward_normal, own.outward_normal @ matrix.T, atol=1e-5)
 
 
