@@ -118,7 +118,7 @@ CONTENTS: dict[str, dict[str, bytes | Callable[[Path], bytes]]] = {
         "a list": b"[]",
         "a number": b"1",
         "name outside": run_with(source="../../x"),
-        "absolute name": run_with(method="/tmp/x"),
+        "absolute name": run_with(method="/x"),
         "texts for numbers": run_with(n_source="many"),
         "no evaluation": run_with(target_test=None),
         "evaluation as list": run_with(target_test=[1]),
