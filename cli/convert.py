@@ -62,19 +62,16 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
     sums = dict.fromkeys(("pictures", "in contact", "dropped", "written"), "sum")
     formats = dict.fromkeys(means, "{:.1f}".format) | dict.fromkeys(("r", "r at 0"), "{:.3f}".format)
     formats["lag"] = "{:.0f}".format
+    names = {"in_contact": "in contact", "correlation": "r", "correlation_at_0": "r at 0"}
+    every = pd.DataFrame(map(vars, clips)).rename(columns=names)
+    every[[*means]] = every["reference_rgb"].tolist()
     lines = []
-    for session in dict.fromkeys(clip.session for clip in clips):
-        own = [clip for clip in clips if clip.session == session]
-        counts = [(clip.pictures, clip.in_contact, clip.dropped, clip.written) for clip in own]
-        lags = [(clip.lag, clip.correlation, clip.correlation_at_0) for clip in own]
-        values = [
-            (*count, *lag, *clip.reference_rgb) for count, lag, clip in zip(counts, lags, own, strict=True)
-        ]
-        table = pd.DataFrame(values, [clip.name for clip in own], [*sums, "lag", "r", "r at 0", *means])
+    for session, own in every.groupby("session", sort=False):
+        table = own.set_index("name")[[*sums, "lag", "r", "r at 0", *means]]
         together = table.agg(sums | means).to_frame("together").T.astype(dict.fromkeys(sums, int))
-        shown = pd.concat([table, together]) if own[0].name != session else together
+        shown = pd.concat([table, together]) if table.index[0] != session else together
         lines += [f"{session}:", shown.to_string(formatters=formats, na_rep=""), ""]
-    if any(clip.lag is not None for clip in clips):
+    if every["lag"].notna().any():
         lines.append(
             "lag: by how many pictures the forces trail, by the clip itself; r: how the two correlate there and at 0"
         )
@@ -83,6 +80,6 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
         "begins with a force, so its reference is its first picture": "begins_in_contact",
     }
     for what, field in noted.items():
-        if names := [f"{clip.session}/{clip.name}" for clip in clips if getattr(clip, field)]:
-            lines.append(f"{what}: {', '.join(names)}")
+        if every[field].any():
+            lines.append(f"{what}: {', '.join((every['session'] + '/' + every['name'])[every[field]])}")
     return "\n".join(lines)

@@ -11,7 +11,9 @@ from gelgap.assets import asset_path, load_preset
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from gelgap.cli.demo_page import DemoResult, ForceCurve, Stage
+    import pandas as pd
+
+    from gelgap.cli.demo_page import DemoResult
 
 METHODS = ("source-only", "adabn", "dsan")
 SEED = 0
@@ -57,10 +59,10 @@ class Demo(opt.Command):
         from gelgap.adapt.evaluation import errors_text
 
         print(f"\n{result.headline}\n")
-        print(errors_text({f"{row.predictor}, {row.domain}": row.evaluation for row in result.rows}))
+        print(errors_text({", ".join(what): error for what, error in result.errors.items()}))
         print(f"\n{'stage':<20} {'s':>7}")
-        for stage in result.stages:
-            print(f"{stage.name:<20} {stage.wall_s:7.1f}")
+        for stage, wall_s in result.stages_s.items():
+            print(f"{stage:<20} {wall_s:7.1f}")
         print(f"\n{time.perf_counter() - started:.0f} s in all; report: {self.out / 'report.html'}")
 
     def result(self) -> "DemoResult":
@@ -68,16 +70,16 @@ class Demo(opt.Command):
 
         Generation resumes: domains that are finished are kept.
         """
-        from gelgap.cli.demo_page import SOURCE, TARGET, DemoResult, Row, write_page
+        from gelgap.cli.demo_page import SOURCE, TARGET, DemoResult, write_page
         from gelgap.domains import generate, shown_progress
 
-        stages: list = []
+        stages_s: dict[str, float] = {}
         print(f"1/4  force against depth, compared with theory and reference ({self.quality})")
-        with timed("force curve", stages):
-            curve = force_curve(self.quality)
+        with timed("force curve", stages_s):
+            curve, seconds_per_pose = force_curve(self.quality)
 
         print(f"2/4  generating {SOURCE} and {TARGET} on the path {self.path}")
-        with timed("generate", stages), shown_progress() as progress:
+        with timed("generate", stages_s), shown_progress() as progress:
             report = generate(
                 (SOURCE, TARGET),
                 self.path,
@@ -99,7 +101,7 @@ class Demo(opt.Command):
         runs = {}
         with console_progress() as progress:
             for method in METHODS:
-                with timed(f"train {method}", stages):
+                with timed(f"train {method}", stages_s):
                     (runs[method],) = adapt_folders(
                         self.out / "data" / SOURCE,
                         self.out / "data" / TARGET,
@@ -113,29 +115,29 @@ class Demo(opt.Command):
         plain = runs["source-only"]
         predictions = {method: load_predictions(run) for method, run in runs.items()}
         result = DemoResult(
-            rows=(
-                Row("constant mean", SOURCE, plain.source_constant_mean),
-                Row("source-only", SOURCE, plain.source_held_out),
-                Row("constant mean", TARGET, plain.target_constant_mean),
-                *(Row(method, TARGET, run.target_test) for method, run in runs.items()),
-            ),
-            stages=tuple(stages),
+            errors={
+                ("constant mean", SOURCE): plain.source_constant_mean,
+                ("source-only", SOURCE): plain.source_held_out,
+                ("constant mean", TARGET): plain.target_constant_mean,
+                **{(method, TARGET): run.target_test for method, run in runs.items()},
+            },
+            stages_s=stages_s,
             true_n=predictions["source-only"]["target_true_n"],
             predicted_n={method: arrays["target_predicted_n"] for method, arrays in predictions.items()},
             curve=curve,
+            seconds_per_pose=seconds_per_pose,
         )
         print("4/4  writing the report")
         write_page(result, self.out, self.out / "report.html")
         return result
 
 
-def force_curve(quality: str) -> "ForceCurve":
-    """Press at `CURVE_DEPTHS_MM` and compare with Hertz, the bonded layer and the FEM table."""
+def force_curve(quality: str) -> "tuple[pd.DataFrame, float]":
+    """Press at `CURVE_DEPTHS_MM` and compare with Hertz, the bonded layer and the FEM table; tell seconds per pose."""
     import numpy as np
     import pandas as pd
 
     from gelgap.benchmarks.fem.theory import hertz_force_n
-    from gelgap.cli.demo_page import ForceCurve
     from gelgap.sim import Elastomer, Pose, Sphere, bonded_layer_force_n, solve_poses
 
     gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
@@ -144,22 +146,18 @@ def force_curve(quality: str) -> "ForceCurve":
     states = solve_poses(gel, Sphere(), tuple(Pose(depth_mm=depth) for depth in CURVE_DEPTHS_MM), quality)
     seconds = (time.perf_counter() - started) / len(depth_mm)
     table = pd.read_csv(asset_path("reference", "force_depth.csv"))
-    reference_n = -table[table["case"] == "nh49_no_slip"].set_index("depth_mm")["fz_n"]
-    return ForceCurve(
-        depth_mm=depth_mm,
-        force_n=np.array([-state.force_n[2] for state in states]),
-        hertz_n=hertz_force_n(modulus_mpa, gel.poisson_ratio, radius_mm, depth_mm),
-        bonded_layer_n=bonded_layer_force_n(modulus_mpa, radius_mm, gel.thickness_mm, depth_mm),
-        reference_n=reference_n[list(CURVE_DEPTHS_MM)].to_numpy(),
-        seconds_per_pose=seconds,
-    )
+    forces_n = {
+        "force_n": [-state.force_n[2] for state in states],
+        "hertz_n": hertz_force_n(modulus_mpa, gel.poisson_ratio, radius_mm, depth_mm),
+        "bonded_layer_n": bonded_layer_force_n(modulus_mpa, radius_mm, gel.thickness_mm, depth_mm),
+        "reference_n": -table[table["case"] == "nh49_no_slip"].set_index("depth_mm")["fz_n"][depth_mm],
+    }
+    return pd.DataFrame(forces_n, index=depth_mm), seconds
 
 
 @contextmanager
-def timed(name: str, stages: "list[Stage]") -> Iterator[None]:
-    """Append the wall time of what happens inside to the stages."""
-    from gelgap.cli.demo_page import Stage
-
+def timed(name: str, stages_s: dict[str, float]) -> Iterator[None]:
+    """Enter the wall time of what happens inside among the stages."""
     started = time.perf_counter()
     yield
-    stages.append(Stage(name, time.perf_counter() - started))
+    stages_s[name] = time.perf_counter() - started

@@ -11,6 +11,7 @@ import numpy as np
 from gelgap.assets import html_page
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.figure import Figure
 
     from gelgap.adapt import Evaluation
@@ -22,58 +23,33 @@ SAMPLE_DEPTH_MM = 0.6
 
 
 @dataclass(frozen=True)
-class Row:
-    """One line of the demo's table: a predictor and its error on held-out frames of one domain."""
-
-    predictor: str
-    domain: str
-    evaluation: "Evaluation"
-
-
-@dataclass(frozen=True)
-class ForceCurve:
-    """Fz against depth of a 0.3 MPa gel, ν = 0.49, 3 mm thick, friction 0.8, in N; all arrays (n,)."""
-
-    depth_mm: np.ndarray
-    force_n: np.ndarray
-    hertz_n: np.ndarray
-    bonded_layer_n: np.ndarray
-    reference_n: np.ndarray
-    seconds_per_pose: float
-
-
-@dataclass(frozen=True)
-class Stage:
-    """What one stage took: wall time in s."""
-
-    name: str
-    wall_s: float
-
-
-@dataclass(frozen=True)
 class DemoResult:
-    """What the demo found; forces are (n, 3) in N, on the target's test frames."""
+    """What the demo found.
 
-    rows: tuple[Row, ...]
-    stages: tuple[Stage, ...]
+    `errors` are on held-out frames by predictor and domain, `stages_s` wall times. Forces are (n, 3) in N, on the
+    target's test frames. `curve` has Fz in N at depths in mm, of a 0.3 MPa gel, ν = 0.49, 3 mm thick, friction 0.8.
+    """
+
+    errors: "dict[tuple[str, str], Evaluation]"
+    stages_s: dict[str, float]
     true_n: np.ndarray
     predicted_n: dict[str, np.ndarray]
-    curve: ForceCurve
+    curve: "pd.DataFrame"
+    seconds_per_pose: float
 
     @property
     def headline(self) -> str:
         """The report's first line: whether the networks learned and whether adaptation helped."""
         from gelgap.adapt.evaluation import worse_than_constant
 
-        mae_n = {(row.predictor, row.domain): row.evaluation.mean_mae_n for row in self.rows}
+        mae_n = {what: error.mean_mae_n for what, error in self.errors.items()}
         plain, adapted = mae_n["source-only", TARGET], mae_n["dsan", TARGET]
         verdict = "DSAN beats source-only" if adapted < plain else "DSAN does NOT beat source-only"
         change = (
             f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %); AdaBN, the target's "
             f"normalisation statistics alone, has {mae_n['adabn', TARGET]:.3f} N"
         )
-        (dsan,) = (row.evaluation for row in self.rows if (row.predictor, row.domain) == ("dsan", TARGET))
-        worse = worse_than_constant(dsan)
+        worse = worse_than_constant(self.errors["dsan", TARGET])
         learned = mae_n["source-only", SOURCE] < 0.5 * mae_n["constant mean", SOURCE]
         warning = " Source-only did NOT learn: its error on the source is over half the mean's."
         told = f"{verdict} on the target: mean error {change}.{'' if learned else warning}"
@@ -91,8 +67,7 @@ def write_page(result: DemoResult, out_dir: Path, page: Path) -> None:
         source=SOURCE,
         target=TARGET,
         sample_depth_mm=SAMPLE_DEPTH_MM,
-        worst_percent=100 * np.max(np.abs(result.curve.force_n / result.curve.reference_n - 1)),
-        total_s=sum(stage.wall_s for stage in result.stages),
+        worst_percent=100 * (result.curve["force_n"] / result.curve["reference_n"] - 1).abs().max(),
         samples_png=_png_base64(_samples(domains)),
         scatter_png=_png_base64(_scatter(result)),
         force_curve_png=_png_base64(_force_curve(result)),
@@ -155,10 +130,11 @@ def _force_curve(result: DemoResult) -> "Figure":
     curve = result.curve
     figure = Figure(figsize=(7, 4), layout="constrained")
     panel = figure.subplots()
-    panel.plot(curve.depth_mm, curve.hertz_n, ":", label="Hertz (half-space)")
-    panel.plot(curve.depth_mm, curve.bonded_layer_n, "--", label="bonded layer, small strain")
-    panel.plot(curve.depth_mm, curve.reference_n, "k+", markersize=12, label="reference FEM")
-    panel.plot(curve.depth_mm, curve.force_n, "o-", markersize=4, label="gelgap (MuJoCo)")
-    panel.set(xlabel="depth / mm", ylabel="normal force / N", ylim=(0, 1.25 * float(curve.reference_n.max())))
+    panel.plot(curve["hertz_n"], ":", label="Hertz (half-space)")
+    panel.plot(curve["bonded_layer_n"], "--", label="bonded layer, small strain")
+    panel.plot(curve["reference_n"], "k+", markersize=12, label="reference FEM")
+    panel.plot(curve["force_n"], "o-", markersize=4, label="gelgap (MuJoCo)")
+    most_n = 1.25 * float(curve["reference_n"].max())
+    panel.set(xlabel="depth / mm", ylabel="normal force / N", ylim=(0, most_n))
     panel.legend()
     return figure

@@ -129,7 +129,7 @@ def start_sensor(width_px: int, azimuths: Sequence[float], mm_per_px: float = MM
         camera=Camera.showing(view_mm),
         coating=Coating(),
         markers=Markers(layout="none"),
-        illumination=Illumination(leds=bars_at(azimuths, view_mm)),
+        illumination=bars_at(azimuths, view_mm),
     )
 
 
@@ -154,11 +154,11 @@ def lit_from_dents(sensor: Sensor, reference: np.ndarray, presses: Sequence[Pres
         radii.append(press.radius_px or contact_mm / mm_per_px)
     pictures = [press.picture for press in presses]
     azimuths = light_azimuths(reference, pictures, np.array(centers), np.array(radii))
-    light = Illumination(leds=bars_at(azimuths, camera.footprint_mm(size_px)[0]))
+    light = bars_at(azimuths, camera.footprint_mm(size_px)[0])
     return sensor.model_copy(update={"illumination": light})
 
 
-def bars_at(azimuths: Sequence[float], view_mm: float) -> tuple[Led, ...]:
+def bars_at(azimuths: Sequence[float], view_mm: float) -> Illumination:
     """Return bars that send red, green and blue from azimuths (3,) in radians, from outside a view of some width."""
     leds, unit = [], view_mm / 18.88
     for name, azimuth in zip(_COLOURS, azimuths, strict=True):
@@ -173,7 +173,7 @@ def bars_at(azimuths: Sequence[float], view_mm: float) -> tuple[Led, ...]:
                 spectrum={"rgb": tuple(float(name == own) for own in _COLOURS)},
             )
         )
-    return tuple(leds)
+    return Illumination(leds=tuple(leds))
 
 
 def sphere_profiles(

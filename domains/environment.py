@@ -62,13 +62,12 @@ class PressEnv(gymnasium.Env):
             most = -float(sensor.step(ranges.deepest_mm).force_n[2])
         self.targets = targets or (0.2 * most, 0.8 * most)
         width, height = sensor.renderer.size_px
-        far, self._most_mm = 1.0, np.array([ranges.deepest_mm, 1.0, 1.0])
-        low, high = np.float32([0, -far, -far]), np.float32([ranges.deepest_mm, far, far])
+        self._least_mm, self._most_mm = np.array([[0.0, -1.0, -1.0], [ranges.deepest_mm, 1.0, 1.0]])
         self.action_space = spaces.Box(-1, 1, (3,), np.float32)
         self.observation_space = spaces.Dict(
             {
                 "picture": spaces.Box(0, 255, (height, width, 3), np.uint8),
-                "place_mm": spaces.Box(low, high),
+                "place_mm": spaces.Box(*np.float32([self._least_mm, self._most_mm])),
                 "target": spaces.Box(np.float32(0), np.float32(max(self.targets)), (1,)),
             }
         )
@@ -85,7 +84,7 @@ class PressEnv(gymnasium.Env):
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         """Move the indenter; a place that the sensor does not reach is refused, and it stays where it is."""
         wanted = self._place_mm + _STEP_MM * np.clip(np.asarray(action, float), -1, 1)
-        wanted = np.clip(wanted, [0.0, -1.0, -1.0], self._most_mm)
+        wanted = np.clip(wanted, self._least_mm, self._most_mm)
         before_mm, refused = self._place_mm, ()
         try:
             self._show(self.sensor.step(wanted[0], wanted[1:]))

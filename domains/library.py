@@ -36,6 +36,7 @@ from gelgap.sim import (
     grid_axes,
     is_folded,
     is_interior,
+    joined,
     plan_solves,
     table_radius_mm,
 )
@@ -202,7 +203,7 @@ class LibraryPlan:
         solutions = {solve.key: solutions[solve.key] for solve in self.solves}
         added: list[SolvePlan] = [self.solved]
         while True:
-            library = PoseLibrary.of(self, _together(added), solutions)
+            library = PoseLibrary.of(self, joined(added), solutions)
             errors = [library.errors_of(plan, solutions) for plan in plans.values()]
             table = pd.concat(errors, ignore_index=True) if errors else None
             library = replace(library, held_out=table, solves=len(solutions))
@@ -224,17 +225,6 @@ def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
     if rows.empty:
         return 0.0
     return max(_rms(rows["force_share"]) / FORCE_BOUND, _rms(rows["membrane_um"]) / MEMBRANE_BOUND_UM)
-
-
-def _together(plans: Sequence[SolvePlan]) -> SolvePlan:
-    """Return one plan of the poses of several of one gel."""
-    solves: list[Solve] = []
-    placements = []
-    for plan in plans:
-        placements += [replace(own, solve=own.solve + len(solves)) for own in plan.placements if own]
-        solves += plan.solves
-    poses = tuple(pose for plan in plans for pose in plan.poses)
-    return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))
 
 
 @dataclass(frozen=True, eq=False)

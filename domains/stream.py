@@ -20,9 +20,9 @@ from gelgap.render import MembraneRenderer
 from gelgap.sim import Elastomer, Pose, QualityName, has_solution
 
 LOG = logging.getLogger(__name__)
-# A press is drawn from the first ones until so many samples have come for each: the first picture waits for one alone.
+# Samples until the next gel and sphere joins those that are drawn from: the first picture waits for one alone.
 _SAMPLES_PER_PRESS = 512
-# Of so many samples in a row each is in one of so many lights and cameras, since these take as long as some pictures.
+# Samples in a row that share lights with cameras, and how many of these: each takes as long as some pictures.
 _SPAN, _LOOKS_PER_SPAN = 128, 4
 _KEPT_LOOKS = 2 * _LOOKS_PER_SPAN
 # Depths begin at this share of the deepest, and are drawn so that forces are about evenly spread.

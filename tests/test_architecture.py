@@ -33,10 +33,10 @@ LINES = {
     "assets": 585,
     "sim": 5455,
     "render": 5210,
-    "domains": 7630,
+    "domains": 7580,
     "adapt": 5720,
-    "view": 1600,
-    "cli": 2555,
+    "view": 1580,
+    "cli": 2530,
     "benchmarks": 10095,
     "scripts": 840,
 }

@@ -1,14 +1,16 @@
 """Parts of the page that show things: camera and figures, a source beside the target, and a domain on disk."""
 
 from base64 import b64encode
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import viser
 
+from gelgap.assets import html_page
 from gelgap.domains import QUANTITIES, LabelledFrames, open_domain
 from gelgap.domains.formats.pictures import encode_jpeg
 from gelgap.domains.sweep import DomainGap
@@ -18,7 +20,6 @@ from gelgap.view.state import Configuration, Shown
 
 _GOOD, _BAD, _MIDDLING = "#2b8a3e", "#c92a2a", "#b08900"
 _GREY = np.full((SIZE_PX[1], SIZE_PX[0], 3), 128, np.uint8)
-_NARROW_PX = 700
 # What is told of a frame beside its labels, where the data set has it.
 _COLUMNS = ("shear_x_mm", "shear_y_mm", "contact_class", "clip", "object", "session")
 
@@ -37,7 +38,7 @@ class Readout:
         """Show a configuration's figures and pictures."""
         self.picture.image = shown.picture
         self.difference.image = difference
-        self.figures.content = figures_html(shown, colours)
+        self.figures.content = html_page("panel.html", **_figures(shown, colours))
 
     def say(self, sentence: str, bad: bool = False) -> None:
         """Show a sentence below the figures; an empty one takes the last away."""
@@ -50,18 +51,8 @@ class Readout:
         self.progress.value = 100.0 * done / max(total, 1)
 
 
-def narrow_html(shown: Shown, colours: str) -> str:
-    """Return picture and figures as HTML for windows too narrow for panels side by side; hidden in wider ones."""
-    picture = b64encode(encode_jpeg(shown.picture, 85)).decode()
-    return (
-        f"<style>@media (min-width: {_NARROW_PX}px) {{ .gelgap-narrow {{ display: none }} }}</style>"
-        f'<div class="gelgap-narrow"><img alt="camera" style="width:100%" src="data:image/jpeg;base64,{picture}">'
-        f"{figures_html(shown, colours)}</div>"
-    )
-
-
-def figures_html(shown: Shown, colours: str) -> str:
-    """Return the figures of what is shown, and how far its physics can be trusted, as HTML."""
+def _figures(shown: Shown, colours: str) -> dict[str, Any]:
+    """Return the figures of what is shown, and how far its physics can be trusted, as `panel.html` takes them."""
     state = shown.solved.state
     found = state.diagnostics
     # Adding zero turns −0.000 into 0.000.
@@ -76,11 +67,20 @@ def figures_html(shown: Shown, colours: str) -> str:
     if not state.converged:
         verdict, colour = "FOLDED MEMBRANE" if found.folded else "NOT CONVERGED", _BAD
     stages = ", ".join(f"{name} {ms:.0f} ms" for name, ms in shown.stages_ms.items()) or "nothing to do"
-    said = [f'<span style="color:{colour};font-weight:600">{verdict}</span>: {escape(shown.source)}.']
-    if colours:
-        said.append(escape(colours) + ".")
-    said.append(f'<span style="opacity:.6">{stages}</span>')
-    return _table_html(rows, 13) + f'<div style="padding:2px 12px;font-size:12px">{"<br>".join(said)}</div>'
+    return {
+        "rows": rows,
+        "verdict": verdict,
+        "colour": colour,
+        "source": shown.source,
+        "colours": colours,
+        "stages": stages,
+    }
+
+
+def narrow_html(shown: Shown, colours: str) -> str:
+    """Return picture and figures as HTML for windows too narrow for panels side by side; hidden in wider ones."""
+    picture = b64encode(encode_jpeg(shown.picture, 85)).decode()
+    return html_page("panel.html", picture=picture, **_figures(shown, colours))
 
 
 class ComparePanel:
@@ -130,16 +130,15 @@ def gap_html(gap: DomainGap, source: Shown, target: Shown) -> str:
         " ".join(f"{value:+.2f}" for value in shown.solved.state.force_n.round(2) + 0.0)
         for shown in (source, target)
     ]
-    return _table_html(
-        (
-            ("CIEDE2000, mean", f"{gap.colour_difference:.2f}"),
-            ("CIEDE2000, 95th percentile", f"{gap.colour_difference_p95:.2f}"),
-            ("modulus ratio", f"{gap.modulus_ratio:.3g}"),
-            ("markers", gap.markers),
-            ("force of the source, N", forces[0]),
-            ("force of the target, N", forces[1]),
-        )
+    rows = (
+        ("CIEDE2000, mean", f"{gap.colour_difference:.2f}"),
+        ("CIEDE2000, 95th percentile", f"{gap.colour_difference_p95:.2f}"),
+        ("modulus ratio", f"{gap.modulus_ratio:.3g}"),
+        ("markers", gap.markers),
+        ("force of the source, N", forces[0]),
+        ("force of the target, N", forces[1]),
     )
+    return html_page("panel.html", rows=rows)
 
 
 class DataPanel:
@@ -211,18 +210,7 @@ def labels_html(frames: LabelledFrames, index: int) -> str:
             value = columns[name][index]
             is_float = isinstance(value, float | np.floating)
             rows.append((name, f"{round(float(value), 4) + 0.0:g}" if is_float else str(value)))
-    return _table_html(rows)
-
-
-def _table_html(rows: Iterable[tuple[str, str]], font_size_px: int = 12) -> str:
-    cells = "".join(
-        f'<tr><td style="opacity:.7;padding:2px 10px 2px 0">{name}</td>'
-        f'<td style="font-variant-numeric:tabular-nums"><b>{escape(value)}</b></td></tr>'
-        for name, value in rows
-    )
-    return (
-        f'<table style="font-size:{font_size_px}px;margin:4px 12px;border-collapse:collapse">{cells}</table>'
-    )
+    return html_page("panel.html", rows=rows)
 
 
 def _enlarged(picture: Picture) -> Picture:

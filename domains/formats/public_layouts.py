@@ -5,7 +5,7 @@ and y up, so that Fx and Fy have the other sign than gelgap's; `yxma/gelsight-mi
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,6 @@ _CAMERA = "observation.images.tactile"
 _DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 _VECTORS = {"observation.force": _FORCE, "observation.state": _POSE, "action": _POSE}
-_COUNTERS = ("frame_index", "episode_index", "index", "task_index")
 
 
 def write_feats(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
@@ -139,60 +138,55 @@ def _write_lerobot_set(frames: GeneratedDomain, folder: Path) -> None:
     import pyarrow.parquet as pq
 
     parts, episodes = _episodes(frames)
-    width, height = frames.size_px
-    vectors = {name: (pa.list_(pa.float32(), len(labels)), labels) for name, labels in _VECTORS.items()}
-    schema = pa.schema(
-        [(_CAMERA, PICTURE)]
-        + [(name, kind) for name, (kind, _) in vectors.items()]
-        + [("timestamp", pa.float32())]
-        + [(name, pa.int64()) for name in _COUNTERS]
-    )
+    values = _lerobot_values(frames, episodes)
+    dtypes = {name: "float32" if own.dtype.kind == "f" else "int64" for name, own in values.items()}
+    types = {name: pa.list_(pa.float32(), len(labels)) for name, labels in _VECTORS.items()}
+    schema = pa.schema([(_CAMERA, PICTURE), *(dtypes | types).items()])
     (folder / "meta/episodes/chunk-000").mkdir(parents=True)
     (folder / "data/chunk-000").mkdir(parents=True)
     task = f"press and drag: {frames.recipe.indenter.label} on gel {frames.name}"
-    statistics = _Statistics()
-    listed, writer, file_index, size, first = [], None, -1, 0, 0
-    for number, indices in enumerate(episodes):
-        rows = list(_episode_rows(frames, indices, number, first))
-        statistics.add(frames, indices, rows)
+    lengths = [len(own) for own in episodes]
+    ends = np.cumsum(lengths).tolist()
+    starts, n = [0, *ends[:-1]], len(episodes)
+    files, writer, size = [], None, 0
+    for indices, start, end in zip(episodes, starts, ends, strict=True):
         if writer is None or size > _MOST_BYTES:
             if writer is not None:
                 writer.close()
-            file_index, size = file_index + 1, 0
-            writer = pq.ParquetWriter(
-                folder / _DATA_PATH.format(chunk_index=0, file_index=file_index), schema
-            )
-        writer.write_table(pa.Table.from_pylist(rows, schema))
-        size += sum(len(row[_CAMERA]["bytes"]) for row in rows)
-        listed.append(
-            {
-                "episode_index": number,
-                "tasks": [task],
-                "length": len(rows),
-                "data/chunk_index": 0,
-                "data/file_index": file_index,
-                "dataset_from_index": first,
-                "dataset_to_index": first + len(rows),
-                "meta/episodes/chunk_index": 0,
-                "meta/episodes/file_index": 0,
-            }
-        )
-        first += len(rows)
+            number, size = files[-1] + 1 if files else 0, 0
+            path = folder / _DATA_PATH.format(chunk_index=0, file_index=number)
+            writer = pq.ParquetWriter(path, schema)
+        pictures = [frames.encoded_picture(index) for index in indices.tolist()]
+        cells = {_CAMERA: [{"bytes": picture, "path": None} for picture in pictures]}
+        cells |= {name: own[start:end].tolist() for name, own in values.items()}
+        writer.write_table(pa.Table.from_pydict(cells, schema))
+        size += sum(map(len, pictures))
+        files.append(number)
     writer.close()
-    pq.write_table(pa.Table.from_pylist(listed), folder / _EPISODES_PATH)
+    listed = {
+        "episode_index": list(range(n)),
+        "tasks": [[task]] * n,
+        "length": lengths,
+        "data/chunk_index": [0] * n,
+        "data/file_index": files,
+        "dataset_from_index": starts,
+        "dataset_to_index": ends,
+        "meta/episodes/chunk_index": [0] * n,
+        "meta/episodes/file_index": [0] * n,
+    }
+    pq.write_table(pa.table(listed), folder / _EPISODES_PATH)
     pd.DataFrame({"task_index": [0]}, index=[task]).to_parquet(folder / "meta/tasks.parquet")
+    width, height = frames.size_px
     picture = {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]}
     features = {_CAMERA: picture} | {
-        name: {"dtype": "float32", "shape": [len(labels)], "names": list(labels)}
-        for name, (_, labels) in vectors.items()
+        name: {"dtype": dtype, "shape": [values[name][0].size], "names": _VECTORS.get(name)}
+        for name, dtype in dtypes.items()
     }
-    features |= {"timestamp": {"dtype": "float32", "shape": [1], "names": None}}
-    features |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in _COUNTERS}
     info = {
         "codebase_version": LEROBOT_VERSION,
         "robot_type": "gelgap",
-        "total_episodes": len(episodes),
-        "total_frames": first,
+        "total_episodes": n,
+        "total_frames": ends[-1],
         "total_tasks": 1,
         "chunks_size": 1000,
         "data_files_size_in_mb": _MOST_BYTES // 2**20,
@@ -203,7 +197,8 @@ def _write_lerobot_set(frames: GeneratedDomain, folder: Path) -> None:
         "video_path": None,
         "features": features,
     }
-    for name, content in (("info", info), ("stats", statistics.content())):
+    statistics = _lerobot_statistics(frames, np.concatenate(episodes), values)
+    for name, content in (("info", info), ("stats", statistics)):
         (folder / f"meta/{name}.json").write_text(json.dumps(content, indent=4), encoding="utf-8")
 
 
@@ -226,51 +221,42 @@ def _episodes(frames: GeneratedDomain) -> tuple[dict[str, str], list[np.ndarray]
     return ranges, [own for part in of_part.values() for own in part]
 
 
-def _episode_rows(
-    frames: GeneratedDomain, indices: np.ndarray, episode: int, first: int
-) -> Iterator[dict[str, Any]]:
-    state = np.stack([frames.columns[name][indices] for name in _POSE], axis=1)
-    action = np.concatenate([state[1:], state[-1:]])
-    for place, index in enumerate(indices.tolist()):
-        yield {
-            _CAMERA: {"bytes": frames.encoded_picture(index), "path": None},
-            "observation.force": frames.force_n[index].tolist(),
-            "observation.state": state[place].tolist(),
-            "action": action[place].tolist(),
-            "timestamp": place / FRAMES_PER_S,
-            "frame_index": place,
-            "episode_index": episode,
-            "index": first + place,
-            "task_index": 0,
-        }
+def _lerobot_values(frames: GeneratedDomain, episodes: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the features other than pictures, (n,) or (n, k) each, of the frames episode by episode."""
+    order, lengths = np.concatenate(episodes), [len(own) for own in episodes]
+    ends = np.cumsum(lengths)
+    state = np.stack([frames.columns[name][order] for name in _POSE], axis=1)
+    action = np.roll(state, -1, axis=0)
+    action[ends - 1] = state[ends - 1]
+    step = np.arange(len(order)) - np.repeat(ends - lengths, lengths)
+    return {
+        "observation.force": frames.force_n[order],
+        "observation.state": state,
+        "action": action,
+        "timestamp": step / FRAMES_PER_S,
+        "frame_index": step,
+        "episode_index": np.repeat(np.arange(len(episodes)), lengths),
+        "index": np.arange(len(order)),
+        "task_index": np.zeros_like(order),
+    }
 
 
-class _Statistics:
-    """Least, greatest, mean and standard deviation of each feature, pictures by channel in [0, 1]."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, list[np.ndarray]] = {}
-        self.pictures: list[tuple[np.ndarray, ...]] = []
-
-    def add(self, frames: GeneratedDomain, indices: np.ndarray, rows: Sequence[dict[str, Any]]) -> None:
-        for name in (*_VECTORS, "timestamp", *_COUNTERS):
-            self.values.setdefault(name, []).extend(np.atleast_1d(row[name]) for row in rows)
-        for index in indices.tolist():
-            pixels = frames.picture(index).reshape(-1, 3) / 255
-            self.pictures.append(
-                (pixels.min(axis=0), pixels.max(axis=0), pixels.mean(axis=0), (pixels**2).mean(axis=0))
-            )
-
-    def content(self) -> dict[str, Any]:
-        low, high, mean, square = map(np.stack, zip(*self.pictures, strict=True))
-        average = mean.mean(axis=0)
-        deviation = np.sqrt(np.maximum(square.mean(axis=0) - average**2, 0))
-        by_channel = {"min": low.min(axis=0), "max": high.max(axis=0), "mean": average, "std": deviation}
-        found = {_CAMERA: {name: value.reshape(3, 1, 1).tolist() for name, value in by_channel.items()}}
-        found[_CAMERA]["count"] = [len(self.pictures)]
-        for name, values in self.values.items():
-            stacked = np.stack(values).astype(float)
-            found[name] = {
-                what: getattr(stacked, what)(axis=0).tolist() for what in ("min", "max", "mean", "std")
-            } | {"count": [len(stacked)]}
-        return found
+def _lerobot_statistics(
+    frames: GeneratedDomain, order: np.ndarray, values: dict[str, np.ndarray]
+) -> dict[str, Any]:
+    """Return least, greatest, mean and standard deviation of each feature, pictures by channel in [0, 1]."""
+    pictures = []
+    for index in order.tolist():
+        pixels = frames.picture(index).reshape(-1, 3) / 255
+        pictures.append(
+            (pixels.min(axis=0), pixels.max(axis=0), pixels.mean(axis=0), (pixels**2).mean(axis=0))
+        )
+    low, high, mean, square = map(np.stack, zip(*pictures, strict=True))
+    average = mean.mean(axis=0)
+    deviation = np.sqrt(np.maximum(square.mean(axis=0) - average**2, 0))
+    by_channel = {"min": low.min(axis=0), "max": high.max(axis=0), "mean": average, "std": deviation}
+    found = {_CAMERA: {name: value.reshape(3, 1, 1).tolist() for name, value in by_channel.items()}}
+    for name, own in values.items():
+        rows = np.ascontiguousarray(own.reshape(len(own), -1), float)
+        found[name] = {what: getattr(rows, what)(axis=0).tolist() for what in ("min", "max", "mean", "std")}
+    return {name: {**of, "count": [len(order)]} for name, of in found.items()}

@@ -55,9 +55,6 @@ class LibraryPoses:
         is_own = self.own.placements[pose_index] is not None
         return self.own.solve_key(pose_index) if is_own else self.library.key
 
-    def part(self, start: int, stop: int) -> "LibraryPoses":
-        return replace(self, own=part_of(self.own, start, stop), poses=self.poses[start:stop])
-
     def state(
         self, pose_index: int, source: PoseLibrary | Solution, half_extent_mm: tuple[float, float]
     ) -> MembraneState:
@@ -70,5 +67,5 @@ class LibraryPoses:
 def part_of(contacts: LibraryPoses | SolvePlan, start: int, stop: int) -> LibraryPoses | SolvePlan:
     """Return the contacts of some frames."""
     if isinstance(contacts, LibraryPoses):
-        return contacts.part(start, stop)
+        return replace(contacts, own=part_of(contacts.own, start, stop), poses=contacts.poses[start:stop])
     return replace(contacts, poses=contacts.poses[start:stop], placements=contacts.placements[start:stop])

@@ -273,7 +273,7 @@ class DomainWriter:
     @property
     def bytes_left(self) -> int:
         """About how many bytes are still to be written: every frame takes as much as the reference picture."""
-        frames = len(self.recipe.path.poses) - self.total("frames")
+        frames = self.recipe.frames - self.total("frames")
         return 0 if self.complete else frames * self.files[REFERENCE]["bytes"]
 
     def total(self, count: str) -> int:

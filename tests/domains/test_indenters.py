@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from gelgap.domains import generate_recipes, make_recipes, open_domain, preset_recipes, split_frames
+from gelgap.domains.formats.domain_folder import REFERENCE
 from gelgap.domains.formats.shards import OPTIONAL
+from gelgap.domains.generation.generate import DomainWriter
 from gelgap.domains.generation.plan import estimate, plan_generation
 from gelgap.sim import Cone, PosePath, Sphere
 
@@ -51,6 +53,12 @@ def test_frames_of_an_indenter_stay_in_one_part(folder: Path) -> None:
     frames = open_domain(folder)
     parts = split_frames(frames, by="indenter", shares=(0.34, 0.33, 0.33))
     assert [len(set(frames.columns["indenter"][part])) for part in parts] == [1, 1, 1]
+
+
+def test_the_disk_needs_room_for_the_frames_of_every_indenter(tmp_path: Path) -> None:
+    writer = DomainWriter(*make_recipes(["mb0i0"], PATH, **BODIES), tmp_path)
+    writer.files[REFERENCE] = {"bytes": 1000}
+    assert writer.bytes_left == 9 * 1000
 
 
 def test_one_indenter_is_configured_as_before() -> None:
