@@ -2,16 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from gelgap.assets import load_preset
-from gelgap.assets.settings import Settings, within
-from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.assets.settings import PresetSettings, within
 from gelgap.sim.indenter import Indenter, Symmetry
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
@@ -76,12 +73,14 @@ def equivalent_moduli(isochoric: Moduli) -> Moduli:
     )
 
 
-class Elastomer(Settings):
+class Elastomer(PresetSettings):
     """A pad of neo-Hookean gel bonded to a rigid backing, which a spring may carry.
 
     The gel's energy is `isochoric`, μ/2 (J^(−2/3) I₁ − 3) + K/2 (J − 1)², unless `stable-neo-hookean` asks for the
     energy that MuJoCo itself uses, μ/2 (I₁ − 3) − μ (J − 1) + (λ + μ)/2 (J − 1)².
     """
+
+    preset_kind: ClassVar[str] = "elastomers"
 
     young_modulus_mpa: Annotated[float, within(0.001, 100.0, "MPa")] = Field(
         description="Young's modulus at small strain, MPa, 0.001 to 100."
@@ -106,35 +105,6 @@ class Elastomer(Settings):
     strain_energy: StrainEnergy = Field(
         default="isochoric", description="The form of the neo-Hookean energy that the two moduli refer to."
     )
-
-    @classmethod
-    def preset(cls, name: str) -> Self:
-        """Return the elastomer preset of that name.
-
-        Raises
-        ------
-        ValueError
-            If there is no such preset; the message lists the known ones.
-        """
-        values = load_preset("elastomers", name)
-        values.pop("description", None)
-        return cls(**values)
-
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read an elastomer TOML file: these fields, and a description if there is one.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        ValueError
-            If it is not valid TOML, a field is unknown or missing, or a value is out of range.
-        """
-        values = read_toml(path)
-        values.pop("description", None)
-        with named_in_errors(path):
-            return cls(**values)
 
     @property
     def mujoco_moduli(self) -> Moduli:
