@@ -9,18 +9,15 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.problem import ContactProblem
-
-Floats = NDArray[np.float64]
 
 # By how many times 1/across the normal of the indenter's surface may turn from one cell to the next.
 _TURN_PER_CELL = 2.0
 # Where cells are even they are counted on this many points.
 _SAMPLES = 4000
-# At most about so many places say where the surface is curved.
+# About how many places at most say where the surface is curved.
 _CURVED_PLACES = 60
 # Cells in the middle of a contact, where nothing changes much, in those of a contact as wide as the gel is thick.
 _MIDDLE_CELLS = 1.5

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from gelgap.assets.settings import PresetSettings, within
-from gelgap.sim.indenter import Indenter, Symmetry
+from gelgap.sim.indenter import Floats, Indenter, Symmetry
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
 Length = Annotated[float, within(1.0, 100.0, "mm")]
@@ -236,9 +235,9 @@ class CanonicalFrame:
     """
 
     pad_mm: PadEdges | None
-    to_sensor: NDArray[np.float64]
+    to_sensor: Floats
 
-    def travel_mm(self, pose: Pose) -> NDArray[np.float64]:
+    def travel_mm(self, pose: Pose) -> Floats:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
 
@@ -249,17 +248,17 @@ class CanonicalFrame:
         return x, y, -pose.depth_mm, *turn_deg
 
     @property
-    def to_sensor_3d(self) -> NDArray[np.float64]:
+    def to_sensor_3d(self) -> Floats:
         """The same for vectors (3,) in space."""
         turn = np.eye(3)
         turn[:2, :2] = self.to_sensor
         return turn
 
-    def on_sensor(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_sensor(self, vector: Floats) -> Floats:
         """Return a vector (3,) of this frame, such as a force, in the sensor's."""
         return self.to_sensor_3d @ vector
 
-    def torque_on_sensor(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+    def torque_on_sensor(self, torque: Floats) -> Floats:
         """Return a torque (3,) of this frame in the sensor's: a reflection turns it round."""
         return np.linalg.det(self.to_sensor).round() * self.on_sensor(torque) + 0.0
 
@@ -304,6 +303,6 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     return CanonicalFrame(pad, turn @ np.diag(mirror))
 
 
-def _turn(angle: float) -> NDArray[np.float64]:
+def _turn(angle: float) -> Floats:
     cosine, sine = math.cos(angle), math.sin(angle)
     return np.array([[cosine, -sine], [sine, cosine]])
