@@ -121,15 +121,11 @@ class Profile(PresetSettings):
         return shares
 
     @model_validator(mode="after")
-    def _shifts_what_lies_side_by_side(self) -> "Profile":
+    def _shows_what_it_can(self) -> "Profile":
         if self.shift_px and self.pairing == "stack":
             raise ValueError(
                 "shift_px: must be 0 with pairing 'stack', which has the reference below the picture"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _shows_what_it_can(self) -> "Profile":
         if (shown := INPUTS.get(self.input)) is None:
             raise ValueError(unknown_name("input", self.input, INPUTS))
         if shown.needs_difference and self.pairing != "difference":

@@ -282,8 +282,7 @@ class ContactProblem:
     @property
     def cell_mm(self) -> float:
         """How far apart the membrane's vertices are where it is touched."""
-        widest_mm = _WIDEST_CONTACT_THICKNESSES * self.thickness_mm
-        return min(self.meshed_radius_mm, widest_mm) / self.mesh_size.across
+        return min(self.meshed_radius_mm / self.mesh_size.across, self.widest_cell_mm)
 
     @property
     def stiffness_excess(self) -> float:
