@@ -108,14 +108,9 @@ def _sizes_under(
     )
 
 
-def sharpest_mm(problem: ContactProblem) -> float:
-    """Return the smallest radius of curvature that the problem's mesh serves."""
-    return _SHARPEST_CELLS * problem.cell_mm
-
-
 def check_sharpness(problem: ContactProblem) -> None:
     """Raise ValueError if the indenter's surface, where it is pressed, has an edge that the mesh does not serve."""
-    served_mm, indenter = sharpest_mm(problem), problem.indenter
+    served_mm, indenter = _SHARPEST_CELLS * problem.cell_mm, problem.indenter
     for (body, depth_mm), axis in product(problem.stands, (0, 1)):
         _, radius = body.curvature(depth_mm, axis, served_mm)
         # Over such a step an edge of this radius turns by one radian, and any sharper one by more.

@@ -48,13 +48,10 @@ def grid_axes(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> tupl
 
     The grid reaches at least `half_extent_mm` from the centre along x and y, and never less far than by default.
     """
-    x_mm, y_mm = map(_axis_mm, GRID_HALF_EXTENT_MM, half_extent_mm)
+    extents_mm = map(max, GRID_HALF_EXTENT_MM, half_extent_mm)
+    cells = (math.ceil(extent_mm / GRID_SPACING_MM - 1e-3) for extent_mm in extents_mm)
+    x_mm, y_mm = (np.round(np.arange(-count, count + 1) * GRID_SPACING_MM, 9) for count in cells)
     return x_mm, y_mm
-
-
-def _axis_mm(least_mm: float, wanted_mm: float) -> Floats:
-    cells = math.ceil(max(least_mm, wanted_mm) / GRID_SPACING_MM - 1e-3)
-    return np.round(np.arange(-cells, cells + 1) * GRID_SPACING_MM, 9)
 
 
 @dataclass(frozen=True)

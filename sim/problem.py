@@ -90,12 +90,6 @@ class Quality:
     press_tolerance: float
     travel_tolerance: float
 
-    def load_steps(self, displacement_mm: Floats, arc_mm: float = 0.0) -> int:
-        """Return in how many load steps the indenter moves by (x, y, z) in a straight line, and turns along an arc."""
-        press = abs(displacement_mm[2]) / self.press_step_mm
-        travel = (math.hypot(displacement_mm[0], displacement_mm[1]) + arc_mm) / self.travel_step_mm
-        return max(1, math.ceil(max(press, travel) - 1e-9))
-
 
 # MuJoCo's factor of a whole pad takes five times the work of half a disc's, so that it is meshed more coarsely.
 QUALITIES = {
@@ -246,11 +240,6 @@ class ContactProblem:
         return max(body.penetration_radius_mm(depth_mm) for body, depth_mm in self.stands)
 
     @property
-    def origin_at_deepest_mm(self) -> float:
-        """The height of the rest membrane above the indenter's origin at its deepest."""
-        return self.depth_mm - self.indenter.origin_height_mm
-
-    @property
     def cut_mm(self) -> tuple[float, float, float, float]:
         """(x min, x max, y min, y max) of where the indenter, at its deepest, cuts the undeformed membrane."""
         x_min, x_max, y_min, y_max = zip(
@@ -312,7 +301,10 @@ class ContactProblem:
 
     def steps(self, change: Floats) -> int:
         """Return in how many load steps the indenter moves and turns by a change (6,) of its command."""
-        return self.quality.load_steps(change[:3], self.arc_mm(change[3:]))
+        x, y, z = change[:3]
+        travel_mm = math.hypot(x, y) + self.arc_mm(change[3:])
+        steps = max(abs(z) / self.quality.press_step_mm, travel_mm / self.quality.travel_step_mm)
+        return max(1, math.ceil(steps - 1e-9))
 
     @property
     def load_steps(self) -> int:

@@ -77,7 +77,9 @@ class SolvedPath:
         arrays = {}
         for name in equilibria[0]:
             column = [fields[name] for fields in equilibria]
-            values = np.stack([_with_rows(one, rows) if one.ndim == 3 else one for one in column])
+            if column[0].ndim == 3:  # smaller tables repeat their rim
+                column = [np.pad(one, ((0, rows - len(one)), (0, 0), (0, 0)), "edge") for one in column]
+            values = np.stack(column)
             values = values.reshape(len(PATH_DEPTHS_MM), len(PATH_TRAVELS_MM), *values.shape[1:])
             arrays[name] = np.concatenate([np.zeros_like(values[:1]), values])
         arrays["converged"][0] = True
@@ -185,8 +187,3 @@ def equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarra
         "coarse": np.array(found.coarse),
         "errors": np.array(errors),
     }
-
-
-def _with_rows(values: NDArray[np.float32], rows: int) -> NDArray[np.float32]:
-    """Return a polar table with more rows, which repeat the rim."""
-    return np.pad(values, ((0, rows - len(values)), (0, 0), (0, 0)), mode="edge")
