@@ -23,12 +23,15 @@ def evaluate_baselines(frames: SplitFrames) -> dict[str, Evaluation]:
     The constant is the source's mean. The quadratic is one in the mean absolute difference of a picture. The ridge is
     quadratic, too, in the share of pixels that belong to the dent, and in the difference where it is deepest.
     """
+    from sklearn.preprocessing import PolynomialFeatures
+
     train, test = frames.source_train, frames.target_test
     size_px = min(_SIZE_PX, *(max(frames.size_px) for frames in (train, test)))
     mean, area, depth = zip(*(_numbers(frames, size_px) for frames in (train, test)), strict=True)
     found = {CONSTANT: evaluate_constant_mean(train, test)}
     for name, columns in ((QUADRATIC, (mean,)), (RIDGE, (area, depth))):
-        of_train, of_test = (_quadratic(*(column[k] for column in columns)) for k in (0, 1))
+        known, wanted = (np.stack([column[k] for column in columns], axis=1) for k in (0, 1))
+        of_train, of_test = map(PolynomialFeatures(degree=2).fit_transform, (known, wanted))
         predicted = _ridge(of_train, train.label_values, of_test)
         found[name] = evaluate_frames(test, predicted)
     return found
@@ -41,12 +44,6 @@ def _numbers(frames: LabelledFrames, size_px: int) -> list[np.ndarray]:
         difference = np.abs(image - references[own]).mean(axis=2) / 255
         rows.append((difference.mean(), (difference > _DENT).mean(), np.percentile(difference, _DEEPEST)))
     return list(np.array(rows).T)
-
-
-def _quadratic(*columns: np.ndarray) -> np.ndarray:
-    """Return all products of up to two of the columns (n,) and 1, (n, terms)."""
-    terms = [np.ones_like(columns[0]), *columns]
-    return np.stack([one * other for k, one in enumerate(terms) for other in terms[k:]], axis=1)
 
 
 def _ridge(known: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -1,21 +1,23 @@
 """One frozen object with every hyperparameter of an adaptation run, and the presets smoke, cpu and paper."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from gelgap.adapt.inputs import INPUTS
-from gelgap.assets import load_preset
 from gelgap.assets.names import unknown_name
-from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import read_toml
+from gelgap.assets.settings import PresetSettings
 
 
-class Profile(Settings):
-    """Network, input, optimiser, schedule and splits of a run; `settings` holds what a single method needs."""
+class Profile(PresetSettings):
+    """Network, input, optimiser, schedule and splits of a run; `settings` holds what a single method needs.
+
+    A TOML file's `base` names the preset whose values hold where it gives none.
+    """
 
     model_config = ConfigDict(use_attribute_docstrings=True)
+    preset_kind: ClassVar[str] = "profiles"
 
     name: str = "custom"
     """name under which results are filed"""
@@ -119,15 +121,11 @@ class Profile(Settings):
         return shares
 
     @model_validator(mode="after")
-    def _shifts_what_lies_side_by_side(self) -> "Profile":
+    def _shows_what_it_can(self) -> "Profile":
         if self.shift_px and self.pairing == "stack":
             raise ValueError(
                 "shift_px: must be 0 with pairing 'stack', which has the reference below the picture"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _shows_what_it_can(self) -> "Profile":
         if (shown := INPUTS.get(self.input)) is None:
             raise ValueError(unknown_name("input", self.input, INPUTS))
         if shown.needs_difference and self.pairing != "difference":
@@ -153,34 +151,7 @@ class Profile(Settings):
         return Profile(**{**self.model_dump(), **changes})
 
     @classmethod
-    def load(cls, path: str | Path) -> "Profile":
-        """Read a profile from a TOML file; `base` names the preset whose values hold where the file gives none.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        ValueError
-            If it is not valid TOML, a field is unknown, or a value is out of range; the message names the file.
-        """
-        values = read_toml(path)
-        values.pop("description", None)
-        try:
-            base = values.pop("base", None)
-            start = {} if base is None else cls.preset(base).model_dump()
-            return cls(**{**start, "name": Path(path).stem, **values})
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-
-    @classmethod
-    def preset(cls, name: str) -> "Profile":
-        """Return a preset of `assets/profiles`.
-
-        Raises
-        ------
-        ValueError
-            If there is no such preset; the message lists the known ones.
-        """
-        values = load_preset("profiles", name)
-        values.pop("description", None)
-        return cls(**{"name": name, **values})
+    def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
+        base = values.pop("base", None)
+        start = {} if base is None else cls.preset(base).model_dump()
+        return super()._of_table(start | {"name": name} | values, name, folder)

@@ -233,18 +233,13 @@ def adapt_folders(
                 part.images(profile.image_size_px)
         load_s = time.perf_counter() - start
         oracles = oracles_on(source, target, frames.target_test) if missing else {}
-        unseen = _unseen(source, target)
+        generated = isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain)
+        unseen = tuple(unseen_differences(source.recipe, target.recipe)) if generated else ()
         done = {
             method: run_method(frames, stage1, method, folders[method], load_s, oracles, unseen)[0]
             for method in missing
         }
     return [done[method] if method in done else load_run(folders[method]) for method in methods]
-
-
-def _unseen(source: LabelledFrames, target: LabelledFrames) -> tuple[str, ...]:
-    if not (isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain)):
-        return ()
-    return tuple(unseen_differences(source.recipe, target.recipe))
 
 
 adapt_frames = adapt_folders

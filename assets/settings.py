@@ -1,11 +1,14 @@
 """Frozen configuration objects whose bad values fail with one sentence: field, value, allowed range."""
 
 from collections.abc import Sequence
-from typing import Any, get_args
+from pathlib import Path
+from typing import Any, ClassVar, Self, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from gelgap.assets import asset_path, load_preset
 from gelgap.assets.names import closest_name, quoted
+from gelgap.assets.toml_file import named_in_errors, read_toml
 
 # As pydantic has them.
 _LACKS, _UNKNOWN, _FROM_VALUE_ERROR = "field required", "extra inputs are not permitted", "Value error, "
@@ -21,6 +24,44 @@ class Settings(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise ValueError(one_sentence(error, type(self))) from None
+
+
+class PresetSettings(Settings):
+    """Settings of which gelgap ships presets, TOML files in a folder of its assets; users write others."""
+
+    preset_kind: ClassVar[str]
+
+    @classmethod
+    def preset(cls, name: str) -> Self:
+        """Return the preset of that name.
+
+        Raises
+        ------
+        ValueError
+            If there is no such preset; the message lists the known ones.
+        """
+        return cls._of_table(load_preset(cls.preset_kind, name), name, asset_path(cls.preset_kind))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a TOML file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not valid TOML, a field is unknown or missing, or a value is out of range; the message names it.
+        """
+        with named_in_errors(path):
+            return cls._of_table(read_toml(path), Path(path).stem, Path(path).parent)
+
+    @classmethod
+    def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
+        """Return what a file in a folder says; its `description` is for its readers, unless it is a field."""
+        if "description" not in cls.model_fields:
+            values.pop("description", None)
+        return cls(**({"name": name} if "name" in cls.model_fields else {}) | values)
 
 
 def within(low: float, high: float, unit: str, *, high_open: bool = False) -> AfterValidator:

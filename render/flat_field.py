@@ -219,7 +219,6 @@ class FlatFieldFilter:
         self._excess = np.ascontiguousarray(maps.ratio * (loaded - 1))
         offset = np.zeros_like(maps.ratio) if maps.offset is None else maps.offset
         self._offset, self._offset_excess = np.ascontiguousarray(offset), offset * (loaded - 1)
-        self._has_loaded = maps.loaded is not None
         self._dots, self._camera, self._size_px = maps.dots, camera, size_px
 
     def apply(self, linear: np.ndarray, surface: Surface, dotted: np.ndarray | None) -> None:
@@ -233,9 +232,8 @@ class FlatFieldFilter:
         terms = places(x_mm, y_mm, self._settings.span_mm, self._settings.scale_mm, 2)
         levels = [1 + volume * (terms @ np.array(row) if row else 0.0) for row in self._settings.gain]
         gain = np.clip(levels, 0.25, 4.0).astype(np.float32)
-        share = np.float32(min(volume, 1.0) if self._has_loaded else 0.0)
         maps = self._ratio, self._excess, self._offset, self._offset_excess
-        _multiply(linear, *maps, share, gain)
+        _multiply(linear, *maps, np.float32(min(volume, 1.0)), gain)
         if self._dots is not None and dotted is not None:
             rest = np.pad(dotted, ((0, 0), (0, 0), (0, 1)))
             linear *= map_dots(self._dots, self._camera.project_px(rest, self._size_px) - 0.5)

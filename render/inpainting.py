@@ -43,10 +43,10 @@ def detect_markers(
     core = (depth > threshold).astype(np.uint8)
     rim = (depth > 0.5 * threshold).astype(np.uint8)
     grow = 2 * round(max(width / 320, 0.5)) + 1
-    near_core = cv2.dilate(core, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow + 1, 2 * grow + 1)))
-    return cv2.dilate(rim & near_core, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (grow, grow))).astype(
-        bool
+    wide, narrow = (
+        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)) for size in (2 * grow + 1, grow)
     )
+    return cv2.dilate(rim & cv2.dilate(core, wide), narrow).astype(bool)
 
 
 def inpaint_telea(picture: np.ndarray, mask: np.ndarray, radius_px: float = 3.0) -> np.ndarray:

@@ -2,15 +2,13 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import tomli_w
 from pydantic import Field
 
-from gelgap.assets import asset_path, load_preset
-from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.assets.whole_file import write_whole
 from gelgap.render.camera import Camera
 from gelgap.render.flat_field import FlatField
@@ -67,8 +65,10 @@ def marker_rest_mm(markers: Markers) -> np.ndarray:
     return positions
 
 
-class Sensor(Settings):
+class Sensor(PresetSettings):
     """Everything about a sensor except its gel."""
+
+    preset_kind: ClassVar[str] = "sensors"
 
     name: str = ""
     description: str = ""
@@ -86,21 +86,12 @@ class Sensor(Settings):
     )
 
     @classmethod
-    def preset(cls, name: str) -> "Sensor":
-        """Return a preset of `assets/sensors`; ValueError lists the known ones."""
-        return cls(**{"name": name, **load_preset("sensors", name)})._found_in(asset_path("sensors"))
-
-    @classmethod
-    def load(cls, path: str | Path) -> "Sensor":
-        """Read a sensor TOML file."""
-        with named_in_errors(path):
-            return cls(**{"name": Path(path).stem, **read_toml(path)})._found_in(Path(path).parent)
-
-    def _found_in(self, folder: Path) -> "Sensor":
+    def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
         """Return the sensor with the full path of the flat field that lies beside its file."""
-        if self.flat_field is None:
-            return self
-        return self.model_copy(update={"flat_field": self.flat_field.found_in(folder)})
+        sensor = super()._of_table(values, name, folder)
+        if sensor.flat_field is None:
+            return sensor
+        return sensor.model_copy(update={"flat_field": sensor.flat_field.found_in(folder)})
 
 
 def save_sensor(sensor: Sensor, path: str | Path) -> None:

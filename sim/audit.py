@@ -9,12 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.mesh import GelMesh
 from gelgap.sim.scene import Moduli
 from gelgap.sim.solution import SolveDiagnostics
-
-Floats = NDArray[np.float64]
 
 # A vertex dragged along the indenter leaves it by the second order of its slip in a load step, which is some µm. So
 # vertices up to this far from it count as touching; one among them that carries no force is balanced all the same.

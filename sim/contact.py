@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, sparse
 
 from gelgap.sim.fronts import Condensation
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 # MuJoCo wants some friction at every contact; nodes that are not held get this.
@@ -164,10 +163,8 @@ class FrictionalContacts:
     def vertex_forces_n(self) -> tuple[Floats, Floats]:
         """Return the normal force (n,) on each vertex of the mesh, and the whole contact force (n, 3)."""
         vertices = self._gel.vertex_of_geom[self.nodes]
-        normal, whole = (
-            np.zeros(len(self._gel.mesh.vertices_mm)),
-            np.zeros((len(self._gel.mesh.vertices_mm), 3)),
-        )
+        whole = np.zeros_like(self._gel.mesh.vertices_mm)
+        normal = np.zeros(len(whole))
         normal[vertices] = self.normal_force_n
         frames = self._data.contact.frame.reshape(-1, 3, 3)
         whole[vertices] = np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign()

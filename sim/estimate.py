@@ -9,8 +9,8 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.solution import Record, SolveDiagnostics
 
@@ -67,7 +67,7 @@ class Diagnostics(SolveDiagnostics):
         return self.shear_error_n, self.shear_error_n, self.fz_error_n
 
 
-def causes_of_error(problem: ContactProblem, record: Record, contact_radius_mm: float) -> NDArray[np.float64]:
+def causes_of_error(problem: ContactProblem, record: Record, contact_radius_mm: float) -> Floats:
     """Return `CAUSES` (5,) as numbers that the error of a record's force grows with.
 
     1 over the cells across the radius that the mesh is made for; 1 over the square of those across the deformed

@@ -9,18 +9,15 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.problem import ContactProblem
-
-Floats = NDArray[np.float64]
 
 # By how many times 1/across the normal of the indenter's surface may turn from one cell to the next.
 _TURN_PER_CELL = 2.0
 # Where cells are even they are counted on this many points.
 _SAMPLES = 4000
-# At most about so many places say where the surface is curved.
+# About how many places at most say where the surface is curved.
 _CURVED_PLACES = 60
 # Cells in the middle of a contact, where nothing changes much, in those of a contact as wide as the gel is thick.
 _MIDDLE_CELLS = 1.5
@@ -111,14 +108,9 @@ def _sizes_under(
     )
 
 
-def sharpest_mm(problem: ContactProblem) -> float:
-    """Return the smallest radius of curvature that the problem's mesh serves."""
-    return _SHARPEST_CELLS * problem.cell_mm
-
-
 def check_sharpness(problem: ContactProblem) -> None:
     """Raise ValueError if the indenter's surface, where it is pressed, has an edge that the mesh does not serve."""
-    served_mm, indenter = sharpest_mm(problem), problem.indenter
+    served_mm, indenter = _SHARPEST_CELLS * problem.cell_mm, problem.indenter
     for (body, depth_mm), axis in product(problem.stands, (0, 1)):
         _, radius = body.curvature(depth_mm, axis, served_mm)
         # Over such a step an edge of this radius turns by one radian, and any sharper one by more.

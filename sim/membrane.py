@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from gelgap.assets.array_file import read_arrays
 from gelgap.sim.estimate import Diagnostics
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.scene import CanonicalFrame, Pose
 from gelgap.sim.solution import Record, Solution
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-Floats = NDArray[np.float64]
 
 GRID_SPACING_MM = 0.1
 GRID_HALF_EXTENT_MM = (7.0, 5.5)
@@ -45,20 +43,15 @@ _SECTORS = 64
 _EDGE_SHARES = (0.02, 0.6)
 
 
-def grid_axes(
-    half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def grid_axes(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> tuple[Floats, Floats]:
     """Return the rest grid's axes, centred on the sensor: x_mm (141,) and y_mm (111,), or more values.
 
     The grid reaches at least `half_extent_mm` from the centre along x and y, and never less far than by default.
     """
-    x_mm, y_mm = map(_axis_mm, GRID_HALF_EXTENT_MM, half_extent_mm)
+    extents_mm = map(max, GRID_HALF_EXTENT_MM, half_extent_mm)
+    cells = (math.ceil(extent_mm / GRID_SPACING_MM - 1e-3) for extent_mm in extents_mm)
+    x_mm, y_mm = (np.round(np.arange(-count, count + 1) * GRID_SPACING_MM, 9) for count in cells)
     return x_mm, y_mm
-
-
-def _axis_mm(least_mm: float, wanted_mm: float) -> NDArray[np.float64]:
-    cells = math.ceil(max(least_mm, wanted_mm) / GRID_SPACING_MM - 1e-3)
-    return np.round(np.arange(-cells, cells + 1) * GRID_SPACING_MM, 9)
 
 
 @dataclass(frozen=True)
@@ -71,15 +64,15 @@ class MembraneState:
     without contact).
     """
 
-    x_mm: NDArray[np.float64]
-    y_mm: NDArray[np.float64]
+    x_mm: Floats
+    y_mm: Floats
     displacement_mm: NDArray[np.float32]
     contact: NDArray[np.bool_]
-    force_n: NDArray[np.float64]
+    force_n: Floats
     contact_radius_mm: float = 0.0
     converged: bool = True
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
-    torque_n_mm: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    torque_n_mm: Floats = field(default_factory=lambda: np.zeros(3))
 
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
@@ -140,9 +133,7 @@ def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> Mem
     )
 
 
-def is_folded(
-    x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], displacement_mm: NDArray[np.float32]
-) -> bool:
+def is_folded(x_mm: Floats, y_mm: Floats, displacement_mm: NDArray[np.float32]) -> bool:
     """Return whether a displaced rest grid lies on itself: one rest point in front of another, for the camera."""
     x = displacement_mm[..., 0] + x_mm.astype(np.float32)
     y = displacement_mm[..., 1] + y_mm.astype(np.float32)[:, None]
@@ -166,7 +157,7 @@ class SolvedPose:
 
     state: MembraneState
     pressure_mpa: NDArray[np.float32]
-    indenter_mm: NDArray[np.float64]
+    indenter_mm: Floats
 
     @classmethod
     def untouched(cls) -> Self:
@@ -248,7 +239,7 @@ class PolarTable:
     values: NDArray[np.float32]
     symmetric: bool
 
-    def at(self, places: "PolarPlaces") -> NDArray[np.float64]:
+    def at(self, places: "PolarPlaces") -> Floats:
         """Interpolate linearly at places that are those of tables of this shape and symmetry."""
         channels = self.values.shape[2]
         value = places.weights @ self.values.reshape(-1, channels).astype(float)
@@ -267,10 +258,10 @@ class PolarPlaces:
     """
 
     weights: "csr_array"
-    side: NDArray[np.float64]
+    side: Floats
 
     @classmethod
-    def of(cls, rest_mm: NDArray[np.float64], shape: tuple[int, ...], symmetric: bool) -> "PolarPlaces":
+    def of(cls, rest_mm: Floats, shape: tuple[int, ...], symmetric: bool) -> "PolarPlaces":
         """Find points (..., 2) in tables of this shape and symmetry."""
         from scipy.sparse import csr_array
 
@@ -332,7 +323,7 @@ def _per_area(solution: Solution, record: Record, force_n: Floats) -> PolarTable
     return PolarTable(np.nan_to_num(values).astype(np.float32), solution.problem.symmetric)
 
 
-def _polar_points(solution: Solution, rest_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _polar_points(solution: Solution, rest_mm: Floats) -> Floats:
     """Return where a table samples the membrane, (n_r, n_angle, 2)."""
     from scipy.spatial import ConvexHull
 
@@ -352,12 +343,12 @@ def _polar_points(solution: Solution, rest_mm: NDArray[np.float64]) -> NDArray[n
     return points / np.maximum(beyond / 0.999, 1.0)
 
 
-def _row(radius_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def _row(radius_mm: Floats) -> Floats:
     fine = np.minimum(radius_mm, _FINE_RADIUS_MM) / _FINE_SPACING_MM
     return fine + np.maximum(radius_mm - _FINE_RADIUS_MM, 0) / _COARSE_SPACING_MM
 
 
-def table_radius_mm(row: NDArray[np.float64]) -> NDArray[np.float64]:
+def table_radius_mm(row: Floats) -> Floats:
     """Return the radius at which a row of a polar table lies."""
     fine_rows = _FINE_RADIUS_MM / _FINE_SPACING_MM
     return np.minimum(row, fine_rows) * _FINE_SPACING_MM + np.maximum(row - fine_rows, 0) * _COARSE_SPACING_MM

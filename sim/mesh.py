@@ -432,6 +432,8 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
     points_mm, radius_mm = mesh.vertices_mm[mesh.surface, :2], problem.penetration_radius_mm
     margin_mm = min(_TOUCHING_MARGIN * radius_mm, _LARGEST_TOUCHING_MARGIN_MM)
     beyond_mm = np.full(len(points_mm), np.inf)
+    # Of the rest membrane, from the indenter's origin at its deepest.
+    height_mm = problem.depth_mm - problem.indenter.origin_height_mm
     for start, end in problem.segments[:, :, :2]:
         along = end - start
         if problem.is_round:
@@ -441,7 +443,7 @@ def touchable(mesh: GelMesh, problem: ContactProblem) -> Ints:
             continue
         for share in np.linspace(0, 1, 1 + math.ceil(np.hypot(*along) / _TOUCHING_STEP_MM)):
             aside = points_mm - start - share * along
-            from_origin = np.column_stack([aside, np.full(len(aside), problem.origin_at_deepest_mm)])
+            from_origin = np.column_stack([aside, np.full(len(aside), height_mm)])
             for body, _ in problem.stands:
                 beyond_mm = np.minimum(beyond_mm, body.project(from_origin).distance_mm)
     return mesh.surface[beyond_mm <= margin_mm]

@@ -11,13 +11,11 @@ from threadpoolctl import threadpool_limits
 
 from gelgap.sim.audit import audit_contact
 from gelgap.sim.contact import ContactNewton, FrictionalContacts
-from gelgap.sim.indenter import Indenter, rotation
+from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.mesh import mesh_for
 from gelgap.sim.mujoco_model import build_gel_model
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
-
-Floats = NDArray[np.float64]
 
 # The first load step onto the gel, in which every contact is new, stops at these shares of itself on its way.
 _FIRST_CONTACT_SHARES = (0.2, 0.5)

@@ -274,18 +274,14 @@ def _path(name: str, values: dict[str, Any]) -> ContactPath | PosePath | ForcePa
 
 def _force_path(name: str, values: dict[str, Any]) -> ForcePath:
     """Return the path whose depths are forces; messages call them so."""
-    if "forces_n" in values:
-        given = values | {"depths_mm": values["forces_n"]}
-        del given["forces_n"]
-        both = "depths_mm" in values
-    else:
-        given = {"random": values["random"] | {"depth_mm": values["random"]["force_n"]}}
-        del given["random"]["force_n"]
-        both = "depth_mm" in values["random"]
-    if both:
+    is_grid = "forces_n" in values
+    force, depth = ("forces_n", "depths_mm") if is_grid else ("force_n", "depth_mm")
+    of_forces = values if is_grid else values["random"]
+    if depth in of_forces:
         raise ValueError(f"path {name} has forces and depths: give one of them")
+    of_depths = {depth if field == force else field: value for field, value in of_forces.items()}
     try:
-        path = _path(name, given)
+        path = _path(name, of_depths if is_grid else {"random": of_depths})
     except ValueError as error:
         message = str(error).replace("depths_mm", "forces_n").replace("depth_mm", "force_n")
         raise ValueError(message) from None

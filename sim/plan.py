@@ -11,12 +11,11 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.sim.estimate import diagnose
 from gelgap.sim.grading import check_sharpness
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
     MembraneState,
@@ -32,11 +31,7 @@ from gelgap.sim.membrane import (
     pressure_table,
 )
 from gelgap.sim.path import ContactPath, PosePath
-from gelgap.sim.problem import (
-    ContactProblem,
-    SolveProgress,
-    silent,
-)
+from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
 from gelgap.sim.solution import Solution, load_solution, store_solution
 
@@ -309,7 +304,7 @@ def _descent_problems(scene: Scene, poses: Sequence[Pose]) -> list[_Served]:
     return sorted(problems, key=lambda item: -item[0].depth_mm)
 
 
-def _descents(indenter: Indenter, depths_mm: list[float]) -> list[NDArray[np.float64]]:
+def _descents(indenter: Indenter, depths_mm: list[float]) -> list[Floats]:
     """Share out ascending depths among descents."""
     wide_mm = np.array([indenter.penetration_radius_mm(depth) for depth in depths_mm])
     shares, left = [], np.array(depths_mm)

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import MembraneState, SolvedPose
 from gelgap.sim.path import ContactPath, ForcePath, PosePath
 from gelgap.sim.plan import plan_visit, solved_pose
@@ -156,7 +156,7 @@ def _depths_by_force(
 
 def bonded_layer_force_n(
     young_modulus_mpa: ArrayLike, indenter_radius_mm: ArrayLike, thickness_mm: ArrayLike, depth_mm: ArrayLike
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the force (positive) on an incompressible layer bonded to a rigid backing, N; arguments broadcast.
 
     F = 16/9 · E · √R · d^1.5 · (1 + 1.133χ + 1.283χ² + 0.769χ³ + 0.0975χ⁴) with χ = √(R d)/h

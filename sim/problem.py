@@ -9,9 +9,8 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelgap.sim.indenter import Indenter, Symmetry
+from gelgap.sim.indenter import Floats, Indenter, Symmetry
 from gelgap.sim.scene import Moduli, PadEdges, Scene
 from gelgap.sim.shapes import AnyIndenter
 
@@ -90,12 +89,6 @@ class Quality:
     travel_step_mm: float
     press_tolerance: float
     travel_tolerance: float
-
-    def load_steps(self, displacement_mm: NDArray[np.float64], arc_mm: float = 0.0) -> int:
-        """Return in how many load steps the indenter moves by (x, y, z) in a straight line, and turns along an arc."""
-        press = abs(displacement_mm[2]) / self.press_step_mm
-        travel = (math.hypot(displacement_mm[0], displacement_mm[1]) + arc_mm) / self.travel_step_mm
-        return max(1, math.ceil(max(press, travel) - 1e-9))
 
 
 # MuJoCo's factor of a whole pad takes five times the work of half a disc's, so that it is meshed more coarsely.
@@ -192,7 +185,7 @@ class ContactProblem:
         )
 
     @property
-    def commands(self) -> NDArray[np.float64]:
+    def commands(self) -> Floats:
         """Displacement and turn at each waypoint, (n, 6)."""
         turns = self.turns_deg or np.zeros((len(self.waypoints_mm), 3))
         return np.hstack([np.array(self.waypoints_mm), np.array(turns)])
@@ -247,11 +240,6 @@ class ContactProblem:
         return max(body.penetration_radius_mm(depth_mm) for body, depth_mm in self.stands)
 
     @property
-    def origin_at_deepest_mm(self) -> float:
-        """The height of the rest membrane above the indenter's origin at its deepest."""
-        return self.depth_mm - self.indenter.origin_height_mm
-
-    @property
     def cut_mm(self) -> tuple[float, float, float, float]:
         """(x min, x max, y min, y max) of where the indenter, at its deepest, cuts the undeformed membrane."""
         x_min, x_max, y_min, y_max = zip(
@@ -283,8 +271,7 @@ class ContactProblem:
     @property
     def cell_mm(self) -> float:
         """How far apart the membrane's vertices are where it is touched."""
-        widest_mm = _WIDEST_CONTACT_THICKNESSES * self.thickness_mm
-        return min(self.meshed_radius_mm, widest_mm) / self.mesh_size.across
+        return min(self.meshed_radius_mm / self.mesh_size.across, self.widest_cell_mm)
 
     @property
     def stiffness_excess(self) -> float:
@@ -300,21 +287,24 @@ class ContactProblem:
         return Moduli(young_mpa * rise / (1 + self.stiffness_excess), poisson_ratio - beyond)
 
     @property
-    def segments(self) -> NDArray[np.float64]:
+    def segments(self) -> Floats:
         """The straight segment (start, end) to each waypoint from its parent, in displacement and turn, (n, 2, 6)."""
         places = np.vstack([self.commands, np.zeros(6)])
         return np.stack([places[list(self.parents)], places[:-1]], axis=1)
 
-    def arc_mm(self, turn_deg: NDArray[np.float64]) -> float:
+    def arc_mm(self, turn_deg: Floats) -> float:
         """Return about how far a turn (3,) moves what touches the gel."""
         *roll, twist = np.radians(turn_deg)
         radius_mm = self.penetration_radius_mm if turn_deg.any() else 0.0
         lever_mm = math.hypot(radius_mm, self.indenter.origin_height_mm)
         return abs(twist) * radius_mm + math.hypot(*roll) * lever_mm
 
-    def steps(self, change: NDArray[np.float64]) -> int:
+    def steps(self, change: Floats) -> int:
         """Return in how many load steps the indenter moves and turns by a change (6,) of its command."""
-        return self.quality.load_steps(change[:3], self.arc_mm(change[3:]))
+        x, y, z = change[:3]
+        travel_mm = math.hypot(x, y) + self.arc_mm(change[3:])
+        steps = max(abs(z) / self.quality.press_step_mm, travel_mm / self.quality.travel_step_mm)
+        return max(1, math.ceil(steps - 1e-9))
 
     @property
     def load_steps(self) -> int:

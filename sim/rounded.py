@@ -176,9 +176,7 @@ class Shape(Indenter):
                 f"roll_deg: tilts the {self.shape} by {np.abs(self.tilt_deg).max():.3g}° about x or y; "
                 f"must be at most {LARGEST_TILT_DEG:g}°"
             )
-        lifted_mm = float((self._face_mm @ self._turn[2]).max()) - float(
-            (self._face_mm @ self._turn[2]).min()
-        )
+        lifted_mm = float(np.ptp(self._face_mm @ self._turn[2]))
         if any(self.tilt_deg) and lifted_mm > depth_mm:
             raise ValueError(
                 f"tilt_deg = {self.tilt_deg[0]:g} {self.tilt_deg[1]:g}: lifts the far side of the {self.shape} by "
@@ -291,10 +289,8 @@ def _outline_mm(body: Shape, depth_mm: float) -> Floats:
     angle = np.linspace(0, 2 * np.pi, _OUTLINE_DIRECTIONS, endpoint=False)
     direction = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
     centre = np.array([x, y, depth_mm - lowest_mm])
-    inside, beyond = (
-        np.zeros(len(angle)),
-        np.full(len(angle), 2 * float(body.reach_mm(direction).max()) + 1.0),
-    )
+    inside = np.zeros(len(angle))
+    beyond = np.full(len(angle), 2 * float(body.reach_mm(direction).max()) + 1.0)
     for _ in range(_OUTLINE_HALVINGS):
         middle = (inside + beyond) / 2
         is_inside = body.project(centre + middle[:, None] * direction).distance_mm < 0

@@ -2,17 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from gelgap.assets import load_preset
-from gelgap.assets.settings import Settings, within
-from gelgap.assets.toml_file import named_in_errors, read_toml
-from gelgap.sim.indenter import Indenter, Symmetry
+from gelgap.assets.settings import PresetSettings, within
+from gelgap.sim.indenter import Floats, Indenter, Symmetry
 
 StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
 Length = Annotated[float, within(1.0, 100.0, "mm")]
@@ -76,12 +72,14 @@ def equivalent_moduli(isochoric: Moduli) -> Moduli:
     )
 
 
-class Elastomer(Settings):
+class Elastomer(PresetSettings):
     """A pad of neo-Hookean gel bonded to a rigid backing, which a spring may carry.
 
     The gel's energy is `isochoric`, μ/2 (J^(−2/3) I₁ − 3) + K/2 (J − 1)², unless `stable-neo-hookean` asks for the
     energy that MuJoCo itself uses, μ/2 (I₁ − 3) − μ (J − 1) + (λ + μ)/2 (J − 1)².
     """
+
+    preset_kind: ClassVar[str] = "elastomers"
 
     young_modulus_mpa: Annotated[float, within(0.001, 100.0, "MPa")] = Field(
         description="Young's modulus at small strain, MPa, 0.001 to 100."
@@ -106,35 +104,6 @@ class Elastomer(Settings):
     strain_energy: StrainEnergy = Field(
         default="isochoric", description="The form of the neo-Hookean energy that the two moduli refer to."
     )
-
-    @classmethod
-    def preset(cls, name: str) -> Self:
-        """Return the elastomer preset of that name.
-
-        Raises
-        ------
-        ValueError
-            If there is no such preset; the message lists the known ones.
-        """
-        values = load_preset("elastomers", name)
-        values.pop("description", None)
-        return cls(**values)
-
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read an elastomer TOML file: these fields, and a description if there is one.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        ValueError
-            If it is not valid TOML, a field is unknown or missing, or a value is out of range.
-        """
-        values = read_toml(path)
-        values.pop("description", None)
-        with named_in_errors(path):
-            return cls(**values)
 
     @property
     def mujoco_moduli(self) -> Moduli:
@@ -266,9 +235,9 @@ class CanonicalFrame:
     """
 
     pad_mm: PadEdges | None
-    to_sensor: NDArray[np.float64]
+    to_sensor: Floats
 
-    def travel_mm(self, pose: Pose) -> NDArray[np.float64]:
+    def travel_mm(self, pose: Pose) -> Floats:
         """Return the sideways travel (2,) of a pose in this frame."""
         return self.to_sensor.T @ np.array([pose.shear_x_mm, pose.shear_y_mm])
 
@@ -279,17 +248,17 @@ class CanonicalFrame:
         return x, y, -pose.depth_mm, *turn_deg
 
     @property
-    def to_sensor_3d(self) -> NDArray[np.float64]:
+    def to_sensor_3d(self) -> Floats:
         """The same for vectors (3,) in space."""
         turn = np.eye(3)
         turn[:2, :2] = self.to_sensor
         return turn
 
-    def on_sensor(self, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    def on_sensor(self, vector: Floats) -> Floats:
         """Return a vector (3,) of this frame, such as a force, in the sensor's."""
         return self.to_sensor_3d @ vector
 
-    def torque_on_sensor(self, torque: NDArray[np.float64]) -> NDArray[np.float64]:
+    def torque_on_sensor(self, torque: Floats) -> Floats:
         """Return a torque (3,) of this frame in the sensor's: a reflection turns it round."""
         return np.linalg.det(self.to_sensor).round() * self.on_sensor(torque) + 0.0
 
@@ -334,6 +303,6 @@ def canonical_frame(scene: Scene, pose: Pose) -> CanonicalFrame:
     return CanonicalFrame(pad, turn @ np.diag(mirror))
 
 
-def _turn(angle: float) -> NDArray[np.float64]:
+def _turn(angle: float) -> Floats:
     cosine, sine = math.cos(angle), math.sin(angle)
     return np.array([[cosine, -sine], [sine, cosine]])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.estimate import Diagnostics, diagnose
-from gelgap.sim.indenter import Indenter
+from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     MembraneState,
     PolarTable,
@@ -53,17 +53,17 @@ class SolvedPath:
     """
 
     indenter: Indenter
-    depths_mm: NDArray[np.float64]
-    travels_mm: NDArray[np.float64]
+    depths_mm: Floats
+    travels_mm: Floats
     displacement_mm: NDArray[np.float32]
     pressure_mpa: NDArray[np.float32]
-    indenter_mm: NDArray[np.float64]
-    force_n: NDArray[np.float64]
-    torque_n_mm: NDArray[np.float64]
-    contact_radius_mm: NDArray[np.float64]
+    indenter_mm: Floats
+    force_n: Floats
+    torque_n_mm: Floats
+    contact_radius_mm: Floats
     converged: NDArray[np.bool_]
     coarse: NDArray[np.bool_]
-    errors: NDArray[np.float64]
+    errors: Floats
     """Estimates of `ERRORS`, as `Diagnostics` has them."""
 
     @classmethod
@@ -77,7 +77,9 @@ class SolvedPath:
         arrays = {}
         for name in equilibria[0]:
             column = [fields[name] for fields in equilibria]
-            values = np.stack([_with_rows(one, rows) if one.ndim == 3 else one for one in column])
+            if column[0].ndim == 3:  # smaller tables repeat their rim
+                column = [np.pad(one, ((0, rows - len(one)), (0, 0), (0, 0)), "edge") for one in column]
+            values = np.stack(column)
             values = values.reshape(len(PATH_DEPTHS_MM), len(PATH_TRAVELS_MM), *values.shape[1:])
             arrays[name] = np.concatenate([np.zeros_like(values[:1]), values])
         arrays["converged"][0] = True
@@ -144,7 +146,7 @@ class SolvedPath:
 _Bracket = tuple[tuple[int, float], ...]
 
 
-def _bracket(nodes: NDArray[np.float64], value: float) -> _Bracket:
+def _bracket(nodes: Floats, value: float) -> _Bracket:
     """Return the one or two nodes around a value, and their weights for linear interpolation."""
     for k, (low, high) in enumerate(pairwise(nodes)):
         if value <= high:
@@ -185,8 +187,3 @@ def equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarra
         "coarse": np.array(found.coarse),
         "errors": np.array(errors),
     }
-
-
-def _with_rows(values: NDArray[np.float32], rows: int) -> NDArray[np.float32]:
-    """Return a polar table with more rows, which repeat the rim."""
-    return np.pad(values, ((0, rows - len(values)), (0, 0), (0, 0)), mode="edge")

@@ -9,20 +9,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gelgap.sim.membrane import (
-    GRID_HALF_EXTENT_MM,
-    MembraneState,
-    places_around,
-    traction_table,
-)
+from gelgap.sim.indenter import Floats
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, places_around, traction_table
 from gelgap.sim.plan import SolvePlan, plan_visit
 from gelgap.sim.scene import Elastomer, Pose
 from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solution import Solution
 
-Floats = NDArray[np.float64]
 COARSE_SHAPE = (24, 32)
 
 

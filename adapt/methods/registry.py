@@ -53,7 +53,7 @@ METHODS = {
     "deep-jdot": "deep_jdot:DeepJDOT",
     "fourier-style": "fourier_style:FourierStyle",
     "psc": "psc:PSC",
-    "online-ssa": "online_ssa:OnlineSSA",
+    "online-ssa": "ssa:OnlineSSA",
     "supervised": "controls:Supervised",
 }
 EXTRA: "dict[str, type[Method]]" = {}

@@ -4,9 +4,12 @@ Of the source only the features' mean and leading principal directions are used.
 normalisations are trained on unlabelled target pictures so that the target's features, projected on these directions,
 have the source's mean and variance.
 
-Deviations from the authors' code: K is 20, not 100; three passes over the target, not one that
+Deviations of `ssa` from the authors' code: K is 20, not 100; three passes over the target, not one that
 predicts each batch as it comes; the weight α of a direction sums over the outputs; at the end the running
 statistics are estimated anew on the target.
+
+`online-ssa` is the authors' form: every picture is seen once, the statistics of the batch normalisations follow the
+stream, scales and offsets take a step a batch, and nothing is estimated anew at the end.
 
 [1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR 2025.
 """
@@ -97,3 +100,17 @@ class SSA(Method):
         head = network.regressor[0].weight.double()
         slack = values.clamp_min(0).sum() - variances.sum()
         return Subspace(mean, directions, variances, 1 + (head @ directions).abs().sum(dim=0), slack)
+
+
+class OnlineSSA(SSA):
+    """Test-time adaptation in a single pass over the target's pictures as they come."""
+
+    class Settings(MethodSettings):
+        directions: int = Field(
+            default=100, ge=1, description="principal directions of the source's features"
+        )
+        learning_rate: float = Field(default=1e-3, ge=0, description="Adam's learning rate")
+
+    def adapt(self, adaptation: Adaptation) -> None:
+        """Take the source's feature statistics, then follow the target's pictures."""
+        self.follow(adaptation, passes=1)

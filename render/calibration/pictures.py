@@ -52,6 +52,11 @@ class PressPicture:
         """Whether the marks only say where the imprint is, not its contact's centre and edge."""
         return self.marks_off_px > _ROUGH_PX
 
+    @property
+    def has_place(self) -> bool:
+        """Whether it is known well where the contact is, so that it need not be found in the picture."""
+        return self.point_mm is not None or (self.center_px is not None and not self.has_rough_marks)
+
 
 def _beside(picture: str) -> str:
     if not stays_inside(picture):

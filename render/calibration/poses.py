@@ -57,7 +57,6 @@ class PlacedPresses:
     radii_px: np.ndarray  # (n,)
     profiles: list[PressProfiles]
     has_dots: bool = False
-    samples_by_ring: tuple[int, int, int] = SAMPLES
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -179,7 +178,7 @@ class PlacedPresses:
     def _pixels(self, press: int) -> tuple[np.ndarray, np.ndarray]:
         rng = np.random.default_rng([7, press])
         (x, y), radius = self.centers_px[press], self.radii_px[press]
-        bounds = zip((0, 1, 2), (1, 2, REACH), self.samples_by_ring, strict=True)
+        bounds = zip((0, 1, 2), (1, 2, REACH), SAMPLES, strict=True)
         r = np.concatenate([radius * np.sqrt(rng.uniform(low**2, high**2, n)) for low, high, n in bounds])
         angle = rng.uniform(0, 2 * np.pi, len(r))
         columns = np.round(x + r * np.cos(angle)).astype(int)
@@ -279,10 +278,7 @@ def place_presses(
 
 def _sigmas_mm(press: PressPicture, mm_per_px: float) -> list[float]:
     """Return how far x, y and depth may be off."""
-    if press.point_mm is None and (press.center_px is None or press.has_rough_marks):
-        aside = _FOUND_SIGMA_MM
-    else:
-        aside = press.marks_off_px * mm_per_px
+    aside = press.marks_off_px * mm_per_px if press.has_place else _FOUND_SIGMA_MM
     if press.depth_mm is not None:
         return [aside, aside, _KNOWN_DEPTH_SIGMA_MM]
     depth = _UNKNOWN_DEPTH_SIGMA if press.has_rough_marks else _MARKED_DEPTH_SIGMA * press.marks_off_px
@@ -291,7 +287,7 @@ def _sigmas_mm(press: PressPicture, mm_per_px: float) -> list[float]:
 
 def _located(press: PressPicture, reference: np.ndarray, camera: Camera) -> PressPicture:
     """Return the press with the centre of its imprint, found in the picture unless it is known well."""
-    if press.point_mm is not None or (press.center_px is not None and not press.has_rough_marks):
+    if press.has_place:
         return press
     point = np.array([*find_contact_mm(press.picture, reference, camera), 0.0])
     center = camera.project_px(point, (reference.shape[1], reference.shape[0])) - 0.5

@@ -10,7 +10,7 @@ STEP_MM = 0.02
 GRID_MM = 0.1
 _DEPTHS = 64
 _TOUCHING_MM = 0.004
-# Profiles reach so many times as far as solves, whose decay is that of their last mm.
+# Profiles reach further out than the solves by this factor; there they decay as the solves do over their last mm.
 _BEYOND, _DECAY_MM = 2.5, 1.5
 # By what share of the distance from the edge they are smoothed, by as much nearer than this; and in how many steps.
 _SMOOTHED, _SHARP_MM, _TURNS = 0.15, 0.2, 400

@@ -3,15 +3,12 @@
 from dataclasses import dataclass
 from itertools import product
 from math import ceil
-from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets import load_preset
-from gelgap.assets.settings import Settings
-from gelgap.assets.toml_file import named_in_errors, read_toml
+from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.render.camera import Camera
 from gelgap.render.light.scattered import Scattered
 from gelgap.render.light.spectra import Spectrum, camera_rgb
@@ -131,8 +128,10 @@ class Led(Settings):
         return self.position_mm[2] + self.half_extent_z_mm()
 
 
-class Illumination(Settings):
+class Illumination(PresetSettings):
     """All LEDs of a sensor."""
+
+    preset_kind: ClassVar[str] = "illuminations"
 
     name: str = ""
     description: str = ""
@@ -145,17 +144,6 @@ class Illumination(Settings):
         exclude_if=lambda value: value is None,
         description="light that comes from no LED directly; none: none",
     )
-
-    @classmethod
-    def preset(cls, name: str) -> "Illumination":
-        """Return a preset of `assets/illuminations`; ValueError lists the known ones."""
-        return cls(**{"name": name, **load_preset("illuminations", name)})
-
-    @classmethod
-    def load(cls, path: str | Path) -> "Illumination":
-        """Read an illumination TOML file."""
-        with named_in_errors(path):
-            return cls(**{"name": Path(path).stem, **read_toml(path)})
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""
