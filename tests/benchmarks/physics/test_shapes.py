@@ -41,7 +41,9 @@ def test_a_press_is_near_its_table() -> None:
     flat = round_cases()[1]
     case = replace(flat.down_to(flat.poses[0].depth_mm), quality="draft")
     solution = case.solve.run()
-    solved = SimpleNamespace(states=case.states(solution), solution=solution, core_s=1.0)
+    solved = SimpleNamespace(
+        states=case.states(solution), solution=solution, core_s=1.0, wall_s=1.0, peak_mib=1.0
+    )
     found = row(case, solved)
     assert found["unconverged"] == 0
     assert found["worst %"] < 5
