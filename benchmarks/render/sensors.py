@@ -219,27 +219,13 @@ def run(quick: bool, out_dir: Path) -> None:
     even, odd = range(0, count, 2), range(1, count, 8 if quick else 2)
     kept = out_dir / "sensors.jsonl"
     predictions = Study(found.presses, models, {f"{len(odd)} odd presses": (even, odd)}).records(kept)
-    note = f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame."
+    note = ""
     if rivals.missing_packages():
-        note += f" Taxim's own pipeline is left out; install it: {rivals.INSTALL}."
+        note = f"Taxim's own pipeline is left out; install it: {rivals.INSTALL}"
     title = f"{SET}: even presses fitted, {len(odd)} odd ones predicted; PSNR in dB, median (worst)"
     show_scores(title, predictions, ("model", "press", "fit, s", "ms per frame"), note)
     write_json(out_dir / "sensors.json", {"predictions": predictions})
     kept.unlink()
-
-
-def plain_frame_ms(found: PressSet) -> float:
-    """Return the time of a frame under the same LEDs without what real sensors need."""
-    height, width, _ = found.reference.shape
-    renderer = MembraneRenderer(found.start, found.start.illumination, (width, height))
-    (own,) = sphere_profiles({found.presses[0].sphere_diameter_mm}, None, "draft").values()
-    times = []
-    for depth in np.linspace(1.6, 1.7, 24):
-        membrane = own.membrane((0.0, 0.0), float(depth), EXTENT_MM)
-        started = time.process_time()
-        renderer.picture(*membrane, markers=False)
-        times.append(time.process_time() - started)
-    return 1e3 * float(np.median(times))
 
 
 def median_and_worst(levels: Sequence[float]) -> str:
