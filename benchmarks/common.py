@@ -334,15 +334,6 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.square(values).mean()))
 
 
-def kendall_tau(first: np.ndarray, second: np.ndarray) -> float:
-    """Return Kendall's τ-b of two orders of values (n,): SciPy's, without its slow p-value. NaN where a value is."""
-    pairs = np.triu_indices(len(first), 1)
-    one, other = (np.sign(np.subtract.outer(values, values)[pairs]) for values in (first, second))
-    with np.errstate(invalid="ignore"):
-        tau = one @ other / np.sqrt(np.count_nonzero(one)) / np.sqrt(np.count_nonzero(other))
-    return float(np.clip(tau, -1, 1))
-
-
 result_table = ResultTable.of
 
 

@@ -88,10 +88,10 @@ def draw_real(path: Path) -> None:
     Columns: real, gelgap with the press as marked and Taxim refitted, each with 128 + 4 times the difference.
     """
     found = taxim_presses(sensors.SET)
-    task = sensors.light_task(found, whole := sensors.VARIANTS[sensors.WHOLE])
+    task = sensors.light_task(found, sensors.VARIANTS[sensors.WHOLE])
     even, odd = range(0, len(found.presses), 2), range(1, len(found.presses), 2)
     forms = sensors.rival_models(found, task.placed.poses_mm[:, 2], (rivals.REFITTED,))
-    light, (refitted, _) = sensors.FittedLight(task, whole, even), list(forms.values())[-1](even)
+    light, (refitted, _) = sensors.FittedLight(task, even), list(forms.values())[-1](even)
     pictures = [[draw(press)() for press in odd] for draw in (partial(light.draw, "marked"), refitted)]
     presses = [found.presses[press] for press in odd]
     level = [sensors.scores(own, press)["within"] for own, press in zip(pictures[0], presses, strict=True)]

@@ -1,4 +1,4 @@
-"""The calibrations that are run by hand: a press on any mesh, the coefficients of an estimate, drags for a table."""
+"""The calibrations that are run by hand: a press on any mesh, the coefficients of an estimate."""
 
 from pathlib import Path
 
@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from loaded_file import load_file
 
-from gelgap.benchmarks.fem.spheres import Drag
 from gelgap.benchmarks.physics.cases import Solver
 from gelgap.benchmarks.physics.references import press_cases
 from gelgap.sim.estimate import CAUSES
@@ -38,11 +37,3 @@ def test_coefficients_of_the_estimate_give_the_variance_that_errors_were_drawn_w
     assert found[2:].max() < 3e-5
     estimate = np.sqrt(causes**2 @ found)
     assert (np.abs(rows["Fz"]) < 2 * estimate).mean() == pytest.approx(0.95, abs=0.002)
-
-
-def test_drags_are_tabled_on_a_coarse_and_a_fine_mesh() -> None:
-    study = load_file(SCRIPTS / "drag_table.py")
-    assert all(coarse > fine for (coarse, _), (fine, _) in study.MESHES.values())
-    rows = study.drag_rows(Drag(depth_mm=0.3, element_mm=0.6, sectors=8))["rows"]
-    assert [row[0] for row in rows] == [f"{travel:.9g}" for travel in study.TRAVELS_MM]
-    assert float(rows[-1][1]) > 0 > float(rows[-1][2])

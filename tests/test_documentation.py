@@ -76,7 +76,7 @@ NOT_RUN = {
     r"gelgap benchmark adaptation --what (calm|inputs|lights|crossed)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
-    r"python scripts/(calibrate|drag)": "minutes to hours of solves",
+    r"python scripts/calibrate": "minutes to hours of solves",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|\"taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",

@@ -22,10 +22,8 @@ SELECTOR = "reverse validation"
 are aligned wrongly cost it as much as features which are not."""
 AUGMENTATIONS, TUNED = "augmentations.jsonl", "tuning.jsonl"
 SEEDS = (0,)
-NINE = [("paired", group) for group in board.GROUPS]
 METHOD = "no-transfer"
 """The method by which augmentations are chosen: no loss of a method has a say."""
-SHOWN_METHODS = (board.PLAIN, METHOD)
 FIELDS = ("shift_px", "colour_mixing", "marker_hiding")
 SHIFT_PX = 3
 """About half the spacing of the contact points in the network's picture."""
@@ -77,8 +75,8 @@ def of_grid(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def augmented(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the augmentations among the runs on the tuning groups."""
-    return compared(_named(runs)[runs["data"].isin(board.TUNING_SETS)], AUGMENTED)
+    """Return the augmentations among the runs."""
+    return compared(_named(runs), AUGMENTED)
 
 
 def _named(runs: pd.DataFrame) -> pd.DataFrame:
@@ -137,13 +135,10 @@ def tune(study: Study) -> None:
 
 
 def augment(study: Study) -> None:
-    """Do the missing runs on the tuning groups, print what the profile's file needs, then those on the nine groups."""
-    seeds = study.seeds or SEEDS
+    """Do the missing runs on the tuning groups, and print what the profile's file needs."""
     study.generate_sets(*board.TUNING_SETS)
-    found = study.run(scored_run, variant_runs(board.TUNING_CASES, [METHOD], seeds), AUGMENTATIONS)
-    print(augmentation_toml(with_errors(found)))
-    study.generate_sets("paired")
-    study.run(scored_run, variant_runs(NINE, SHOWN_METHODS, seeds), AUGMENTATIONS)
+    runs = variant_runs(board.TUNING_CASES, [METHOD], study.seeds or SEEDS)
+    print(augmentation_toml(with_errors(study.run(scored_run, runs, AUGMENTATIONS))))
 
 
 def settings_toml(runs: pd.DataFrame) -> str:
@@ -195,33 +190,23 @@ def tuning_tables(folder: Path) -> list[ResultTable]:
 
 
 def augmentation_tables(folder: Path) -> list[ResultTable]:
-    """Return what was chosen on the tuning groups by the selector, and what each variant changes on the nine groups."""
-    runs, tables = load_runs(folder / AUGMENTATIONS), []
-    found, on_tuning = augmented(runs), runs["data"].isin(board.TUNING_SETS)
-    formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
-    if len(found):
-        frame = axis_frame(runs[on_tuning])
-        frame.insert(0, "mean rank", found["rank"].mean())
-        frame.insert(1, "chosen", ["yes" if name == chosen(found) else "" for name in frame.index])
-        note = (
-            f"Mean over {len(found)} cases of group and design. Ranks by reverse validation, which sees no "
-            "target label; the errors were not used. The last row is a control, not a candidate."
-        )
-        tables.append(result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, formats))
-    for method in SHOWN_METHODS:
-        own = runs[~on_tuning & (runs["method"] == method)]
-        groups, seeds = own["group"].nunique(), own["seed"].nunique()
-        note = f"Mean over {groups} groups and {seeds} seed(s); split by contact point."
-        title = f"What augmentations change, {method}, paired contacts"
-        tables += [result_table(title, axis_frame(own), note, formats)] if len(own) else []
-    return tables
-
-
-def axis_frame(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean MAE and R² per axis over each variant's runs."""
+    """Return what was chosen on the tuning groups by the selector."""
+    runs = load_runs(folder / AUGMENTATIONS)
+    runs = runs[runs["data"].isin(board.TUNING_SETS)]
+    found = augmented(runs)
+    if found.empty:
+        return []
     columns = [form.format(axis) for form in ("MAE {}, N", "R² {}") for axis in board.AXES]
     means = _named(runs).groupby("candidate")[["error_n", *columns]].mean().reindex(list(VARIANTS))
-    return means.rename(columns={"error_n": "mean MAE, N"}).rename_axis("augmentation")
+    frame = means.rename(columns={"error_n": "mean MAE, N"}).rename_axis("augmentation")
+    frame.insert(0, "mean rank", found["rank"].mean())
+    frame.insert(1, "chosen", ["yes" if name == chosen(found) else "" for name in frame.index])
+    note = (
+        f"Mean over {len(found)} cases of group and design. Ranks by reverse validation, which sees no target label; "
+        "the errors were not used. The last row is a control, not a candidate."
+    )
+    formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
+    return [result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, formats)]
 
 
 AUGMENT = Part(augment, augmentation_tables)

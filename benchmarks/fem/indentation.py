@@ -1,14 +1,12 @@
-"""Equilibrium of a pad under a rigid sphere that moves in steps: finite elements, contact, and Newton's method.
+"""Equilibrium of a round pad under a rigid sphere that moves in steps: finite elements, contact, and Newton's method.
 
-Elements of finite strain do not lock, since they project the volume ratio on a few functions each (the mean-dilatation
-method: Simo, Taylor & Pister 1985, Comput. Methods Appl. Mech. Eng. 51:177). A deformation gradient F is an array
-(…, c) of those of its components that can differ from the identity's: row by row nine in three dimensions, and rr, rz,
-zr, zz and φφ with symmetry about an axis. The volume ratio J comes with its derivatives `dj` (…, c) and `ddj` (…, c, c)
-by the same components.
+All is symmetric about an axis, and vectors are (r, z). Elements of finite strain do not lock, since they project the
+volume ratio on a few functions each (the mean-dilatation method: Simo, Taylor & Pister 1985, Comput. Methods Appl.
+Mech. Eng. 51:177). A deformation gradient F is an array (…, 5) of its components rr, rz, zr, zz and φφ. The volume
+ratio J comes with its derivatives `dj` (…, 5) and `ddj` (…, 5, 5) by the same components.
 
 Contact is a stiff penalty, collocated at the displaced nodes against the exact sphere, with Coulomb friction by return
-mapping (Wriggers, Computational Contact Mechanics, 2006, ch. 5). Vectors have d components: (r, z) with symmetry about
-an axis, (x, y, z) without. Units are mm, N and MPa.
+mapping (Wriggers, Computational Contact Mechanics, 2006, ch. 5). Units are mm, N and MPa.
 """
 
 import contextlib
@@ -29,10 +27,14 @@ SMALLEST_STEP = 1 / 256  # of a step of the sphere; one in which Newton's method
 ON_THE_CONE = 1 - 1e-9
 
 AXISYMMETRIC = [0, 1, 3, 4, 8]
+"""The components of a 3×3 matrix, row by row, that are not 0."""
+IDENTITY = np.eye(3).ravel()[AXISYMMETRIC]
 _i, _j, _k = np.indices((3, 3, 3))
 LEVI_CIVITA = (_i - _j) * (_j - _k) * (_k - _i) / 2
 # Its product with F is d²J/dF² = ε_ikm ε_jln F_mn.
-SECOND_DERIVATIVE = np.einsum("ikm,jln->mnijkl", LEVI_CIVITA, LEVI_CIVITA).reshape(9, 9, 9)
+SECOND_DERIVATIVE = np.einsum("ikm,jln->mnijkl", LEVI_CIVITA, LEVI_CIVITA).reshape(9, 9, 9)[
+    np.ix_(AXISYMMETRIC, AXISYMMETRIC, AXISYMMETRIC)
+]
 
 
 @dataclass(frozen=True)
@@ -59,12 +61,12 @@ class NeoHookean:
         return self.shear_modulus_mpa / 2 * (j ** (-2 / 3) * (f**2).sum(-1) - 3)
 
     def stress(self, f: Floats, j: Floats, dj: Floats) -> Floats:
-        """Return the first Piola–Kirchhoff stress (…, c), MPa."""
+        """Return the first Piola–Kirchhoff stress (…, 5), MPa."""
         third = (f**2).sum(-1) / (3 * j)
         return self.shear_modulus_mpa * (j ** (-2 / 3))[..., None] * (f - third[..., None] * dj)
 
     def tangent(self, f: Floats, j: Floats, dj: Floats, ddj: Floats) -> Floats:
-        """Return the derivative of the stress by F (…, c, c), MPa."""
+        """Return the derivative of the stress by F (…, 5, 5), MPa."""
         third = (f**2).sum(-1) / (3 * j)
         mixed = f[..., :, None] * dj[..., None, :]
         tangent = (
@@ -95,7 +97,7 @@ class StableNeoHookean(NeoHookean):
 
 @dataclass(frozen=True)
 class Element:
-    """At the Gauss points (q): functions of the nodes (q, a), slopes (q, a, d), weights (q,), modes of J − 1 (q, m)."""
+    """At the Gauss points (q): functions of the nodes (q, a), slopes (q, a, 2), weights (q,), modes of J − 1 (q, m)."""
 
     shape: Floats
     slope: Floats
@@ -106,9 +108,9 @@ class Element:
 class Pad:
     """A discretised pad: its strain energy, and forces and stiffness for displacements `u` (dofs,).
 
-    Its `nodes` (n, d) have d displacements each: (x, y, z), or (r, z) with symmetry about an axis. `connectivity`
-    (e, a) names the nodes of the elements. `surface` and `surface_area_mm2` are the nodes that can be touched, and the
-    area that belongs to each. `pointwise_mpa` of the volumetric modulus acts on J, the rest on its projection.
+    Its `nodes` (n, 2) have two displacements each, and `connectivity` (e, a) names the nodes of the elements. `surface`
+    and `surface_area_mm2` are the nodes that can be touched, and the area that belongs to each. `pointwise_mpa` of the
+    volumetric modulus acts on J, the rest on its projection.
     """
 
     def __init__(
@@ -120,45 +122,38 @@ class Pad:
         fixed_dofs: Ints,
         surface: Ints,
         surface_area_mm2: Floats,
-        pointwise_mpa: float = 0.0,
+        pointwise_mpa: float,
     ) -> None:
         self.nodes, self.material, self.pointwise_mpa = nodes, material, pointwise_mpa
         self.projected_mpa = material.volumetric_modulus_mpa - pointwise_mpa
         self.surface, self.surface_area_mm2 = surface, surface_area_mm2
-        self.dimensions, self.size = nodes.shape[1], nodes.size
+        self.size = nodes.size
         self.free = np.setdiff1d(np.arange(self.size), fixed_dofs)
         self.dofs = self.dofs_of(connectivity).reshape(len(connectivity), -1)
         self.surface_dofs = self.dofs_of(surface)
-        corners, d = nodes[connectivity], self.dimensions
+        corners = nodes[connectivity]
         jacobian = np.einsum("qai,eaj->eqij", element.slope, corners)
         gradient = np.einsum("eqji,qai->eqja", np.linalg.inv(jacobian), element.slope)
-        self.volume = np.linalg.det(jacobian) * element.weights
-        # An element's displacements times `strain` (e, q, c, dofs of an element) are the components of F − 1.
-        strain = np.zeros((*self.volume.shape, d, d, connectivity.shape[1], d))
-        for i in range(d):
-            strain[:, :, i, :, :, i] = gradient
-        self.strain = strain.reshape(*self.volume.shape, d * d, -1)
-        components = list(range(9))
-        if d == 2:
-            components, r = AXISYMMETRIC, corners[..., 0] @ element.shape.T
-            self.volume = 2 * np.pi * r * self.volume
-            hoop = np.stack([element.shape / r[..., None], np.zeros_like(gradient[:, :, 0])], axis=-1)
-            self.strain = np.concatenate([self.strain, hoop.reshape(*r.shape, 1, -1)], axis=2)
-        self.identity = np.eye(3).ravel()[components]
-        self._second = SECOND_DERIVATIVE[np.ix_(components, components, components)]
+        r = corners[..., 0] @ element.shape.T
+        self.volume = 2 * np.pi * r * (np.linalg.det(jacobian) * element.weights)
+        # An element's displacements times `strain` (e, q, 5, dofs of an element) are the components of F − 1.
+        strain = np.zeros((*r.shape, 5, connectivity.shape[1], 2))
+        strain[:, :, 0:2, :, 0] = strain[:, :, 2:4, :, 1] = gradient
+        strain[:, :, 4, :, 0] = element.shape / r[..., None]
+        self.strain = strain.reshape(*r.shape, 5, -1)
         moments = np.einsum("eq,qa,qb->eab", self.volume, element.modes, element.modes)
         # `projection` (e, q, q) turns values at Gauss points into those of the best combination of modes there.
         weighted = element.modes.T * self.volume[:, None, :]
         self.projection = element.modes @ np.linalg.inv(moments) @ weighted
 
     def dofs_of(self, nodes: Ints) -> Ints:
-        """Return the indices (…, d) of the nodes' displacements in `u`."""
-        return self.dimensions * nodes[..., None] + np.arange(self.dimensions)
+        """Return the indices (…, 2) of the nodes' displacements in `u`."""
+        return 2 * nodes[..., None] + np.arange(2)
 
     def deformation(self, u: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Return F (e, q, c), J (e, q), and J's first and second derivative by F: J is homogeneous of degree three."""
-        f = np.einsum("eqij,ej->eqi", self.strain, u[self.dofs]) + self.identity
-        ddj = np.tensordot(f, self._second, 1)
+        f = np.einsum("eqij,ej->eqi", self.strain, u[self.dofs]) + IDENTITY
+        ddj = np.tensordot(f, SECOND_DERIVATIVE, 1)
         dj = np.einsum("eqij,eqj->eqi", ddj, f) / 2
         return f, np.einsum("eqi,eqi->eq", dj, f) / 3, dj, ddj
 
@@ -182,8 +177,7 @@ class Pad:
         pressure = (self.pointwise_mpa * (j - 1) + self.projected_mpa * self._projected(j - 1))[..., None]
         stress = self.material.stress(f, j, dj) + pressure * dj
         tangent = self.material.tangent(f, j, dj, ddj) + pressure[..., None] * ddj
-        if self.pointwise_mpa:
-            tangent += self.pointwise_mpa * dj[..., :, None] * dj[..., None, :]
+        tangent += self.pointwise_mpa * dj[..., :, None] * dj[..., None, :]
 
         elements, points, components, dofs = self.strain.shape
         force = np.einsum("eqij,eqi->ej", self.strain, self.volume[..., None] * stress)
@@ -209,8 +203,8 @@ class Pad:
 class Touch:
     """Contact at one iterate, by surface node (k).
 
-    `force_n` (k, d) is the sphere's force on a node and `tangent` (k, d, d) its negative derivative by the node's
-    position, `pressure_mpa` (k,) and `shear_mpa` (k, d) are per undeformed area. `stick_mm` (k, d) is where a node
+    `force_n` (k, 2) is the sphere's force on a node and `tangent` (k, 2, 2) its negative derivative by the node's
+    position, `pressure_mpa` (k,) and `shear_mpa` (k, 2) are per undeformed area. `stick_mm` (k, 2) is where a node
     will stick from then on, measured from the sphere's centre: where it is if it sticks, dragged along if it slips,
     NaN if it is free.
     """
@@ -219,7 +213,6 @@ class Touch:
     tangent: Floats
     pressure_mpa: Floats
     shear_mpa: Floats
-    slipping: NDArray[np.bool_]
     stick_mm: Floats
 
 
@@ -227,29 +220,23 @@ class Touch:
 class SphereContact:
     """A sphere that touches the surface at the origin where it is not displaced.
 
-    With a core, half the size (d,) of a box, it is the body that a sphere rounds whose centre goes everywhere in the
-    box: a long cylinder lies along an endless core, and a flat face is as large as the core. Nodes enter it by pressure
-    / `penalty` and give way by shear / `stick_stiffness`, both in MPa/mm. `friction` is Coulomb's coefficient: 0 slips
-    freely, `inf` never slips.
+    Nodes enter it by pressure / `penalty` and give way by shear / `stick_stiffness`, both in MPa/mm. `friction` is
+    Coulomb's coefficient: 0 slips freely, `inf` never slips.
     """
 
     radius_mm: float
     friction: float
     penalty: float
     stick_stiffness: float
-    core_mm: tuple[float, ...] = ()
 
     def touch(self, position_mm: Floats, area_mm2: Floats, sphere_mm: Floats, stick_mm: Floats) -> Touch:
-        """Return the contact of nodes at a position (k, d) with the sphere displaced by `sphere_mm` (d,)."""
-        identity = np.eye(len(sphere_mm))
+        """Return the contact of nodes at a position (k, 2) with the sphere displaced by `sphere_mm` (2,)."""
+        identity = np.eye(2)
         from_centre = position_mm - sphere_mm - self.radius_mm * identity[-1]
-        core = np.array(self.core_mm or np.zeros(len(sphere_mm)))
-        from_core = from_centre - np.clip(from_centre, -core, core)
-        distance = np.linalg.norm(from_core, axis=1)
-        normal = from_core / distance[:, None]
+        distance = np.linalg.norm(from_centre, axis=1)
+        normal = from_centre / distance[:, None]
         across = identity - _outer(normal, normal)
-        curved = identity * (np.abs(from_centre) > core)[:, None, :]
-        d_normal = (curved - _outer(normal, normal)) / distance[:, None, None]
+        d_normal = across / distance[:, None, None]
         gap = distance - self.radius_mm
         active = gap < 0
         pressure = np.where(active, -self.penalty * gap, 0.0)
@@ -281,7 +268,6 @@ class SphereContact:
             tangent=-area_mm2[:, None, None] * d_traction,
             pressure_mpa=pressure,
             shear_mpa=shear,
-            slipping=slipping,
             stick_mm=np.where(active[:, None], from_centre + shear / self.stick_stiffness, np.nan),
         )
 
@@ -292,7 +278,7 @@ def _outer(a: Floats, b: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class State:
-    """Displacements of the sphere (d,) and of all dofs, with stiffness, contact and residual on the free dofs, N."""
+    """Displacements of the sphere (2,) and of all dofs, with stiffness, contact and residual on the free dofs, N."""
 
     sphere_mm: Floats
     u: Floats
@@ -307,21 +293,16 @@ class State:
 
 @dataclass(frozen=True)
 class Indentation:
-    """A pad, the sphere that touches it, and the settings of Newton's method.
-
-    It has converged when the norm of the residual is below `tolerance_n`; a step that raises that norm more than
-    `largest_rise` times is shortened.
-    """
+    """A pad, the sphere that touches it, and the residual's norm below which Newton's method has converged."""
 
     pad: Pad
     contact: SphereContact
     tolerance_n: float
-    largest_rise: float
 
     def untouched(self) -> State:
         """Return the state before contact."""
         pad = self.pad
-        return self.fun(np.zeros(pad.size), np.zeros(pad.dimensions), np.full(pad.surface_dofs.shape, np.nan))
+        return self.fun(np.zeros(pad.size), np.zeros(2), np.full(pad.surface_dofs.shape, np.nan))
 
     def advance(self, state: State, sphere_mm: Floats) -> State:
         """Move the sphere to `sphere_mm`, in shorter steps where Newton's method fails.
@@ -353,13 +334,12 @@ class Indentation:
         start = self.fun(state.u, state.sphere_mm, stick_mm)
         load = np.zeros(pad.size)
         load[pad.surface_dofs] = start.touch.tangent @ (sphere_mm - state.sphere_mm)
-        state, du, largest_fnorm = start, self.solve(start, load[pad.free] - start.residual), np.inf
+        state, du = start, self.solve(start, load[pad.free] - start.residual)
         for _ in range(MAX_ITERATIONS):
-            state = self._line_search(state.u, du, sphere_mm, stick_mm, largest_fnorm)
+            state = self._moved(state.u, du, sphere_mm, stick_mm)
             if state.fnorm < self.tolerance_n:
                 return state
             du = self.solve(state, -state.residual)
-            largest_fnorm = self.largest_rise * state.fnorm
         raise FloatingPointError("Newton's method does not settle")
 
     def fun(self, u: Floats, sphere_mm: Floats, stick_mm: Floats) -> State:
@@ -386,16 +366,9 @@ class Indentation:
         du[pad.free] = factor.solve(right_side)
         return du
 
-    def _line_search(
-        self, u: Floats, du: Floats, sphere_mm: Floats, stick_mm: Floats, largest_fnorm: float
-    ) -> State:
-        """Take the longest share of `du` with a small enough residual, or the one with the smallest."""
-        tried = []
+    def _moved(self, u: Floats, du: Floats, sphere_mm: Floats, stick_mm: Floats) -> State:
+        """Take the longest share of `du` that turns no element inside out."""
         for share in NEWTON_SHARES:
             with contextlib.suppress(FloatingPointError):
-                tried.append(self.fun(u + share * du, sphere_mm, stick_mm))
-                if tried[-1].fnorm < largest_fnorm:
-                    break
-        if not tried:
-            raise FloatingPointError("no share of the Newton step keeps the elements' volume")
-        return min(tried, key=lambda state: state.fnorm)
+                return self.fun(u + share * du, sphere_mm, stick_mm)
+        raise FloatingPointError("no share of the Newton step keeps the elements' volume")

@@ -1,19 +1,16 @@
-"""A rigid sphere on a bonded pad: an axisymmetric press, and a drag in three dimensions.
+"""A rigid sphere that presses a bonded pad, solved with symmetry about the axis.
 
 The project's own check of MuJoCo's forces and surfaces, which shares nothing with it; a user is never given its results
-as a frame. A press has biquadratic quadrilaterals in (r, z) whose volume ratio is projected on linear functions (Q2/P1
-discontinuous: Simo & Taylor 1991, Comput. Methods Appl. Mech. Eng. 85:273), and is also the solver behind
-`equivalent_moduli`. A drag has trilinear hexahedra whose volume ratio is averaged over the element (Q1/P0: Nagtegaal,
-Parks & Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153) on half the pad, since it goes along x. Units are mm, N, MPa.
+as a frame. It is also the solver behind `equivalent_moduli`. Elements are biquadratic quadrilaterals in (r, z) whose
+volume ratio is projected on linear functions (Q2/P1 discontinuous: Simo & Taylor 1991, Comput. Methods Appl. Mech. Eng.
+85:273). Units are mm, N and MPa.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from numpy.typing import NDArray
 
 from gelgap.benchmarks.fem.indentation import (
     Element,
@@ -26,11 +23,11 @@ from gelgap.benchmarks.fem.indentation import (
     State,
 )
 from gelgap.benchmarks.fem.theory import hertz_contact_radius_mm
-from gelgap.sim.mesh import DiscGrid, half_disc, layer_heights_mm
 
-# 1/mm: a node enters the sphere by pressure / (first · E), some 0.05 µm in a press and 1 µm in a drag; where it sticks
-# it gives way by shear / (second · E), some 1 µm.
-PRESS_STIFFNESS, DRAG_STIFFNESS = (1e4, 3e2), (1e3, 5e2)
+# 1/mm: a node enters the sphere by pressure / (first · E), some 0.05 µm; where it sticks it gives way by shear /
+# (second · E), some 1 µm.
+STIFFNESS = (1e4, 3e2)
+TOLERANCE = 1e-8  # of the modulus times the sphere's radius squared
 GROWTH = 1.18  # ratio of neighbouring elements away from the contact
 # With nothing of the volumetric modulus on J itself, the Stable Neo-Hookean form's −μ (J−1) softens what the projection
 # does not see, and a frictionless press collapses; biquadratic elements do not lock at this ratio (that of ν = 0.45).
@@ -136,13 +133,15 @@ def solve_press(
     if len(depths) < 2 or np.any(np.diff(depths) <= 0) or depths[-1] >= problem.thickness_mm:
         raise ValueError(f"depths_mm = {tuple(depths_mm)} must rise within (0, {problem.thickness_mm})")
     radius = problem.indenter_radius_mm
-    scene = _indentation(problem, section_of_pad(problem, depths[-1]), PRESS_STIFFNESS, 1e-8, np.inf)
+    young_mpa = problem.young_modulus_mpa
+    contact = SphereContact(radius, problem.friction, *(factor * young_mpa for factor in STIFFNESS))
+    scene = Indentation(section_of_pad(problem, depths[-1]), contact, TOLERANCE * young_mpa * radius**2)
     state, reached, states = scene.untouched(), 0.0, []
     for depth in depths[1:]:
         while reached < depth:
             # Hertz's contact radius √(R d) grows by `nodes_per_step` nodes.
-            contact = hertz_contact_radius_mm(radius, reached) + nodes_per_step * problem.element_mm / 2
-            target = contact**2 / radius
+            contact_mm = hertz_contact_radius_mm(radius, reached) + nodes_per_step * problem.element_mm / 2
+            target = contact_mm**2 / radius
             reached = target if depth - target >= 1e-3 * depth else depth
             state = scene.advance(state, np.array([0.0, -reached]))
         states.append(_press_state(scene.pad, state))
@@ -245,124 +244,3 @@ def _edge_radius_mm(radius_mm: Floats, pressure_mpa: Floats) -> float:
     last = touching[max(-8, -max(3, len(touching) // 4)) :]
     slope, intercept = np.polyfit(radius_mm[last], pressure_mpa[last] ** 2, 1)
     return float(-intercept / slope)
-
-
-@dataclass(frozen=True)
-class Drag:
-    """A sphere pressed `depth_mm` deep, then moved along x without rotating.
-
-    The gel is isochoric neo-Hookean. `friction` is Coulomb's coefficient, `inf` never slips. `element_mm` is the edge
-    of an element at the contact, `sectors` the number of them around half of it.
-    """
-
-    young_modulus_mpa: float = 0.3
-    poisson_ratio: float = 0.48
-    friction: float = np.inf
-    indenter_radius_mm: float = 1.5
-    thickness_mm: float = 3.0
-    pad_radius_mm: float = 10.0
-    depth_mm: float = 0.6
-    element_mm: float = 0.2
-    sectors: int = 24
-
-
-@dataclass(frozen=True)
-class DragState:
-    """Equilibrium at one travel: the sphere's force on the pad (3,), N, and the share of it that sticks."""
-
-    travel_mm: float
-    force_n: Floats
-    sticking_fraction: float
-
-
-def solve_drag(problem: Drag, travels_mm: tuple[float, ...], step_mm: float = 0.05) -> tuple[DragState, ...]:
-    """Press, then drag to each travel in turn (rising from 0), in steps of `step_mm`; return the states there.
-
-    Raises
-    ------
-    ValueError
-        If travels do not rise from 0.
-    RuntimeError
-        If Newton's method fails at the smallest step.
-    """
-    travels = np.asarray(travels_mm, float)
-    if travels.size == 0 or travels[0] < 0 or np.any(np.diff(travels) <= 0):
-        raise ValueError(f"travels_mm = {tuple(travels_mm)} must rise from 0")
-    scene = _indentation(problem, half_pad(problem, float(travels[-1])), DRAG_STIFFNESS, 1e-6, 1.0)
-    state = scene.untouched()
-    first = min(step_mm, problem.depth_mm) / 4
-    for depth in np.append(np.arange(first, problem.depth_mm - 1e-9, step_mm), problem.depth_mm):
-        state = scene.advance(state, np.array([0.0, 0.0, -depth]))
-    states = []
-    for travel in travels:
-        start = state.sphere_mm[0]
-        steps = max(1, math.ceil((travel - start) / step_mm - 1e-9))
-        for x in start + (travel - start) * np.arange(1, steps + 1) / steps:
-            state = scene.advance(state, np.array([x, 0.0, -problem.depth_mm]))
-        states.append(_drag_state(scene.pad, state))
-    return tuple(states)
-
-
-def half_pad(problem: Drag, furthest_mm: float) -> Pad:
-    """Return half a round pad, y ≥ 0, with the membrane at z = 0 and the backing below."""
-    above = max(problem.indenter_radius_mm - problem.depth_mm, 0.0)
-    contact = math.sqrt(problem.indenter_radius_mm**2 - above**2)
-    plane, quads = half_disc(
-        DiscGrid(problem.pad_radius_mm, 1.15 * contact + furthest_mm, problem.element_mm, problem.sectors)
-    )
-    layers = layer_heights_mm(
-        problem.thickness_mm, 0.75 * problem.element_mm, 1.25, 0.75 * problem.element_mm
-    )
-    below = np.arange(1, len(layers))[:, None, None] * len(plane) + quads
-    nodes = np.concatenate([np.column_stack([plane, np.full(len(plane), z)]) for z in layers])
-    connectivity = np.concatenate([below, below - len(plane)], axis=-1).reshape(-1, 8)
-    _, y, z = nodes.T
-    surface = np.flatnonzero(z > -1e-9)
-    bonded, mirror = np.flatnonzero(z < -problem.thickness_mm + 1e-9), np.flatnonzero(np.abs(y) < 1e-9)
-    return Pad(
-        nodes=nodes,
-        connectivity=connectivity,
-        element=trilinear(),
-        material=NeoHookean(problem.young_modulus_mpa, problem.poisson_ratio),
-        fixed_dofs=np.concatenate([(3 * bonded[:, None] + np.arange(3)).ravel(), 3 * mirror + 1]),
-        surface=surface,
-        surface_area_mm2=_quad_areas_mm2(nodes, connectivity, surface),
-    )
-
-
-def trilinear() -> Element:
-    """Return the element of eight nodes with 2×2×2 Gauss points; J is averaged."""
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
-    corner = np.concatenate([np.column_stack([corners, np.full(4, z)]) for z in (-1.0, 1.0)])
-    factor = (1 + corner[:, None, :] * corner / np.sqrt(3)) / 2  # (point, node, axis)
-    slopes = [corner[:, i] / 2 * factor[..., (i + 1) % 3] * factor[..., (i + 2) % 3] for i in range(3)]
-    return Element(factor.prod(axis=-1), np.stack(slopes, axis=-1), np.ones(8), np.ones((8, 1)))
-
-
-def _quad_areas_mm2(nodes: Floats, hexahedra: NDArray[np.int64], surface: NDArray[np.int64]) -> Floats:
-    """Return the area of the outer membrane that belongs to each of its nodes."""
-    quads = hexahedra[np.isin(hexahedra[:, 4:], surface).all(axis=1), 4:]
-    corner = nodes[quads, :2]
-    across, along = corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1]
-    area = np.abs(across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]) / 2
-    return np.bincount(quads.ravel(), np.repeat(area / 4, 4), len(nodes))[surface]
-
-
-def _drag_state(pad: Pad, state: State) -> DragState:
-    touch = state.touch
-    push = touch.pressure_mpa * pad.surface_area_mm2
-    return DragState(
-        travel_mm=float(state.sphere_mm[0]),
-        force_n=2 * touch.force_n.sum(0) * [1, 0, 1],
-        sticking_fraction=float(1 - push[touch.slipping].sum() / push.sum()),
-    )
-
-
-def _indentation(
-    problem: Press | Drag, pad: Pad, stiffness: tuple[float, float], tolerance: float, largest_rise: float
-) -> Indentation:
-    """Return a problem's scene: stiffness by the modulus, tolerance by the modulus and the sphere's radius squared."""
-    young_mpa, radius_mm = problem.young_modulus_mpa, problem.indenter_radius_mm
-    penalty, stick_stiffness = (factor * young_mpa for factor in stiffness)
-    contact = SphereContact(radius_mm, problem.friction, penalty, stick_stiffness)
-    return Indentation(pad, contact, tolerance * young_mpa * radius_mm**2, largest_rise)

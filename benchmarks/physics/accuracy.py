@@ -159,7 +159,25 @@ def errors(case: Case, solved: Any, picture: Picture | None = None) -> dict[str,
     Presses have errors of the membrane, and with a `picture` maker of their pictures; drags those of Fx.
     """
     truth, states = case.truth, solved.states
-    force_n = np.array([state.force_n for state in states])
+    row = force_errors(case, solved, np.array([state.force_n for state in states]))
+    if truth.profiles:
+        expected = [truth.displacement_mm(index, s.x_mm, s.y_mm) for index, s in enumerate(states)]
+        radius = np.array([state.contact_radius_mm for state in states]) / truth.radius_mm
+        row |= {
+            "radius worst %": float(np.abs(100 * (radius - 1)).max()),
+            "ref ± %": float(100 * (truth.radius_uncertainty_mm / truth.radius_mm).max()),
+            **combined(map(surface_errors, states, expected, truth.radius_mm)),
+        }
+        if picture is not None:
+            pairs = zip(states, expected, strict=True)
+            psnrs = [psnr_db(picture(s, s.displacement_mm), picture(s, right)) for s, right in pairs]
+            row["PSNR dB"] = min(psnrs)
+    return row
+
+
+def force_errors(case: Case, solved: Any, force_n: Floats) -> dict[str, Any]:
+    """Compare forces (poses, 3) with the truth, Fx where the indenter is dragged; with what they cost."""
+    truth, states = case.truth, solved.states
     fz = 100 * (force_n[:, 2] / truth.force_n[:, 2] - 1)
     row = {
         "study": case.study,
@@ -186,18 +204,6 @@ def errors(case: Case, solved: Any, picture: Picture | None = None) -> dict[str,
             "|f_t|/μf_n − 1": max(state.diagnostics.coulomb_excess for state in states),
             "fx_percent": fx.tolist(),
         }
-    if truth.profiles:
-        expected = [truth.displacement_mm(index, s.x_mm, s.y_mm) for index, s in enumerate(states)]
-        radius = np.array([state.contact_radius_mm for state in states]) / truth.radius_mm
-        row |= {
-            "radius worst %": float(np.abs(100 * (radius - 1)).max()),
-            "ref ± %": float(100 * (truth.radius_uncertainty_mm / truth.radius_mm).max()),
-            **combined(map(surface_errors, states, expected, truth.radius_mm)),
-        }
-        if picture is not None:
-            pairs = zip(states, expected, strict=True)
-            psnrs = [psnr_db(picture(s, s.displacement_mm), picture(s, right)) for s, right in pairs]
-            row["PSNR dB"] = min(psnrs)
     return row
 
 

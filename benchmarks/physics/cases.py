@@ -78,10 +78,11 @@ class Case:
 
     def down_to(self, depth_mm: float) -> "Case":
         """Return the part of a press that is no deeper."""
-        truth, count = self.truth, sum(pose.depth_mm <= depth_mm for pose in self.poses)
+        count = sum(pose.depth_mm <= depth_mm for pose in self.poses)
         arrays = ("force_n", "radius_mm", "radius_uncertainty_mm", "profiles")
-        kept = {name: getattr(truth, name)[:count] for name in arrays}
-        return replace(self, poses=self.poses[:count], truth=replace(truth, **kept))
+        there = {name: own for name in arrays if (own := getattr(self.truth, name)) is not None}
+        kept = {name: own[:count] for name, own in there.items()}
+        return replace(self, poses=self.poses[:count], truth=replace(self.truth, **kept))
 
     def states(self, solution: Solution) -> tuple[MembraneState, ...]:
         """Return the membrane at each pose."""

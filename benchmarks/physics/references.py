@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ from gelgap.assets import asset_path
 from gelgap.benchmarks.common import Results
 from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.sim import Elastomer, Pose, Sphere
+from gelgap.sim import AnyIndenter, Elastomer, Pose, Sphere
 
 FORCE_UNCERTAINTY = 0.003
 DRAG_FX_UNCERTAINTY = 0.04
@@ -73,25 +74,24 @@ LARGER_SPHERES = (  # the rows of docs/results/physics.md: R, thickness, ν, fri
 def press_cases() -> dict[str, Case]:
     """Return the neo-Hookean presses of the tables by name (the linear elastic ones are not a material of gelgap)."""
     rows = pd.read_csv(asset_path("reference", "force_depth.csv"))
-    slips = {"no slip": NO_SLIP_FRICTION, "frictionless": 0.0}
     cases = {}
     for name, own in rows[rows["energy"].str.contains("neo-Hookean")].groupby("case", sort=False):
-        first, contact = own.iloc[0], own["contact"].iloc[0]
-        cases[name] = _press(
+        first = own.iloc[0]
+        cases[name] = press_case(
             "presses",
             name,
             own["depth_mm"],
-            first["indenter_radius_mm"],
+            Sphere(diameter_mm=2 * first["indenter_radius_mm"]),
             Truth(
-                force_n=_normal(own["fz_n"]),
+                force_n=normal(own["fz_n"]),
                 radius_mm=own["contact_radius_mm"].to_numpy(),
                 radius_uncertainty_mm=own.eval(
                     "(contact_radius_high_mm - contact_radius_low_mm) / 2"
                 ).to_numpy(),
-                profiles=_profiles(own["depth_mm"], "profiles", f"{name}.csv"),
+                profiles=profiles(own["depth_mm"], "profiles", f"{name}.csv"),
             ),
             **first[["young_modulus_mpa", "poisson_ratio", "thickness_mm"]],
-            friction=slips[contact] if contact in slips else float(contact.split()[-1]),
+            friction=friction_of(first["contact"]),
             strain_energy="isochoric" if first["energy"].startswith("isochoric") else "stable-neo-hookean",
         )
     return cases
@@ -104,16 +104,16 @@ def tabled_sphere() -> Case:
     first = rows.iloc[0]
     # The true radius lies between the last node that touches and the next, one element further out.
     half_mm = first["element_mm_fine"] / 2
-    return _press(
+    return press_case(
         "larger",
         TABLED_SPHERE,
         rows["depth_mm"],
-        json.loads(first["shape_params"])["R"],
+        Sphere(diameter_mm=2 * json.loads(first["shape_params"])["R"]),
         Truth(
-            force_n=_normal(-rows["F_fine"]),
+            force_n=normal(-rows["F_fine"]),
             radius_mm=rows["contact_radius_now_mm"].to_numpy() + half_mm,
             radius_uncertainty_mm=np.full(len(rows), half_mm),
-            profiles=_profiles(rows["depth_mm"], "spheres", f"{TABLED_SPHERE}_profile.csv"),
+            profiles=profiles(rows["depth_mm"], "spheres", f"{TABLED_SPHERE}_profile.csv"),
         ),
         young_modulus_mpa=first["E_MPa"],
         poisson_ratio=first["nu"],
@@ -127,13 +127,13 @@ def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[C
     named = {f"{press} to {depths_mm[-1]:g} mm": (press, depths_mm) for press, depths_mm in descents}
     found = solver.measure(solved_truth, named, tasks_per_worker=None)
     return [
-        _press(
+        press_case(
             study,
             name,
             depths_mm,
-            press.indenter_radius_mm,
+            Sphere(diameter_mm=2 * press.indenter_radius_mm),
             Truth(
-                force_n=_normal(found.loc[name, "fz_n"]),
+                force_n=normal(found.loc[name, "fz_n"]),
                 source="own",
                 radius_mm=found.loc[name, "radius_mm"],
                 radius_uncertainty_mm=np.full(len(depths_mm), press.element_mm / 4),
@@ -160,11 +160,11 @@ def solved_truth(descent: Descent) -> Results:
 
 @cache
 def drag_cases() -> tuple[Case, ...]:
-    """Return drags along x: without slip from a table, then with Coulomb friction by the project's own 3-D solver.
+    """Return drags along x: without slip from a table of others, then with Coulomb friction from one of the project's.
 
-    Of the table's drags, on a pad of 20×20 mm, the ones with the smallest elements. The own ones
-    (`scripts/drag_table.py`) have an error that falls with the square of the elements' size, so that the fine mesh is
-    off by what the coarse one differs from it, over (ratio of sizes)² − 1.
+    Of the first, on a pad of 20×20 mm, the ones with the smallest elements. The second has an error that falls with the
+    square of the elements' size, so that the fine mesh is off by what the coarse one differs from it, over (ratio of
+    sizes)² − 1.
     """
     table = pd.read_csv(asset_path("reference", "shear_no_slip.csv")).assign(friction=NO_SLIP_FRICTION)
     own = pd.read_csv(asset_path("reference", "drag_coulomb.csv"))
@@ -188,17 +188,26 @@ def drag_cases() -> tuple[Case, ...]:
     return tuple(cases)
 
 
-def _press(
-    study: str, name: str, depths_mm: Sequence[float], radius_mm: float, truth: Truth, **gel: float | str
+def press_case(
+    study: str, name: str, depths_mm: Sequence[float], indenter: AnyIndenter, truth: Truth, **gel: Any
 ) -> Case:
+    """Return one descent through the depths of a truth."""
     poses = tuple(Pose(depth_mm=float(depth)) for depth in depths_mm)
-    return Case(study, name, Elastomer(**gel), poses, indenter=Sphere(diameter_mm=2 * radius_mm), truth=truth)
+    return Case(study, name, Elastomer(**gel), poses, indenter=indenter, truth=truth)
 
 
-def _normal(fz_n: pd.Series | Floats) -> Floats:
+def friction_of(contact: str) -> float:
+    """Return the friction that a table's words for a contact mean, such as "friction 0.5"."""
+    known = {"no slip": NO_SLIP_FRICTION, "stick": NO_SLIP_FRICTION, "frictionless": 0.0, "slip": 0.0}
+    return known[contact] if contact in known else float(contact.split()[-1])
+
+
+def normal(fz_n: pd.Series | Floats) -> Floats:
+    """Return forces (k, 3) that have no other component than Fz."""
     return np.outer(fz_n, [0.0, 0.0, 1.0])
 
 
-def _profiles(depths_mm: pd.Series, *place: str) -> tuple[Floats, ...]:
+def profiles(depths_mm: pd.Series, *place: str) -> tuple[Floats, ...]:
+    """Return the surface at each depth, (place, u aside, u_z), from a table of assets/reference."""
     rows = np.genfromtxt(asset_path("reference", *place), delimiter=",", skip_header=1)
     return tuple(rows[np.isclose(rows[:, 0], depth), 1:].T for depth in depths_mm)

@@ -49,9 +49,6 @@ OFF = {
 GEL = Elastomer(young_modulus_mpa=0.6, poisson_ratio=0.49, friction=0.8)
 CORNER = Pose(depth_mm=0.6, point_x_mm=3.75, point_y_mm=2.6)
 TRAVEL_MM = 0.3
-# Distances of edges in thicknesses of 3 mm, and the pose whose change is measured: the path's largest.
-EDGE_DISTANCES = (2.0, 2.4, 2.75, 3.2)
-LARGEST_POSE = Pose(depth_mm=1.0, shear_x_mm=0.6)
 NEAR_MM = 5.0
 PATH_GEL = "b0"
 SMALL_PAD_MM = (10.0, 8.0)
@@ -61,11 +58,10 @@ Way = tuple[SolvePlan, int]
 
 
 def full_tables(solver: Solver) -> dict[str, pd.DataFrame]:
-    """Measure and print the paper's path, and what each saving, near edges and shared descents change."""
+    """Measure and print the paper's path, and what each saving and shared descents change."""
     return {
         "path": path_table(solver),
         "savings": saving_table(solver),
-        "edges": edge_table(solver),
         "descents": descent_table(solver),
     }
 
@@ -91,13 +87,9 @@ def changes(state: MembraneState, right: MembraneState, way: Way) -> dict[str, f
     near = np.hypot(x - pose.point_x_mm, y - pose.point_y_mm) <= NEAR_MM
     near &= (np.abs(x) <= pad_mm[0] / 2) & (np.abs(y) <= pad_mm[1] / 2)
     moved_um = 1e3 * np.linalg.norm((state.displacement_mm - right.displacement_mm)[near], axis=-1)
-    fx, _, fz = 100 * (state.force_n / np.where(right.force_n, right.force_n, 1.0) - 1)
     return {
-        "Fx %": fx,
-        "Fz %": fz,
         "force %": 100 * np.linalg.norm(state.force_n - right.force_n) / np.linalg.norm(right.force_n),
         "surface rms µm": rms(moved_um),
-        "worst µm": moved_um.max(),
     }
 
 
@@ -137,28 +129,6 @@ def points(savings: pd.DataFrame) -> pd.DataFrame:
     """Return the savings as points of the frontier: processor time against error."""
     named = savings.rename(columns={"saving": "name", "core s/pose": "seconds"})
     return named.assign(series=SERIES, error=named["force error %"].clip(lower=FORCE_FLOOR_PERCENT))
-
-
-def edge_table(solver: Solver) -> pd.DataFrame:
-    """Print what edges change in the largest pose, ahead and behind a drag or beside it, by their distance."""
-
-    def on_pad(*size_mm: float) -> Way:
-        gel = GEL.model_copy(update={"pad_size_mm": size_mm})
-        sharing = Sharing(translation=False, cache=False)
-        return plan_visit(gel, Sphere(), [LARGEST_POSE], "draft", sharing), 0
-
-    far, ways = on_pad(100.0, 100.0), []
-    for distance in EDGE_DISTANCES:
-        width = 2 * distance * GEL.thickness_mm
-        ways.append((f"ahead and behind, {distance:g} thicknesses away", on_pad(width, 100.0), far))
-        ways.append((f"on both sides, {distance:g} thicknesses away", on_pad(100.0, width), far))
-    table = changed("edges", ways, solver).drop(columns=["force %", "core s"])
-    title = (
-        "What translation neglects, draft: edges on both sides of a contact, 1 mm deep and 0.6 mm sideways"
-    )
-    note = "change against the same pose on a pad of 100 × 100 mm; surface: within 5 mm of the contact point"
-    show(title, table, note)
-    return table
 
 
 def descent_table(solver: Solver) -> pd.DataFrame:

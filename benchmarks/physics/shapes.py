@@ -1,8 +1,8 @@
 """`gelgap benchmark physics --what shapes`: other indenters than spheres, against finite elements and one another.
 
 A body of revolution has tables of forces, surfaces and torques, a long lying cylinder those of plane strain, which its
-middle is in; a long box is pressed and dragged across beside the project's own finite elements in plane strain. A mesh
-file of a body is compared with the body itself.
+middle is in; a long box is pressed and dragged across beside a table of the project's own finite elements in plane
+strain. A mesh file of a body is compared with the body itself.
 """
 
 import json
@@ -20,19 +20,24 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets import asset_path
-from gelgap.benchmarks.common import Results, show, write_json
-from gelgap.benchmarks.fem.sections import Section, solve_section
+from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.benchmarks.fem.theory import hertz_contact_radius_mm
 from gelgap.benchmarks.physics.accuracy import (
     SURFACE_REACH_MM,
     at_both,
     combined,
-    rms,
+    force_errors,
     signed,
     surface_errors,
 )
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION
+from gelgap.benchmarks.physics.references import (
+    NO_SLIP_FRICTION,
+    friction_of,
+    normal,
+    press_case,
+    profiles,
+)
 from gelgap.sim import (
     AnyIndenter,
     Box,
@@ -58,16 +63,15 @@ COLUMNS = (
     *("case", "quality", "Fz rms %", "worst %", "Fz by pose %", "ref ± %", "u_z rms µm", "in-plane rms µm"),
     *("core s/pose", "vertices", "unconverged"),
 )
+ACROSS_COLUMNS = (
+    *("case", "quality", "Fz by pose %", "Fz rms %", "Fx by pose %", "Fx rms %", "u_z rms µm"),
+    *("in-plane rms µm", "|f_t|/μf_n − 1", "core s/pose", "unconverged"),
+)
 QUALITIES = ("draft", "standard")
 SAME_DEPTHS_MM = (0.2, 0.4, 0.6)
-# Places (travel, depth) of a long box, 3 mm wide, that is pressed and dragged across.
-ACROSS_MM = ((0.0, 0.2), (0.0, 0.4), (0.1, 0.4), (0.2, 0.4))
-ACROSS = {"no slip": NO_SLIP_FRICTION, "friction 0.3": 0.3}
 LONG_BOX = Box(size_mm=(3.0, LONG_MM), edge_radius_mm=0.5)
-SECTION_ELEMENT_MM = 0.12
-# Twists by this much are small; so many depths of each body have one.
-TWIST_DEG = 1.0
-TWISTED_DEPTHS = 2
+TWIST_DEG = 1.0  # a small twist, in which nothing slips
+TWISTED_DEPTHS = 2  # of each body
 # A sphere on thick gel that turns until all of its contact slips: radius, thickness, depth, friction and twist.
 FULL_SLIP = (3.0, 10.0, 0.1, 0.3, 20.0)
 NOTE = "displacement within 5 mm; ref ±: the references' own; core s: a process with imports, over its poses"
@@ -87,7 +91,8 @@ def run(quick: bool, out_dir: Path) -> None:
     solver = Solver(1, out_dir / "shape-solves")
     rounds, lying = round_cases(), lying_case()
     if quick:
-        cases = [replace(first(case, QUICK_DEPTHS), quality="draft") for case in rounds]
+        shallow = [case.down_to(case.poses[QUICK_DEPTHS - 1].depth_mm) for case in rounds]
+        cases = [replace(case, quality="draft") for case in shallow]
     else:
         cases = at_both([*rounds, lying])
     solved = solver.cases(cases)
@@ -103,8 +108,9 @@ def run(quick: bool, out_dir: Path) -> None:
     note = "torque per degree without slip beside the tables; in full slip beside Hertz's 3π/16 μ P a"
     show("Twists of a pressed indenter", results["twist"], note)
     if not quick:
-        results["across"] = across_rows(solver)
-        note = f"per mm of length, beside plane strain by elements of {SECTION_ELEMENT_MM:g} mm; {TARGETS}"
+        across = solver.cases(at_both(across_cases()))
+        results["across"] = pd.DataFrame(row(*pair) for pair in across.items())[list(ACROSS_COLUMNS)]
+        note = f"per mm of length, beside plane strain by elements of 0.12 mm; {TARGETS}"
         show("A long box in its middle, pressed and dragged across", results["across"], note)
         results["same"] = same_bodies(solver)
         note = "difference of a body from the one it is the same as; targets: 1 %, 3 µm"
@@ -149,68 +155,66 @@ def lying_case() -> Case:
     return replace(case, truth=replace(case.truth, profiles=sides))
 
 
+def across_cases() -> tuple[Case, ...]:
+    """Return a long box that is pressed and dragged across, with what plane strain has per mm of its length."""
+    forces, surfaces = (
+        pd.read_csv(asset_path("reference", "shapes", f"box_across_{kind}.csv")).groupby(
+            "contact", sort=False
+        )
+        for kind in ("forces", "profiles")
+    )
+    cases = []
+    for (contact, own), (_, surface) in zip(forces, surfaces, strict=True):
+        gel = Elastomer(
+            young_modulus_mpa=0.3, poisson_ratio=0.48, friction=friction_of(contact), pad_size_mm=PAD_MM
+        )
+        at_poses = surface.groupby(["depth_mm", "travel_mm"])[["x_rest_mm", "u_x_mm", "u_z_mm"]]
+        truth = Truth(
+            force_n=own.assign(fy=np.nan)[["fx_n_per_mm", "fy", "fz_n_per_mm"]].to_numpy(),
+            profiles=tuple(rows.to_numpy().T for _, rows in at_poses),
+        )
+        poses = tuple(Pose(depth_mm=p.depth_mm, shear_x_mm=p.travel_mm) for p in own.itertuples())
+        cases.append(Case("across", contact, gel, poses, indenter=LONG_BOX, truth=truth))
+    return tuple(cases)
+
+
 def _case(name: str, body: AnyIndenter, own: pd.DataFrame) -> Case:
-    first_row, depths_mm = own.iloc[0], own["depth_mm"]
-    rows = np.genfromtxt(
-        asset_path("reference", "shapes", f"{name}_profile.csv"), delimiter=",", skip_header=1
-    )
-    gel = Elastomer(
-        young_modulus_mpa=first_row["E_MPa"],
-        poisson_ratio=first_row["nu"],
-        thickness_mm=first_row["h_mm"],
-        friction=NO_SLIP_FRICTION if first_row["contact"] == "stick" else 0.0,
-        pad_size_mm=PAD_MM,
-    )
+    first = own.iloc[0]
     truth = Truth(
-        force_n=np.outer(-own["F_fine"], [0.0, 0.0, 1.0]),
+        force_n=normal(-own["F_fine"]),
         fx_uncertainty=float(own["unc_pct"].max()),
-        profiles=tuple(rows[np.isclose(rows[:, 0], depth), 1:].T for depth in depths_mm),
+        profiles=profiles(own["depth_mm"], "shapes", f"{name}_profile.csv"),
     )
-    return Case(
-        "shapes", name, gel, tuple(Pose(depth_mm=float(d)) for d in depths_mm), indenter=body, truth=truth
-    )
-
-
-def first(case: Case, count: int) -> Case:
-    """Return a case with its first depths alone."""
-    truth = replace(case.truth, force_n=case.truth.force_n[:count], profiles=case.truth.profiles[:count])
-    return replace(case, poses=case.poses[:count], truth=truth)
+    gel = {
+        "young_modulus_mpa": first["E_MPa"],
+        "poisson_ratio": first["nu"],
+        "thickness_mm": first["h_mm"],
+        "friction": friction_of(first["contact"]),
+        "pad_size_mm": PAD_MM,
+    }
+    return press_case("shapes", name, own["depth_mm"], body, truth, **gel)
 
 
 def row(case: Case, solved: Any) -> dict[str, Any]:
-    """Compare what `Solver.cases` returns for a case with its table."""
+    """Compare what `Solver.cases` returns for a case with its table; of a long body the middle is compared."""
     states, truth = solved.states, case.truth
-    if isinstance(case.indenter, Edge):
+    if isinstance(case.indenter, Edge | Box):
+        along = int(isinstance(case.indenter, Box))
         maps = [traction_map(case.plan, k, solved.solution, state) for k, state in enumerate(states)]
-        force_n = np.array([middle_force_n(found)[2] for found in maps])
-        surfaces = [
-            middle_errors(state, profile) for state, profile in zip(states, truth.profiles, strict=True)
-        ]
+        force_n = np.array([middle_force_n(found, along) for found in maps])
+        surfaces = [middle_errors(*pair, along) for pair in zip(states, truth.profiles, strict=True)]
     else:
-        force_n = np.array([state.force_n[2] for state in states])
+        force_n = np.array([state.force_n for state in states])
         expected = [truth.displacement_mm(index, s.x_mm, s.y_mm) for index, s in enumerate(states)]
         radii = [state.contact_radius_mm for state in states]
-        surfaces = list(map(surface_errors, states, expected, radii))
-    error = 100 * (force_n / truth.force_n[:, 2] - 1)
-    return {
-        "case": case.name,
-        "quality": case.quality,
-        "Fz rms %": rms(error),
-        "worst %": float(np.abs(error).max()),
-        "Fz by pose %": signed(error),
+        surfaces = [combined(map(surface_errors, states, expected, radii))]
+    found = force_errors(case, solved, force_n)
+    return found | {
+        "worst %": float(np.abs(found["fz_percent"]).max()),
         "ref ± %": truth.fx_uncertainty,
-        **_surface(surfaces),
-        "core s/pose": solved.core_s / len(states),
+        **{name: rms([one[name] for one in surfaces]) for name in ("u_z rms µm", "in-plane rms µm")},
         "vertices": len(solved.solution.rest_mm),
-        "unconverged": sum(not state.converged for state in states),
     }
-
-
-def _surface(surfaces: Sequence[dict[str, float]]) -> dict[str, float]:
-    names = ("u_z rms µm", "in-plane rms µm")
-    if len(surfaces[0]) > len(names):
-        surfaces = [combined(surfaces)]
-    return {name: rms([one[name] for one in surfaces]) for name in names}
 
 
 def middle_force_n(found: Traction, along: int = 0) -> Floats:
@@ -232,57 +236,6 @@ def middle_errors(state: MembraneState, profile: Floats, along: int = 0) -> dict
         "u_z rms µm": 1e3 * rms(found[:, 2] - down),
         "in-plane rms µm": 1e3 * rms(np.hypot(found[:, 1 - along] - aside, found[:, along])),
     }
-
-
-def section_truth(section: Section) -> Results:
-    """Return what the project's own finite elements find in plane strain: forces per mm, and surfaces."""
-    states = solve_section(section, ACROSS_MM)
-    return {
-        "force_n": np.array([state.force_n_per_mm for state in states]),
-        "profiles": np.array([state.surface_mm for state in states]),
-    }
-
-
-def across_rows(solver: Solver, qualities: Sequence[str] = QUALITIES) -> pd.DataFrame:
-    """Compare the middle of a long box that is pressed and dragged across with plane strain."""
-    flat_mm = LONG_BOX.size_mm[0] - 2 * LONG_BOX.edge_radius_mm
-    travel_mm = max(travel for travel, _ in ACROSS_MM)
-    sections = {
-        name: Section(flat_mm, LONG_BOX.edge_radius_mm, own, travel_mm, SECTION_ELEMENT_MM)
-        for name, own in ACROSS.items()
-    }
-    truths = solver.measure(section_truth, sections, tasks_per_worker=None)
-    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.0, pad_size_mm=PAD_MM)
-    poses = tuple(Pose(depth_mm=depth, shear_x_mm=travel) for travel, depth in ACROSS_MM)
-    cases = [
-        Case("across", name, gel.model_copy(update={"friction": own}), poses, quality, LONG_BOX)
-        for name, own in ACROSS.items()
-        for quality in qualities
-    ]
-    rows = []
-    for case, own in solver.cases(cases).items():
-        truth = truths.loc[case.name]
-        maps = [traction_map(case.plan, k, own.solution, state) for k, state in enumerate(own.states)]
-        error = 100 * (
-            np.array([middle_force_n(found, along=1)[[0, 2]] for found in maps]) / truth["force_n"] - 1
-        )
-        dragged = np.array(ACROSS_MM)[:, 0] > 0
-        surfaces = [middle_errors(*pair, along=1) for pair in zip(own.states, truth["profiles"], strict=True)]
-        rows.append(
-            {
-                "contact": case.name,
-                "quality": case.quality,
-                "Fz by pose %": signed(error[:, 1]),
-                "Fz rms %": rms(error[:, 1]),
-                "Fx by pose %": signed(error[dragged, 0]),
-                "Fx rms %": rms(error[dragged, 0]),
-                **_surface(surfaces),
-                "Coulomb excess": max(state.diagnostics.coulomb_excess for state in own.states),
-                "core s/pose": own.core_s / len(poses),
-                "unconverged": sum(not state.converged for state in own.states),
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def twist_cases(depths: int, qualities: Sequence[str]) -> dict[Case, tuple[float, float]]:
@@ -361,35 +314,32 @@ def same_bodies(solver: Solver) -> pd.DataFrame:
         "ellipsoid that is nearly one": (Ellipsoid(diameters_mm=(3.002, 3.0, 3.0)), Sphere()),
         "mesh of a box": (_mesh("box"), Box()),
     }
-    named = {
-        (name, quality, which): Case("same", f"{name} {which}", gel, poses, quality=quality, indenter=body)
+    pairs = {
+        (name, quality): [
+            Case("same", f"{name} {which}", gel, poses, quality=quality, indenter=body)
+            for which, body in enumerate(pair)
+        ]
         for name, pair in bodies.items()
         for quality in QUALITIES
-        for which, body in enumerate(pair)
     }
-    solved = solver.cases(named.values())
-    for name in bodies:
-        for quality in QUALITIES:
-            own, other = (solved[named[name, quality, which]] for which in (0, 1))
-            error = [
-                100 * (a.force_n[2] / b.force_n[2] - 1) for a, b in zip(own.states, other.states, strict=True)
-            ]
-            apart = [
-                1e3 * (a.displacement_mm - b.displacement_mm)
-                for a, b in zip(own.states, other.states, strict=True)
-            ]
-            rows.append(
-                {
-                    "body": name,
-                    "quality": quality,
-                    "Fz by pose %": signed(error),
-                    "Fz rms %": rms(error),
-                    "u_z rms µm": rms([rms(u[..., 2]) for u in apart]),
-                    "in-plane rms µm": rms([rms(np.hypot(u[..., 0], u[..., 1])) for u in apart]),
-                    "core s/pose": own.core_s / len(poses),
-                    "the other's": other.core_s / len(poses),
-                }
-            )
+    solved = solver.cases(case for pair in pairs.values() for case in pair)
+    for (name, quality), pair in pairs.items():
+        own, other = (solved[case] for case in pair)
+        states = list(zip(own.states, other.states, strict=True))
+        error = [100 * (a.force_n[2] / b.force_n[2] - 1) for a, b in states]
+        apart = [1e3 * (a.displacement_mm - b.displacement_mm) for a, b in states]
+        rows.append(
+            {
+                "body": name,
+                "quality": quality,
+                "Fz by pose %": signed(error),
+                "Fz rms %": rms(error),
+                "u_z rms µm": rms([rms(u[..., 2]) for u in apart]),
+                "in-plane rms µm": rms([rms(np.hypot(u[..., 0], u[..., 1])) for u in apart]),
+                "core s/pose": own.core_s / len(poses),
+                "the other's": other.core_s / len(poses),
+            }
+        )
     return pd.DataFrame(rows)
 
 

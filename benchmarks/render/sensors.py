@@ -2,7 +2,7 @@
 
 gelgap's predictions are its own renderer's pictures. `marked` takes a press where it was marked by hand, `corrected`
 moves it as the marks of the fitted presses were moved on average; both use nothing of its picture. `refined` moves its
-centre and depth in its own picture. Beside them: what else predicts (`rivals`), and presses unlike the fitted ones.
+centre and depth in its own picture. Beside them: what else predicts (`rivals`).
 """
 
 import tempfile
@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ import pandas as pd
 from gelgap.benchmarks.common import Results, Setting, run_missing, show, write_json
 from gelgap.benchmarks.render import rivals
 from gelgap.benchmarks.render.rivals import Fitted
-from gelgap.domains import CALIBRATION_GEL, PressSet, sphere_profiles, taxim_presses
+from gelgap.domains import PressSet, sphere_profiles, taxim_presses
 from gelgap.render import (
     LightCalibration,
     MembraneRenderer,
@@ -27,10 +28,7 @@ from gelgap.render import (
     Sensor,
     save_calibration,
 )
-from gelgap.render.calibration.calibrator import (
-    FEWEST_FOR_ORDER_3,
-    LightTask,
-)
+from gelgap.render.calibration.calibrator import FEWEST_FOR_ORDER_3, LightTask
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.poses import place_presses
 from gelgap.render.imaging import psnr_db
@@ -38,88 +36,51 @@ from gelgap.render.imaging import psnr_db
 SET = "gelsight"
 LEVELS = ("contact", "inside", "ring", "within", "whole")  # regions, in each of which PSNR is taken
 EXTENT_MM = (10.5, 8.2)
-HELD_SIGMA_MM = 1e-4  # so little does a fit move a press that is held where it was marked
-FEW = 6
-WHOLE, AT_STANDARD = "whole: + flat field of pressed pictures", "whole, membrane at standard"
+WHOLE = "whole: + flat field of pressed pictures"
 Model = Callable[[tuple[int, ...]], Fitted]
 """Fits the presses of some indices."""
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One form of the model: what of it is there."""
-
-    order: int = 3
-    degree: int = 2
-    far: bool = True
-    shadows: bool = True
-    keep_camera: bool = False
-    flat_field: bool = True
-    refines_fitted: bool = True
-    quality: str = "draft"
-
-
-VARIANTS = {
-    "LEDs alone, camera kept at 25 mm": Variant(order=0, degree=0, far=False, keep_camera=True),
-    "+ scattered light, order 2 × (1, x, y)": Variant(order=2, degree=1, far=False, keep_camera=True),
-    "+ camera's distance fitted": Variant(order=2, degree=1, far=False),
-    "+ order 3 × quadratics, flat field from the reference alone": Variant(far=False),
-    "the same, without shadows": Variant(far=False, shadows=False),
-    WHOLE: Variant(),
-    "whole without scattered light": Variant(order=0, degree=0),
-    "whole without shadows": Variant(shadows=False),
-    "whole without flat field, as rendered": Variant(flat_field=False),
-    "whole, fitted presses as marked": Variant(refines_fitted=False),
-    AT_STANDARD: Variant(quality="standard"),
+VARIANTS: dict[str, dict[str, Any]] = {
+    "LEDs alone, camera kept at 25 mm": {"order": 0, "degree": 0, "far": False, "keep_camera": True},
+    "+ scattered light, order 2 × (1, x, y)": {"order": 2, "degree": 1, "far": False, "keep_camera": True},
+    "+ camera's distance fitted": {"order": 2, "degree": 1, "far": False},
+    "+ order 3 × quadratics, flat field from the reference alone": {"order": 3, "degree": 2, "far": False},
+    WHOLE: {"order": 3, "degree": 2},
+    "whole without scattered light": {"order": 0, "degree": 0},
 }
+"""Forms of the model: fields of a `LightTask`."""
 
 
 def light_task(
-    found: PressSet, variant: Variant, profiles: Mapping[float, PressProfiles] | None = None
+    found: PressSet, form: Mapping[str, Any], profiles: Mapping[float, PressProfiles] | None = None
 ) -> LightTask:
     """Return what a form of the model is fitted with; the membranes around the balls are solved if not given."""
     if profiles is None:
-        diameters = {press.sphere_diameter_mm for press in found.presses}
-        profiles = sphere_profiles(diameters, None, variant.quality, CALIBRATION_GEL)
+        profiles = sphere_profiles({press.sphere_diameter_mm for press in found.presses})
     placed = place_presses(found.start.camera, found.reference, found.presses, profiles)
-    form = variant.order, variant.degree, variant.far, variant.shadows, variant.keep_camera
-    return LightTask(found.start, placed, *form)
+    return LightTask(found.start, placed, **form)
 
 
-def saved_renderer(
-    calibration: LightCalibration, size_px: tuple[int, int], flat_field=True
-) -> MembraneRenderer:
+def saved_renderer(calibration: LightCalibration, size_px: tuple[int, int]) -> MembraneRenderer:
     """Return gelgap's renderer of a calibration, through the files that a user would have."""
     with tempfile.TemporaryDirectory() as folder:
         save_calibration(calibration, Path(folder) / "fitted.toml")
         sensor = Sensor.load(Path(folder) / "fitted.toml")
-        kept = sensor if flat_field else sensor.model_copy(update={"flat_field": None})
-        return MembraneRenderer(kept, sensor.illumination, size_px)
-
-
-def drop_shadows(renderer: MembraneRenderer) -> None:
-    """Let the renderer light each membrane as if nothing stood above it."""
-    radiance = renderer._radiance
-    renderer._radiance = lambda surface: radiance(
-        surface._replace(height_mm=np.full_like(surface.height_mm, -EXTENT_MM[0]))
-    )
+        return MembraneRenderer(sensor, sensor.illumination, size_px)
 
 
 class FittedLight:
     """A form of the model, or its small form where presses are few, fitted to the presses of some indices."""
 
-    def __init__(self, task: LightTask, variant: Variant, fitted: Sequence[int]) -> None:
+    def __init__(self, task: LightTask, fitted: Sequence[int]) -> None:
         placed, which = task.placed, np.array(fitted)
         if len(which) < FEWEST_FOR_ORDER_3:
             task = replace(task, order=min(task.order, 2), degree=min(task.degree, 1))
-        held = replace(task, placed=replace(placed, sigma_mm=np.full_like(placed.sigma_mm, HELD_SIGMA_MM)))
         started = time.process_time()
-        self.fit: LightFit = (task if variant.refines_fitted else held).fit(which)
+        self.fit: LightFit = task.fit(which)
         self.fit_s = time.process_time() - started
-        calibration = LightCalibration(**task.result(self.fit))
-        self.renderer = saved_renderer(calibration, placed.size_px, variant.flat_field)
-        if not variant.shadows:
-            drop_shadows(self.renderer)
+        self.renderer = saved_renderer(LightCalibration(**task.result(self.fit)), placed.size_px)
         self.placed = placed.seen_from(self.fit.distance_mm)
         self.corrected_mm = corrected_poses(self.placed.poses_mm, which, self.fit.presses)
 
@@ -150,10 +111,10 @@ def corrected_poses(marked_mm: np.ndarray, fitted: np.ndarray, refined_mm: np.nd
 
 
 def light_models(
-    name: str, task: Callable[[], LightTask], variant: Variant, ways: Iterable[str] = ("marked", "refined")
+    name: str, task: Callable[[], LightTask], ways: Iterable[str]
 ) -> dict[tuple[str, str], Model]:
     """Return models by name and the way in which predicted presses are placed; all have one fit in common."""
-    fitted_light = lru_cache(1)(lambda fitted: FittedLight(task(), variant, fitted))
+    fitted_light = lru_cache(1)(lambda fitted: FittedLight(task(), fitted))
 
     def model(way: str, fitted: tuple[int, ...]) -> Fitted:
         light = fitted_light(fitted)
@@ -253,47 +214,18 @@ def run(quick: bool, out_dir: Path) -> None:
     models |= rival_models(found, depths_mm, (rivals.REFITTED,) if quick else rivals.TAXIM_FORMS)
     for name in (WHOLE,) if quick else VARIANTS:
         task = (lambda: whole) if name == WHOLE else partial(light_task, found, VARIANTS[name])
-        corrected = ("corrected",) if name in (WHOLE, AT_STANDARD) else ()
-        models |= light_models(name, task, VARIANTS[name], ("marked", *corrected, "refined"))
+        corrected = ("corrected",) if name == WHOLE else ()
+        models |= light_models(name, task, ("marked", *corrected, "refined"))
     even, odd = range(0, count, 2), range(1, count, 8 if quick else 2)
     kept = out_dir / "sensors.jsonl"
     predictions = Study(found.presses, models, {f"{len(odd)} odd presses": (even, odd)}).records(kept)
-    note = f"LEDs without scattered light and flat field: {plain_frame_ms(found):.1f} ms per frame."
+    note = ""
     if rivals.missing_packages():
-        note += f" Taxim's own pipeline is left out; install it: {rivals.INSTALL}."
+        note = f"Taxim's own pipeline is left out; install it: {rivals.INSTALL}"
     title = f"{SET}: even presses fitted, {len(odd)} odd ones predicted; PSNR in dB, median (worst)"
     show_scores(title, predictions, ("model", "press", "fit, s", "ms per frame"), note)
-    others = pd.DataFrame() if quick else other_presses(found, whole, kept)
-    write_json(out_dir / "sensors.json", {"predictions": predictions, "other_presses": others})
+    write_json(out_dir / "sensors.json", {"predictions": predictions})
     kept.unlink()
-
-
-def other_presses(found: PressSet, whole: LightTask, kept: Path) -> pd.DataFrame:
-    """Print how gelgap and its rivals predict presses unlike those that they were fitted to; return the records."""
-    fit = whole.fit(np.arange(len(found.presses)))
-    models = light_models("", lambda: whole, VARIANTS[WHOLE], ("marked", "corrected"))
-    models = {(f"gelgap, {way}", way): model for (_, way), model in models.items()}
-    models |= rival_models(found, whole.placed.poses_mm[:, 2], (rivals.DEEP,))
-    records = Study(found.presses, models, other_splits(fit.presses)).records(kept)
-    shallow, deep = np.percentile(fit.presses[:, 2], (0, 100))
-    note = f"depths by a fit of all presses: {shallow:.2f} to {deep:.2f} mm"
-    title = "presses unlike the fitted ones; PSNR in dB, median (worst)"
-    show_scores(title, records, ("predicted", "model"), note)
-    return records
-
-
-def plain_frame_ms(found: PressSet) -> float:
-    """Return the time of a frame under the same LEDs without what real sensors need."""
-    height, width, _ = found.reference.shape
-    renderer = MembraneRenderer(found.start, found.start.illumination, (width, height))
-    (own,) = sphere_profiles({found.presses[0].sphere_diameter_mm}, None, "draft").values()
-    times = []
-    for depth in np.linspace(1.6, 1.7, 24):
-        membrane = own.membrane((0.0, 0.0), float(depth), EXTENT_MM)
-        started = time.process_time()
-        renderer.picture(*membrane, markers=False)
-        times.append(time.process_time() - started)
-    return 1e3 * float(np.median(times))
 
 
 def median_and_worst(levels: Sequence[float]) -> str:
@@ -310,19 +242,3 @@ def show_scores(title: str, records: pd.DataFrame, columns: Sequence[str], note:
     times = [name for name in columns if name in ("fit, s", "ms per frame")]
     names = [*(name for name in columns if name not in times), *cells, *times]
     show(title, table[names].reset_index(drop=True), note, dict.fromkeys(times, "{:.1f}"))
-
-
-def other_splits(poses_mm: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return fitted and predicted indices of presses (n, 3) at x, y and depth: the predicted are unlike the fitted."""
-    x, y, depth = poses_mm.T
-    every = np.arange(len(poses_mm))
-    splits = {"odd presses after six": (every[:: -(-len(every) // FEW)], every[1::2])}
-    for name, order in (
-        ("right half after the left", x),
-        ("outer half after the inner", np.hypot(x - x.mean(), y - y.mean())),
-        ("deeper half after the shallower", depth),
-        ("shallower half after the deeper", -depth),
-    ):
-        fitted, predicted = np.array_split(np.argsort(order, kind="stable"), 2)
-        splits[name] = np.sort(fitted), np.sort(predicted)
-    return splits

@@ -4,27 +4,28 @@ The published marks go round whole dents, so every press is placed in its own pi
 marked circles there is the contact as the whole model finds it. Even presses are fitted, the ball's size too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gelgap.benchmarks.common import write_json
 from gelgap.benchmarks.render import rivals
-from gelgap.benchmarks.render.sensors import WHOLE, Study, Variant, light_models, light_task, show_scores
+from gelgap.benchmarks.render.sensors import VARIANTS, WHOLE, Study, light_models, light_task, show_scores
 from gelgap.domains import PressSet, sphere_profiles, taxim_presses
 from gelgap.render import PressPicture, PressProfiles
 from gelgap.render.calibration.calibrator import LightTask, unknown_sphere_size
 
 SET = "gelsight_mini"
 SHARP = "whole, camera taken for sharp"
-VARIANTS = {
-    "LEDs alone": Variant(order=0, degree=0, far=False),
-    "+ scattered light": Variant(far=False),
-    WHOLE: Variant(),
-    SHARP: Variant(),
+FORMS = {
+    "LEDs alone": {"order": 0, "degree": 0, "far": False},
+    "+ scattered light": VARIANTS[WHOLE] | {"far": False},
+    WHOLE: VARIANTS[WHOLE],
+    SHARP: VARIANTS[WHOLE],
 }
 
 
@@ -36,13 +37,13 @@ def run(quick: bool, out_dir: Path) -> None:
     presses = [found.presses[k] for k in even]
     size = unknown_sphere_size(found.start, found.reference, presses, sphere_profiles)
     profiles = sphere_profiles({size.diameter_mm})[size.diameter_mm]
-    contacts = found_contacts(ball_task(found, profiles, Variant()), even, odd)
+    contacts = found_contacts(ball_task(found, profiles, FORMS[WHOLE]), even, odd)
 
     models = {("the reference, unchanged", ""): partial(rivals.unchanged, found)}
-    for name in (WHOLE,) if quick else VARIANTS:
+    for name in (WHOLE,) if quick else FORMS:
         own = sharp(found) if name == SHARP else found
-        task = partial(ball_task, own, profiles, VARIANTS[name])
-        models |= light_models(name, task, VARIANTS[name], ("refined",))
+        task = partial(ball_task, own, profiles, FORMS[name])
+        models |= light_models(name, task, ("refined",))
     split = {f"{len(odd)} odd presses": (even, odd)}
     kept = out_dir / "unknown-ball.jsonl"
     records = Study(found.presses, models, split, contacts).records(kept)
@@ -59,11 +60,11 @@ def run(quick: bool, out_dir: Path) -> None:
     kept.unlink()
 
 
-def ball_task(found: PressSet, profiles: PressProfiles, variant: Variant) -> LightTask:
+def ball_task(found: PressSet, profiles: PressProfiles, form: Mapping[str, Any]) -> LightTask:
     """Return what a form of the model is fitted with, for the ball around which the membrane is known."""
     diameter = 2 * profiles.sphere_radius_mm
     presses = tuple(replace(press, sphere_diameter_mm=diameter) for press in found.presses)
-    return light_task(replace(found, presses=presses), variant, {diameter: profiles})
+    return light_task(replace(found, presses=presses), form, {diameter: profiles})
 
 
 def sharp(found: PressSet) -> PressSet:

@@ -14,7 +14,6 @@ import pytest
 
 from gelgap.benchmarks.common import (
     bootstrap,
-    kendall_tau,
     key_of,
     read_records,
     result_table,
@@ -197,16 +196,6 @@ def test_seeds_that_shift_all_groups_widen_the_interval():
     own, shared = rng.standard_normal((9, 5)), np.broadcast_to(rng.standard_normal(5), (9, 5))
     (low, high), (low_shared, high_shared) = bootstrap(own), bootstrap(shared)
     assert high_shared - low_shared > 1.5 * (high - low)
-
-
-def test_the_agreement_of_two_orders_is_scipys():
-    from scipy.stats import kendalltau
-
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        first, second = rng.integers(0, rng.integers(2, 9), (2, rng.integers(2, 12))).astype(float)
-        np.testing.assert_array_equal(kendall_tau(first, second), kendalltau(first, second).statistic)
-    assert math.isnan(kendall_tau(np.array([1.0, math.nan, 2.0]), np.arange(3.0)))
 
 
 def test_tables_show_numbers_ranges_and_what_is_not_there():

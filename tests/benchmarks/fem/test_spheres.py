@@ -1,4 +1,4 @@
-"""The project's own solvers of presses and drags: derivatives, tables that they have never seen, theory, invariants."""
+"""The project's own solver of presses: derivatives, tables that it has never seen, theory, invariants."""
 
 import csv
 import math
@@ -9,17 +9,11 @@ import pytest
 from gelgap.assets import asset_path
 from gelgap.benchmarks.fem import theory
 from gelgap.benchmarks.fem.indentation import NeoHookean, SphereContact
-from gelgap.benchmarks.fem.spheres import Drag, Press, half_pad, section_of_pad, solve_drag, solve_press
-from gelgap.benchmarks.physics.references import drag_cases
+from gelgap.benchmarks.fem.spheres import Press, section_of_pad, solve_press
 from gelgap.sim import bonded_layer_force_n
 
 REFERENCE_UNCERTAINTY = 0.003
 SURFACE_UNCERTAINTY_MM = 0.003
-
-
-@pytest.fixture(scope="module")
-def half():
-    return half_pad(Drag(element_mm=0.6, sectors=8, pad_radius_mm=5.0), furthest_mm=0.3)
 
 
 def reference_force_n(case: str, depth_mm: float) -> float:
@@ -48,9 +42,9 @@ def test_press_reproduces_independent_finite_elements(case, poisson_ratio, energ
         assert np.abs(u_r - rows["u_r_mm"]).max() < SURFACE_UNCERTAINTY_MM
 
 
-def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy(half):
+def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
     presses = [Press(poisson_ratio=0.48, energy=energy, element_mm=1.0) for energy in ("isochoric", "stable")]
-    for pad in (*(section_of_pad(press, deepest_mm=0.5) for press in presses), half):
+    for pad in (section_of_pad(press, deepest_mm=0.5) for press in presses):
         rng = np.random.default_rng(0)
         u = 0.02 * rng.standard_normal(pad.size)
         direction = rng.standard_normal(pad.size)
@@ -100,45 +94,24 @@ def test_moduli_agree_with_each_other():
     assert 9 * k * mu / (3 * k + mu) == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("core_mm", [(), (0.2, 0.1, 0.0)])
-def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces(half, core_mm):
-    pad = half
+def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces():
+    pad = section_of_pad(Press(element_mm=0.2), deepest_mm=0.5)
     rng = np.random.default_rng(1)
-    contact = SphereContact(1.5, friction=0.3, penalty=300.0, stick_stiffness=150.0, core_mm=core_mm)
+    contact = SphereContact(1.5, friction=0.3, penalty=300.0, stick_stiffness=150.0)
     rest = pad.nodes[pad.surface]
     u, direction = (0.02 * rng.normal(size=pad.size), rng.normal(size=pad.size))
     displaced, direction = rest + u[pad.surface_dofs], direction[pad.surface_dofs]
-    sphere = np.array([0.05, 0.0, -0.4])
-    from_centre = rest - sphere - [0, 0, contact.radius_mm]
+    sphere = np.array([0.0, -0.4])
+    from_centre = rest - sphere - [0, contact.radius_mm]
     stick = from_centre + 0.2 * rng.normal(size=rest.shape) * rng.uniform(size=(len(rest), 1)) ** 4
 
     def touch(step: float):
         return contact.touch(displaced + step * direction, pad.surface_area_mm2, sphere, stick)
 
-    pushed = touch(0.0).pressure_mpa > 0
-    assert 0 < touch(0.0).slipping.sum() < pushed.sum()
+    now = touch(0.0)
+    pushed = now.pressure_mpa > 0
+    slides = np.linalg.norm(now.shear_mpa, axis=1) > 0.299 * now.pressure_mpa
+    assert 0 < (pushed & slides).sum() < pushed.sum()
     slope = (touch(1e-7).force_n - touch(-1e-7).force_n) / 2e-7
     expected = -np.einsum("nij,nj->ni", touch(0.0).tangent, direction)
     assert np.abs(slope - expected).max() < 1e-5 * np.abs(expected).max()
-
-
-def test_coarse_drag_without_slip_is_near_the_table():
-    case = next(
-        case for case in drag_cases() if case.truth.source == "table" and case.poses[0].depth_mm == 0.6
-    )
-    expected = case.truth.force_n[-1]
-    (state,) = solve_drag(Drag(element_mm=0.4, sectors=12), (0.6,), step_mm=0.2)
-    assert state.force_n[0] == pytest.approx(expected[0], rel=0.05)
-    assert state.force_n[2] == pytest.approx(expected[2], rel=0.05)
-
-
-def test_full_slip_keeps_to_coulombs_cone():
-    (state,) = solve_drag(Drag(element_mm=0.5, sectors=8, friction=0.1, depth_mm=0.3), (0.3,), step_mm=0.1)
-    assert state.sticking_fraction < 0.05
-    # On a cap the ratio of the forces exceeds the coefficient, by far less than its own size when shallow.
-    assert 0.1 <= state.force_n[0] / -state.force_n[2] < 0.13
-
-
-def test_travels_must_rise():
-    with pytest.raises(ValueError, match="travels_mm"):
-        solve_drag(Drag(), (0.2, 0.1))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.physics.shapes import (
-    first,
+    across_cases,
     lying_case,
     map_row,
     middle_errors,
@@ -27,10 +27,23 @@ def test_the_tables_bodies_are_as_the_tables_say() -> None:
     assert len(lying_case().truth.profiles) == len(lying_case().poses) == 4
 
 
+def test_a_box_that_slides_drags_as_its_table_says() -> None:
+    for case in across_cases():
+        fx, _, fz = case.truth.force_n.T
+        assert (fz < 0).all()
+        assert (np.abs(fx) <= case.elastomer.friction * -fz).all()
+        assert (np.diff(fx[1:]) > 0).all()
+        for pose, (x, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
+            assert u_z[np.abs(x - pose.shear_x_mm).argmin()] == pytest.approx(-pose.depth_mm, abs=2e-3)
+
+
 def test_a_press_is_near_its_table() -> None:
-    case = replace(first(round_cases()[1], 1), quality="draft")
+    flat = round_cases()[1]
+    case = replace(flat.down_to(flat.poses[0].depth_mm), quality="draft")
     solution = case.solve.run()
-    solved = SimpleNamespace(states=case.states(solution), solution=solution, core_s=1.0)
+    solved = SimpleNamespace(
+        states=case.states(solution), solution=solution, core_s=1.0, wall_s=1.0, peak_mib=1.0
+    )
     found = row(case, solved)
     assert found["unconverged"] == 0
     assert found["worst %"] < 5

@@ -10,7 +10,6 @@ import pytest
 
 from gelgap.benchmarks.render import rivals
 from gelgap.benchmarks.render.rivals import BINS, fit_table
-from gelgap.benchmarks.render.sensors import other_splits
 from gelgap.domains import PressSet
 from gelgap.domains.calibration_presses import MM_PER_PX, start_sensor
 from gelgap.render import PressPicture
@@ -136,19 +135,3 @@ def test_taxims_forms_differ_in_table_gel_depth_and_background(played_taxim, for
     depth = 0.3 if form.deep else cap_mm
     assert own.heights[-1][y, x] == pytest.approx(gel_mm[y, x] - depth, abs=1e-3)
     assert picture[0, 0, 0] == (100 if form.on_reference else 128)
-
-
-def test_splits_divide_presses_by_place_and_depth():
-    poses = np.random.default_rng(1).normal(size=(48, 3))
-    parts = other_splits(poses)
-    for fitted, predicted in parts.values():
-        assert not set(fitted) & set(predicted)
-    few, odd = parts["odd presses after six"]
-    assert (len(few), len(odd)) == (6, 24)
-    for name, axis, sign in (
-        ("right half after the left", 0, 1),
-        ("deeper half after the shallower", 2, 1),
-        ("shallower half after the deeper", 2, -1),
-    ):
-        fitted, predicted = parts[name]
-        assert (sign * poses[fitted, axis]).max() <= (sign * poses[predicted, axis]).min()

@@ -1,7 +1,6 @@
 """The benchmark of real sensors, on a set that gelgap itself rendered in place of the package's."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,7 +61,6 @@ def test_odd_presses_are_predicted_better_than_by_the_reference(found, tmp_path,
         "table without physics, quadratic in the place",
         sensors.WHOLE,
     }
-    assert results["other_presses"] == []
     assert not (tmp_path / "sensors.jsonl").exists()
 
 
@@ -84,25 +82,6 @@ def test_a_benchmark_that_was_stopped_goes_on(found, tmp_path, monkeypatch):
     assert len(measured) == 1 + len(set(measured)) == 7
 
 
-def test_parts_can_be_left_out(found):
-    variant = sensors.Variant(order=0, degree=0, far=False, shadows=False)
-    task = sensors.light_task(found, variant)
-    whole, held, bare = (
-        sensors.FittedLight(task, form, range(0, 14, 2)).draw("marked", 1)().astype(float)
-        for form in (
-            variant,
-            replace(variant, refines_fitted=False),
-            replace(variant, flat_field=False),
-        )
-    )
-    assert 0 < np.abs(whole - held).mean() < 5
-    untouched = np.s_[:10, :10]  # without a flat field it is the LEDs' light, not the reference
-    center = found.presses[1].center_px
-    assert min(np.hypot(column - center[0], row - center[1]) for row in (0, 10) for column in (0, 10)) > 25
-    assert np.abs(whole[untouched] - found.reference[untouched]).max() <= 1
-    assert np.abs(bare[untouched] - found.reference[untouched]).max() > 3
-
-
 def test_marks_are_corrected_as_the_fitted_presses_were():
     rng = np.random.default_rng(0)
     true = rng.normal((1.0, -2.0, 1.7), (3.0, 3.0, 0.05), (200, 3))
@@ -114,24 +93,3 @@ def test_marks_are_corrected_as_the_fitted_presses_were():
     assert off[2] < 0.06 < 0.12 < off_marked[2]
     same_depth = np.array([[0.0, 0.0, 1.5]] * 4)
     assert (sensors.corrected_poses(same_depth, np.arange(2), same_depth[:2] + 0.1)[:, 2] == 1.6).all()
-
-
-@pytest.mark.slow
-def test_presses_unlike_the_fitted_ones_are_predicted_by_every_model(found, tmp_path, capsys):
-    task = sensors.light_task(found, sensors.Variant(order=0, degree=0, far=False))
-    records = sensors.other_presses(found, task, tmp_path / "sensors.jsonl")
-    assert records["predicted"].nunique() == 5
-    assert records["model"].nunique() == 4
-    assert all(np.isfinite(levels).all() for levels in records["inside"])
-    assert "right half after the left" in " ".join(capsys.readouterr().out.split())
-
-
-def test_shadows_can_be_dropped():
-    found = Sensor.preset("gelsight-r1-fitted")
-    renderer = MembraneRenderer(found, found.illumination, SIZE_PX)
-    membrane = profiles()[2 * RADIUS_MM].membrane((0.0, 0.0), 1.3, (10.5, 8.2))
-    shadowed = renderer.linear(*membrane)
-    sensors.drop_shadows(renderer)
-    difference = renderer.linear(*membrane) - shadowed
-    assert difference.min() > -0.01  # light in full view is integrated by other nodes
-    assert difference.max() > 0.02
