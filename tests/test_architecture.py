@@ -37,7 +37,7 @@ LINES = {
     "adapt": 5670,
     "view": 1580,
     "cli": 2530,
-    "benchmarks": 9610,
+    "benchmarks": 9620,
     "scripts": 760,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.

@@ -18,6 +18,7 @@ from gelgap.benchmarks.adaptation.groups import (
     R2,
     SEEDS,
     SUMMARY_FORMATS,
+    counted,
     load_ceilings,
     summary,
     with_rules,
@@ -31,7 +32,7 @@ GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0
 """Light alone, light and gel, markers."""
 BASE = "mb0i0"
 LIGHT_METHODS = (PLAIN, "adabn")
-_SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "Fz, N", "shear, N", *R2]
+_SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "Fz, N", "shear, N", *R2, "runs"]
 
 
 def changes_of(name: str) -> board.Changes:
@@ -109,17 +110,25 @@ def input_tables(folder: Path) -> list[ResultTable]:
             if len(own):
                 start = plain[plain["group"].isin(own["group"])]
                 if not found:
-                    rules = summary(start, ceilings)
+                    rules = _summary(start, ceilings)
                     found.append(rules.drop(own["method"].unique(), errors="ignore"))
                 renamed = own.assign(method=own["method"] + f" / {name}")
-                rows = summary(pd.concat([start, renamed]), ceilings)
+                rows = _summary(pd.concat([start, renamed]), ceilings)
                 found.append(rows[rows.index.isin(renamed["method"])])
         if found:
             names = sorted(runs.loc[of_kind, "group"].unique())
-            note = f"{', '.join(names)}; {runs['seed'].nunique()} seed(s), split by contact point."
+            note = f"{', '.join(names)}; split by contact point. Runs: pairs of group and seed that all methods have."
             frame = pd.concat(found).reindex(columns=_SHOWN).rename_axis("method / input")
-            tables.append(result_table(f"What inputs are worth: {kind}", frame, note, SUMMARY_FORMATS))
+            tables.append(
+                result_table(
+                    f"What inputs are worth: {kind}", frame, note, SUMMARY_FORMATS | {"runs": "{:.0f}"}
+                )
+            )
     return tables
+
+
+def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
+    return summary(runs, ceilings).assign(runs=counted(runs).notna().any(axis=1).sum())
 
 
 def light_tables(folder: Path) -> list[ResultTable]:
