@@ -233,8 +233,9 @@ def adapt_folders(
                 part.images(profile.image_size_px)
         load_s = time.perf_counter() - start
         oracles = oracles_on(source, target, frames.target_test) if missing else {}
-        generated = isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain)
-        unseen = tuple(unseen_differences(source.recipe, target.recipe)) if generated else ()
+        unseen: tuple[str, ...] = ()
+        if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
+            unseen = tuple(unseen_differences(source.recipe, target.recipe))
         done = {
             method: run_method(frames, stage1, method, folders[method], load_s, oracles, unseen)[0]
             for method in missing
