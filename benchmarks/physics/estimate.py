@@ -187,7 +187,7 @@ def rows_of(case: Case, found: Any, truth: Truth | None, finer: Any) -> Iterator
         else:
             right, own_causes = finer.states[index], causes(case, finer, index)
             force_n, radius_mm, surface_mm = right.force_n, right.contact_radius_mm, right.displacement_mm
-        size, off = float(np.linalg.norm(force_n)), state.force_n - force_n
+        size, off = max(float(np.linalg.norm(force_n)), 1e-9), state.force_n - force_n
         x_mm, y_mm = (
             state.x_mm - pose.point_x_mm - pose.shear_x_mm,
             state.y_mm - pose.point_y_mm - pose.shear_y_mm,
@@ -211,7 +211,7 @@ def rows_of(case: Case, found: Any, truth: Truth | None, finer: Any) -> Iterator
 
 
 def _estimates(state: MembraneState, pose: Pose) -> dict[str, float]:
-    found, size = state.diagnostics, float(np.linalg.norm(state.force_n))
+    found, size = state.diagnostics, max(float(np.linalg.norm(state.force_n)), 1e-9)
     shares = (
         found.fz_error_n / size,
         found.shear_error_n * math.sqrt(2) / size,
