@@ -46,9 +46,11 @@ class Response:
     volume_change_mm3: Floats
 
 
-def respond(press: Press) -> Response:
+def respond(
+    press: Press, shares: Sequence[float] = SHARES_OF_DEEPEST, nodes_per_step: float = 0.5
+) -> Response:
     """Press to shares of the scene's greatest depth; surfaces reach to 5 mm under R 1.5 mm."""
-    states = solve_press(press, tuple(press.deepest_mm * share for share in SHARES_OF_DEEPEST))
+    states = solve_press(press, tuple(press.deepest_mm * share for share in shares), nodes_per_step)
     radii_mm = np.linspace(0, 5.0 * press.indenter_radius_mm / 1.5, 101)
     return Response(
         np.array([state.force_n for state in states]),

@@ -37,8 +37,8 @@ LINES = {
     "adapt": 5670,
     "view": 1580,
     "cli": 2530,
-    "benchmarks": 9620,
-    "scripts": 760,
+    "benchmarks": 9630,
+    "scripts": 770,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 

@@ -19,6 +19,17 @@ def hertz_contact_radius_mm(indenter_radius_mm: ArrayLike, depth_mm: ArrayLike) 
     return np.sqrt(np.asarray(indenter_radius_mm) * np.asarray(depth_mm))
 
 
+def hertz_force_n(
+    young_modulus_mpa: ArrayLike, poisson_ratio: ArrayLike, indenter_radius_mm: ArrayLike, depth_mm: ArrayLike
+) -> Floats:
+    """Return Hertz's normal force F = 4/3 · E/(1−ν²) · √R · d^1.5, N (Johnson 1985, eq. 4.23).
+
+    Valid without friction on a half-space, d ≪ R and √(R d) ≪ pad thickness.
+    """
+    plane_modulus = np.asarray(young_modulus_mpa) / (1 - np.asarray(poisson_ratio) ** 2)
+    return 4 / 3 * plane_modulus * np.sqrt(indenter_radius_mm) * np.asarray(depth_mm) ** 1.5
+
+
 def full_slip_mm(
     limit_n: ArrayLike, contact_radius_mm: ArrayLike, shear_modulus_mpa: ArrayLike, poisson_ratio: ArrayLike
 ) -> Floats:

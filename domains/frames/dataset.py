@@ -253,7 +253,7 @@ class LabelledFrames(ABC):
         from gelgap.domains.frames.paired_frames import PairedFrames
 
         return PairedFrames(
-            self.load(self.image_size_px(size_px), markers),
+            self.images(size_px) if markers else self.images_without_markers(size_px),
             self.references_at(size_px, markers),
             self.label_values,
             self.contact_class,

@@ -7,9 +7,13 @@ from gelgap.benchmarks.fem import theory
 from gelgap.sim import bonded_layer_force_n
 
 
+def test_hertz_force_of_a_hand_computed_case():
+    # 4/3 · 0.3/(1−0.25) · √1.5 · 0.1^1.5
+    assert theory.hertz_force_n(0.3, 0.5, 1.5, 0.1) == pytest.approx(0.0206559, rel=1e-5)
+
+
 def test_bonded_layer_tends_to_hertz_on_a_thick_pad():
-    hertz = 4 / 3 * 0.3 / (1 - 0.5**2) * 1.5**0.5 * 0.1**1.5
-    assert hertz == pytest.approx(0.0206559, rel=1e-5)
+    hertz = theory.hertz_force_n(0.3, 0.5, 1.5, 0.1)
     assert bonded_layer_force_n(0.3, 1.5, 1e5, 0.1) == pytest.approx(hertz, rel=1e-4)
     assert bonded_layer_force_n(0.3, 1.5, 3.0, 0.1) > hertz
 
