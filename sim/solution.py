@@ -16,7 +16,6 @@ from pydantic import TypeAdapter
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.locks import cache_folder
 from gelgap.assets.whole_file import DAMAGED_SUFFIX, TEMPORARY_SUFFIX, set_aside, write_whole
-from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
 
 _SUFFIX = ".solution"
@@ -24,15 +23,9 @@ _SUFFIX = ".solution"
 # the problem as JSON, others stack the records' fields. With another number in the mark, older files count as damaged.
 _MARK = b"gelgap solution 1\n"
 _PROBLEM = TypeAdapter(ContactProblem)
-_STACKED = (
-    "displacement_mm",
-    "normal_force_n",
-    "indenter_mm",
-    "force_n",
-    "converged",
-    "contact_force_n",
-    "torque_n_mm",
-)
+_STACKED = ("displacement_mm", "normal_force_n", "indenter_mm", "force_n", "converged")
+# What files of earlier versions lack: they are read, with NaN for it, and solved again where they are needed.
+_LATER = ("contact_force_n", "torque_n_mm")
 
 
 @dataclass(frozen=True)
@@ -71,9 +64,9 @@ class Record:
     displacement_mm: NDArray[np.float32]
     normal_force_n: NDArray[np.float32]
     contact_force_n: NDArray[np.float32]
-    indenter_mm: Floats
-    force_n: Floats
-    torque_n_mm: Floats
+    indenter_mm: NDArray[np.float64]
+    force_n: NDArray[np.float64]
+    torque_n_mm: NDArray[np.float64]
     converged: bool
     diagnostics: SolveDiagnostics
 
@@ -86,10 +79,10 @@ class Solution:
     """
 
     problem: ContactProblem
-    rest_mm: Floats
+    rest_mm: NDArray[np.float64]
     records: tuple[Record, ...]
 
-    def whole_surface(self, record: Record) -> tuple[Floats, ...]:
+    def whole_surface(self, record: Record) -> tuple[NDArray[np.float64], ...]:
         """Return (rest_mm, displacement_mm, normal_force_n) of a record, with the mirror image of a symmetric half.
 
         Vertices in the plane of symmetry keep the force on one half.
@@ -105,6 +98,11 @@ class Solution:
             np.concatenate([force, force[off_plane]]),
         )
 
+    @property
+    def complete(self) -> bool:
+        """Whether all is known that this version makes labels of."""
+        return all(np.isfinite(record.torque_n_mm).all() or not record.converged for record in self.records)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Solution) and self.problem == other.problem
 
@@ -115,7 +113,10 @@ class Solution:
 def solution_bytes(solution: Solution) -> bytes:
     """Return a solution as the bytes of a file."""
     problem = _PROBLEM.dump_json(solution.problem)
-    stacked = {name: np.stack([getattr(record, name) for record in solution.records]) for name in _STACKED}
+    stacked = {
+        name: np.stack([getattr(record, name) for record in solution.records])
+        for name in (*_STACKED, *_LATER)
+    }
     diagnostics = np.array([astuple(record.diagnostics) for record in solution.records], dtype=np.float64)
     buffer = io.BytesIO()
     np.savez(
@@ -138,17 +139,23 @@ def solution_from_bytes(data: bytes) -> Solution | None:
     try:
         arrays = read_arrays(content)
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
+        for name, like in zip(_LATER, ("displacement_mm", "force_n"), strict=True):
+            arrays.setdefault(name, np.full_like(arrays[like], np.nan))
         _check_shapes(arrays, len(problem.waypoints_mm))
     except (ValueError, KeyError):
         return None
     kinds = [type(field.default) for field in fields(SolveDiagnostics)]
-    records = []
-    for *values, row in zip(*(arrays[name] for name in (*_STACKED, "diagnostics")), strict=True):
-        known = dict(zip(_STACKED, values, strict=True))
-        known["converged"] = bool(known["converged"])
-        diagnostics = SolveDiagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True)))
-        records.append(Record(**known, diagnostics=diagnostics))
-    return Solution(problem, arrays["rest_mm"], tuple(records))
+    names = [name for name in (*_STACKED, *_LATER) if name != "converged"]
+    columns = zip(*(arrays[name] for name in (*names, "converged", "diagnostics")), strict=True)
+    records = tuple(
+        Record(
+            **dict(zip(names, values, strict=True)),
+            converged=bool(converged),
+            diagnostics=SolveDiagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True))),
+        )
+        for *values, converged, row in columns
+    )
+    return Solution(problem, arrays["rest_mm"], records)
 
 
 def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
@@ -191,16 +198,18 @@ class CacheEntry:
 
 
 def load_solution(key: str) -> Solution | None:
-    """Return the cached solution of that key, or None. A damaged file is named and set aside."""
+    """Return the cached, complete solution of that key, or None. A damaged file is named and set aside."""
     path = _path(key)
     try:
         data = path.read_bytes()
     except OSError:
         return None
     solution = solution_from_bytes(data)
+    if solution is not None and solution.problem.key == key:
+        return solution if solution.complete else None
     if solution is None and data.startswith(_MARK):
-        set_aside(path, "is damaged, or of an older version")
-    return solution if solution is not None and solution.problem.key == key else None
+        set_aside(path, "is damaged (its checksum does not match)")
+    return None
 
 
 def has_solution(key: str) -> bool:

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 FRAMES_PER_SHARD = 128
-# Seconds of a core of a server of 2023: the start of a process, a load step of the paper's sphere and gel, a frame.
+# Seconds of a core of a server of 2023: the start of a process, a frame.
 _START_S = 4.0
-_STEP_S = {"draft": 0.3, "standard": 1.1, "fine": 3.0}
 _FRAME_S, _FRAME_PIXEL_S = 0.006, 1e-7
 # A range that is proposed is wider than the force that is expected, by what the expectation may be short of.
 _ROOM_FOR_FORCE = 1.5
@@ -168,7 +167,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     processes = plan.processes(workers)
     shards = sum(len(batch.recipes) for batch in plan.batches)
     to_solve = {key: solve for key, solve in plan.solves.items() if not has_solution(key)}
-    solve_s = list(map(_expected_s, to_solve.values()))
+    solve_s = [solve.expected_core_s for solve in to_solve.values()]
     pixels = max(recipe.size_px[0] * recipe.size_px[1] for recipe in recipes)
     # One solve is not shared; frames are shared as shards.
     solving_s = max(sum(solve_s) / processes, *solve_s, 0.0)
@@ -200,14 +199,6 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     )
 
 
-def _expected_s(solve: "Solve") -> float:
-    """Return the seconds of a core that a solve takes; the meshes of other shapes than spheres are of all sizes."""
-    problem = solve.problem
-    if problem.indenter.shape == "sphere" and not problem.turns_deg:
-        return _STEP_S[problem.quality.name] * problem.load_steps
-    return solve.expected_core_s
-
-
 def _by_indenter(plan: GenerationPlan) -> tuple[str, ...]:
     """Return what the solves of each indenter take and share, if they are not all of one sphere."""
     from gelgap.sim import Symmetry
@@ -229,7 +220,7 @@ def _by_indenter(plan: GenerationPlan) -> tuple[str, ...]:
     if len(by_label) == 1 and next(iter(by_label)).startswith("sphere") and not problem.turns_deg:
         return ()
     return tuple(
-        f"{label}: {len(own)} solves, {sum(map(_expected_s, own)):.0f} s of a core; {shares[label]}"
+        f"{label}: {len(own)} solves, {sum(solve.expected_core_s for solve in own):.0f} s of a core; {shares[label]}"
         for label, own in by_label.items()
     )
 

@@ -134,13 +134,14 @@ def test_pictures_in_which_no_marker_is_found_stay(data: Path):
 
 
 @pytest.mark.parametrize("pairing", ["channels", "difference"])
-def test_statistics_are_those_of_the_inputs_channels(data: Path, pairing: str):
-    torch = pytest.importorskip("torch")
+def test_standardised_inputs_have_unit_statistics(data: Path, pairing: str):
+    pytest.importorskip("torch")
     pairs = open_domain(data / "mb0i1").torch((40, 30), pairing)
-    mean, std = (torch.tensor(values)[:, None, None] for values in pairs.channel_statistics())
-    inputs = (pairs.inputs(np.arange(len(pairs))).double() - mean) / std
+    statistics = pairs.channel_statistics()
+    inputs = pairs.standardised(statistics).inputs(np.arange(len(pairs))).double()
     assert inputs.mean(dim=(0, 2, 3)).abs().max() < 1e-4
     assert (inputs.std(dim=(0, 2, 3)) - 1).abs().max() < 1e-3
+    assert pairs.statistics is None
 
 
 def arrays(n: int = 6, **changes) -> ArrayFrames:

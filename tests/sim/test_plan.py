@@ -175,13 +175,6 @@ def test_a_trajectory_around_a_corner_needs_the_whole_gel() -> None:
     assert not solve.problem.symmetric
 
 
-def test_a_finer_and_deeper_solve_is_expected_to_take_longer() -> None:
-    def expected_s(quality: str, depth_mm: float) -> float:
-        return plan_visit(GEL, Sphere(), (Pose(depth_mm=depth_mm),), quality).solves[0].expected_core_s
-
-    assert 0 < expected_s("draft", 0.2) < expected_s("draft", 0.6) < expected_s("fine", 0.6)
-
-
 def test_progress_goes_from_none_to_all_without_going_back(cache: Path) -> None:
     told: list[tuple[int, int]] = []
     poses = tuple(Pose(depth_mm=depth) for depth in (0.1, 0.3, 0.5))
