@@ -50,6 +50,7 @@ class Generate(opt.Command):
       gelgap generate --preset paper --out paper-data --dry-run
       gelgap generate mb0i0 --indenter sphere-4 --further-indenters cone-60 cylinder-3 --out data --dry-run
       gelgap generate mb0i0 --elastomer b1 --illumination i2 --name soft --out data --dry-run
+      gelgap generate wmb0i0 --lights-like reference.png --name like-mine --out data
     """
 
     when_stopped: ClassVar[str] = "finished shards and solves are kept, run the same command again to go on"
@@ -75,6 +76,9 @@ class Generate(opt.Command):
         str | None, opt.optional("NAME", "the domain's"), opt.preset_or_file("illuminations")
     ] = None
     """Another illumination than the named domain's: a preset or a TOML file; needs --name."""
+    lights_like: Annotated[Path | None, opt.optional("PICTURE"), opt.input_file("a PNG or JPEG file")] = None
+    """A sensor's picture without contact: make the domain in 8 drawn lights like its, or like --illumination turned
+    and recoloured to suit it, as NAME-1 to NAME-8 with the frames of one; needs --name."""
     name: Annotated[str | None, opt.optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
     body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = field(
@@ -137,7 +141,8 @@ class Generate(opt.Command):
                 "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file, "
                 "a --recipe file"
             )
-        own = [f"--{part}" for part in ("elastomer", "illumination") if getattr(self, part) is not None]
+        parts = ("elastomer", "illumination", "lights_like")
+        own = [f"--{part.replace('_', '-')}" for part in parts if getattr(self, part) is not None]
         if own and self.name is None:
             raise ValueError(
                 f"--name is missing: a domain with {' and '.join(own)} of your own needs a name, "
@@ -154,6 +159,7 @@ class Generate(opt.Command):
         """Return the domains to make and, of a sweep, its variants."""
         from gelgap import domains
         from gelgap.render import Illumination, Sensor
+        from gelgap.render.calibration.pictures import read_picture
         from gelgap.sim import Elastomer, load_indenter
 
         settings = {
@@ -184,5 +190,9 @@ class Generate(opt.Command):
                 opt.named(Illumination, self.illumination) if self.illumination else None
             )
             base = self.domains[0] if self.domains else "mb0i0"
-            return (domains.own_recipe(self.name, self.path, base=base, **settings),), ()
+            recipe = domains.own_recipe(self.name, self.path, base=base, **settings)
+            if self.lights_like is None:
+                return (recipe,), ()
+            like = read_picture(self.lights_like)
+            return domains.in_drawn_lights(recipe, like, self.illumination and [recipe.illumination]), ()
         return domains.make_recipes(self.domains, self.path, **settings), ()

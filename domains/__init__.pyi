@@ -5,6 +5,8 @@ from .calibration_presses import sphere_profiles as sphere_profiles
 from .calibration_presses import taxim_presses as taxim_presses
 from .domain import Domain as Domain
 from .domain import known_domains as known_domains
+from .drawn_lights import drawn_illumination as drawn_illumination
+from .drawn_lights import in_drawn_lights as in_drawn_lights
 from .formats.convert import ConvertedClip as ConvertedClip
 from .formats.convert import convert as convert
 from .formats.domain_folder import MANIFEST as MANIFEST

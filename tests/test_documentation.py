@@ -78,6 +78,7 @@ NOT_RUN = {
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python scripts/calibrate": "minutes to hours of solves",
     r"gelgap (generate .*--path shapes|adapt --source round)": "minutes; tests/domains has several indenters",
+    r"gelgap (generate .*--lights-like|adapt --source drawn)": "needs a picture; tests/cli has one",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|\"taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",

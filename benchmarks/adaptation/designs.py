@@ -8,14 +8,14 @@ direction, so that a gel takes minutes of a core.
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import permutations, product
-from typing import TYPE_CHECKING, Any, Literal
+from itertools import product
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe, LabelledFrames
-    from gelgap.render import Illumination
+    from gelgap.sim import PosePath
 
 DATA = "disjoint"
 Role = Literal["source", "target"]
@@ -30,10 +30,6 @@ DEPTH_MM, TRAVEL_MM = (0.15, 1.0), (0.0, 0.6)
 QUALITY = "draft"
 """Of the physics: the same for all domains of a group, and a gel takes a few minutes of a core."""
 
-LIGHTS = 8
-"""Domains of drawn light that make one source; together they have as many frames as a single one."""
-DRAWN_LIGHTS = 200
-"""Lights of which those nearest to a target's reference picture are taken."""
 ANY_LIGHT, LIKE = "wmb0-any-light", "wmb0-light-like-"
 """Names of the sources of drawn light: any, or like that of the target whose name follows."""
 
@@ -54,8 +50,8 @@ DRAWN, MADE = (ANY_LIGHT, LIKE), (ANY_LIGHT, LIKE, FACTORIAL)
 _GENERATORS = {"drive": ("gel", "friction", "markers"), "spectrum": ("friction", "markers", "geometry")}
 
 
-def contact_path(role: Role, points: Sequence[int] | None = None, name: str | None = None) -> Any:
-    """Return the contacts of a role: of all its points, or of some of their numbers in the lattice's order."""
+def contact_path(role: Role) -> "PosePath":
+    """Return the contacts of a role."""
     from gelgap.sim import Pose, PosePath
 
     rng = np.random.default_rng([ROLES.index(role), LEVELS])
@@ -71,23 +67,21 @@ def contact_path(role: Role, points: Sequence[int] | None = None, name: str | No
         place = {"point_x_mm": round(float(x_mm[i]), 4), "point_y_mm": round(float(y_mm[j]), 4)}
         levels = np.concatenate([rng.permutation(LEVELS) for _ in range(math.ceil(PER_POINT / LEVELS))])
         angles = 2 * math.pi * (np.arange(PER_POINT) + rng.random(PER_POINT)) / PER_POINT
-        chosen = points is None or number in points
-        if chosen and not poses:
+        if not poses:
             poses = [Pose(depth_mm=0.0, contact_class=0, point_id=number, **place)]
         for level, angle in zip(levels[:PER_POINT], rng.permutation(angles), strict=True):
             shear = travels[level] * np.array([math.cos(angle), math.sin(angle)])
-            if chosen:
-                poses.append(
-                    Pose(
-                        depth_mm=float(depths[level]),
-                        shear_x_mm=float(shear[0]),
-                        shear_y_mm=float(shear[1]),
-                        point_id=number,
-                        contact_class=contact_class(depths[level], travels[level], angle),
-                        **place,
-                    )
+            poses.append(
+                Pose(
+                    depth_mm=float(depths[level]),
+                    shear_x_mm=float(shear[0]),
+                    shear_y_mm=float(shear[1]),
+                    point_id=number,
+                    contact_class=contact_class(depths[level], travels[level], angle),
+                    **place,
                 )
-    return PosePath(name or f"board-{role}", tuple(poses))
+            )
+    return PosePath(f"board-{role}", tuple(poses))
 
 
 def contact_class(depth_mm: float, travel_mm: float, angle: float) -> int:
@@ -104,59 +98,13 @@ def role_recipes(names: Sequence[str], role: Role) -> "tuple[DomainRecipe, ...]"
     return make_recipes(names, contact_path(role), inpainted=(), quality=QUALITY, seed=ROLES.index(role))
 
 
-def drawn_light(number: int) -> "Illumination":
-    """Return a light drawn far from any: three bars or discs, turned as one, their colours exchanged or white."""
-    from gelgap.render import Illumination, Variation, WhiteSpectrum, vary_illumination
-
-    rng = np.random.default_rng([number, LIGHTS])
-    base = Illumination.preset("i0" if rng.random() < 0.5 else "i1")
-    spectra = [led.spectrum for led in base.leds]
-    order = list(permutations(range(len(spectra))))[rng.integers(math.factorial(len(spectra)))]
-    turn, white = rng.uniform(0, 2 * math.pi), rng.random() < 1 / 3
-    cosine, sine = math.cos(turn), math.sin(turn)
-    leds = []
-    for led, own in zip(base.leds, order, strict=True):
-        ((x, y, z), (u, v, w)) = led.position_mm, led.facing
-        spectrum = WhiteSpectrum(cct_k=float(rng.uniform(3000, 7500))) if white else spectra[own]
-        position = (cosine * x - sine * y, sine * x + cosine * y, z)
-        facing = (cosine * u - sine * v, sine * u + cosine * v, w)
-        leds.append(led.model_copy(update={"position_mm": position, "facing": facing, "spectrum": spectrum}))
-    spread = Variation(led_position_mm=1.0, led_angle_deg=10, led_drive=0.3, led_peak_nm=10, led_cct=0.2)
-    return vary_illumination(base.model_copy(update={"leds": tuple(leds)}), spread, rng)
-
-
 def random_light_recipes(target: "LabelledFrames | None" = None) -> "tuple[DomainRecipe, ...]":
-    """Return domains of the source's gel in drawn lights; each has its share of the source's contact points.
+    """Return domains of the source's gel in drawn lights: any, or like the target's picture without contact."""
+    from gelgap.domains import in_drawn_lights, own_recipe
 
-    Of a target only the picture without contact is used: of many drawn lights those are taken whose own picture without
-    contact differs least from it in the mean over pixels.
-    """
-    from gelgap.domains import own_recipe
-
-    numbers = range(LIGHTS)
-    if target is not None:
-        reference = target.reference_at(40).astype(float)
-        numbers = np.argsort([_distance(drawn_light(k), reference) for k in range(DRAWN_LIGHTS)])[:LIGHTS]
-    name, count = ANY_LIGHT if target is None else LIKE + target.name, math.prod(LATTICE) // 2
-    return tuple(
-        own_recipe(
-            f"{name}-{place + 1}",
-            contact_path("source", range(place, count, LIGHTS), f"board-source-{place + 1}"),
-            base="wmb0i0",
-            illumination=drawn_light(int(number)),
-            quality=QUALITY,
-            seed=0,
-        )
-        for place, number in enumerate(numbers)
-    )
-
-
-def _distance(light: "Illumination", reference: np.ndarray) -> float:
-    from gelgap.render import MembraneRenderer, Sensor
-
-    height, width = reference.shape[:2]
-    drawn = MembraneRenderer(Sensor.preset("paper"), light, (width, height), "draft").reference(markers=False)
-    return float(np.square(drawn - reference).mean())
+    name = ANY_LIGHT if target is None else LIKE + target.name
+    recipe = own_recipe(name, contact_path("source"), base="wmb0i0", quality=QUALITY, seed=0)
+    return in_drawn_lights(recipe, None if target is None else target.reference)
 
 
 def factorial_cells() -> Iterator[tuple[str, dict[str, bool]]]:

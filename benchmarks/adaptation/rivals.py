@@ -14,7 +14,6 @@ from gelgap.adapt.inputs import INPUTS
 from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.adaptation.board import BY_POINT, PLAIN
 from gelgap.benchmarks.adaptation.groups import (
-    FORMATS,
     R2,
     SEEDS,
     SUMMARY_FORMATS,
@@ -96,67 +95,65 @@ def _measure(study: Study, runs: list[Setting], file: str) -> None:
 
 
 def input_tables(folder: Path) -> list[ResultTable]:
-    """Return what each method closes on each input, by kind of gap; start and ceiling are those of `pictures`."""
-    runs, ceilings, tables = load_runs(folder / INPUT_RUNS), load_ceilings(folder), []
-    plain = with_rules(runs[runs["changes"].isin([BY_POINT])])
-    light = [" → ".join(group) for group in board.LIGHT_GROUPS]
-    for kind, of_kind in (
-        ("only the light", runs["group"].isin(light)),
-        ("other gaps", ~runs["group"].isin(light)),
-    ):
-        found = []
-        for name in INPUTS:
-            own = runs[of_kind & runs["changes"].isin([changes_of(name)])]
-            if len(own):
-                start = plain[plain["group"].isin(own["group"])]
-                if not found:
-                    rules = _summary(start, ceilings)
-                    found.append(rules.drop(own["method"].unique(), errors="ignore"))
-                renamed = own.assign(method=own["method"] + f" / {name}")
-                rows = _summary(pd.concat([start, renamed]), ceilings)
-                found.append(rows[rows.index.isin(renamed["method"])])
-        if found:
-            names = sorted(runs.loc[of_kind, "group"].unique())
-            note = f"{', '.join(names)}; split by contact point. Runs: pairs of group and seed that all methods have."
-            frame = pd.concat(found).reindex(columns=_SHOWN).rename_axis("method / input")
+    """Return what each method closes on each input, by kind of gap."""
+    runs, tables = load_runs(folder / INPUT_RUNS), []
+    light = runs["group"].isin([" → ".join(group) for group in board.LIGHT_GROUPS])
+    for kind, own in (("only the light", runs[light]), ("other gaps", runs[~light])):
+        if len(own):
+            note = "Runs: pairs of group and seed that all methods have."
             tables.append(
-                result_table(
-                    f"What inputs are worth: {kind}", frame, note, SUMMARY_FORMATS | {"runs": "{:.0f}"}
-                )
+                _worth(f"What inputs are worth: {kind}", _by_input(own), own, load_ceilings(folder), note)
             )
     return tables
 
 
+def light_tables(folder: Path) -> list[ResultTable]:
+    """Return what training in drawn lights closes, beside adaptation from one light to the same targets."""
+    from gelgap.domains.drawn_lights import CANDIDATES, LIGHTS
+
+    drawn, adapted = load_runs(folder / LIGHT_RUNS), load_runs(folder / INPUT_RUNS)
+    group_of = dict(zip(adapted["target"], adapted["group"], strict=True))
+    drawn = drawn.assign(group=drawn["target"].map(group_of)).dropna(subset="group")
+    adapted = adapted[adapted["group"].isin(drawn["group"])]
+    if drawn.empty:
+        return []
+    anyone = drawn["source"] == designs.ANY_LIGHT
+    shown = _by_input(adapted) | {"any light": drawn[anyone], "like the target's": drawn[~anyone]}
+    note = (
+        f"Drawn: {LIGHTS} lights on the source's gel, together as many frames as one source; those like the target's "
+        f"are the nearest of {CANDIDATES} by its picture without contact."
+    )
+    return [_worth("Adapt or randomise?", shown, adapted, load_ceilings(folder), note)]
+
+
+def _by_input(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    return {name: runs[runs["changes"].isin([changes_of(name)])] for name in INPUTS}
+
+
+def _worth(
+    title: str, shown: dict[str, pd.DataFrame], runs: pd.DataFrame, ceilings: pd.DataFrame, note: str
+) -> ResultTable:
+    """Return what methods close on whatever they are shown; start and rules are those of pictures in `runs`."""
+    plain = with_rules(runs[runs["changes"].isin([BY_POINT])])
+    found = []
+    for name, own in shown.items():
+        if len(own):
+            start = plain[plain["group"].isin(own["group"])]
+            if not found:
+                rules = _summary(start, ceilings)
+                found.append(rules.drop(own["method"].unique(), errors="ignore"))
+            renamed = own.assign(method=own["method"] + f" / {name}")
+            rows = _summary(pd.concat([start, renamed]), ceilings)
+            found.append(rows[rows.index.isin(renamed["method"])])
+    frame = pd.concat(found).reindex(columns=_SHOWN).rename_axis("method / input")
+    groups = ", ".join(sorted(runs["group"].unique()))
+    return result_table(
+        title, frame, f"{groups}; split by contact point. {note}", SUMMARY_FORMATS | {"runs": "{:.0f}"}
+    )
+
+
 def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
     return summary(runs, ceilings).assign(runs=counted(runs).notna().any(axis=1).sum())
-
-
-def light_tables(folder: Path) -> list[ResultTable]:
-    """Return sources in drawn lights beside adaptation from one light, by target."""
-    runs, adapted = load_runs(folder / LIGHT_RUNS), load_runs(folder / INPUT_RUNS)
-    if runs.empty:
-        return []
-    drawn = runs["source"].map(
-        lambda name: "any light" if name == designs.ANY_LIGHT else "light like the target's"
-    )
-    shown = adapted["changes"].map({changes_of(name): name for name in INPUTS})
-    rows = [runs.assign(how=drawn + ", " + runs["method"])]
-    rows.append(adapted.assign(how="one light, " + adapted["method"] + ", " + shown))
-    frame = pd.concat(rows)
-    frame = frame[frame["target"].isin(set(runs["target"]))]
-    columns = {
-        "error_n": "mean MAE, N",
-        "MAE z, N": "Fz MAE, N",
-        "shear_n": "shear MAE, N",
-        **{r: r for r in R2},
-    }
-    means = frame.groupby(["target", "how"], sort=False)[list(columns)].mean()
-    note = (
-        f"{runs['seed'].nunique()} seed(s). Drawn: {designs.LIGHTS} lights on the source's gel, together as many "
-        "frames as one source; those like the target's are the nearest of "
-        f"{designs.DRAWN_LIGHTS} by its picture without contact."
-    )
-    return [result_table("Adapt or randomise?", means.rename(columns=columns), note, FORMATS)]
 
 
 def crossed_tables(folder: Path) -> list[ResultTable]:

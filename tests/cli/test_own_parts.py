@@ -52,6 +52,26 @@ def test_an_own_gel_and_light_make_a_domain_with_a_name(
     assert not (tmp_path / "data").exists()
 
 
+def test_a_picture_without_contact_makes_domains_in_lights_like_its(
+    capsys: pytest.CaptureFixture[str], refused: Callable[..., str], tmp_path: Path
+) -> None:
+    cv2.imwrite(str(tmp_path / "reference.png"), np.full((48, 64, 3), 120, np.uint8))
+    (tmp_path / "lamp.toml").write_text(LAMP)
+    command = [
+        "generate",
+        "wmb0i0",
+        "--lights-like",
+        tmp_path / "reference.png",
+        "--dry-run",
+        "--path",
+        "smoke",
+    ]
+    command += ["--size", "64", "48", "--out", tmp_path / "data"]
+    main([*map(str, command), "--name", "mine", "--illumination", str(tmp_path / "lamp.toml")])
+    assert "domains  mine-1, mine-2, mine-3, mine-4\n" in capsys.readouterr().out
+    assert "--name is missing" in refused(*command)
+
+
 def test_forces_beyond_the_declared_range_are_told_before_solving_and_a_range_mends_it(
     capsys: pytest.CaptureFixture[str], refused: Callable[..., str], tmp_path: Path
 ) -> None:

@@ -61,11 +61,15 @@ def test_crossed_gaps_change_what_they_say():
             assert any(getattr(a, field) != getattr(b, field) for a, b in of_both) == cell[part]
 
 
-def test_lights_are_drawn_and_those_like_a_target_are_nearer():
-    assert designs.drawn_light(3) == designs.drawn_light(3) != designs.drawn_light(4)
-    anyone = designs.random_light_recipes()
-    assert len(anyone) == designs.LIGHTS
-    assert sum(len(recipe.path.poses) for recipe in anyone) == len(designs.contact_path("source").poses) + 7
+def test_a_source_in_any_light_has_the_contacts_of_one_light():
+    domains = designs.random_light_recipes()
+    contacts = [p for recipe in domains for p in recipe.path.poses if p.depth_mm > 0]
+    assert sorted(contacts, key=str) == sorted(
+        (p for p in designs.contact_path("source").poses if p.depth_mm > 0), key=str
+    )
+    assert {recipe.elastomer for recipe in domains} == {
+        designs.role_recipes(["wmb0i0"], "source")[0].elastomer
+    }
 
 
 def test_of_a_shifted_target_few_contacts_are_deep():

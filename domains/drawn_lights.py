@@ -1,0 +1,108 @@
+"""A domain in several drawn lights, like that of a picture without contact: to train for a light nobody measured."""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelgap.domains.formats.pictures import resized
+from gelgap.domains.recipe import DomainRecipe
+from gelgap.render import Illumination, MembraneRenderer, Variation, WhiteSpectrum, vary_illumination
+from gelgap.sim import PosePath
+
+LIGHTS = 8
+"""Domains that one becomes; together they have its frames."""
+CANDIDATES = 1000
+"""Lights that are drawn; those nearest to the picture are taken."""
+KINDS = ("i0", "i1", "i2")
+"""Presets around which lights are drawn."""
+_HEIGHT_PX = 30
+_SPREAD = Variation(led_position_mm=1.0, led_angle_deg=10, led_drive=0.3, led_peak_nm=10, led_cct=0.2)
+
+
+def drawn_illumination(number: int, kinds: Sequence[Illumination]) -> Illumination:
+    """Return a light far from those of `kinds`, the same for the same number.
+
+    The LEDs of one of them are turned together about the gel's normal by any angle, exchange their spectra or are all
+    white, and each is moved, tilted, dimmed and tinted.
+    """
+    rng = np.random.default_rng([number, LIGHTS])
+    base = kinds[int(rng.integers(len(kinds)))]
+    orders = list(permutations(led.spectrum for led in base.leds))
+    spectra = orders[rng.integers(len(orders))]
+    turn, white = rng.uniform(0, 2 * math.pi), rng.random() < 1 / 3
+    about_z = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
+    leds = []
+    for led, own in zip(base.leds, spectra, strict=True):
+        spectrum = WhiteSpectrum(cct_k=float(rng.uniform(3000, 7500))) if white else own
+        place = {name: tuple((about_z @ getattr(led, name)).tolist()) for name in ("position_mm", "facing")}
+        leds.append(led.model_copy(update={**place, "spectrum": spectrum}))
+    return vary_illumination(base.model_copy(update={"leds": tuple(leds)}), _SPREAD, rng)
+
+
+def in_drawn_lights(
+    recipe: DomainRecipe,
+    like: NDArray[np.uint8] | None = None,
+    kinds: Sequence[Illumination] | None = None,
+) -> tuple[DomainRecipe, ...]:
+    """Return a domain as several, `name-1` and on, each in a drawn light and with its share of the contact points.
+
+    Parameters
+    ----------
+    recipe
+        The domain; its own light is not used.
+    like
+        Picture without contact (h, w, 3) of the sensor that is meant, of the same view as the recipe's. Of
+        `CANDIDATES` lights those are taken whose own picture differs least from it, in the mean square over pixels.
+        Without it the first `LIGHTS` are taken as they are drawn.
+    kinds
+        Lights around which is drawn; by default the presets of `KINDS`. Where the sensor's is of none of these kinds,
+        drawn lights did not help (docs/results).
+
+    Raises
+    ------
+    ValueError
+        If the picture has fewer pixels than the comparison takes.
+    """
+    kinds = kinds or [Illumination.preset(name) for name in KINDS]
+    numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
+    shares = list(_shares(recipe))
+    return tuple(
+        recipe.model_copy(
+            update={
+                "name": f"{recipe.name}-{place}",
+                "path": share,
+                "illumination": drawn_illumination(number, kinds),
+                "inpainted_from": None,
+            }
+        )
+        for place, (share, number) in enumerate(zip(shares, numbers, strict=False), start=1)
+    )
+
+
+def _shares(recipe: DomainRecipe) -> Iterator[PosePath]:
+    """Yield the contacts of each light: all of some contact points, and a reference without contact."""
+    points = list(dict.fromkeys(pose.point_id for pose in recipe.path.poses if pose.depth_mm > 0))
+    for place in range(min(LIGHTS, len(points))):
+        own = set(points[place::LIGHTS])
+        poses = tuple(pose for pose in recipe.path.poses if pose.point_id in own)
+        if poses[0].depth_mm > 0:
+            poses = (recipe.path.poses[0], *poses)
+        yield PosePath(f"{recipe.path.name}-{place + 1}", poses)
+
+
+def _nearest(
+    recipe: DomainRecipe, like: NDArray[np.uint8], kinds: Sequence[Illumination]
+) -> NDArray[np.intp]:
+    """Return the numbers of the lights whose picture without contact is nearest to a picture, the nearest first."""
+    width, height = recipe.size_px
+    size_px = round(_HEIGHT_PX * width / height), _HEIGHT_PX
+    seen = resized(like, size_px).astype(float)
+
+    def distance(number: int) -> float:
+        renderer = MembraneRenderer(recipe.sensor, drawn_illumination(number, kinds), size_px, "draft")
+        return float(np.square(renderer.reference(markers=recipe.markers) - seen).mean())
+
+    return np.argsort([distance(number) for number in range(CANDIDATES)])[:LIGHTS]

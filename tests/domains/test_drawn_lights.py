@@ -1,0 +1,57 @@
+"""Lights that are drawn, and those taken that are like a picture."""
+
+import numpy as np
+import pytest
+
+from gelgap.domains import drawn_illumination, drawn_lights, in_drawn_lights, make_recipes
+from gelgap.render import Illumination, MembraneRenderer
+
+KINDS = [Illumination.preset(name) for name in ("i0", "i1")]
+
+
+@pytest.fixture(scope="module")
+def recipe():
+    return make_recipes(["wmb0i0"], "cpu", size_px=(64, 48))[0]
+
+
+def test_a_number_is_a_light_of_one_of_the_kinds():
+    lights = [drawn_illumination(number, KINDS) for number in range(40)]
+    assert lights[3] == drawn_illumination(3, KINDS)
+    assert len({str(light.leds) for light in lights}) == 40
+    assert {light.leds[0].kind for light in lights} == {kind.leds[0].kind for kind in KINDS}
+    # Turned by any angle: the first LED of a kind is found all around.
+    x, y = np.array([light.leds[0].position_mm[:2] for light in lights]).T
+    assert np.histogram(np.arctan2(y, x), bins=4)[0].min() > 3
+
+
+def test_every_contact_is_in_one_light(recipe):
+    found = in_drawn_lights(recipe)
+    assert [one.name for one in found] == [f"wmb0i0-{place}" for place in range(1, len(found) + 1)]
+    contacts = [pose for one in found for pose in one.path.poses if pose.depth_mm > 0]
+    assert sorted(contacts, key=str) == sorted((p for p in recipe.path.poses if p.depth_mm > 0), key=str)
+    assert all(one.path.poses[0].depth_mm == 0 for one in found)
+    points = [{pose.point_id for pose in one.path.poses} for one in found]
+    assert not any(one & other for i, one in enumerate(points) for other in points[:i])
+
+
+def test_lights_like_a_picture_are_nearer_to_it(recipe, monkeypatch):
+    monkeypatch.setattr(drawn_lights, "CANDIDATES", 100)
+    like = picture_in(recipe, Illumination.preset("i1"))
+
+    def mean_distance(found):
+        return np.mean([np.square(picture_in(recipe, one.illumination) - like).mean() for one in found])
+
+    assert mean_distance(in_drawn_lights(recipe, like.astype(np.uint8), KINDS)) < 0.6 * mean_distance(
+        in_drawn_lights(recipe, None, KINDS)
+    )
+
+
+def picture_in(recipe, light):
+    return (
+        MembraneRenderer(recipe.sensor, light, recipe.size_px, "draft").reference(markers=False).astype(float)
+    )
+
+
+def test_a_picture_that_is_too_small_is_refused(recipe):
+    with pytest.raises(ValueError, match="20×10"):
+        in_drawn_lights(recipe, np.zeros((10, 20, 3), np.uint8))
