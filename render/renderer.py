@@ -135,7 +135,7 @@ class MembraneRenderer:
 
     def _gloss(self, surface: Surface, light: DirectLight, reference: np.ndarray | None) -> np.ndarray:
         camera_mm, roughness = self.sensor.camera.position_mm, self.sensor.coating.roughness
-        return gloss(surface, self._leds, self._shadows, light, camera_mm, roughness, reference)
+        return gloss(surface, self._leds, light, camera_mm, roughness, reference)
 
     def _radiance(self, surface: Surface) -> np.ndarray:
         """Return (rows, columns, 3) float32: linear camera RGB of every vertex of the shaded grid, without markers."""

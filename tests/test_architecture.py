@@ -32,7 +32,7 @@ CODE = (*ALLOWED, "tests", "examples", "scripts")
 LINES = {
     "assets": 620,
     "sim": 5385,
-    "render": 5190,
+    "render": 5195,
     "domains": 7690,
     "adapt": 5670,
     "view": 1580,

@@ -13,8 +13,8 @@ import numba
 import numpy as np
 
 from gelgap.render.light.irradiance import GENTLE_NORMAL, DirectLight, smooth_stride
-from gelgap.render.light.leds import LedSamples, ShadowDetail
-from gelgap.render.light.occlusion import HeightField, find_occluders, vertex_at, visible_parts
+from gelgap.render.light.leds import LedSamples
+from gelgap.render.light.occlusion import vertex_at
 from gelgap.render.surface import Surface
 
 REFRACTIVE_INDEX = 1.49 / 1.000277
@@ -264,7 +264,7 @@ def _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse):
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
+def _gloss(surface, light, camera_mm, coat, leds, stride, out):
     """Overwrite out[row, column, led] = (base, highlight) where the surface changed or an LED is partly hidden.
 
     Where the surface is nearly flat, light in full view is computed for every stride-th vertex and interpolated, and
@@ -274,9 +274,8 @@ def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
     changed = surface.changed
     rows, columns = changed.shape
     count = len(leds.is_point)
-    field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
-    occluders = find_occluders(surface, leds.outlines)
-    parts = np.empty((len(leds.strips), 2), np.float32)
+    whole = np.zeros((np.diff(leds.first_strip).max(), 2), np.float32)
+    whole[:, 1] = one
     gentle = np.empty(((rows - 1) // stride + 1, (columns - 1) // stride + 1), np.bool_)
     coarse = np.empty((*gentle.shape, count, 2), np.float32)
     _coarse_gloss(surface, camera_mm, coat, leds, out, stride, gentle, coarse)
@@ -319,19 +318,17 @@ def _gloss(surface, light, camera_mm, coat, leds, march_step_mm, stride, out):
                             )
                         continue
                     base, glossy = _open_gloss(vertex, camera_mm, coat, leds.nodes, led)
-                    base, glossy = base * share, glossy * share
                 else:
                     strips = leds.strips[leds.first_strip[led] : leds.first_strip[led + 1]]
-                    visible_parts(vertex, field, occluders[led], strips, march_step_mm, parts)
+                    parts = whole if share > zero else light.parts[np.int64(-1 - share)]
                     base, glossy = _partial_gloss(vertex, camera_mm, coat, strips, parts)
-                out[j, i, led, 0] = base
-                out[j, i, led, 1] = glossy
+                seen = share if share > zero else one
+                out[j, i, led, 0], out[j, i, led, 1] = base * seen, glossy * seen
 
 
 def gloss(
     surface: Surface,
     leds: LedSamples,
-    detail: ShadowDetail,
     light: DirectLight,
     camera_mm: tuple[float, float, float],
     roughness: float,
@@ -340,7 +337,7 @@ def gloss(
     """Return (rows, columns, leds, 2) float32 of rough plastic per unit LED radiance.
 
     The first value times albedo/π is the radiance that the base sends to the camera; the second is that of the
-    highlight. `light` is that of the same surface: it knows which LEDs are hidden. What the contact did not change is
+    highlight. `light` is that of the same surface: it knows what is hidden of LEDs. What the contact did not change is
     taken from `reference`.
     """
     if reference is None:
@@ -350,6 +347,6 @@ def gloss(
         out = reference.copy()
     coat = rough_plastic(roughness)
     coat = coat._replace(base_scale=np.float32(coat.base_scale))  # all in single precision, for speed
-    step_mm, stride = np.float32(detail.march_step_mm), smooth_stride(surface.grid.spacing_mm)
-    _gloss(surface, light, np.asarray(camera_mm, np.float32), coat, leds, step_mm, stride, out)
+    stride = smooth_stride(surface.grid.spacing_mm)
+    _gloss(surface, light, np.asarray(camera_mm, np.float32), coat, leds, stride, out)
     return out

@@ -24,14 +24,16 @@ SMOOTH_MM = 0.4
 
 
 class DirectLight(NamedTuple):
-    """Direct light on a surface, both (rows, columns, leds) float32.
+    """Direct light on a surface: `irradiance` and `visible` (rows, columns, leds), `parts` (n, strips, 2); float32.
 
-    `irradiance` is per unit radiance of each LED, sr; `visible` is 1 where a vertex sees the whole LED, and below 1
-    (negative where the share is not known) where it does not.
+    `irradiance` is per unit radiance of each LED, sr. `visible` is 1 where a vertex sees the whole LED, and else the
+    share of the irradiance, or −1 − k where that says nothing about the neighbours: of each strip of this LED
+    `parts[k]` is then what the vertex sees, (start, end) in shares of its length.
     """
 
     irradiance: np.ndarray
     visible: np.ndarray
+    parts: np.ndarray
 
 
 def smooth_stride(spacing_mm: float) -> int:
@@ -127,6 +129,8 @@ def _coarse_irradiance(surface, leds, reference, stride, smooth, ratio):
 def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
     """Overwrite out[row, column, led] (irradiance per unit radiance, sr) where the surface changed or may be shadowed.
 
+    Fill in the visible `share`, and return the visible parts, both as `DirectLight` has them.
+
     Only every fourth vertex surely walks to the horizon; then every second, then all. Vertices are skipped where those
     around them see the whole LED, and, where the surface is nearly flat and so the shadow soft, every second vertex
     gives the others its visible share of the LED. Light in full view, too, is interpolated where the surface is nearly
@@ -139,8 +143,7 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
     count = len(leds.is_point)
     field = HeightField(surface.height_mm.ravel(), columns, surface.grid)
     occluders = find_occluders(surface, leds.outlines)
-    parts = np.empty((len(leds.strips), 2), np.float32)
-    # The visible share of each LED; negative where it says nothing about the neighbours.
+    found, known = 0, np.empty((1024, np.diff(leds.first_strip).max(), 2), np.float32)
     share[:] = one
     cell = max(smooth_stride, 1)
     smooth = np.zeros(((rows - 1) // cell + 1, (columns - 1) // cell + 1, count), np.bool_)
@@ -194,6 +197,9 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
                             share[j, i, led] = around
                             continue
                     strips = leds.strips[leds.first_strip[led] : leds.first_strip[led + 1]]
+                    if found == len(known):
+                        known = np.concatenate((known, np.empty_like(known)))
+                    parts = known[found]
                     if not visible_parts(vertex, field, occluders[led], strips, march_step_mm, parts):
                         out[j, i, led] = total
                         continue
@@ -201,7 +207,12 @@ def _irradiance(surface, leds, march_step_mm, smooth_stride, out, share):
                     out[j, i, led] = partial
                     # Behind an LED's face no light arrives that could be shared.
                     shares = gentle and lowest > zero and total > zero
-                    share[j, i, led] = min(partial / total, SHADED) if shares else -one
+                    if shares:
+                        share[j, i, led] = min(partial / total, SHADED)
+                    else:
+                        share[j, i, led] = np.float32(-1 - found)
+                        found += 1
+    return known[:found]
 
 
 def direct_light(
@@ -220,5 +231,5 @@ def direct_light(
         irradiance = reference.copy()
         stride = smooth_stride(surface.grid.spacing_mm)
     visible = np.empty_like(irradiance)
-    _irradiance(surface, leds, np.float32(detail.march_step_mm), stride, irradiance, visible)
-    return DirectLight(irradiance, visible)
+    parts = _irradiance(surface, leds, np.float32(detail.march_step_mm), stride, irradiance, visible)
+    return DirectLight(irradiance, visible, parts)

@@ -7,7 +7,7 @@ from run_records import record, write_runs
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.benchmarks.adaptation import calm, designs, rivals
-from gelgap.benchmarks.adaptation.study import Study
+from gelgap.benchmarks.adaptation.study import Part, Study
 
 RUNS = Path(__file__).parents[3] / "docs" / "results" / "runs"
 
@@ -22,17 +22,23 @@ def test_every_input_is_run_where_it_can_be_shown():
 
 
 @pytest.mark.parametrize(
-    ("stored", "closed"),
+    ("stored", "part", "closed"),
     [
         (
+            "board-lights",
+            rivals.LIGHT_PART,
+            {"dann / calibrated": "64 %", "adabn / any light": "40 %", "adabn / like the target's": "87 %"},
+        ),
+        (
             "board",
+            rivals.INPUT_PART,
             {"adabn / pictures": "44 %", "dann / calibrated": "75 %", "source-only / calibrated": "65 %"},
         ),
-        ("board-back", {"adabn / calibrated": "55 %", "dann / calibrated": "58 %"}),
+        ("board-back", rivals.INPUT_PART, {"adabn / calibrated": "55 %", "dann / calibrated": "58 %"}),
     ],
 )
-def test_stored_measurements_are_the_published_tables(stored: str, closed: dict[str, str]):
-    (table,) = rivals.INPUT_PART.tables(RUNS / stored)
+def test_stored_measurements_are_the_published_tables(stored: str, part: Part, closed: dict[str, str]):
+    (table,) = part.tables(RUNS / stored)
     rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
     page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "")
     for name, share in closed.items():
