@@ -56,6 +56,7 @@ BESIDE: dict[tuple[str, str], dict[str, list[str]]] = {
     ("generate", "--recipe"): {"domains": []},
     ("generate", "--elastomer"): {"--name": ["own"]},
     ("generate", "--illumination"): {"--name": ["own"]},
+    ("generate", "--lights-like"): {"--name": ["own"]},
     ("benchmark", "--what"): {"subject": ["adaptation"]},
     ("benchmark", "--data"): {"subject": ["real"]},
 }
