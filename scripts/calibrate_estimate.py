@@ -49,7 +49,7 @@ def main() -> None:
     solver = Solver(os.cpu_count() or 1, KEPT)
     numbers = range(chosen.first, chosen.last)
     rows = random_errors(numbers, ("draft", "standard"), solver, finest="standard")
-    rows = rows[rows["converged"]]
+    rows = rows[rows["converged"] & rows["known"]]
     for error in ERRORS:
         print(f"    {coefficients(rows, error)},  # {error}")
 

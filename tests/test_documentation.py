@@ -155,7 +155,7 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
         "benchmarks.physics.cases.run_missing": measured_in_this_process,
         "benchmarks.physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
-        "benchmarks.physics.savings.condensation_cases": shallow_presses,
+        "benchmarks.physics.condensation.condensation_cases": shallow_presses,
     },
     "gelgap benchmark throughput --quick": {
         "benchmarks.throughput.recipes_of": smallest_recipes,

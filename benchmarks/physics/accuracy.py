@@ -16,8 +16,7 @@ import numpy as np
 import pandas as pd
 
 from gelgap.benchmarks.common import rms, show, write_json
-from gelgap.benchmarks.fem import theory
-from gelgap.benchmarks.physics import savings
+from gelgap.benchmarks.physics import condensation
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver
 from gelgap.benchmarks.physics.references import (
     FORCE_UNCERTAINTY,
@@ -30,7 +29,7 @@ from gelgap.benchmarks.physics.references import (
     tabled_sphere,
 )
 from gelgap.render.imaging import psnr_db
-from gelgap.sim import Elastomer, MembraneState, Pose, Sphere
+from gelgap.sim import MembraneState
 
 Picture = Callable[[MembraneState, np.ndarray], np.ndarray]
 
@@ -75,33 +74,18 @@ TARGETS = {
     "contact radius worst, %": 3.0,
     "peak memory, MiB": 2048.0,
 }
-SLIP_SHEAR_MODULUS_MPA = 0.1
-PARTIAL_SLIP = Case(
-    "theory",
-    "partial slip",
-    Elastomer(
-        young_modulus_mpa=2 * SLIP_SHEAR_MODULUS_MPA * (1 + 0.495),
-        poisson_ratio=0.495,
-        friction=0.3,
-        thickness_mm=10.0,
-        pad_size_mm=(60.0, 60.0),
-    ),
-    tuple(Pose(depth_mm=0.1, shear_x_mm=travel) for travel in (0.0, 0.01, 0.02, 0.03, 0.05, 0.08)),
-    indenter=Sphere(diameter_mm=6.0),
-)
 
 
 def run(quick: bool, out_dir: Path) -> None:
     """Run the benchmark, print its tables, and write `physics.json` and `physics-frontier.png` to `out_dir`.
 
-    The quick form is a press down to 0.4 mm and a drag; the full one adds all others whose solution is known, partial
-    slip, and what a path's solves cost. Until the end, what is solved is kept in `out_dir`/physics-solves: a benchmark
-    that was stopped goes on from there.
+    The quick form is a press down to 0.4 mm and a drag; the full one adds all others whose solution is known. Until the
+    end, what is solved is kept in `out_dir`/physics-solves: a benchmark that was stopped goes on from there.
     """
     started = time.perf_counter()
     solver = Solver(QUICK_PROCESSES if quick else os.cpu_count() or 1, out_dir / "physics-solves")
     cases = quick_cases() if quick else full_cases(solver)
-    solved, picture = solver.cases(cases if quick else [*cases, PARTIAL_SLIP]), picture_maker()
+    solved, picture = solver.cases(cases), picture_maker()
     rows = [errors(case, solved[case], picture if case.study == "presses" else None) for case in cases]
     results = {study: own.dropna(axis=1, how="all") for study, own in pd.DataFrame(rows).groupby("study")}
     for study, title in TITLES.items():
@@ -110,15 +94,10 @@ def run(quick: bool, out_dir: Path) -> None:
         elif study in results:
             show(f"{title}: force, contact radius, cost", results[study][list(PRESS)])
             show(f"{title}: membrane", results[study].reindex(columns=list(MEMBRANE)), MEMBRANE_NOTE)
-    points = frontier(results["presses"])
-    results["condensation"] = savings.condensation_table(solver, quick)
-    if not quick:
-        results["partial slip"] = partial_slip_table(solved[PARTIAL_SLIP].states)
-        results |= savings.full_tables(solver)
-        points = pd.concat([points, savings.points(results["savings"])])
+    results["condensation"] = condensation.condensation_table(solver, quick)
     show_targets(results["presses"], results["drags"])
     figure = out_dir / "physics-frontier.png"
-    plot_frontier(figure, points)
+    plot_frontier(figure, frontier(results["presses"]))
     wall_s = time.perf_counter() - started
     about = {"quick": quick, "processes": solver.processes, "wall_s": wall_s}
     write_json(out_dir / "physics.json", results | about)
@@ -246,31 +225,6 @@ def picture_maker() -> Picture:
     )
 
 
-def partial_slip_table(states: Sequence[MembraneState]) -> pd.DataFrame:
-    """Print a shallow drag beside Cattaneo and Mindlin's partial slip: the only closed form with Coulomb friction."""
-    gel, press = PARTIAL_SLIP.elastomer, states[0]
-    travel_mm = np.array([pose.shear_x_mm for pose in PARTIAL_SLIP.poses[1:]])
-    limit = -gel.friction * press.force_n[2]
-    contact = (limit, press.contact_radius_mm, SLIP_SHEAR_MODULUS_MPA, gel.poisson_ratio)
-    measured = np.array([state.force_n[0] for state in states[1:]]) / limit
-    expected = theory.partial_slip_force_n(*contact, travel_mm) / limit
-    table = pd.DataFrame(
-        {
-            "travel mm": [f"{travel:g}" for travel in travel_mm],
-            "share of full slip": np.minimum(travel_mm / theory.full_slip_mm(*contact), 1.0),
-            "Fx/(μ Fz)": measured,
-            "theory": expected,
-            "difference": measured - expected,
-        }
-    )
-    show(
-        f"Partial slip: R 3 mm, 0.1 mm deep in 10 mm, friction {gel.friction:g}, against Cattaneo–Mindlin",
-        table,
-        "the theory is that of a half-space, with the measured normal force and contact radius",
-    )
-    return table
-
-
 def show_targets(presses: pd.DataFrame, drags: pd.DataFrame) -> None:
     """Print the accuracy that `standard` promises for the isochoric gel beside what was measured."""
     found = presses[(presses["quality"] == "standard") & presses["case"].str.startswith("nh")]
@@ -289,35 +243,26 @@ def show_targets(presses: pd.DataFrame, drags: pd.DataFrame) -> None:
 
 
 def frontier(presses: pd.DataFrame) -> pd.DataFrame:
-    """Return the qualities as points: mean cost and error over the cases that all of them solved."""
+    """Return the qualities by cost: mean processor time and error over the cases that all of them solved."""
     shared = presses[presses.groupby("case")["quality"].transform("nunique") == presses["quality"].nunique()]
-    of_quality = shared.groupby("quality", sort=False)
+    of_quality = shared.groupby("quality")
     points = of_quality["core s/pose"].mean().rename("seconds").to_frame()
-    points["error"] = of_quality["Fz rms %"].agg(rms)
-    return points.rename_axis("name").reset_index().assign(series="one descent: against finite elements")
+    return points.assign(error=of_quality["Fz rms %"].agg(rms)).sort_values("seconds")
 
 
 def plot_frontier(path: Path, points: pd.DataFrame) -> None:
-    """Draw error against run time, log-log; the reference's uncertainty is shaded, the target dashed.
-
-    `points` has the columns series, name, seconds and error. A line joins qualities in the order of their run time,
-    and no savings.
-    """
+    """Draw error against run time, log-log; the reference's uncertainty is shaded, the target dashed."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.subplots()
-    for series, own in points.groupby("series", sort=False):
-        members = own.sort_values("seconds", kind="stable")
-        style = "o" if series == savings.SERIES else "o-"
-        axes.loglog(members["seconds"], members["error"], style, label=series)
-        for number, point in enumerate(members.itertuples()):
-            place, at = (point.seconds, point.error), (5, (4, -11, 15)[number % 3])
-            axes.annotate(point.name, place, xytext=at, textcoords="offset points", fontsize=8)
+    axes.loglog(points["seconds"], points["error"], "o-")
+    for quality, seconds, error in points.itertuples():
+        axes.annotate(quality, (seconds, error), xytext=(5, 4), textcoords="offset points", fontsize=8)
     uncertainty = 100 * FORCE_UNCERTAINTY
     span = min(axes.get_ylim()[0], uncertainty / 3), uncertainty
     axes.axhspan(*span, color="0.85", label="the reference's uncertainty")
-    axes.axhline(TARGETS["Fz rms, %"], color="0.4", linestyle="--", linewidth=1)
+    axes.axhline(TARGETS["Fz rms, %"], color="0.4", linestyle="--", linewidth=1, label="target at standard")
     axes.set(
         title="Run time against error of the normal force",
         xlabel="processor time per pose, s",

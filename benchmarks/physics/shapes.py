@@ -8,7 +8,6 @@ strain. A mesh file of a body is compared with the body itself.
 import json
 import math
 import shutil
-import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,12 +26,10 @@ from gelgap.benchmarks.physics.accuracy import (
     at_both,
     combined,
     force_errors,
-    signed,
     surface_errors,
 )
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
 from gelgap.benchmarks.physics.references import (
-    NO_SLIP_FRICTION,
     friction_of,
     normal,
     press_case,
@@ -42,11 +39,9 @@ from gelgap.sim import (
     AnyIndenter,
     Box,
     Cone,
-    ConvexMesh,
     Cylinder,
     Edge,
     Elastomer,
-    Ellipsoid,
     MembraneState,
     Pose,
     Sphere,
@@ -68,7 +63,6 @@ ACROSS_COLUMNS = (
     *("in-plane rms µm", "|f_t|/μf_n − 1", "core s/pose", "unconverged"),
 )
 QUALITIES = ("draft", "standard")
-SAME_DEPTHS_MM = (0.2, 0.4, 0.6)
 LONG_BOX = Box(size_mm=(3.0, LONG_MM), edge_radius_mm=0.5)
 TWIST_DEG = 1.0  # a small twist, in which nothing slips
 TWISTED_DEPTHS = 2  # of each body
@@ -85,7 +79,7 @@ def run(quick: bool, out_dir: Path) -> None:
     """Print errors and run time by shape, and write `shapes.json` to `out_dir`.
 
     The quick form has two depths of each round body at `draft`, and one twist of each; the full one all depths at
-    `draft` and `standard`, the lying cylinder, the long box, and bodies that are the same.
+    `draft` and `standard`, the lying cylinder and the long box.
     """
     started = time.perf_counter()
     solver = Solver(1, out_dir / "shape-solves")
@@ -99,9 +93,6 @@ def run(quick: bool, out_dir: Path) -> None:
     table = pd.DataFrame([row(case, solved[case]) for case in cases])
     show("Indenters against independent finite elements", table[list(COLUMNS)], f"{NOTE}; {TARGETS}")
     results: dict[str, Any] = {"shapes": table}
-    maps = pd.DataFrame([map_row(case, solved[case]) for case in cases if case.name != lying.name])
-    results["traction"] = maps
-    show("Traction maps: their integrals beside force and torque of the solve", maps)
     twists = twist_cases(1, ["draft"]) if quick else twist_cases(TWISTED_DEPTHS, QUALITIES)
     twisted = solver.cases(twists)
     results["twist"] = pd.DataFrame([twist_row(case, twisted[case], *own) for case, own in twists.items()])
@@ -112,9 +103,6 @@ def run(quick: bool, out_dir: Path) -> None:
         results["across"] = pd.DataFrame(row(*pair) for pair in across.items())[list(ACROSS_COLUMNS)]
         note = f"per mm of length, beside plane strain by elements of 0.12 mm; {TARGETS}"
         show("A long box in its middle, pressed and dragged across", results["across"], note)
-        results["same"] = same_bodies(solver)
-        note = "difference of a body from the one it is the same as; targets: 1 %, 3 µm"
-        show("Bodies that are the same", results["same"], note)
     write_json(out_dir / "shapes.json", results | {"quick": quick, "wall_s": time.perf_counter() - started})
     shutil.rmtree(solver.folder, ignore_errors=True)
     print(f"{time.perf_counter() - started:.0f} s in all; results in {out_dir / 'shapes.json'}")
@@ -285,76 +273,3 @@ def twist_row(case: Case, solved: Any, expected_n_mm: float, uncertain: float) -
         "core s/pose": solved.core_s / 2,
         "unconverged": sum(not state.converged for state in solved.states),
     }
-
-
-def map_row(case: Case, solved: Any) -> dict[str, Any]:
-    """Return how far the integrals of a case's deepest traction map are from the solve's force and torque."""
-    found = traction_map(case.plan, len(case.poses) - 1, solved.solution, solved.states[-1])
-    size = np.linalg.norm(found.state.force_n)
-    return {
-        "case": case.name,
-        "quality": case.quality,
-        "force, share": float(np.linalg.norm(found.force_n - found.state.force_n) / size),
-        "torque, N mm": float(np.linalg.norm(found.torque_n_mm - found.state.torque_n_mm)),
-        "coarse 24 × 32, share": float(
-            np.linalg.norm(found.coarse_n().sum(axis=(0, 1)) - found.state.force_n) / size
-        ),
-        "given back, %": 100 * found.correction,
-        "largest pressure, MPa": float(found.normal_mpa.max()),
-    }
-
-
-def same_bodies(solver: Solver) -> pd.DataFrame:
-    """Compare bodies that are the same by other means, at `draft` and `standard`."""
-    rows = []
-    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=NO_SLIP_FRICTION, pad_size_mm=PAD_MM)
-    poses = tuple(Pose(depth_mm=depth) for depth in SAME_DEPTHS_MM)
-    bodies = {
-        "mesh of a sphere": (_mesh("sphere"), Sphere()),
-        "ellipsoid that is nearly one": (Ellipsoid(diameters_mm=(3.002, 3.0, 3.0)), Sphere()),
-        "mesh of a box": (_mesh("box"), Box()),
-    }
-    pairs = {
-        (name, quality): [
-            Case("same", f"{name} {which}", gel, poses, quality=quality, indenter=body)
-            for which, body in enumerate(pair)
-        ]
-        for name, pair in bodies.items()
-        for quality in QUALITIES
-    }
-    solved = solver.cases(case for pair in pairs.values() for case in pair)
-    for (name, quality), pair in pairs.items():
-        own, other = (solved[case] for case in pair)
-        states = list(zip(own.states, other.states, strict=True))
-        error = [100 * (a.force_n[2] / b.force_n[2] - 1) for a, b in states]
-        apart = [1e3 * (a.displacement_mm - b.displacement_mm) for a, b in states]
-        rows.append(
-            {
-                "body": name,
-                "quality": quality,
-                "Fz by pose %": signed(error),
-                "Fz rms %": rms(error),
-                "u_z rms µm": rms([rms(u[..., 2]) for u in apart]),
-                "in-plane rms µm": rms([rms(np.hypot(u[..., 0], u[..., 1])) for u in apart]),
-                "core s/pose": own.core_s / len(poses),
-                "the other's": other.core_s / len(poses),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def _mesh(kind: str) -> ConvexMesh:
-    """Return a body from a mesh file: a sphere of 3 mm, or `Box()` as a smaller one that is rounded."""
-    import trimesh
-
-    box = Box()
-    core_mm = [size - 2 * box.edge_radius_mm for size in (*box.size_mm, 10.0)]
-    body = (
-        trimesh.creation.icosphere(subdivisions=4, radius=1.5)
-        if kind == "sphere"
-        else trimesh.creation.box(core_mm)
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{kind}.stl"
-        body.export(path)
-        return ConvexMesh.load(path, edge_radius_mm=box.edge_radius_mm if kind == "box" else 0.0)

@@ -7,9 +7,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gelgap.benchmarks.physics import savings
-from gelgap.benchmarks.physics.accuracy import LESS_DEEP_MM, errors, normals, plot_frontier, surface_errors
+from gelgap.benchmarks.physics import condensation
+from gelgap.benchmarks.physics.accuracy import (
+    LESS_DEEP_MM,
+    errors,
+    frontier,
+    normals,
+    plot_frontier,
+    surface_errors,
+)
 from gelgap.benchmarks.physics.cases import Case, Solver
+from gelgap.benchmarks.physics.condensation import condensation_cases, condensation_table
 from gelgap.benchmarks.physics.references import (
     LARGER_SPHERES,
     NO_SLIP_FRICTION,
@@ -17,7 +25,6 @@ from gelgap.benchmarks.physics.references import (
     press_cases,
     tabled_sphere,
 )
-from gelgap.benchmarks.physics.savings import condensation_cases, condensation_table
 from gelgap.sim import Elastomer, MembraneState, Pose, grid_axes
 
 REPOSITORY = Path(__file__).parents[3]
@@ -121,7 +128,7 @@ def test_drags_without_slip_come_first_and_those_with_friction_know_how_far_they
 def test_the_condensed_solve_changes_nothing_but_time(tmp_path, capsys, monkeypatch):
     (case,) = condensation_cases(quick=True)
     shallow = tuple(replace(pose, depth_mm=0.3) for pose in case.poses)
-    monkeypatch.setattr(savings, "condensation_cases", lambda quick: [replace(case, poses=shallow)])
+    monkeypatch.setattr(condensation, "condensation_cases", lambda quick: [replace(case, poses=shallow)])
     found = condensation_table(Solver(1, tmp_path), quick=True).iloc[0]
     assert found["iterations"] > 10
     assert found["core s"] > 0
@@ -136,15 +143,19 @@ def test_condensation_is_measured_on_every_shape_of_mesh_at_two_qualities():
     assert len({(case.name, case.quality) for case in chosen}) == len(chosen) == 8
 
 
-def test_the_frontier_is_drawn(tmp_path):
-    points = pd.DataFrame(
+def test_the_frontier_is_of_the_cases_that_each_quality_solved(tmp_path):
+    presses = pd.DataFrame(
         {
-            "series": ["ours", "ours", savings.SERIES],
-            "name": ["b", "a", "c"],
-            "seconds": [2.0, 1.0, 3.0],
-            "error": [1.0, 2.0, 5.0],
+            "case": ["a", "b", "a", "b", "c"],
+            "quality": ["standard", "standard", "draft", "draft", "draft"],
+            "core s/pose": [4.0, 2.0, 1.0, 0.5, 9.0],
+            "Fz rms %": [0.3, 0.4, 3.0, 4.0, 50.0],
         }
     )
+    points = frontier(presses)
+    assert points.index.to_list() == ["draft", "standard"]
+    assert points["seconds"].to_list() == [0.75, 3.0]
+    assert points["error"].to_list() == pytest.approx([3.5355, 0.35355], rel=1e-3)
     plot_frontier(tmp_path / "plots" / "f.png", points)
     assert (tmp_path / "plots" / "f.png").stat().st_size > 10_000
 

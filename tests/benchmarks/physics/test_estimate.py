@@ -37,9 +37,10 @@ def test_the_truth_of_a_press_has_its_own_gel_and_elements_as_small_as_its_conta
 
 
 def test_the_table_counts_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = pd.DataFrame({"quality": ["draft"] * 4, "converged": [True, True, True, False], "coarse": False})
+    converged, known = [True, True, True, False, True], [True] * 4 + [False]
+    rows = pd.DataFrame({"quality": "draft", "converged": converged, "known": known, "coarse": False})
     for error in ERRORS:
-        rows[error], rows[f"estimated {error}"] = [0.01, -0.03, 0.001, 0.2], 0.01
+        rows[error], rows[f"estimated {error}"] = [0.01, -0.03, 0.001, 0.2, 9.0], 0.01
     table = estimate.calibration_table(rows).set_index("error of")
     assert list(table.index) == list(ERRORS)
     fz = table.loc["Fz"]

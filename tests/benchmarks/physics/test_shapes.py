@@ -9,7 +9,6 @@ import pytest
 from gelgap.benchmarks.physics.shapes import (
     across_cases,
     lying_case,
-    map_row,
     middle_errors,
     middle_force_n,
     round_cases,
@@ -48,9 +47,6 @@ def test_a_press_is_near_its_table() -> None:
     assert found["unconverged"] == 0
     assert found["worst %"] < 5
     assert found["u_z rms µm"] < 5
-    integrals = map_row(case, solved)
-    assert integrals["force, share"] < 1e-6
-    assert integrals["torque, N mm"] < 1e-6
 
 
 def test_the_middle_of_a_long_body_is_measured_per_length() -> None:
