@@ -41,10 +41,7 @@ def condensation_table(solver: Solver, quick: bool) -> pd.DataFrame:
     problems = {f"{case.name}, {case.quality}": case.solve.problem for case in cases}
     table = solver.measure(condensed, problems).rename_axis("scene").reset_index()
     table["ratio"] = table["core s"] / table["alone, core s"]
-    note = (
-        "0.6 mm deep, in the shallow scene 0.2, then 0.3 mm sideways; times are of solves, models and meshes "
-        "included; both take the same iterations"
-    )
+    note = "0.6 mm deep, in the shallow scene 0.2, then 0.3 mm sideways; times are of solves with models and meshes"
     show("Contact solved on a condensed equation, against MuJoCo alone", table, note)
     return table
 
@@ -60,13 +57,12 @@ def condensed(problem: ContactProblem) -> Results:
         records.append(newtons[-1].follow_waypoints().records)
         core_s.append(time.process_time() - start)
     iterations = [sum(record.diagnostics.iterations for record in one) for one in records]
-    if iterations[0] != iterations[1]:
-        raise RuntimeError(f"{iterations[0]} iterations condensed, {iterations[1]} by MuJoCo: {problem}")
     pairs = list(zip(*records, strict=True))
     force = [np.linalg.norm(a.force_n - b.force_n) / np.linalg.norm(b.force_n) for a, b in pairs]
     return {
         "vertices": len(unordered_mesh(problem).vertices_mm),
         "iterations": iterations[0],
+        "alone, iterations": iterations[1],
         "left to MuJoCo": newtons[0].left_to_mujoco,
         "core s": core_s[0],
         "alone, core s": core_s[1],

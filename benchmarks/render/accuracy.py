@@ -7,13 +7,9 @@ machine disturb it least.
 """
 
 import hashlib
-import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -37,10 +33,7 @@ from gelgap.render import (
     Illumination,
     MembraneRenderer,
     Sensor,
-    detect_markers,
     imaging,
-    inpaint_biharmonic,
-    inpaint_telea,
 )
 from gelgap.render.imaging import psnr_db, srgb_encode
 from gelgap.render.light.irradiance import direct_light
@@ -51,16 +44,6 @@ from gelgap.render.surface import deformed_surface
 SIZES_PX = ((320, 240), (640, 480))
 SAMPLES_PER_PIXEL, FEWEST_SAMPLES = 256, 4
 STOCK, SHADOWLESS = "stock pyrender, gain fitted", "no shadows"
-START_UP = """
-import time
-from gelgap.render.rasterizer import import_pyrender
-import_pyrender()
-started = time.process_time()
-from gelgap.benchmarks.render.scenes import sphere_dent
-from gelgap.render import Illumination, MembraneRenderer, Sensor
-MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0")).picture(*sphere_dent(0.6))
-print(time.process_time() - started)
-"""
 
 
 def run(quick: bool, out_dir: Path) -> None:
@@ -74,8 +57,7 @@ def run(quick: bool, out_dir: Path) -> None:
     note = "targets at standard: matt 44 dB, 0.98, 2 %; glossy 38 dB"
     show("Error against the path tracer, linear light without a fitted gain", errors, note)
     repeats = 3 if quick else 31
-    tables = {"errors": errors, "times": frame_times(repeats), "more": extra_times(repeats)}
-    tables["inpainting"] = inpainting(repeats)
+    tables = {"errors": errors, "times": frame_times(repeats)}
     typical_ms = tables["times"].set_index("ms per frame")["typical"]
     ms = pd.Series({name: typical_ms[f"320×240 {name} i0"] for name in QUALITIES} | baseline_times(repeats))
     matt = errors[errors["scene"].isin([scene.name for scene in truth if scene.matt])].groupby("way")
@@ -264,28 +246,6 @@ def frame_times(repeats: int) -> pd.DataFrame:
     return table
 
 
-def extra_times(repeats: int) -> pd.DataFrame:
-    """Print what another light on the same membrane, markers and the first picture cost."""
-    sensor, typical = Sensor.preset("paper"), sphere_dent(0.6)
-    renderers = [MembraneRenderer(sensor, Illumination.preset(name)) for name in PAPER_LIGHTS]
-    one, three = (frames_ms(renderers[:lit], typical, repeats) for lit in (1, 3))
-    unmarked = frames_ms(renderers[:1], typical, repeats, markers=False)
-    rows = [
-        ("under another illumination", (three - one) / 2, 4.0),
-        ("markers on instead of off", one - unmarked, 2.0),
-    ]
-    start = [sys.executable, "-c", START_UP]
-    starts_s = [float(subprocess.run(start, capture_output=True, check=True).stdout) for _ in range(3)]
-    start_s = statistics.median(starts_s)
-    note = (
-        f"start-up from pyrender's import to the first picture: {start_s:.2f} s of processor time (aim 0.5)"
-    )
-    table = pd.DataFrame(rows, columns=["what", "ms more", "target"])
-    show("The same membrane again, 320×240, standard", table, note)
-    table.loc[len(table)] = ["start-up", 1e3 * start_s, 500.0]
-    return table
-
-
 def baseline_times(repeats: int) -> dict[str, float]:
     """Return ms per frame at 320×240 of what others would do: stock pyrender, and ours without shadows."""
     scene = RenderScene("i0", 0.6)
@@ -294,21 +254,3 @@ def baseline_times(repeats: int) -> dict[str, float]:
         stock_ms = median_ms(draw, max(repeats // 4, 3))
     own_ms = median_ms(lambda: imaging.encode(without_shadows(renderer, membrane)), repeats)
     return {STOCK: stock_ms, SHADOWLESS: own_ms}
-
-
-def inpainting(repeats: int) -> pd.DataFrame:
-    """Print the error of both inpainting methods against the truly unmarked rendering."""
-    rows = []
-    for light in PAPER_LIGHTS:
-        renderer = MembraneRenderer(Sensor.preset("paper"), Illumination.preset(light))
-        membrane = sphere_dent(0.6, (0.3, 0.1))
-        marked, plain = (renderer.picture(*membrane, markers=markers) for markers in (True, False))
-        mask = detect_markers(marked)
-        row = {"light": light, "detect ms": median_ms(partial(detect_markers, marked), repeats)}
-        for name, fill in {"Telea": inpaint_telea, "biharmonic": inpaint_biharmonic}.items():
-            row[f"{name} dB"] = psnr_db(fill(marked, mask), plain)
-            row[f"{name} ms"] = median_ms(partial(fill, marked, mask), repeats)
-        rows.append(row)
-    title = "Inpainted 88 dots against the unmarked rendering, mask found in the picture, 320×240"
-    show(title, table := pd.DataFrame(rows))
-    return table
