@@ -80,6 +80,9 @@ class Press(opt.Command):
     traction: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
     """Write the contact stress on the membrane's grid, and the force on 24 × 32 cells, to this .npz."""
 
+    slip: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
+    """Write how far the membrane has slid over the indenter since the press straight down to this .npz."""
+
     mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the indenter as a mesh."""
 
@@ -114,6 +117,10 @@ class Press(opt.Command):
             from gelgap.sim import solve_traction
 
             solve_traction(elastomer, indenter, pose, self.quality).save(self.traction)
+        if self.slip is not None:
+            from gelgap.sim import solve_slip
+
+            solve_slip(elastomer, indenter, pose, self.quality).save(self.slip)
         if self.mesh is not None:
             from gelgap.render import Illumination, MembraneRenderer, Sensor
             from gelgap.view import save_mesh

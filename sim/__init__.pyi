@@ -44,6 +44,9 @@ from .shapes import Cylinder as Cylinder
 from .shapes import Edge as Edge
 from .shapes import Ellipsoid as Ellipsoid
 from .shapes import load_indenter as load_indenter
+from .slip import Slip as Slip
+from .slip import slip_between as slip_between
+from .slip import solve_slip as solve_slip
 from .solution import CacheEntry as CacheEntry
 from .solution import Solution as Solution
 from .solution import cache_entries as cache_entries

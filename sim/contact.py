@@ -10,6 +10,7 @@ from scipy import linalg, optimize, sparse
 from gelgap.sim.fronts import Condensation
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
+from gelgap.sim.solution import STICKING_SHARE
 
 Ints = NDArray[np.int64]
 
@@ -19,8 +20,6 @@ _FRICTIONLESS = 1e-5
 _NOT_ALONG_Y = 0.5
 # Contacts with less than this share of the largest normal force are noise that says nothing about friction.
 _NEGLIGIBLE_LOAD_SHARE = 1e-2
-# A vertex sticks if its friction is below this share of Coulomb's bound.
-_STICKING_SHARE = 0.99
 
 # Newton's method on the condensed problem has converged once the residual is no more than the first share of all
 # forces, or no more than the second and no longer halved, which is as good as rounding errors let it be.
@@ -157,7 +156,7 @@ class FrictionalContacts:
         normal = forces[:, 0]
         if not normal.sum() > 0:
             return 1.0
-        sticks = np.linalg.norm(forces[:, 1:], axis=1) < _STICKING_SHARE * self._friction * normal
+        sticks = np.linalg.norm(forces[:, 1:], axis=1) < STICKING_SHARE * self._friction * normal
         return float(1.0 - normal[~sticks].sum() / normal.sum())
 
     def vertex_forces_n(self) -> tuple[Floats, Floats]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.solution import Record, SolveDiagnostics
+from gelgap.sim.solution import STICKING_SHARE, Record, SolveDiagnostics
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
 ERRORS = ("Fz", "shear", "radius", "membrane")
@@ -32,6 +32,8 @@ _VARIANCE_PER_CAUSE = (
 )
 # A contact sticks, or slips as a whole, if no more than this share of its normal force is on other vertices.
 _NEGLIGIBLE_SLIP_SHARE = 0.02
+# The vertex in the middle of a turn sticks, with less of the load than this unless the contact has few vertices.
+_LARGEST_CENTRE_SHARE = 0.1
 # Estimates of a component of force, as a share of the whole force, above which a quality does not keep its promise:
 # errors above twice the estimate are rare, and twice this is promised.
 LARGEST_ESTIMATE = {"draft": 0.03, "standard": 0.02, "fine": 0.01}
@@ -40,6 +42,9 @@ LARGEST_ESTIMATE = {"draft": 0.03, "standard": 0.02, "fine": 0.01}
 @dataclass(frozen=True)
 class Diagnostics(SolveDiagnostics):
     """How a pose was solved, and how far it may be off: estimates of the errors that its mesh makes.
+
+    In `sticking_fraction` a single vertex that sticks among sliding ones does not count: a contact that turns as a
+    whole has one at its centre, and a smaller region is less than the mesh resolves.
 
     An estimate is a standard deviation: nineteen of twenty errors are below twice it. `shear_error_n` is that of Fx and
     of Fy, each; `membrane_error_mm` that of the displacement, rms within four contact radii. A pose is `coarse` if its
@@ -93,6 +98,8 @@ def diagnose(
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     found = asdict(record.diagnostics)
     found["elastic_energy_mj"] *= modulus_ratio
+    if _turns_about_a_vertex(record, problem.friction):
+        found["sticking_fraction"] = 0.0
     return Diagnostics(
         **found,
         fz_error_n=of["Fz"] * force_n,
@@ -101,4 +108,15 @@ def diagnose(
         membrane_error_mm=of["membrane"] * abs(float(record.indenter_mm[2])),
         coarse=max(of["Fz"], of["shear"]) > LARGEST_ESTIMATE[problem.quality.name],
         folded=folded,
+    )
+
+
+def _turns_about_a_vertex(record: Record, friction: float) -> bool:
+    """Return whether no more than one vertex with load sticks, and others bear nearly all of it."""
+    normal = np.maximum(record.normal_force_n, 0.0)
+    tangential = np.sqrt(np.maximum((record.contact_force_n**2).sum(axis=1) - normal**2, 0.0))
+    shares = normal[tangential < STICKING_SHARE * friction * normal] / max(normal.sum(), 1e-300)
+    largest = shares.max(initial=0.0)
+    return bool(
+        len(shares) and largest < _LARGEST_CENTRE_SHARE and shares.sum() - largest <= _NEGLIGIBLE_SLIP_SHARE
     )

@@ -133,6 +133,12 @@ def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> Mem
     )
 
 
+def places_mm(state: MembraneState) -> Floats:
+    """Return where the points of a state's grid are, (ny, nx, 3)."""
+    rest = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
+    return rest + state.displacement_mm
+
+
 def is_folded(x_mm: Floats, y_mm: Floats, displacement_mm: NDArray[np.float32]) -> bool:
     """Return whether a displaced rest grid lies on itself: one rest point in front of another, for the camera."""
     x = displacement_mm[..., 0] + x_mm.astype(np.float32)

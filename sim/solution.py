@@ -24,6 +24,8 @@ _SUFFIX = ".solution"
 _MARK = b"gelgap solution 1\n"
 _PROBLEM = TypeAdapter(ContactProblem)
 _STACKED = ("displacement_mm", "normal_force_n", "indenter_mm", "force_n", "converged")
+# A vertex sticks if its friction is below this share of Coulomb's bound.
+STICKING_SHARE = 0.99
 # What files of earlier versions lack: they are read, with NaN for it, and solved again where they are needed.
 _LATER = ("contact_force_n", "torque_n_mm")
 
