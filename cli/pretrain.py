@@ -54,8 +54,8 @@ class Pretrain(opt.Command):
     seed: opt.Seed = 0
     """Seed of all draws and of the training."""
     stream: opt.Flag = False
-    """Make the frames while training, every epoch as many new ones, and store no data set: any contact, and a new light
-    every sixteen frames. Nothing is written but the checkpoint and what resuming needs."""
+    """Make the frames while training, every epoch as many new ones, and store no data set: any contact, and four new
+    lights, sensors and cameras for every 128 frames. Nothing is written but the checkpoint and what resuming needs."""
     quick: opt.Flag = False
     """Two domains of twelve frames and two epochs: to see that all works, not to learn."""
     generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(

@@ -20,6 +20,7 @@ from gelgap.sim import (
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
 PRESS = Pose(depth_mm=0.4)
+LEAN = Pose(depth_mm=0.15, twist_deg=2.0, roll_deg=(0.0, 1.0))
 DRAG, TWIST = (
     replace(PRESS, shear_x_mm=0.15, shear_y_mm=0.1),
     replace(PRESS, twist_deg=5.0, roll_deg=(0.0, 3.0)),
@@ -33,7 +34,7 @@ def sizes_mm(slip_mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("body", "pose"), [(Sphere(), DRAG), (Sphere(), TWIST), (Cylinder(edge_radius_mm=0.3), TWIST)]
+    ("body", "pose"), [(Sphere(), DRAG), (Sphere(), TWIST), (Cylinder(edge_radius_mm=0.3), LEAN)]
 )
 def test_what_sticks_goes_where_the_indenter_carries_it(body: Sphere | Cylinder, pose: Pose) -> None:
     found = sizes_mm(solve_slip(GEL, body, pose, "draft").slip_mm)
