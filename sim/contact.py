@@ -10,7 +10,7 @@ from scipy import linalg, optimize, sparse
 from gelgap.sim.fronts import Condensation
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.mujoco_model import NODE_RADIUS_MM, GelModel
-from gelgap.sim.solution import STICKING_SHARE
+from gelgap.sim.solution import sticks
 
 Ints = NDArray[np.int64]
 
@@ -156,8 +156,8 @@ class FrictionalContacts:
         normal = forces[:, 0]
         if not normal.sum() > 0:
             return 1.0
-        sticks = np.linalg.norm(forces[:, 1:], axis=1) < STICKING_SHARE * self._friction * normal
-        return float(1.0 - normal[~sticks].sum() / normal.sum())
+        sticking = sticks(np.linalg.norm(forces[:, 1:], axis=1), normal, self._friction)
+        return float(1.0 - normal[~sticking].sum() / normal.sum())
 
     def vertex_forces_n(self) -> tuple[Floats, Floats]:
         """Return the normal force (n,) on each vertex of the mesh, and the whole contact force (n, 3)."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
-from gelgap.sim.solution import STICKING_SHARE, Record, SolveDiagnostics
+from gelgap.sim.solution import Record, SolveDiagnostics, sticks
 
 CAUSES = ("cells", "few in contact", "stiff mesh", "sideways", "strain")
 ERRORS = ("Fz", "shear", "radius", "membrane")
@@ -115,7 +115,7 @@ def _turns_about_a_vertex(record: Record, friction: float) -> bool:
     """Return whether no more than one vertex with load sticks, and others bear nearly all of it."""
     normal = np.maximum(record.normal_force_n, 0.0)
     tangential = np.sqrt(np.maximum((record.contact_force_n**2).sum(axis=1) - normal**2, 0.0))
-    shares = normal[tangential < STICKING_SHARE * friction * normal] / max(normal.sum(), 1e-300)
+    shares = normal[sticks(tangential, normal, friction)] / max(normal.sum(), 1e-300)
     largest = shares.max(initial=0.0)
     return bool(
         len(shares) and largest < _LARGEST_CENTRE_SHARE and shares.sum() - largest <= _NEGLIGIBLE_SLIP_SHARE

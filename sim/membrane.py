@@ -74,6 +74,16 @@ class MembraneState:
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
     torque_n_mm: Floats = field(default_factory=lambda: np.zeros(3))
 
+    @property
+    def rest_mm(self) -> Floats:
+        """Where the grid's points are on the undeformed membrane, (ny, nx, 3)."""
+        return np.stack([*np.meshgrid(self.x_mm, self.y_mm), np.zeros(self.contact.shape)], axis=-1)
+
+    @property
+    def places_mm(self) -> Floats:
+        """Where the grid's points are on the deformed membrane, (ny, nx, 3)."""
+        return self.rest_mm + self.displacement_mm
+
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
         arrays = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
@@ -131,12 +141,6 @@ def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> Mem
     return MembraneState(
         x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
     )
-
-
-def places_mm(state: MembraneState) -> Floats:
-    """Return where the points of a state's grid are, (ny, nx, 3)."""
-    rest = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
-    return rest + state.displacement_mm
 
 
 def is_folded(x_mm: Floats, y_mm: Floats, displacement_mm: NDArray[np.float32]) -> bool:

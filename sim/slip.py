@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.sim.indenter import Floats, Indenter, rotation
-from gelgap.sim.membrane import places_mm
 from gelgap.sim.plan import SolvePlan, plan_visit
 from gelgap.sim.scene import Elastomer, Pose
 from gelgap.sim.solution import Solution
@@ -31,7 +30,7 @@ class Slip:
             np.savez_compressed(file, x_mm=self.x_mm, y_mm=self.y_mm, slip_mm=self.slip_mm)
 
 
-def slip_between(plan: SolvePlan, before: int, after: int, solution: Solution) -> Slip:
+def slip_between(plan: SolvePlan, before: int, after: int, solution: Solution | None) -> Slip:
     """Return how far the membrane has slid over the indenter between two poses that one solve visits.
 
     Where the membrane sticks, it goes where the indenter's travel and turn carry it; slip is how far it is from there.
@@ -44,16 +43,17 @@ def slip_between(plan: SolvePlan, before: int, after: int, solution: Solution) -
     for pose in (before, after):
         if plan.placements[pose] is None:
             raise ValueError(f"depth_mm = {plan.poses[pose].depth_mm:g}: a pose without contact has no slip")
-    states = [plan.state(pose, solution) for pose in (before, after)]
-    extent_mm = tuple(float(max(getattr(state, axis)[-1] for state in states)) for axis in ("x_mm", "y_mm"))
-    states = [plan.state(pose, solution, extent_mm) for pose in (before, after)]
+    first = plan.state(before, solution)
+    then = plan.state(after, solution, (first.x_mm[-1], first.y_mm[-1]))
+    if then.contact.shape != first.contact.shape:
+        first = plan.state(before, solution, (then.x_mm[-1], then.y_mm[-1]))
     (origin_mm, turn), (origin_then_mm, turn_then) = (
         _stand(plan, pose, solution) for pose in (before, after)
     )
-    carried_mm = origin_then_mm + (places_mm(states[0]) - origin_mm) @ (turn_then @ turn.T).T
-    touching = states[0].contact & states[1].contact
-    slip_mm = np.where(touching[..., None], places_mm(states[1]) - carried_mm, np.nan)
-    return Slip(states[1].x_mm, states[1].y_mm, slip_mm)
+    carried_mm = origin_then_mm + (first.places_mm - origin_mm) @ (turn_then @ turn.T).T
+    touching = first.contact & then.contact
+    slip_mm = np.where(touching[..., None], then.places_mm - carried_mm, np.nan)
+    return Slip(then.x_mm, then.y_mm, slip_mm)
 
 
 def _stand(plan: SolvePlan, pose_index: int, solution: Solution) -> tuple[Floats, Floats]:
@@ -66,7 +66,7 @@ def _stand(plan: SolvePlan, pose_index: int, solution: Solution) -> tuple[Floats
 
 
 def solve_slip(elastomer: Elastomer, indenter: Indenter, pose: Pose, quality: str = "standard") -> Slip:
-    """Solve a pose and return its slip since the press straight down: see `slip_between`.
+    """Solve a pose, the same solve as that of `solve_pose`, and return its slip since the press: see `slip_between`.
 
     Raises
     ------
@@ -75,6 +75,4 @@ def solve_slip(elastomer: Elastomer, indenter: Indenter, pose: Pose, quality: st
     """
     press = replace(pose, shear_x_mm=0.0, shear_y_mm=0.0, twist_deg=0.0, roll_deg=(0.0, 0.0))
     plan = plan_visit(elastomer, indenter, (press, pose), quality)
-    if not plan.solves:
-        raise ValueError(f"depth_mm = {pose.depth_mm:g}: a pose without contact has no slip")
-    return slip_between(plan, 0, 1, plan.solves[0].run())
+    return slip_between(plan, 0, 1, plan.solves[0].run() if plan.solves else None)

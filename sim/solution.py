@@ -25,7 +25,7 @@ _MARK = b"gelgap solution 1\n"
 _PROBLEM = TypeAdapter(ContactProblem)
 _STACKED = ("displacement_mm", "normal_force_n", "indenter_mm", "force_n", "converged")
 # A vertex sticks if its friction is below this share of Coulomb's bound.
-STICKING_SHARE = 0.99
+_STICKING_SHARE = 0.99
 # What files of earlier versions lack: they are read, with NaN for it, and solved again where they are needed.
 _LATER = ("contact_force_n", "torque_n_mm")
 
@@ -51,6 +51,11 @@ class SolveDiagnostics:
     imbalance: float = 0.0
     coulomb_excess: float = -1.0
     tension: float = 0.0
+
+
+def sticks(tangential_n: NDArray, normal_n: NDArray, friction: float) -> NDArray[np.bool_]:
+    """Return which vertices (n,) stick, by the sizes of their friction and normal force."""
+    return tangential_n < _STICKING_SHARE * friction * normal_n
 
 
 @dataclass(frozen=True)

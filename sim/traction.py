@@ -11,13 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.sim.indenter import Floats
-from gelgap.sim.membrane import (
-    GRID_HALF_EXTENT_MM,
-    MembraneState,
-    places_around,
-    places_mm,
-    traction_table,
-)
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, places_around, traction_table
 from gelgap.sim.plan import SolvePlan, plan_visit
 from gelgap.sim.scene import Elastomer, Pose
 from gelgap.sim.shapes import AnyIndenter
@@ -59,7 +53,7 @@ class Traction:
     @cached_property
     def places_mm(self) -> Floats:
         """Where the grid's points (ny, nx, 3) are, from the contact point."""
-        return places_mm(self.state) - [*self.point_mm, 0.0]
+        return self.state.places_mm - [*self.point_mm, 0.0]
 
     @property
     def normal_mpa(self) -> Floats:
@@ -74,7 +68,7 @@ class Traction:
 
     @cached_property
     def _normals(self) -> Floats:
-        area = _area_vectors_mm2(places_mm(self.state))
+        area = _area_vectors_mm2(self.state.places_mm)
         return area / np.linalg.norm(area, axis=-1, keepdims=True)
 
     def coarse_n(
@@ -87,7 +81,7 @@ class Traction:
         A point's force goes to the cell that the point is in, as deformed, or to the outermost ones beyond the extent:
         the sum is the force.
         """
-        place, (rows, columns) = places_mm(self.state), shape
+        place, (rows, columns) = self.state.places_mm, shape
         column = np.floor((place[..., 0] / half_extent_mm[0] + 1) / 2 * columns).clip(0, columns - 1)
         row = np.floor((place[..., 1] / half_extent_mm[1] + 1) / 2 * rows).clip(0, rows - 1)
         cell = (row * columns + column).astype(int).ravel()
@@ -112,7 +106,7 @@ def traction_map(
     """Return the contact stress of a pose, from the solution of its solve; its `state` is made if it is not given."""
     state = state or plan.state(pose_index, solution)
     pose, placement = plan.poses[pose_index], plan.placements[pose_index]
-    point_mm, places = (pose.point_x_mm, pose.point_y_mm), places_mm(state)
+    point_mm, places = (pose.point_x_mm, pose.point_y_mm), state.places_mm
     area_mm2 = np.linalg.norm(_area_vectors_mm2(places), axis=-1)
     if placement is None:
         return Traction(state, point_mm, np.zeros_like(places), area_mm2, 0.0)

@@ -34,11 +34,10 @@ def membrane_mesh(
 
     `every` keeps each `every`-th point of the grid along both axes.
     """
-    points = _points(state, every)
+    points = state.places_mm[::every, ::every]
     height, width = picture.shape[:2]
     place = np.clip(camera.project_px(points, (width, height)) / (width, height), 0, 1)
-    undeformed = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
-    at_rest = camera.project_px(undeformed[::every, ::every], (width, height)) / (width, height)
+    at_rest = camera.project_px(state.rest_mm[::every, ::every], (width, height)) / (width, height)
     seen = ((at_rest > -_ROUNDING) & (at_rest < 1 + _ROUNDING)).all(axis=-1)
     return _textured(points, np.stack([place[..., 0], 1 - place[..., 1]], axis=-1), seen, picture)
 
@@ -49,7 +48,7 @@ def coloured_mesh(
     """Return the whole membrane, in mm, coloured by values (ny, nx) from 0 to `most`."""
     import matplotlib
 
-    points = _points(state, every)
+    points = state.places_mm[::every, ::every]
     rows, columns = points.shape[:2]
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, 1 - (np.arange(rows) + 0.5) / rows)
     shares = np.clip(values[::every, ::every] / max(most, 1e-9), 0, 1)
@@ -120,12 +119,6 @@ def glb(mesh: trimesh.Trimesh) -> bytes:
     buffer = io.BytesIO()
     shown.export(buffer, file_type="glb", include_normals=True)
     return buffer.getvalue()
-
-
-def _points(state: MembraneState, every: int) -> NDArray[np.float64]:
-    """Return the grid's points, deformed, (rows, columns, 3)."""
-    rest = np.stack([*np.meshgrid(state.x_mm, state.y_mm), np.zeros(state.contact.shape)], axis=-1)
-    return (rest + state.displacement_mm)[::every, ::every]
 
 
 def _textured(

@@ -1,8 +1,8 @@
-"""`gelgap benchmark physics --what shapes`: other indenters than spheres, against finite elements and one another.
+"""`gelgap benchmark physics --what shapes`: other indenters than spheres, against finite elements.
 
 A body of revolution has tables of forces, surfaces and torques, a long lying cylinder those of plane strain, which its
 middle is in; a long box is pressed and dragged across beside a table of the project's own finite elements in plane
-strain. A mesh file of a body is compared with the body itself.
+strain.
 """
 
 import json
