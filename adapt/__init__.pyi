@@ -1,7 +1,6 @@
 from .baselines import evaluate_baselines as evaluate_baselines
 from .data import SplitFrames as SplitFrames
 from .data import split_for_training as split_for_training
-from .epochs import console_progress as console_progress
 from .evaluation import Evaluation as Evaluation
 from .evaluation import Presses as Presses
 from .evaluation import as_judged_on_source as as_judged_on_source
@@ -39,6 +38,7 @@ from .model import with_statistics_of as with_statistics_of
 from .network import Activations as Activations
 from .network import make_network as make_network
 from .profile import Profile as Profile
+from .progress import console_progress as console_progress
 from .report import feature_tsne as feature_tsne
 from .report import force_scatter as force_scatter
 from .report import write_report as write_report

@@ -23,7 +23,9 @@ def evaluate_baselines(frames: SplitFrames) -> dict[str, Evaluation]:
     The constant is the source's mean. The quadratic is one in the mean absolute difference of a picture. The ridge is
     quadratic, too, in the share of pixels that belong to the dent, and in the difference where it is deepest.
     """
-    from sklearn.preprocessing import PolynomialFeatures
+    from sklearn.linear_model import Ridge
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
     train, test = frames.source_train, frames.target_test
     size_px = min(_SIZE_PX, *(max(frames.size_px) for frames in (train, test)))
@@ -31,8 +33,9 @@ def evaluate_baselines(frames: SplitFrames) -> dict[str, Evaluation]:
     found = {CONSTANT: evaluate_constant_mean(train, test)}
     for name, columns in ((QUADRATIC, (mean,)), (RIDGE, (area, depth))):
         known, wanted = (np.stack([column[k] for column in columns], axis=1) for k in (0, 1))
-        of_train, of_test = map(PolynomialFeatures(degree=2).fit_transform, (known, wanted))
-        predicted = _ridge(of_train, train.label_values, of_test)
+        ridge = make_pipeline(PolynomialFeatures(2), StandardScaler(), Ridge(_PENALTY * len(train)))
+        # Of a single label it predicts (m,).
+        predicted = ridge.fit(known, train.label_values).predict(wanted).reshape(test.label_values.shape)
         found[name] = evaluate_frames(test, predicted)
     return found
 
@@ -44,13 +47,3 @@ def _numbers(frames: LabelledFrames, size_px: int) -> list[np.ndarray]:
         difference = np.abs(image - references[own]).mean(axis=2) / 255
         rows.append((difference.mean(), (difference > _DENT).mean(), np.percentile(difference, _DEEPEST)))
     return list(np.array(rows).T)
-
-
-def _ridge(known: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Return predictions (m, k) of a ridge regression on columns that are standardised by the known rows."""
-    mean, deviation = known.mean(axis=0), known.std(axis=0)
-    varies = deviation > 1e-12 * max(1.0, float(deviation.max()))
-    first, second = ((x - mean)[:, varies] / deviation[varies] for x in (known, wanted))
-    offset = values.mean(axis=0)
-    gram = first.T @ first + _PENALTY * len(first) * np.eye(first.shape[1])
-    return second @ np.linalg.solve(gram, first.T @ (values - offset)) + offset

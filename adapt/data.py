@@ -14,10 +14,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from gelgap.adapt.inputs import INPUTS, Displacements, InputMap, NetworkInputs
+from gelgap.adapt.inputs import INPUTS, Displacements, InputMap
 from gelgap.adapt.profile import Profile
 from gelgap.domains import (
     LabelledFrames,
+    PairedFrames,
     force_classes,
     labels_of_run,
     split_domains,
@@ -95,15 +96,13 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
     for frames in (source, target):
         frames.references_at(profile.image_size_px)
     (width, height), (w1, h1) = profile.image_size_px, target.size_px
-    found = []
-    for frames in source.members:
-        w0, h0 = frames.size_px
-        if abs(w0 * h1 / (h0 * w1) - 1) > _SAME_ASPECT:
-            found.append(
-                f"pictures of {frames.name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at "
-                f"{width}×{height} px one is squeezed more than the other; crop them to one aspect"
-            )
-    return tuple(found)
+    sizes = [(frames.name, *frames.size_px) for frames in source.members]
+    return tuple(
+        f"pictures of {name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at {width}×{height} px one is "
+        "squeezed more than the other; crop them to one aspect"
+        for name, w0, h0 in sizes
+        if abs(w0 * h1 / (h0 * w1) - 1) > _SAME_ASPECT
+    )
 
 
 class Draw(IntEnum):
@@ -148,6 +147,21 @@ def hidden_batches(n: int, share: float, *key: int) -> np.ndarray:
     Whole batches, so that frames without markers are normalised by their like, as a target without markers will be.
     """
     return generator(Draw.MARKERS, *key).random(n) < share
+
+
+class NetworkInputs:
+    """The pictures of a domain as a network is shown them, on the device, a batch at a time."""
+
+    def __init__(self, pictures: PairedFrames | Displacements, input_map: InputMap | None = None) -> None:
+        self.pictures, self.map = pictures, input_map
+
+    def inputs(self, rows: np.ndarray | Tensor) -> Tensor:
+        """Return inputs (B, C, h, w) float32 of these frames."""
+        paired = self.pictures.inputs(rows)
+        return paired if self.map is None else self.map(paired)
+
+    def __len__(self) -> int:
+        return len(self.pictures)
 
 
 def network_inputs(
@@ -197,6 +211,10 @@ class TrainingDomain:
     def __init__(
         self, frames: LabelledFrames, profile: Profile, device: torch.device, *, labelled: bool
     ) -> None:
+        if len(frames) < 2:
+            raise ValueError(
+                f"{frames.name} has {len(frames)} frames; training needs at least 2 of each domain"
+            )
         self.pictures = network_inputs(frames, profile, device)
         self.without_markers: NetworkInputs | None = None
         if profile.marker_hiding:

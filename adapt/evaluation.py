@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method
@@ -131,16 +132,12 @@ def evaluate_frames(frames: LabelledFrames, predicted: np.ndarray) -> Evaluation
 
 def evaluate_constant_mean(train: LabelledFrames, frames: LabelledFrames) -> Evaluation:
     """Return the error of predicting, for every frame, the mean labels of the training frames."""
-    values = frames.label_values
-    return evaluate_frames(
-        frames, np.broadcast_to(train.label_values.astype(float).mean(axis=0), values.shape)
-    )
+    mean = train.label_values.astype(float).mean(axis=0)
+    return evaluate_frames(frames, np.broadcast_to(mean, frames.label_values.shape))
 
 
 def errors_text(errors: Mapping[str, Evaluation]) -> str:
     """Return a table of evaluations of the same labels, a line for each by its name: MAE, their mean, and R²."""
-    import pandas as pd
-
     table = {}
     for name, error in errors.items():
         known = [QUANTITIES[label] for label in error.labels]

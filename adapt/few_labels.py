@@ -14,12 +14,12 @@ from torch import nn
 from torch.nn import functional
 
 from gelgap.adapt.data import Draw, generator, network_inputs, normalised_labels
-from gelgap.adapt.epochs import Progress, silent
 from gelgap.adapt.evaluation import Evaluation, errors_text, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
+from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.runs import Stage1
 from gelgap.adapt.trainer import train_source
 from gelgap.domains import (
@@ -152,31 +152,25 @@ def affine_correction(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     if len(frames) == 1:
         change = np.stack([np.zeros(len(scale)), error[0] / 2], axis=1)
     else:
-        change = _ridge(columns, error, _penalty(columns, error))
+        change = _ridge_of_one_penalty(columns, error)
     correction = AffineCorrection(tuple((1 + change[:, 0]).tolist()), tuple((change[:, 1] * scale).tolist()))
     return replace(
         model, correction=correction if model.correction is None else correction.after(model.correction)
     )
 
 
-def _ridge(columns: np.ndarray, error: np.ndarray, penalty: float) -> np.ndarray:
+def _ridge_of_one_penalty(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Return the coefficients (l, 2) of the labels, from columns (k, l, 2) and errors (k, l)."""
-    gram = np.einsum("kai,kaj->aij", columns, columns) + penalty * np.eye(2)
-    return np.linalg.solve(gram, np.einsum("kai,ka->ai", columns, error)[..., None])[..., 0]
+    from sklearn.linear_model import Ridge, RidgeCV
 
-
-def _penalty(columns: np.ndarray, error: np.ndarray) -> float:
-    """Return the strongest penalty whose leave-one-out error is within a standard error of the least."""
-    others = ~np.eye(len(error), dtype=bool)
-    left_out = np.empty((len(_PENALTIES), len(error)))
-    for i, penalty in enumerate(_PENALTIES):
-        for k, rest in enumerate(others):
-            change = _ridge(columns[rest], error[rest], penalty)
-            left_out[i, k] = np.square(error[k] - (columns[k] * change).sum(axis=1)).sum()
-    mean = left_out.mean(axis=1)
+    labels = list(zip(columns.swapaxes(0, 1), error.T, strict=True))
+    every = RidgeCV(_PENALTIES, fit_intercept=False, store_cv_results=True)
+    left_out = np.sum([every.fit(*own).cv_results_ for own in labels], axis=0)
+    mean = left_out.mean(axis=0)
     best = mean.argmin()
-    allowed = mean[best] + left_out[best].std(ddof=1) / np.sqrt(len(error))
-    return max(penalty for penalty, value in zip(_PENALTIES, mean, strict=True) if value <= allowed)
+    allowed = mean[best] + left_out[:, best].std(ddof=1) / np.sqrt(len(error))
+    ridge = Ridge(max(np.array(_PENALTIES)[mean <= allowed]), fit_intercept=False)
+    return np.stack([ridge.fit(*own).coef_ for own in labels])
 
 
 def _check(model: ForceModel, frames: LabelledFrames) -> None:
@@ -247,15 +241,8 @@ def pretrain(
     held_out = max(1, len(domains) // _HELD_OUT_OF)
     seen, unseen = join_domains(within[:-held_out]), join_domains(within[-held_out:])
     model, _ = Stage1(seen, profile, seed, out=Path(out_dir), progress=progress).model()
-    checkpoint = Path(out_dir) / CHECKPOINT
-    model.save(checkpoint)
-    return Pretraining(
-        checkpoint=checkpoint,
-        frames=len(seen),
-        left_out=sum(map(len, domains)) - sum(map(len, within)),
-        held_out=evaluate(model, unseen),
-        held_out_constant_mean=evaluate_constant_mean(seen, unseen),
-    )
+    left_out = sum(map(len, domains)) - sum(map(len, within))
+    return _pretrained(model, Path(out_dir), len(seen), left_out, seen, unseen)
 
 
 def pretrain_on_stream(
@@ -284,24 +271,20 @@ def pretrain_on_stream(
     def frames_of_epoch(epoch: int) -> LabelledFrames:
         return stream.frames(epoch * n, (epoch + 1) * n)
 
-    first = frames_of_epoch(0)
-    model = train_source(
-        first,
-        profile,
-        seed,
-        resume_file=out_dir / STREAM_STATE,
-        progress=progress,
-        frames_of_epoch=frames_of_epoch,
-    )
-    model.save(out_dir / CHECKPOINT)
+    first, resume_file = frames_of_epoch(0), out_dir / STREAM_STATE
+    how = {"resume_file": resume_file, "progress": progress, "frames_of_epoch": frames_of_epoch}
+    model = train_source(first, profile, seed, **how)
     unseen = stream.frames(_UNSEEN_FROM, _UNSEEN_FROM + max(n // _HELD_OUT_OF, 1))
-    return Pretraining(
-        checkpoint=out_dir / CHECKPOINT,
-        frames=n * profile.source_epochs,
-        left_out=n - len(first),
-        held_out=evaluate(model, unseen),
-        held_out_constant_mean=evaluate_constant_mean(first, unseen),
-    )
+    return _pretrained(model, out_dir, n * profile.source_epochs, n - len(first), first, unseen)
+
+
+def _pretrained(
+    model: ForceModel, folder: Path, frames: int, left_out: int, seen: LabelledFrames, unseen: LabelledFrames
+) -> Pretraining:
+    """Write the checkpoint and judge the model on domains that it has not seen."""
+    model.save(folder / CHECKPOINT)
+    constant_mean = evaluate_constant_mean(seen, unseen)
+    return Pretraining(folder / CHECKPOINT, frames, left_out, evaluate(model, unseen), constant_mean)
 
 
 @dataclass(frozen=True)
@@ -423,9 +406,8 @@ def of_common_labels(model: ForceModel, *data: LabelledFrames) -> ForceModel:
     if len(at) == len(names):
         return model
     network = copy.deepcopy(model.network)
-    layer = network.regressor[0]
-    fewer = nn.Linear(layer.in_features, len(at)).to(layer.weight.device)
-    fewer.weight.data, fewer.bias.data = layer.weight.data[at].clone(), layer.bias.data[at].clone()
-    network.regressor[0], network.n_labels = fewer, len(at)
+    head, network.n_labels = network.regressor[0], len(at)
+    head.weight, head.bias = (nn.Parameter(values.detach()[at]) for values in (head.weight, head.bias))
+    head.out_features = len(at)
     labels = Labels(tuple(names[k] for k in at), tuple(model.labels.ranges[k] for k in at))
     return replace(model, network=network, labels=labels)

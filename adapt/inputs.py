@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from pydantic import FiniteFloat
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -27,8 +28,8 @@ _FLOW_PX, _LEAST_DOTS = 160, 1.0
 class InputMap(NamedTuple):
     """A linear map of the channels of one domain's inputs: matrix (c, C) and offset (c,)."""
 
-    matrix: tuple[tuple[float, ...], ...]
-    offset: tuple[float, ...]
+    matrix: tuple[tuple[FiniteFloat, ...], ...]
+    offset: tuple[FiniteFloat, ...]
 
     def __call__(self, inputs: "Tensor") -> "Tensor":
         """Return mapped inputs (B, c, h, w) of inputs (B, C, h, w), channels last in memory."""
@@ -119,21 +120,6 @@ INPUTS = {
     "pretrained": Input("features of a pretrained network (--weights), whose backbone stays", frozen=True),
 }
 """What a network can be shown."""
-
-
-class NetworkInputs:
-    """The pictures of a domain as a network is shown them, on the device, a batch at a time."""
-
-    def __init__(self, pictures: "PairedFrames | Displacements", input_map: InputMap | None = None) -> None:
-        self.pictures, self.map = pictures, input_map
-
-    def inputs(self, rows: "np.ndarray | Tensor") -> "Tensor":
-        """Return inputs (B, C, h, w) float32 of these frames."""
-        paired = self.pictures.inputs(rows)
-        return paired if self.map is None else self.map(paired)
-
-    def __len__(self) -> int:
-        return len(self.pictures)
 
 
 class Displacements:

@@ -1,17 +1,18 @@
 """A trained model: predicts forces or other labels, is saved and loaded, and takes the statistics of other pictures."""
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from pydantic import FiniteFloat, TypeAdapter
 from torch import nn
+from torch.optim.swa_utils import update_bn
 
-from gelgap.adapt.data import Draw, epoch_order, network_inputs
-from gelgap.adapt.inputs import INPUTS, InputMap, NetworkInputs
+from gelgap.adapt.data import Draw, NetworkInputs, epoch_order, network_inputs
+from gelgap.adapt.inputs import INPUTS, InputMap
 from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
@@ -19,6 +20,7 @@ from gelgap.assets.whole_file import whole_file
 from gelgap.domains import FORCE_COLUMNS, LabelledFrames, Labels
 
 _FORMAT = 1
+_DESCRIPTION = ("n_classes", "seed", "source", "target", "method")
 _INFERENCE_BATCH = 256
 _STATISTICS_BATCH = 64
 
@@ -26,8 +28,8 @@ _STATISTICS_BATCH = 64
 class AffineCorrection(NamedTuple):
     """A correction of each predicted label, F' = gain·F + offset, the offset in the label's unit."""
 
-    gain: tuple[float, ...]
-    offset: tuple[float, ...]
+    gain: tuple[FiniteFloat, ...]
+    offset: tuple[FiniteFloat, ...]
 
     def __call__(self, predicted: np.ndarray) -> np.ndarray:
         """Return corrected predictions (n, k)."""
@@ -97,10 +99,8 @@ class ForceModel:
     def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
         self.network.eval()
         pictures = network_inputs(frames, self.profile, self.device, self.input_map)
-        features = [np.empty((0, self.profile.feature_dim), np.float32)]
-        predictions = [np.empty((0, len(self.labels)), np.float32)]
-        for start in range(0, len(frames), _INFERENCE_BATCH):
-            rows = np.arange(start, min(start + _INFERENCE_BATCH, len(frames)))
+        features, predictions = [], []
+        for rows in torch.arange(len(frames)).split(_INFERENCE_BATCH):
             batch = self.network.features(pictures.inputs(rows))
             features.append(batch.float().cpu().numpy())
             predictions.append(self.network.regressor(batch).float().cpu().numpy())
@@ -115,15 +115,10 @@ class ForceModel:
             "state": self.network.state_dict(),
             "profile": self.profile.model_dump_json(),
             **({"force_range_n": ranges} if self.labels.names == FORCE_COLUMNS else labels),
-            "n_classes": self.n_classes,
-            "seed": self.seed,
-            "source": self.source,
-            "target": self.target,
-            "method": self.method,
+            **{name: getattr(self, name) for name in _DESCRIPTION},
             "history": list(self.history),
-            "input_map": self.input_map
-            and [[list(row) for row in self.input_map.matrix], list(self.input_map.offset)],
-            "correction": self.correction and [list(values) for values in self.correction],
+            "input_map": TypeAdapter(InputMap | None).dump_python(self.input_map, mode="json"),
+            "correction": TypeAdapter(AffineCorrection | None).dump_python(self.correction, mode="json"),
         }
         with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
             torch.save(content, file)
@@ -164,40 +159,30 @@ class ForceModel:
         labels = Labels.of(dict(zip(names, ranges, strict=True)))
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
+        correction = TypeAdapter(AffineCorrection | None).validate_python(content.get("correction"))
+        if correction is not None and {*map(len, correction)} != {len(labels)}:
+            raise ValueError(f"correction = {content['correction']!r}")
         return cls(
             network,
             profile,
             labels,
-            **{name: content[name] for name in ("n_classes", "seed", "source", "target", "method")},
+            **{name: content[name] for name in _DESCRIPTION},
             history=tuple(content["history"]),
             input_map=_input_map(content, profile.in_channels),
-            correction=_two_rows(AffineCorrection, content, "correction", len(labels)),
+            correction=correction,
         )
-
-
-def _two_rows(kind: Callable[..., Any], content: dict[str, Any], name: str, columns: int) -> Any:
-    if content.get(name) is None:
-        return None
-    values = np.array(content[name], dtype=float)
-    if values.shape != (2, columns) or not np.isfinite(values).all():
-        raise ValueError(f"{name} = {content[name]!r}")
-    return kind(*map(tuple, values.tolist()))
 
 
 def _input_map(content: dict[str, Any], channels: int) -> InputMap | None:
     """Return the map that a checkpoint holds: a matrix and an offset, or as formerly means and deviations."""
-    if (statistics := _two_rows(lambda *rows: rows, content, "input_statistics", channels)) is not None:
-        mean, std = map(np.array, statistics)
-        if std.min() <= 0:
-            raise ValueError(f"input_statistics = {content['input_statistics']!r}")
-        return InputMap.of(np.diag(1 / std), -mean / std)
-    if content.get("input_map") is None:
-        return None
-    matrix, offset = (np.array(values, dtype=float) for values in content["input_map"])
-    good = matrix.ndim == 2 and len(matrix) == channels and offset.shape == (channels,)
-    if not (good and np.isfinite(matrix).all() and np.isfinite(offset).all()):
-        raise ValueError(f"input_map = {content['input_map']!r}")
-    return InputMap.of(matrix, offset)
+    kept = content.get("input_map")
+    if (former := content.get("input_statistics")) is not None:
+        mean, std = np.array(former, float)
+        kept = InputMap.of(np.diag(1 / std), -mean / std)
+    found = TypeAdapter(InputMap | None).validate_python(kept)
+    if found is not None and {*map(len, found)} != {channels}:
+        raise ValueError(f"input_map = {kept!r}")
+    return found
 
 
 def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
@@ -240,20 +225,11 @@ def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) ->
     return None if INPUTS[profile.input].fit is None else network_inputs(frames, profile, device).map
 
 
-@torch.no_grad()
 def estimate_statistics(network: nn.Module, pictures: NetworkInputs, seed: int) -> None:
     """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
-    norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
-    momenta = [norm.momentum for norm in norms]
-    for norm in norms:
-        norm.reset_running_stats()
-        norm.momentum = None
-    network.train()
-    for indices in epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS):
-        network.features(pictures.inputs(indices))
+    order = epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS)
+    update_bn(map(pictures.inputs, order), network)
     network.eval()
-    for norm, momentum in zip(norms, momenta, strict=True):
-        norm.momentum = momentum
 
 
 @torch.no_grad()

@@ -6,8 +6,6 @@ Backbones are ResNets [1] with torchvision's state-dict keys, any number of inpu
 """
 
 import contextlib
-import ctypes
-import functools
 import warnings
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -21,8 +19,6 @@ from torch.nn import functional
 
 from gelgap.adapt.profile import Profile
 
-# Options of glibc's mallopt.
-_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 # A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
 _MOST_GROWTH = 2
 _ZIP = b"PK\x03\x04"
@@ -230,27 +226,10 @@ def autocast(profile: Profile, device: torch.device) -> torch.autocast:
 
 @contextlib.contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """Run with `count` CPU threads, and keep freed memory from here on."""
-    keep_freed_memory()
+    """Run with `count` CPU threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-@functools.cache
-def keep_freed_memory() -> bool:
-    """Have glibc keep freed memory for the next step; return whether the C library supports this.
-
-    By default glibc maps and unmaps every activation above 128 kB anew, and each step zeroes all their pages again.
-    """
-    try:
-        set_option = ctypes.CDLL(None).mallopt
-    except (AttributeError, OSError, TypeError):
-        return False
-    # 32 MiB is the highest threshold that glibc takes; larger blocks are always mapped.
-    options = {_M_MMAP_THRESHOLD: 2**25, _M_TRIM_THRESHOLD: 2**31 - 1, _M_TOP_PAD: 2**26}
-    accepted = [set_option(option, value) for option, value in options.items()]
-    return all(accepted)

@@ -1,13 +1,15 @@
 """One frozen object with every hyperparameter of an adaptation run, and the presets smoke, cpu and paper."""
 
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import PresetSettings
+
+Side = Annotated[int, Field(ge=32)]
 
 
 class Profile(PresetSettings):
@@ -28,7 +30,7 @@ class Profile(PresetSettings):
     """factor on the number of channels (64, 128, 256, 512) of the backbone's layers"""
     feature_dim: int = Field(default=256, ge=2, le=4096)
     """size of the transfer feature"""
-    image_size_px: tuple[int, int] = (64, 48)
+    image_size_px: tuple[Side, Side] = (64, 48)
     """width and height of the network's pictures, px"""
     pairing: Literal["channels", "stack", "difference"] = "channels"
     """contact and reference picture as 6 channels, one above the other, or their difference"""
@@ -105,13 +107,6 @@ class Profile(PresetSettings):
         if (former := values.pop("input_standardisation")) not in known:
             raise ValueError(f"input_standardisation = {former!r}: must be none or domain")
         return values | {"input": known[former]}
-
-    @field_validator("image_size_px")
-    @classmethod
-    def _is_large_enough(cls, size_px: tuple[int, int]) -> tuple[int, int]:
-        if min(size_px) < 32:
-            raise ValueError("both sides must be at least 32 px")
-        return size_px
 
     @field_validator("target_split")
     @classmethod

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from gelgap.adapt.baselines import CONSTANT
 from gelgap.adapt.evaluation import Evaluation, worse_than_constant
@@ -14,7 +15,6 @@ from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pandas import Series
 
 
 def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Path:
@@ -43,8 +43,6 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     The best method comes first, then rules without a network and oracles by their errors. The runs have the same
     labels; where these have several units, it is in % of their ranges.
     """
-    import pandas as pd
-
     rows = [_name(run) | {"error": _mean_mae(run.target_test)} for run in runs]
     known = {row["method"] for row in rows}
     for run in {(run.group, run.seed): run for run in runs}.values():
@@ -69,8 +67,6 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
 
 def axis_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's MAE and R² of each label on the target; the runs have the same labels."""
-    import pandas as pd
-
     labels, unit, rows = runs[0].labels, _unit(runs), []
     known = [QUANTITIES[name] for name in labels]
     for run in runs:
@@ -95,8 +91,6 @@ def unseen_tables(runs: Sequence[Run]) -> list[ResultTable]:
 
 def training_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's error on its source, the steps it skipped and the time it took."""
-    import pandas as pd
-
     unit, rows = _unit(runs), []
     for run in runs:
         errors = [e and f"{_mean_mae(e):.3f}" for e in (run.source_held_out, run.source_constant_mean)]
@@ -112,7 +106,7 @@ def _name(run: Run) -> dict[str, Any]:
     return {"group": run.group, "method": run.method, "seed": run.seed}
 
 
-def mean_and_deviation(errors: "Series") -> str | None:
+def mean_and_deviation(errors: pd.Series) -> str | None:
     """Return mean ± standard deviation over seeds, and how many are NaN (not run), if any are; None if all are."""
     there = errors.dropna()
     missing = f" ({len(errors) - len(there)} missing)" if len(there) < len(errors) else ""

@@ -23,7 +23,6 @@ from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, Valid
 
 from gelgap.adapt.baselines import evaluate_baselines
 from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
-from gelgap.adapt.epochs import Progress, silent
 from gelgap.adapt.evaluation import (
     Evaluation,
     as_judged_on_source,
@@ -36,6 +35,7 @@ from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
+from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
@@ -71,12 +71,9 @@ def _read_evaluation(content: Any) -> Any:
     """Return the fields of a recorded evaluation; NaN are null, and that of the three axes of force has no labels."""
     if not isinstance(content, dict):
         return content
-    return {
-        "mae" if name == "mae_n" else name: (
-            [math.nan if item is None else item for item in value] if isinstance(value, list) else value
-        )
-        for name, value in content.items()
-    }
+    content = {"mae" if name == "mae_n" else name: value for name, value in content.items()}
+    lists = {name: value for name, value in content.items() if isinstance(value, list)}
+    return content | {name: [math.nan if x is None else x for x in own] for name, own in lists.items()}
 
 
 def _evaluation_content(evaluation: Evaluation) -> dict[str, Any]:
@@ -103,7 +100,7 @@ class Run:
         The same on the source's held-out frames, under the source's own statistics where the profile normalises each
         domain by itself; None where it holds no frames out.
     wall_s
-        Time by part: load, stage1 (0 if it was reused), stage2, evaluate.
+        Time by part: load (0 if another run had read the pictures), stage1 (0 if it was reused), stage2, evaluate.
     problem
         Why stage 2 failed: the features collapsed, or losses were not finite. Such a run has no model and counts with
         the errors of the source's mean force.
@@ -227,19 +224,10 @@ def adapt_folders(
         for method in missing:
             if folders[method] is not None:
                 held.enter_context(sole_use(folders[method]))
-        start = time.perf_counter()
-        for name, part in frames.parts.items():
-            if missing and name != "target_validation":
-                part.images(profile.image_size_px)
-        load_s = time.perf_counter() - start
-        oracles = oracles_on(source, target, frames.target_test) if missing else {}
-        unseen: tuple[str, ...] = ()
+        gap: dict[str, Any] = {"oracles": oracles_on(source, target, frames.target_test) if missing else {}}
         if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
-            unseen = tuple(unseen_differences(source.recipe, target.recipe))
-        done = {
-            method: run_method(frames, stage1, method, folders[method], load_s, oracles, unseen)[0]
-            for method in missing
-        }
+            gap["unseen"] = tuple(unseen_differences(source.recipe, target.recipe))
+        done = {method: run_method(frames, stage1, method, folders[method], **gap)[0] for method in missing}
     return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
 
@@ -331,26 +319,22 @@ class Adapted(NamedTuple):
 
 
 def run_method(
-    frames: SplitFrames,
-    stage1: Stage1,
-    method: str,
-    folder: Path | None = None,
-    load_s: float = 0.0,
-    oracles: Mapping[str, Evaluation] | None = None,
-    unseen: tuple[str, ...] = (),
+    frames: SplitFrames, stage1: Stage1, method: str, folder: Path | None = None, **gap: Any
 ) -> tuple[Run, ForceModel | None]:
     """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed.
 
-    `oracles` and `unseen` are recorded with it.
+    `gap` are the fields of the run that do not depend on the method, `oracles` and `unseen`.
     """
-    train, profile = frames.source_train, stage1.profile
+    train, profile, begun = frames.source_train, stage1.profile, time.perf_counter()
+    for name, part in frames.parts.items():
+        if name != "target_validation":
+            part.images(profile.image_size_px)
+    load_s = time.perf_counter() - begun
     adapted = stage1.adapt(frames.target_train, method, folder and folder / _RESUME)
-    model, judged, begun = adapted.model, {}, time.perf_counter()
-    if model is not None:
-        judged = {"target": model, "source": as_judged_on_source(model, train)}
+    model, begun = adapted.model, time.perf_counter()
+    judged = {} if model is None else {"target": model, "source": as_judged_on_source(model, train)}
     tested = {"target": frames.target_test, "source": frames.source_held_out}
     constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
-    baselines = evaluate_baselines(frames)
     errors, arrays = {"target": constant["target"]}, {}
     for name, judge in judged.items():
         if len(tested[name]):
@@ -371,15 +355,14 @@ def run_method(
         target_constant_mean=constant["target"],
         source_held_out=errors.get("source"),
         source_constant_mean=constant.get("source"),
+        baselines=evaluate_baselines(frames),
         wall_s={"load": load_s, **adapted.wall_s, "evaluate": time.perf_counter() - begun},
         skipped_steps=sum(epoch["skipped_steps"] for epoch in adapted.history),
         history=adapted.history,
         versions=versions(),
         problem=adapted.problem,
-        oracles=dict(oracles or {}),
-        unseen=unseen,
-        baselines=baselines,
         folder=folder,
+        **gap,
     )
     if folder is not None:
         for name, judge in judged.items():
@@ -414,10 +397,7 @@ def stage1_key(
 
 def stage1_profile(profile: Profile) -> Profile:
     """Return the profile with all that stage 1 does not depend on at its default."""
-    fields = Profile.model_fields
-    return profile.replace(
-        **{name: fields[name].get_default(call_default_factory=True) for name in _STAGE_2_FIELDS}
-    )
+    return Profile(**profile.model_dump(exclude=_STAGE_2_FIELDS))
 
 
 def _key(
@@ -519,32 +499,26 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
     if run.problem is not None:
         raise RuntimeError(f"{run.group}, {run.method} has no predictions: {run.problem}")
     path = run.folder / _PREDICTIONS
-    if not path.is_file():
-        raise _damaged(path, "is missing")
     if problem := checksum_problem(path):
         raise _damaged(path, problem)
     try:
         arrays = read_arrays(path)
-        _check_predictions(arrays, len(run.target_test.labels))
+        _check_predictions(arrays, len(run.labels))
     except ValueError as error:
-        raise _damaged(path, f"is damaged: {error}") from None
+        raise _damaged(path, f"cannot be used: {error}") from None
     return arrays
 
 
 def _check_predictions(arrays: dict[str, np.ndarray], n_labels: int) -> None:
     """Raise ValueError if an array is missing, has another shape, or holds what is not a finite number."""
-    missing = [name for name in _ARRAYS if name not in arrays]
-    if missing:
+    if missing := [name for name in _ARRAYS if name not in arrays]:
         raise ValueError(f"it lacks {', '.join(missing)}")
     for name, values in arrays.items():
-        columns = values.shape[1] if name.endswith("_features") and values.ndim == 2 else n_labels
-        if values.dtype.kind != "f" or values.shape[1:] != (columns,) or not np.isfinite(values).all():
-            raise ValueError(
-                f"{name} is {values.dtype} {values.shape}, expected (n, {columns}) finite numbers"
-            )
-        other = name.replace("_true_n", "_predicted_n")
-        if other in arrays and len(arrays[other]) != len(values):
-            raise ValueError(f"{name} and {other} have {len(values)} and {len(arrays[other])} rows")
+        columns = values.shape[-1:] if name.endswith("_features") else (n_labels,)
+        shape = arrays.get(name.replace("_true_n", "_predicted_n"), values).shape[:1] + columns
+        fits = values.ndim == 2 and values.shape == shape and values.dtype.kind == "f"
+        if not (fits and np.isfinite(values).all()):
+            raise ValueError(f"{name} is {values.dtype} {values.shape}, expected {shape} finite numbers")
 
 
 def _damaged(path: Path, problem: str) -> RuntimeError:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from gelgap.adapt.epochs import effective_rank
 from gelgap.adapt.methods.dan import mk_mmd
 
 if TYPE_CHECKING:
@@ -101,6 +101,19 @@ def spread_alarm(candidate: Candidate) -> bool:
     """Return whether target predictions spread over less than 30 % of the source predictions' deviation."""
     source, target = candidate.source_prediction_n.std(axis=0), candidate.target_prediction_n.std(axis=0)
     return bool((target < ALARM_SPREAD * source).any())
+
+
+def effective_rank(features: Tensor) -> float:
+    """Return exp(−Σ p ln p), p the normalised singular values of the centred features (n, D) [1].
+
+    [1] Roy, Vetterli, "The effective rank: a measure of effective dimensionality", EUSIPCO 2007.
+    """
+    values = torch.linalg.svdvals((features - features.mean(dim=0)).double())
+    total = values.sum()
+    if total == 0:
+        return 0.0
+    shares = values[values > 0] / total
+    return float(torch.exp(-(shares * shares.log()).sum()))
 
 
 def rank_alarm(candidate: Candidate) -> bool:

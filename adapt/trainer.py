@@ -6,6 +6,7 @@ that they add to a step.
 
 import copy
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -30,7 +31,6 @@ from gelgap.adapt.data import (
     shift_pictures,
     steps_per_epoch,
 )
-from gelgap.adapt.epochs import EpochLog, EpochRecord, Progress, silent
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.base import Adaptation, FeatureCollapse, Method, Step, TrainingDiverged
 from gelgap.adapt.methods.registry import make_method
@@ -44,6 +44,8 @@ from gelgap.adapt.network import (
     torch_threads,
 )
 from gelgap.adapt.profile import Profile
+from gelgap.adapt.progress import Progress, silent
+from gelgap.adapt.selection import effective_rank
 from gelgap.assets.whole_file import set_aside, whole_file
 from gelgap.domains import LabelledFrames, with_labels
 
@@ -81,15 +83,14 @@ def train_source(
         If a label lies outside its range or there are fewer than two frames.
     """
     source.check_labels()
-    if len(source) < 2:
-        raise ValueError(f"source {source.name} has {len(source)} frames; training needs at least 2")
     model = untrained(source, profile, seed)
     if INPUTS[profile.input].frozen and weights is None:
         raise ValueError(f"input {profile.input}: needs the weights of a pretrained network (--weights)")
     if weights is not None:
         load_start(model.network, Path(weights), source.labels.names)
-    how = {"title": f"source {source.name}", "resume_file": resume_file, "progress": progress}
-    trainer = Trainer(model.network, profile, seed, source, frames_of_epoch=frames_of_epoch, **how)
+    title = f"source {source.name}"
+    trainer = Trainer(model.network, profile, seed, source, None, title, resume_file, progress)
+    trainer.frames_of_epoch = frames_of_epoch
     with torch_threads(profile.threads):
         trainer.train()
         # A training that was resumed at its end has no other frames at hand than the first.
@@ -172,6 +173,45 @@ def adapt(
     return replace(adapted, history=(*model.history, *map(asdict, trainer.records)))
 
 
+@dataclass(frozen=True)
+class EpochRecord:
+    """What one epoch did.
+
+    Attributes
+    ----------
+    losses
+        Mean of each loss.
+    gradient_norm
+        Median norm of the gradient.
+    prediction_spread
+        Standard deviation of the source predictions over that of their labels, mean over axes; near 0 the network
+        predicts a constant.
+    feature_rank
+        Effective rank of the last source batch's features.
+    skipped_steps
+        Steps whose loss or gradient was not finite.
+    wall_s, wait_s
+        Time of the epoch, and the part of it spent on making batches.
+    diagnostics
+        Mean of each number that the method reports, over the steps that were not skipped.
+    """
+
+    stage: str
+    epoch: int
+    losses: dict[str, float]
+    gradient_norm: float
+    prediction_spread: float
+    feature_rank: float
+    skipped_steps: int
+    wall_s: float
+    wait_s: float
+    diagnostics: dict[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        skipped = f"  {self.skipped_steps} steps skipped" if self.skipped_steps else ""
+        return "  ".join(f"{name} {value:.4f}" for name, value in self.losses.items()) + skipped
+
+
 @dataclass
 class Trainer(Adaptation):
     """Trains a network in place, and is what a method works with while it adapts one; stage 1 needs no target.
@@ -204,11 +244,6 @@ class Trainer(Adaptation):
         if method is not None:
             epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
             final_weight = method.settings.final_weight(profile)
-            if min(len(self.source), len(self.target)) < 2:
-                raise ValueError(
-                    f"adaptation needs at least 2 frames per domain; source has {len(self.source)}, "
-                    f"target {len(self.target)}"
-                )
             labelled = method.uses_target_labels
             target = TrainingDomain(self.target, profile, network.device, labelled=labelled)
             method.to(network.device).begin(network)
@@ -217,6 +252,7 @@ class Trainer(Adaptation):
         parameters = [p for module in (network, method) if module is not None for p in module.parameters()]
         average = copy.deepcopy(network).requires_grad_(False) if profile.averaging else None
         state = {"network": network, "companion": method, "optimizer": optimizer, "average": average}
+        state = {name: part for name, part in state.items() if part is not None}
         records = self._resume(state)
         skipped_in_a_row = 0
         for epoch in range(len(records), epochs):
@@ -350,7 +386,7 @@ class Trainer(Adaptation):
         """Write what resuming needs."""
         if self.resume_file is None:
             return
-        content = {name: part.state_dict() for name, part in state.items() if part is not None}
+        content = {name: part.state_dict() for name, part in state.items()}
         with whole_file(self.resume_file) as temporary:
             torch.save(content | {"records": list(map(asdict, records))}, temporary)
 
@@ -361,18 +397,79 @@ class Trainer(Adaptation):
         """
         if self.resume_file is None or not self.resume_file.is_file():
             return []
-        parts = {name: part for name, part in state.items() if part is not None}
-        before = {name: copy.deepcopy(part.state_dict()) for name, part in parts.items()}
+        before = {name: copy.deepcopy(part.state_dict()) for name, part in state.items()}
         try:
             content = load_checkpoint(self.resume_file)
-            for name, part in parts.items():
+            for name, part in state.items():
                 part.load_state_dict(content[name])
             return [EpochRecord(**record) for record in content["records"]]
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            for name, part in parts.items():
+            for name, part in state.items():
                 part.load_state_dict(before[name])
             set_aside(self.resume_file, f"cannot be resumed from ({' '.join(str(error).split())[:200]})")
             return []
+
+
+class EpochLog:
+    """Collects the steps of one epoch, on the device; `record` sums them up."""
+
+    def __init__(self) -> None:
+        self._start = self._step_end = time.perf_counter()
+        self._wait_s = 0.0
+        self._steps: list[tuple[Mapping[str, Tensor], Mapping[str, float | Tensor], Tensor]] = []
+        self._predictions: list[Tensor] = []
+        self._labels: list[Tensor] = []
+
+    def batch_is_made(self) -> None:
+        """Note that the loop has got its next batch."""
+        self._wait_s += time.perf_counter() - self._step_end
+
+    def add(
+        self,
+        source: Activations,
+        losses: Mapping[str, Tensor],
+        diagnostics: Mapping[str, float | Tensor] | None,
+        gradient_norm: Tensor | None,
+    ) -> None:
+        """Note a step; losses and diagnostics of a skipped one, which has no gradient_norm, are left out."""
+        if gradient_norm is not None:
+            losses = {name: loss.detach() for name, loss in losses.items()}
+            self._steps.append((losses, diagnostics or {}, gradient_norm))
+        self._predictions.append(source.prediction.detach().float())
+        self._labels.append(source.force.detach().float())
+        self._features = source.features.detach().float()
+        self._step_end = time.perf_counter()
+
+    def record(self, stage: str, epoch: int) -> EpochRecord:
+        """Return what the epoch did."""
+        losses, diagnostics, norms = zip(*self._steps, strict=True) if self._steps else ((), (), ())
+        return EpochRecord(
+            stage=stage,
+            epoch=epoch,
+            losses=_means(losses),
+            gradient_norm=float(np.median([float(norm) for norm in norms])) if norms else math.nan,
+            prediction_spread=prediction_spread(torch.cat(self._predictions), torch.cat(self._labels)),
+            feature_rank=effective_rank(self._features),
+            skipped_steps=len(self._predictions) - len(self._steps),
+            wall_s=time.perf_counter() - self._start,
+            wait_s=self._wait_s,
+            diagnostics=_means(diagnostics),
+        )
+
+
+def _means(steps: tuple[Mapping[str, float | Tensor], ...]) -> dict[str, float]:
+    """Return the mean of each number over the steps that have it."""
+    names = dict.fromkeys(name for step in steps for name in step)
+    return {name: float(np.mean([float(step[name]) for step in steps if name in step])) for name in names}
+
+
+def prediction_spread(prediction: Tensor, force: Tensor) -> float:
+    """Return the mean over axes of std(prediction) / std(force); axes with constant labels are left out."""
+    label_std = force.std(dim=0)
+    varies = label_std > 1e-6
+    if not varies.any():
+        return math.nan
+    return float((prediction.std(dim=0)[varies] / label_std[varies]).mean())
 
 
 def learning_rate_factor(step: int, profile: Profile) -> float:

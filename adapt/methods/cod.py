@@ -17,13 +17,7 @@ from pydantic import Field
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Method, MethodSettings
-from gelgap.adapt.methods.dan import (
-    bandwidth,
-    mmd_of_kernel,
-    multi_gaussian,
-    pooled_kernel,
-    squared_distances,
-)
+from gelgap.adapt.methods.dan import mmd_of_kernel, pooled_kernel
 from gelgap.adapt.network import Activations
 
 _EIGENVALUE_SHIFT = 1e-4
@@ -44,8 +38,7 @@ def conditional_operator_discrepancy(
     ridge
         ε of the operators.
     """
-    distances = squared_distances(torch.cat([force_s, force_t]).detach().double())
-    force_kernel = multi_gaussian(distances, bandwidth(distances, robust=False))
+    force_kernel = pooled_kernel(force_s.detach().double(), force_t.detach().double())
     kernel, n = feature_kernel.double(), len(force_s)
     value = mean_part(kernel, force_kernel, n, ridge) + covariance_part(kernel, force_kernel, n, ridge)
     return value.to(feature_kernel.dtype)
@@ -55,7 +48,7 @@ def mean_part(kernel: Tensor, force_kernel: Tensor, n: int, ridge: float) -> Ten
     """Return −‖U_s + U_t‖ of pooled kernels (n + m, n + m) of features and forces."""
     own = force_kernel[:n, :n], force_kernel[n:, n:]
     # (G² + εI)⁻¹ G of either domain.
-    weights = torch.block_diag(*(torch.linalg.solve(g @ g + ridge * _eye_like(g), g) for g in own))
+    weights = torch.block_diag(*(torch.linalg.solve(g @ g + ridge * torch.eye(len(g)).to(g), g) for g in own))
     return -(kernel * (weights @ force_kernel @ weights)).sum().sqrt()
 
 
@@ -68,17 +61,13 @@ def covariance_part(kernel: Tensor, force_kernel: Tensor, n: int, ridge: float) 
     for part in (slice(n), slice(n, None)):
         k, g = kernel[part, part], force_kernel[part, part]
         size = len(g)
-        centre = _eye_like(g) - 1 / size
-        b = ridge * size * torch.linalg.inv(centre @ g @ centre + ridge * size * _eye_like(g))
+        centre = torch.eye(len(g)).to(g) - 1 / size
+        b = ridge * size * torch.linalg.inv(centre @ g @ centre + ridge * size * torch.eye(len(g)).to(g))
         own = own + (k * (centre @ b @ centre)).sum() / size
         values, vectors = torch.linalg.eigh((b + b.T) / 2)
         roots.append(centre @ vectors * (values.clamp_min(0) + _EIGENVALUE_SHIFT).sqrt())
     cross = torch.linalg.svdvals(roots[0].T @ kernel[:n, n:] @ roots[1])[:-1].sum()
     return own - 2 * cross / (n * (len(kernel) - n)) ** 0.5
-
-
-def _eye_like(matrix: Tensor) -> Tensor:
-    return torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
 
 
 class COD(Method):

@@ -39,10 +39,7 @@ def daregram_cut_at(
 ) -> Tensor:
     """Return the published loss with each domain's pseudo-inverse cut at a share of its largest singular value."""
     a_s, a_t = _with_ones(source), _with_ones(target)
-    inverse_s, inverse_t = (
-        torch.linalg.pinv(a_s.T @ a_s, rtol=cut_s),
-        torch.linalg.pinv(a_t.T @ a_t, rtol=cut_t),
-    )
+    inverse_s, inverse_t = (torch.linalg.pinv(a.T @ a, rtol=cut) for a, cut in ((a_s, cut_s), (a_t, cut_t)))
     cosines = functional.cosine_similarity(inverse_s, inverse_t, dim=0, eps=1e-6)
     values_s, values_t = gram_spectra(source, target)
     return angle * (1 - cosines).abs().mean() + scale * torch.dist(values_s[:rank], values_t[:rank]) / rank
@@ -190,9 +187,8 @@ class DAREGRAM(Method):
     form = staticmethod(daregram)
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        return self.form(
-            source.features, target.features, **self.settings.model_dump(exclude={"transfer_weight"})
-        )
+        own = self.settings.model_dump(exclude={"transfer_weight"})
+        return self.form(source.features, target.features, **own)
 
 
 class PublishedDAREGRAM(DAREGRAM):

@@ -15,6 +15,7 @@ cross-entropy; features cost their mean, not their sum over the dimensions.
 import numpy as np
 import torch
 from pydantic import Field
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Method, MethodSettings
@@ -23,8 +24,6 @@ from gelgap.adapt.network import Activations
 
 def transport_plan(cost: np.ndarray) -> np.ndarray:
     """Return the plan (n, m) of least cost (n, m) between equal masses 1/n and 1/m."""
-    from scipy.optimize import linear_sum_assignment
-
     n, m = cost.shape
     size = np.lcm(n, m)
     rows, columns = linear_sum_assignment(cost.repeat(size // n, axis=0).repeat(size // m, axis=1))

@@ -6,6 +6,7 @@ distances, where tllib has one of σ = 0.92, chosen for class probabilities.
 [1] Long, Zhu, Wang, Jordan, "Deep transfer learning with joint adaptation networks", ICML 2017.
 """
 
+import math
 from collections.abc import Sequence
 
 from torch import Tensor
@@ -21,11 +22,8 @@ def joint_mmd(source: Sequence[Tensor], target: Sequence[Tensor], robust: bool =
     source and target hold the activations (n, D_l) and (m, D_l) of the same layers. With one layer this is
     MK-MMD.
     """
-    product = None
-    for layer_s, layer_t in zip(source, target, strict=True):
-        kernel = pooled_kernel(layer_s, layer_t, robust)
-        product = kernel if product is None else product * kernel
-    return mmd_of_kernel(product, len(source[0]))
+    kernels = (pooled_kernel(*layer, robust) for layer in zip(source, target, strict=True))
+    return mmd_of_kernel(math.prod(kernels), len(source[0]))
 
 
 class JAN(Method):

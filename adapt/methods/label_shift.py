@@ -14,6 +14,7 @@ import copy
 import numpy as np
 import torch
 from pydantic import Field
+from scipy.optimize import nnls
 
 from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, Step, TransferLoss
 from gelgap.adapt.network import Activations
@@ -26,8 +27,6 @@ def shift_weights(
 
     true_bin and predicted_bin (n,) are of source frames, target_bin (m,) is what target frames are predicted in.
     """
-    from scipy.optimize import nnls
-
     joint = np.zeros((bins, bins))
     np.add.at(joint, (predicted_bin, true_bin), 1 / len(true_bin))
     share = np.bincount(target_bin, minlength=bins) / len(target_bin)

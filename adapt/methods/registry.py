@@ -101,9 +101,8 @@ def use_method(name: str) -> str:
     if ":" not in name:
         find_method(name)
         return name
-    method = _load(name)
-    module_name, _, class_name = name.rpartition(":")
-    own = f"{Path(module_name).stem if module_name.endswith('.py') else module_name}.{class_name}"
+    method, (module_name, _, class_name) = _load(name), name.rpartition(":")
+    own = f"{Path(module_name.removesuffix('.py')).name}.{class_name}"
     if own in METHODS or EXTRA.get(own, method) is not method:
         raise ValueError(f"method {name!r}: the name {own} is taken by another method")
     _keep(own, method)
@@ -125,10 +124,10 @@ def find_method(name: str) -> "type[Method]":
     """
     if name in METHODS:
         return resolve_name(f"gelgap.adapt.methods.{METHODS[name]}")
-    if name not in EXTRA and name in installed_methods():
-        _keep(name, _load(installed_methods()[name]))
-    if name not in EXTRA:
+    if name not in method_names():
         raise ValueError(unknown_name("method", name, method_names(), "known methods"))
+    if name not in EXTRA:
+        _keep(name, _load(installed_methods()[name]))
     return EXTRA[name]
 
 
@@ -152,15 +151,14 @@ def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3
     import torch
 
     kind = find_method(name)
-    settings = method_settings(name, profile)
-    given: tuple[int, ...] = (profile.feature_dim, n_classes, n_labels)
+    given = [method_settings(name, profile), profile.feature_dim, n_classes, n_labels]
     if len(inspect.signature(kind).parameters) == 3:
         what = f"{kind.__name__}(settings, feature_dim, n_classes) is deprecated: let it take n_labels, too"
         warnings.warn(what, DeprecationWarning, stacklevel=2)
-        given = given[:2]
+        del given[3]
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return kind(settings, *given)
+        return kind(*given)
 
 
 def transfer_weight(name: str, profile: "Profile") -> float:
@@ -186,23 +184,22 @@ def _load(place: str) -> "type[Method]":
             f"method {place!r}: {module_name} could not be imported ({type(error).__name__}: {error}); "
             "name a module or a .py file, and a class in it"
         ) from error
-    found = getattr(module, class_name, None)
-    if not (isinstance(found, type) and issubclass(found, Method)):
-        kinds = [
-            kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Method)
-        ]
-        names = [kind.__name__ for kind in kinds if kind.__module__ == module.__name__]
+    methods = {
+        name: kind
+        for name, kind in vars(module).items()
+        if isinstance(kind, type) and issubclass(kind, Method)
+    }
+    if class_name not in methods:
+        own = [name for name, kind in methods.items() if kind.__module__ == module.__name__]
         raise ValueError(
             f"method {place!r}: {class_name or 'nothing'} is not a class of {module_name} that extends "
-            f"gelgap.adapt.Method; it has {', '.join(names) or 'none'}"
+            f"gelgap.adapt.Method; it has {', '.join(own) or 'none'}"
         )
-    return found
+    return methods[class_name]
 
 
 def _from_file(name: str) -> ModuleType:
-    path = Path(name).resolve()
-    if not path.is_file():
-        raise FileNotFoundError(f"{name} does not exist")
+    path = Path(name).resolve(strict=True)
     # The class is found by its module's name when its source is asked for.
     known_as = f"gelgap_own_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
     if known_as not in sys.modules:

@@ -81,7 +81,7 @@ class SSA(Method):
     def follow(self, adaptation: Adaptation, passes: int) -> None:
         """Train the normalisations' scales and offsets in passes over the target's pictures."""
         network, subspace = adaptation.network, self._subspace(adaptation)
-        norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+        norms = (module for module in network.modules() if isinstance(module, nn.BatchNorm2d))
         parameters = [p for norm in norms for p in norm.parameters()]
         optimizer = torch.optim.Adam(parameters, lr=self.settings.learning_rate)
         network.train()

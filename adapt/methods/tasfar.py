@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from pydantic import Field
+from sklearn.linear_model import QuantileRegressor
 from torch import Tensor
 from torch.nn import functional
 
@@ -40,8 +41,6 @@ class Calibration(NamedTuple):
 
 def calibrate(spread: np.ndarray, error: np.ndarray, confident_share: float) -> Calibration:
     """Return what error (n, l) a spread (n, l) means: the line below which 68.27 % of the errors lie ([1], III-C)."""
-    from sklearn.linear_model import QuantileRegressor
-
     lines = []
     for axis_spread, axis_error in zip(spread.T, np.abs(error).T, strict=True):
         scale = max(float(axis_spread.mean()), np.finfo(float).tiny)

@@ -214,7 +214,7 @@ def test_changed_code_is_another_run(pictures: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("method", "words"),
     [
-        ("absent.py:Half", "absent.py does not exist"),
+        ("absent.py:Half", "absent.py could not be imported (FileNotFoundError"),
         ("own.py:Third", "Third is not a class of own.py that extends gelgap.adapt.Method; it has Half"),
         ("own.py:number", "number is not a class"),
         ("own.py:", "it has Half"),
