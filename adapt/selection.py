@@ -97,12 +97,6 @@ def reverse_validation(candidate: Candidate) -> float:
     return float(_relative_error(reverse.predict(candidate.source_features), candidate.source_force_n).mean())
 
 
-def spread_alarm(candidate: Candidate) -> bool:
-    """Return whether target predictions spread over less than 30 % of the source predictions' deviation."""
-    source, target = candidate.source_prediction_n.std(axis=0), candidate.target_prediction_n.std(axis=0)
-    return bool((target < ALARM_SPREAD * source).any())
-
-
 def effective_rank(features: Tensor) -> float:
     """Return exp(−Σ p ln p), p the normalised singular values of the centred features (n, D) [1].
 
@@ -138,8 +132,12 @@ def scores(candidate: Candidate) -> dict[str, float]:
 
 
 def alarm(candidate: Candidate) -> bool:
-    """Return whether the candidate looks like a constant predictor or has lost its features."""
-    return spread_alarm(candidate) or rank_alarm(candidate)
+    """Return whether the candidate looks like a constant predictor or has lost its features.
+
+    Its target predictions spread over less than 30 % of the source predictions' deviation, or `rank_alarm` says so.
+    """
+    source, target = candidate.source_prediction_n.std(axis=0), candidate.target_prediction_n.std(axis=0)
+    return bool((target < ALARM_SPREAD * source).any()) or rank_alarm(candidate)
 
 
 def select(candidates: Sequence[Candidate], selector: str) -> int:

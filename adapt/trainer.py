@@ -260,8 +260,9 @@ class Trainer(Adaptation):
             network.train()
             for number, batches in enumerate(self.batches(epoch, target), start=epoch * steps):
                 log.batch_is_made()
-                for group in optimizer.param_groups:
-                    group["lr"] = group["initial_lr"] * learning_rate_factor(number, profile)
+                for group in optimizer.param_groups:  # the paper's schedule (section IV-B)
+                    factor = (1 + profile.rate_decay * number) ** -profile.rate_power
+                    group["lr"] = group["initial_lr"] * factor
                 optimizer.zero_grad(set_to_none=True)
                 weight = final_weight * transfer_factor(number, steps * epochs, profile)
                 step = Step(number, weight, generator(self.seed, Draw.METHOD, number))
@@ -472,11 +473,6 @@ def prediction_spread(prediction: Tensor, force: Tensor) -> float:
     return float((prediction.std(dim=0)[varies] / label_std[varies]).mean())
 
 
-def learning_rate_factor(step: int, profile: Profile) -> float:
-    """Return (1 + a·step)^−b, the paper's schedule (section IV-B)."""
-    return (1 + profile.rate_decay * step) ** -profile.rate_power
-
-
 def transfer_factor(step: int, steps: int, profile: Profile) -> float:
     """Return the factor in [0, 1] on λ_t: 0 in the warm-up, then 2/(1+e^(−γp))−1 with p from 0 to 1 [1].
 
@@ -497,14 +493,10 @@ def _make_optimizer(
     """Return SGD with the backbone's learning rate scaled down; what a method owns learns like the heads."""
     heads = [network.bottleneck, network.regressor, network.classifier, *([] if method is None else [method])]
     factor = 0.0 if INPUTS[profile.input].frozen else profile.backbone_rate_factor
-    groups = [
-        {"params": list(network.backbone.parameters()), "lr": rate * factor},
-        {"params": [p for module in heads for p in module.parameters()], "lr": rate},
-    ]
-    optimizer = torch.optim.SGD(groups, lr=rate, momentum=profile.momentum, weight_decay=profile.weight_decay)
-    for group in optimizer.param_groups:
-        group["initial_lr"] = group["lr"]
-    return optimizer
+    of_heads = [p for module in heads for p in module.parameters()]
+    rates = (list(network.backbone.parameters()), rate * factor), (of_heads, rate)
+    groups = [{"params": own, "lr": initial, "initial_lr": initial} for own, initial in rates]
+    return torch.optim.SGD(groups, rate, profile.momentum, weight_decay=profile.weight_decay)
 
 
 def _check_collapse(records: list[EpochRecord]) -> None:
