@@ -212,9 +212,7 @@ class TrainingDomain:
         self, frames: LabelledFrames, profile: Profile, device: torch.device, *, labelled: bool
     ) -> None:
         if len(frames) < 2:
-            raise ValueError(
-                f"{frames.name} has {len(frames)} frames; training needs at least 2 of each domain"
-            )
+            raise ValueError(f"{frames.name}: {len(frames)} frame(s); training needs at least 2 of a domain")
         self.pictures = network_inputs(frames, profile, device)
         self.without_markers: NetworkInputs | None = None
         if profile.marker_hiding:

@@ -165,6 +165,14 @@ def test_checkpoint_round_trip(stage1, source, tmp_path):
         ForceModel.load(tmp_path / "missing.pt")
 
 
+def test_a_domain_of_one_frame_is_an_error(stage1, source, target):
+    one = np.arange(1)
+    with pytest.raises(ValueError, match=r"mb0i0: 1 frame\(s\); training needs at least 2"):
+        train_source(source.take(one), stage1.profile)
+    with pytest.raises(ValueError, match=r"wmb1i1: 1 frame\(s\); training"):
+        adapt(stage1, source, target.take(one), "coral")
+
+
 def test_label_outside_the_declared_range_is_an_error(source, profile):
     force = source.force_n.copy()
     force[5, 0] = 0.9
