@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
@@ -20,9 +20,9 @@ class Finetune(opt.Command):
       gelgap finetune runs/stage1/mb0i0-*.pt --on data/wmb1i1 --test data/wmb1i1 --frames 8 --out tuned.pt
     """
 
-    when_stopped: ClassVar[str] = "nothing is kept, run the same command again to start over"
+    when_stopped = "nothing is kept, run the same command again to start over"
 
-    checkpoint: Annotated[tyro.conf.Positional[Path], opt.input_file("a checkpoint")]
+    checkpoint: Annotated[tyro.conf.Positional[Path], opt.readable("a checkpoint")]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
     on: Annotated[Path, opt.data_sets]
     """Folder of the data set of which some frames are learnt."""
@@ -40,9 +40,7 @@ class Finetune(opt.Command):
     def run(self, started: float) -> None:
         """Fine-tune and print the errors."""
         if (self.frames is None) == (self.clips is None):
-            raise ValueError(
-                "give one of --frames and --clips: how many labelled frames, or clips, are learnt"
-            )
+            raise ValueError("give one of --frames and --clips: how many frames, or clips, are learnt")
         from gelgap.adapt import finetune
 
         found = finetune(

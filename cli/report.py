@@ -3,7 +3,7 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
@@ -14,7 +14,7 @@ LOG = logging.getLogger(__name__)
 
 def finished_runs(folder: Path) -> None:
     """Check a folder with finished runs of `gelgap adapt` or of the benchmark, at any depth."""
-    opt.input_folder("a folder with runs of gelgap adapt")(folder)
+    opt.readable("a folder with runs of gelgap adapt", Path.is_dir)(folder)
     if not any(folder.rglob("run.json")) and not any(folder.glob("*.jsonl")):
         raise ValueError(f"holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one")
 
@@ -29,7 +29,7 @@ class Report(opt.Command):
       gelgap report runs
     """
 
-    when_stopped: ClassVar[str] = (
+    when_stopped = (
         "files of an older report may stand beside new ones; run the same command again to write all of them"
     )
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from gelgap.cli import options as opt
 
@@ -20,10 +20,10 @@ class View(opt.Command):
       gelgap view --elastomer b1 --illumination i2 --port 9000 --no-browser
     """
 
-    when_stopped: ClassVar[str] = "the page was not open yet; run the same command again"
+    when_stopped = "the page was not open yet; run the same command again"
     # An open page is not work that takes long.
-    doing: ClassVar[str] = ""
-    fills_cache: ClassVar[bool] = True
+    doing = ""
+    fills_cache = True
 
     elastomer: Annotated[str, opt.preset_or_file("elastomers")] = "e04"
     """Elastomer preset or TOML file to begin with."""

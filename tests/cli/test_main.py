@@ -54,7 +54,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         ),
         (["adapt", "--source", ".", "--target", ".", "--out", "x", "--method"], ("--method", "dsan")),
         (["generat"], ("command 'generat' is unknown", "did you mean generate?", "press")),
-        (["generate", "mb0i0", "--presett", "paper"], ("'--presett'", "did you mean --preset?")),
+        (["generate", "mb0i0", "--presett", "paper", "--out", "x"], ("--presett", "meant: --preset NAME")),
         (["generate", "--preset", "papre", "--out", "never"], ("papre", "did you mean paper?")),
         (["press", "--save", "nowhere/state.npz"], ("--save", "nowhere", "does not exist; create it first")),
         (["press", "--save", "/proc/state.npz"], ("--save", "/proc cannot be written to")),
@@ -106,7 +106,7 @@ def test_a_cache_that_takes_no_file_is_refused_before_solving(
     monkeypatch.setenv("GELGAP_CACHE", "/proc/gelgap")
     code, out, err = run(["press"], capsys)
     assert (code, out) == (2, "")
-    assert "GELGAP_CACHE = '/proc/gelgap': the folder /proc cannot be written to" in err
+    assert "GELGAP_CACHE = '/proc/gelgap': /proc cannot be written to" in err
     assert run(["presets", "paths"], capsys)[0] == 0
 
 
