@@ -15,7 +15,7 @@ from gelgap.render import difference_picture
 from gelgap.view.controls import Controls
 from gelgap.view.panels import ComparePanel, DataPanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
-from gelgap.view.scene3d import Scene3d, colours_mean
+from gelgap.view.scene3d import Scene3d
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
 from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
 
@@ -139,11 +139,9 @@ class Page:
             self._solver.request(request)
         shown = self.shown = self._model.show(configuration)
         reference = self._model.pictures.reference(configuration.light, configuration.markers)
-        colouring = self.controls.colouring.value
-        colours = colours_mean(shown, colouring)
+        colours = self._scene.show(shown, self.controls.colouring.value, self.controls.chosen_led)
         self._readout.show(shown, difference_picture(shown.picture, reference, 2.0), colours)
         self._narrow.content = narrow_html(shown, colours)
-        self._scene.show(shown, colouring, self.controls.chosen_led)
         if not self._wanted:
             self._compare.update(shown)
 
