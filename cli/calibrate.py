@@ -127,19 +127,17 @@ class Calibrate(opt.Command):
                     "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
                 )
             found = taxim_presses(self.from_taxim, self.mm_per_px)
-            start = opt.named(Sensor, self.sensor) if self.sensor else found.start
-            reference, presses = found.reference, found.presses
+            start, reference, presses = found.start, found.reference, found.presses
         elif self.presses and self.reference and (self.sensor is None) != (self.mm_per_px is None):
             presses, reference = read_presses(self.presses), read_picture(self.reference)
-            if self.sensor:
-                start = opt.named(Sensor, self.sensor)
-            else:
-                camera = Camera.showing(reference.shape[1] * self.mm_per_px)
-                start = Sensor(name=self.output.stem, camera=camera, markers=Markers(layout="none"))
+            camera = Camera.showing(reference.shape[1] * self.mm_per_px) if self.mm_per_px else Camera()
+            start = Sensor(name=self.output.stem, camera=camera, markers=Markers(layout="none"))
         else:
             raise ValueError(
                 "calibrate needs PRESSES, --reference and either --mm-per-px or --sensor, or --from-taxim instead"
             )
+        if self.sensor is not None:
+            start = opt.named(Sensor, self.sensor)
         if self.sphere_diameter_mm is not None:
             presses = tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
         return start, reference, presses

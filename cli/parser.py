@@ -35,16 +35,14 @@ def parse_words(words: Sequence[str], commands: Mapping[str, type[Command]], des
     # As a shell's variable that is not set leaves it.
     if any(re.fullmatch(r"(--[\w-]+=)?", word) for word in words):
         raise ValueError(f"a value is empty: gelgap {shlex.join(words)}")
-    words = list(words)
     if name is None:
-        summaries = [(known, one.__doc__.partition("\n")[0]) for known, one in commands.items()]
         listed = [
-            Annotated[commands[known], tyro.conf.subcommand(known, description=summary)]
-            for known, summary in summaries
+            Annotated[command, tyro.conf.subcommand(known, description=command.__doc__.partition("\n")[0])]
+            for known, command in commands.items()
         ]
         wanted, prog, about = Union[tuple(listed)], "gelgap", description  # noqa: UP007
     else:
-        words.remove(name)
+        words = [word for place, word in enumerate(words) if place != words.index(name)]
         wanted, prog, about = commands[name], f"gelgap {name}", None
     errors = io.StringIO()
     try:
