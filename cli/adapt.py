@@ -58,13 +58,13 @@ class Adapt(opt.Command):
 
     when_stopped = "finished runs and epochs are kept, run the same command again to go on"
 
-    source: Annotated[tuple[Path, ...], opt.data_sets]
+    source: tuple[Path, ...]
     """Folder of the source domain, or several that are trained on together."""
-    target: Annotated[Path, opt.data_sets]
+    target: Path
     """Folder of the target domain."""
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
-    profile: Annotated[str, opt.preset_or_file("profiles")] = "smoke"
+    profile: str = "smoke"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
     input: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
     """What the network is shown: pictures, standardised, calibrated, grey, markers or pretrained (with --weights)."""
@@ -86,7 +86,7 @@ class Adapt(opt.Command):
     """Contact classes of the source for methods that need them: this many of equal size, by Fz."""
     seed: opt.Seed = 0
     """Seed of weights, splits and batches."""
-    weights: Annotated[Path | None, opt.optional("PATH", "from scratch"), opt.readable("a checkpoint")] = None
+    weights: Annotated[Path | None, opt.optional("PATH", "from scratch")] = None
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
     out: Annotated[Path, opt.output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""

@@ -42,7 +42,7 @@ class Benchmark(opt.Command):
     quick: opt.Flag = False
     """A short form: one or two small cases of each table; a minute or two, for adaptation more."""
     data: Annotated[
-        Path | None, opt.optional("PATH"), opt.readable("a folder with clones of real data", Path.is_dir)
+        Path | None, opt.optional("PATH"), opt.input_folder("a folder with clones of real data")
     ] = None
     """For real, and for sensors: the folder with clones of published data sets, or presses of your own sensors."""
     out: Annotated[Path, opt.output_folder] = Path("benchmark-results")

@@ -61,11 +61,11 @@ class Calibrate(opt.Command):
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
-    presses: Annotated[tyro.conf.Positional[Path | None], opt.optional("PRESSES"), opt.TOML_FILE] = None
+    presses: Annotated[tyro.conf.Positional[Path | None], opt.optional("PRESSES")] = None
     """TOML file that lists the pictures of pressed spheres."""
-    reference: Annotated[Path | None, opt.optional("PATH"), opt.readable("a picture")] = None
+    reference: Annotated[Path | None, opt.optional("PATH")] = None
     """Picture without contact."""
-    sensor: Annotated[str | None, opt.optional("NAME"), opt.preset_or_file("sensors")] = None
+    sensor: Annotated[str | None, opt.optional("NAME")] = None
     """Where the fit starts, instead of mm_per_px: a sensor preset or TOML file; LEDs of its own within 30°, or none."""
     from_taxim: Annotated[str | None, opt.optional("NAME")] = None
     """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""

@@ -31,12 +31,7 @@ class Convert(opt.Command):
 
     when_stopped = "nothing was written; run the same command again to start over"
 
-    folder: Annotated[
-        tyro.conf.Positional[Path],
-        opt.readable(
-            "a clone (gelgap convert --help says how to get one), or a folder of recordings,", Path.is_dir
-        ),
-    ]
+    folder: Annotated[tyro.conf.Positional[Path], opt.input_folder("a clone, or a folder of recordings,")]
     """Folder of the clone, or of your recordings."""
     layout: Literal["wedge", "ball-presses", "recordings"]
     """What the folder holds."""

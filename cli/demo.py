@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from gelgap.assets import load_preset
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
@@ -35,9 +34,9 @@ class Demo(opt.Command):
 
     out: Annotated[Path, opt.output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    path: Annotated[str, opt.preset_or_file("paths")] = "smoke-random"
+    path: str = "smoke-random"
     """Contact path of both domains (see: gelgap presets paths)."""
-    profile: Annotated[str, lambda name: load_preset("profiles", name)] = "smoke"
+    profile: str = "smoke"
     """Training profile (see: gelgap presets profiles)."""
     quality: opt.Quality = "draft"
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
@@ -50,15 +49,17 @@ class Demo(opt.Command):
 
     def run(self, started: float) -> None:
         """Generate source and target, train, adapt, write the report and print its tables; finished parts are kept."""
-        from gelgap.adapt import adapt_folders, console_progress, write_pages
+        from gelgap.adapt import Profile, adapt_folders, console_progress, write_pages
         from gelgap.adapt.report import axis_table, error_table, training_table
         from gelgap.domains import generate, shown_progress
+        from gelgap.sim import load_path
 
+        path, profile = load_path(self.path), Profile.preset(self.profile)
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {self.path}")
         with shown_progress() as progress:
             report = generate(
                 (SOURCE, TARGET),
-                self.path,
+                path,
                 self.out / "data",
                 quality=self.quality,
                 seed=SEED,
@@ -77,7 +78,7 @@ class Demo(opt.Command):
                 self.out / "data" / SOURCE,
                 self.out / "data" / TARGET,
                 METHODS,
-                profile=self.profile,
+                profile=profile,
                 seed=SEED,
                 classes_from_force=CLASSES,
                 out_dir=self.out / "runs",

@@ -20,7 +20,7 @@ class Export(opt.Command):
 
     when_stopped = "nothing was written; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], opt.domains_inside]
+    folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     out: Annotated[Path, opt.output_folder]
     """New folder for the export."""

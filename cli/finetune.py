@@ -22,11 +22,11 @@ class Finetune(opt.Command):
 
     when_stopped = "nothing is kept, run the same command again to start over"
 
-    checkpoint: Annotated[tyro.conf.Positional[Path], opt.readable("a checkpoint")]
+    checkpoint: tyro.conf.Positional[Path]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
-    on: Annotated[Path, opt.data_sets]
+    on: Path
     """Folder of the data set of which some frames are learnt."""
-    test: Annotated[Path, opt.data_sets]
+    test: Path
     """Folder of the data set to evaluate on; if it is the same, the frames that are not learnt are held out."""
     frames: Annotated[int | None, opt.optional("K"), opt.between(1, 10_000_000)] = None
     """Number of frames to learn, spread over the commanded depths where these are known."""
@@ -39,8 +39,6 @@ class Finetune(opt.Command):
 
     def run(self, started: float) -> None:
         """Fine-tune and print the errors."""
-        if (self.frames is None) == (self.clips is None):
-            raise ValueError("give one of --frames and --clips: how many frames, or clips, are learnt")
         from gelgap.adapt import finetune
 
         found = finetune(

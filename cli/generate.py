@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gelgap.assets import load_preset
 from gelgap.cli import options as opt
 from gelgap.cli.adapt import label_ranges
 
@@ -14,7 +13,6 @@ if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
     from gelgap.domains.sweep import Variant
 
-ELASTOMER, ILLUMINATION = opt.preset_or_file("elastomers"), opt.preset_or_file("illuminations")
 OptionalColumn = Literal[
     "height_map",
     "contact_mask",
@@ -61,17 +59,17 @@ class Generate(opt.Command):
     """Folder that gets one folder per domain."""
     domains: Annotated[tyro.conf.Positional[tuple[str, ...]], opt.optional("[DOMAIN ...]")] = ()
     """Names of domains; or leave them out and give --preset or --sweep."""
-    preset: Annotated[str | None, opt.optional("NAME"), lambda name: load_preset("datasets", name)] = None
+    preset: Annotated[str | None, opt.optional("NAME")] = None
     """A whole data set (see: gelgap presets datasets)."""
-    sweep: Annotated[Path | None, opt.optional("TOML"), opt.TOML_FILE] = None
+    sweep: Annotated[Path | None, opt.optional("TOML")] = None
     """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
-    recipe: Annotated[Path | None, opt.optional("TOML"), opt.TOML_FILE] = None
+    recipe: Annotated[Path | None, opt.optional("TOML")] = None
     """A TOML file of whole domains, with path, gels, lights and sensors, as `gelgap view` saves it."""
-    elastomer: Annotated[str | None, opt.optional("NAME", "the domain's"), ELASTOMER] = None
+    elastomer: Annotated[str | None, opt.optional("NAME", "the domain's")] = None
     """Another elastomer than the named domain's: a preset or a TOML file; needs --name."""
-    illumination: Annotated[str | None, opt.optional("NAME", "the domain's"), ILLUMINATION] = None
+    illumination: Annotated[str | None, opt.optional("NAME", "the domain's")] = None
     """Another illumination than the named domain's: a preset or a TOML file; needs --name."""
-    lights_like: Annotated[Path | None, opt.optional("PICTURE"), opt.readable("a PNG or JPEG file")] = None
+    lights_like: Annotated[Path | None, opt.optional("PICTURE")] = None
     """A sensor's picture without contact: make the domain in 8 drawn lights like its, or like --illumination turned
     and recoloured to suit it, as NAME-1 to NAME-8 with the frames of one; needs --name."""
     name: Annotated[str | None, opt.optional("NAME")] = None
@@ -79,13 +77,13 @@ class Generate(opt.Command):
     body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = opt.SPHERE
     further_indenters: Annotated[tuple[str, ...] | None, opt.optional("NAME [NAME ...]", "none")] = None
     """Indenters that go the whole path after the first: shapes, presets, TOML or mesh files; column `indenter`."""
-    path: Annotated[str, opt.preset_or_file("paths")] = "cpu"
+    path: str = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: opt.Quality = "standard"
     """Quality of the physics."""
     seed: opt.Seed = 0
     """Seed of sensor noise and acquisition errors."""
-    sensor: opt.SensorName = "paper"
+    sensor: str = "paper"
     """Sensor preset or TOML file."""
     size: opt.PictureSize = (320, 240)
     """Width and height of the pictures in pixels."""

@@ -20,13 +20,13 @@ class Inspect(opt.Command):
 
     when_stopped = "nothing was changed; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], opt.domains_inside]
+    folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     verify: opt.Flag = False
     """Compare every byte with the manifest, or decode every picture of real data; exit code 1 if one is damaged."""
     html: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
-    gap_to: Annotated[Path | None, opt.optional("PATH"), opt.data_sets] = None
+    gap_to: Annotated[Path | None, opt.optional("PATH")] = None
     """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""
 
     def run(self, started: float) -> None:

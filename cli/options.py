@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from gelgap.assets import load_preset
-
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
     from gelgap.render import Illumination, Sensor
@@ -55,26 +53,14 @@ def between(low: float, high: float, unit: str = "") -> Check:
     return check
 
 
-def preset_or_file(kind: str) -> Check:
-    """Return the check of a preset's name, or of a TOML file."""
-    return lambda name: TOML_FILE(Path(name)) if name.endswith(".toml") else load_preset(kind, name)
-
-
-def readable(what: str, kind: Callable[[Path], bool] = Path.is_file) -> Check:
-    """Return the check of a file that can be read, or of a folder where the kind is `Path.is_dir`."""
+def input_folder(what: str) -> Check:
+    """Return the check of a folder that is there."""
 
     def check(path: Path) -> None:
-        if not path.exists():
-            raise ValueError(f"does not exist; {what} is needed")
-        if not kind(path):
-            raise ValueError(f"is a {'folder' if path.is_dir() else 'file'}; {what} is needed")
-        if not os.access(path, os.R_OK):
-            raise ValueError(f"cannot be read; {what} is needed")
+        if not path.is_dir():
+            raise ValueError(f"{'is a file' if path.exists() else 'does not exist'}; {what} is needed")
 
     return check
-
-
-TOML_FILE = readable("a TOML file")
 
 
 @cache
@@ -112,35 +98,12 @@ def _check_takes_files(folder: Path) -> None:
         raise ValueError(f"{folder} cannot be written to ({error.strerror}); name another") from None
 
 
-def data_sets(value: Path | tuple[Path, ...]) -> None:
-    """Check folders in a layout that is known: of one domain each."""
-    from gelgap.domains import layout_problem
-
-    paths = value if isinstance(value, tuple) else (value,)
-    if not paths:
-        raise ValueError("name one folder, or several")
-    for path in paths:
-        if problem := layout_problem(path):
-            raise ValueError(problem if len(paths) == 1 else f"{path} {problem}")
-
-
-def domains_inside(folder: Path) -> None:
-    """Check the folder of one domain, or of several."""
-    from gelgap.domains import domain_folders
-
-    data_sets(domain_folders(folder))
-
-
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 """A switch that is off unless it is given."""
 Quality = Literal["draft", "standard", "fine"]
 Seed = Annotated[int, between(0, 2**63 - 1)]
 PictureSize = Annotated[tuple[int, int], between(16, 4096, "px")]
-SensorName = Annotated[str, preset_or_file("sensors")]
-"""A sensor by its preset's name or its TOML file."""
-LightName = Annotated[
-    str | None, optional("NAME", "the sensor's own, or i0"), preset_or_file("illuminations")
-]
+LightName = Annotated[str | None, optional("NAME", "the sensor's own, or i0")]
 
 
 def scheduler_address(address: str) -> None:

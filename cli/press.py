@@ -31,7 +31,7 @@ class Press(opt.Command):
 
     fills_cache = True
 
-    elastomer: Annotated[str | None, opt.optional("NAME"), opt.preset_or_file("elastomers")] = None
+    elastomer: Annotated[str | None, opt.optional("NAME")] = None
     """Elastomer preset or TOML file to start from (see: gelgap presets elastomers); the values below override it."""
     young_modulus_mpa: Annotated[float | None, opt.optional("MPA", "0.3, or the preset's")] = None
     """Young's modulus in MPa."""

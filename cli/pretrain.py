@@ -37,9 +37,9 @@ class Pretrain(opt.Command):
     """Frames of each: one without contact, then every depth of its press, straight and dragged, at drawn places."""
     without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Factors that are the same in every domain instead of drawn: an ablation."""
-    ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own"), opt.TOML_FILE] = None
+    ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
-    profile: Annotated[str, opt.preset_or_file("profiles")] = "cpu"
+    profile: str = "cpu"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
     quality: opt.Quality = "draft"
     """Quality of physics and pictures."""

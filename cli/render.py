@@ -22,16 +22,13 @@ class Render(opt.Command):
 
     when_stopped = "no finished picture is sure to be there; run the same command again to start over"
 
-    state: Annotated[
-        tyro.conf.Positional[Path],
-        opt.readable("a membrane's .npz file, as gelgap press --save writes it,"),
-    ]
+    state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]
     """The PNG to write."""
     illumination: opt.LightName = None
     """Illumination preset or TOML file (see: gelgap presets illuminations)."""
-    sensor: opt.SensorName = "paper"
+    sensor: str = "paper"
     """Sensor preset or TOML file (see: gelgap presets sensors)."""
     markers: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: drawn)")] = True
     """Draw the membrane's markers."""

@@ -14,7 +14,7 @@ LOG = logging.getLogger(__name__)
 
 def finished_runs(folder: Path) -> None:
     """Check a folder with finished runs of `gelgap adapt` or of the benchmark, at any depth."""
-    opt.readable("a folder with runs of gelgap adapt", Path.is_dir)(folder)
+    opt.input_folder("a folder with runs of gelgap adapt")(folder)
     if not any(folder.rglob("run.json")) and not any(folder.glob("*.jsonl")):
         raise ValueError(f"holds no finished adaptation run; `gelgap adapt … --out {folder}` writes one")
 

@@ -25,11 +25,11 @@ class View(opt.Command):
     doing = ""
     fills_cache = True
 
-    elastomer: Annotated[str, opt.preset_or_file("elastomers")] = "e04"
+    elastomer: str = "e04"
     """Elastomer preset or TOML file to begin with."""
     illumination: opt.LightName = None
     """Illumination preset or TOML file to begin with."""
-    sensor: opt.SensorName = "paper"
+    sensor: str = "paper"
     """Sensor preset or TOML file to begin with."""
     port: Annotated[int, opt.between(0, 65535)] = 8080
     """Port of the page; 0 takes any free one."""

@@ -204,24 +204,22 @@ def _start_server(host: str, port: int) -> viser.ViserServer:
     ValueError
         If the port is taken or the address is none of this machine: viser itself would silently take another port.
     """
-    taken = (
-        f"--port = {port}: is taken by another program; choose another, for example --port {port % 65535 + 1}"
-    )
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except PermissionError:
-        raise ValueError(f"--port = {port}: is not allowed; choose one from 1024 on") from None
     except (OSError, UnicodeError) as error:
-        if getattr(error, "errno", None) == errno.EADDRINUSE:
-            raise ValueError(taken) from None
-        raise ValueError(f"--host = {quoted(host)}: is no address of this machine ({error})") from None
+        if isinstance(error, PermissionError):
+            problem = f"--port = {port}: is not allowed; choose one from 1024 on"
+        elif getattr(error, "errno", None) == errno.EADDRINUSE:
+            other = port % 65535 + 1
+            problem = (
+                f"--port = {port}: is taken by another program; choose another, for example --port {other}"
+            )
+        else:
+            problem = f"--host = {quoted(host)}: is no address of this machine ({error})"
+        raise ValueError(problem) from None
     # viser prints a table of addresses, and this program prints its own.
     with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)
-    if port and server.get_port() != port:
-        server.stop()
-        raise ValueError(taken)
-    return server
+        return viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)

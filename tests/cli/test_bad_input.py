@@ -116,10 +116,12 @@ WRONG: dict[Any, dict[str, str]] = {
         "below a file": NO_FOLDER_HERE,
         "unwritable": "/proc/gelgap",
         "unicode": "ü☃",
-        "huge": LONG,
     },
 }
 """Wrong values by the type of an option: what is wrong, and the value."""
+
+CALLED = {"further_indenters": "indenter '", "source": "data set"}
+"""What a room calls the option of a field."""
 
 SAME_NUMBER = {"1e308": ("1e+308",), "-1e9": ("-1e+09", "-1000000000.0")}
 
@@ -345,7 +347,8 @@ def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
     if said.out or said.err.count("\n") != 1 or not said.err.startswith("gelgap: ") or len(said.err) > 900:
         return f"not one sentence: {said.err[:200]!r}"
     # A value that is a file names itself, and the command line shows where a value is empty or missing.
-    if value[:30] in said.err and (option.type is Path or "does not exist" in said.err):
+    is_path = Path in (option.type, *get_args(option.type))
+    if value and value[:30] in said.err and (is_path or "does not exist" in said.err):
         return None
     if "a value is empty: gelgap " in said.err:
         return None
@@ -355,7 +358,7 @@ def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
         option.field.replace("_", "-"),
         option.field.upper(),
         option.field.rstrip("s"),
-        "indenter '" if option.field == "further_indenters" else option.field,
+        CALLED.get(option.field, option.field),
     )
     if not any(name in said.err for name in named):
         return f"does not name the option: {said.err.strip()[:200]}"

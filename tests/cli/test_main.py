@@ -33,6 +33,8 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["press", "--point-x-mm", "13"], ("point_x_mm", "12")),
         (["press", "--young-modulus-mpa", "0"], ("young_modulus_mpa", "0.001")),
         (["press", "--elastomer", "b7"], ("b7", "b0, b1, b2")),
+        (["press", "--elastomer", "gel.toml"], ("gel.toml does not exist",)),
+        (["press", "--indenter", "tip.stl"], ("tip.stl does not exist",)),
         (["press", "--quality", "superb"], ("superb", "standard")),
         (["press", "--depht-mm", "1"], ("--depht-mm", "--depth-mm")),
         (["generate", "mb9i0", "--out", "never"], ("mb9i0", "b0, b1, b2")),
@@ -41,8 +43,8 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["generate", "--preset", "huge", "--out", "never"], ("huge", "smoke")),
         (["generate", "mb0i0", "--preset", "smoke", "--out", "never"], ("one of", "--sweep")),
         (
-            ["generate", "mb0i0", "--sweep", "s.toml", "--out", "never"],
-            ("--sweep", "s.toml", "does not exist"),
+            ["generate", "--sweep", "s.toml", "--out", "never"],
+            ("s.toml", "does not exist"),
         ),
         (["generate", "mb0i0", "--scheduler", "foo", "--out", "never"], ("--scheduler", "foo", "tcp://")),
         (["generate", "mb0i0", "--seed", "-1", "--out", "never"], ("--seed", "-1", "0")),
@@ -86,8 +88,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
 def test_a_missing_data_set_is_bad_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, _, err = run(["adapt", "--source", str(tmp_path / "a"), "--target", str(tmp_path / "b")], capsys)
     assert code == 2
-    assert "--source" in err
-    assert "does not exist" in err
+    assert f"{tmp_path / 'a'} does not exist" in err
 
 
 def test_a_cache_that_is_a_file_is_refused_first(
