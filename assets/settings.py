@@ -1,8 +1,9 @@
 """Frozen configuration objects whose bad values fail with one sentence: field, value, allowed range."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Self, get_args
+from typing import Any, ClassVar, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
@@ -12,6 +13,8 @@ from gelgap.assets.toml_file import named_in_errors, read_toml
 
 # As pydantic has them.
 _LACKS, _UNKNOWN, _FROM_VALUE_ERROR = "field required", "extra inputs are not permitted", "Value error, "
+# Where a field takes one of several models, pydantic says of which a problem is: `Peak`, or `function-after[…, Peak]`.
+_MODEL = re.compile(r"(?:^|, )[A-Z]\w*\]?$")
 
 
 class Settings(BaseModel):
@@ -81,61 +84,40 @@ def one_sentence(error: ValidationError, model: type[BaseModel] | None = None) -
 
     Of a field that takes one of several models, only the problems of the one that was meant are told.
     """
-    sentences: dict[tuple[Any, ...], list[tuple[type[BaseModel] | None, Any]]] = {}
     found = error.errors()
+    options: dict[tuple[Any, ...], list[str]] = {}
+    sentences: dict[tuple[Any, ...], str] = {}
     for number, detail in enumerate(found):
         place = detail["loc"]
-        # A list that lost its wrong items is not too short.
-        lost = detail["type"] == "too_short" and any(
-            other["loc"][: len(place)] == place for other in found[:number]
-        )
-        option = None if model is None else _option(model, place)
-        if not lost:
-            sentences.setdefault(place[:-1] if option else (number,), []).append((option, detail))
-    return "; ".join(
-        _of_the_meant(group) if group[0][0] else _sentence(group[0][1], model) for group in sentences.values()
-    )
+        inside = (other for other in found[:number] if other["loc"][: len(place)] == place)
+        if len(place) > 1 and _MODEL.search(str(place[-1])):
+            messages = options.setdefault(place[:-1], [])
+            messages.append(detail["msg"].removeprefix(_FROM_VALUE_ERROR))
+            sentences[place[:-1]] = f"{'.'.join(map(str, place[:-1]))}: {_of_the_meant(messages)}"
+        elif detail["type"] != "too_short" or not any(
+            inside
+        ):  # a list that lost its wrong items is not too short
+            sentences[place] = _sentence(detail, model)
+    return "; ".join(sentences.values())
 
 
-def _option(model: type[BaseModel], place: Sequence[Any]) -> type[BaseModel] | None:
-    """Return which of several models a problem is of; None where the field takes one kind of value."""
-    field = model.model_fields.get(place[0]) if place else None
-    options = [] if field is None else _models(field.annotation)
-    tag = str(place[-1]) if place else ""
-    names = (option for option in options if tag == option.__name__ or tag.endswith(f", {option.__name__}]"))
-    return next(names, None) if len(options) > 1 else None
+def _of_the_meant(messages: Sequence[str]) -> str:
+    """Return the problem of the model that lacks the fewest fields, or which fields are needed if all lack some."""
+    lacking = [re.findall(rf"(\w+): {_LACKS}", message) for message in messages]
+    if all(lacking):
+        return f"must have {', or '.join(map(' and '.join, lacking))}"
+    return min(messages, key=lambda message: (message.count(_LACKS), message.count(_UNKNOWN)))
 
 
-def _models(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in get_args(annotation) for model in _models(part)]
-
-
-def _of_the_meant(group: Sequence[tuple[type[BaseModel], Any]]) -> str:
-    """Return the problems of the model that lacks the fewest fields, or which fields are needed if all lack some."""
-    _, nearest = min(group, key=lambda one: (one[1]["msg"].count(_LACKS), one[1]["msg"].count(_UNKNOWN)))
-    place = ".".join(map(str, nearest["loc"][:-1]))
-    if _LACKS not in nearest["msg"]:
-        return f"{place}: {nearest['msg'].removeprefix(_FROM_VALUE_ERROR)}"
-    needed = [
-        " and ".join(n for n, f in option.model_fields.items() if f.is_required()) for option, _ in group
-    ]
-    return f"{place}: must have {', or '.join(needed)}"
-
-
-def _sentence(detail: Any, model: type[BaseModel] | None = None) -> str:
-    field = ".".join(str(part) for part in detail["loc"]) or "settings"
+def _sentence(detail: Any, model: type[BaseModel] | None) -> str:
+    field = ".".join(map(str, detail["loc"])) or "settings"
     # A table given for a field would fill the screen; the field's name says where it stands.
     is_table = isinstance(detail["input"], dict | list | tuple) and "{" in repr(detail["input"])
-    value = (
-        ""
-        if is_table or detail["type"] in ("missing", "extra_forbidden")
-        else f" = {quoted(detail['input'])}"
-    )
+    has_value = not is_table and detail["type"] not in ("missing", "extra_forbidden")
     message = detail["msg"].removeprefix(_FROM_VALUE_ERROR)
     if not message[:2].isupper():  # an abbreviation keeps its capitals
         message = message[0].lower() + message[1:]
     if detail["type"] == "extra_forbidden" and model and (near := closest_name(field, model.model_fields)):
         message += f",{near}"
+    value = f" = {quoted(detail['input'])}" if has_value else ""
     return f"{field}{value}: {message}"

@@ -11,6 +11,8 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
+from gelgap.assets.names import quoted
+
 
 @dataclass(frozen=True)
 class Benchmark:
@@ -142,7 +144,7 @@ def find_benchmarks(
     if not chosen:
         names = ", ".join(benchmark.part for benchmark in parts_of(subject))
         has = f"its parts are {names}" if names else "it has no parts"
-        raise ValueError(f"--what {part} is no part of benchmark {subject}; {has}")
+        raise ValueError(f"--what {quoted(part)} is no part of benchmark {subject}; {has}")
     found = tuple(benchmark for benchmark in chosen if benchmark.has_quick_form or not quick)
     if not found:
         names = ", ".join(benchmark.part for benchmark in parts_of(subject) if benchmark.has_quick_form)

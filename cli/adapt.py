@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from gelgap.assets.names import quoted, unknown_name
 from gelgap.cli import options as opt
@@ -15,7 +15,7 @@ CONSTANT_MEAN = "constant-mean"
 
 
 def check_methods(names: tuple[str, ...]) -> None:
-    """Check names of methods, one at least; what is wrong with a class of one's own shows when it is loaded."""
+    """Check names of methods, one at least, before torch is loaded; classes of one's own are checked later."""
     from gelgap.adapt import method_names
 
     if not names:
@@ -25,39 +25,22 @@ def check_methods(names: tuple[str, ...]) -> None:
             raise ValueError(unknown_name("method", name, method_names()))
 
 
-def check_input(name: str) -> None:
-    """Check the name of an input."""
-    from gelgap.adapt.inputs import INPUTS
-
-    if name not in INPUTS:
-        raise ValueError(unknown_name("input", name, INPUTS))
-
-
-def check_labels(names: tuple[str, ...]) -> None:
-    """Check names of labels, each once and one at least."""
-    from gelgap.domains.frames.labels import check_names
-
-    check_names(names)
-
-
 def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
     """Return ranges by label, of texts such as `fz_n=-30:0`; a ValueError says what is wrong with one."""
-    from gelgap.domains.frames.labels import Labels
+    from gelgap.domains import Labels
 
-    ranges = {}
+    named = []
     for text in texts:
-        name, _, bounds = text.partition("=")
         try:
+            name, bounds = text.split("=")
             low, high = map(float, bounds.split(":"))
         except ValueError:
             raise ValueError(
                 f"{quoted(text)} must be a label, its lower and its upper bound, as fz_n=-30:0"
             ) from None
-        if name in ranges:
-            raise ValueError(f"label {name} stands twice")
-        ranges[name] = low, high
-    Labels.of(ranges)  # refuses unknown names, and bounds in the wrong order
-    return ranges
+        named.append((name, (low, high)))
+    labels = Labels(tuple(name for name, _ in named), tuple(bounds for _, bounds in named))
+    return dict(zip(labels.names, labels.ranges, strict=True))
 
 
 @dataclass(frozen=True)
@@ -73,22 +56,20 @@ class Adapt(opt.Command):
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --input calibrated --out colour-runs
     """
 
-    when_stopped: ClassVar[str] = "finished runs and epochs are kept, run the same command again to go on"
+    when_stopped = "finished runs and epochs are kept, run the same command again to go on"
 
-    source: Annotated[tuple[Path, ...], opt.data_sets]
+    source: tuple[Path, ...]
     """Folder of the source domain, or several that are trained on together."""
-    target: Annotated[Path, opt.data_sets]
+    target: Path
     """Folder of the target domain."""
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
-    profile: Annotated[str, opt.preset_or_file("profiles")] = "smoke"
+    profile: str = "smoke"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
-    input: Annotated[str | None, opt.optional("NAME", "the profile's"), check_input] = None
+    input: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
     """What the network is shown: pictures, standardised, calibrated, grey, markers or pretrained (with --weights)."""
     labels: Annotated[
-        tuple[str, ...] | None,
-        opt.optional("NAME ...", "the axes of the force that both domains have"),
-        check_labels,
+        tuple[str, ...] | None, opt.optional("NAME ...", "the axes of the force that both domains have")
     ] = None
     """What is predicted: fx_n fy_n fz_n, mx_nmm my_nmm mz_nmm, x_mm y_mm, depth_mm."""
     range: Annotated[
@@ -105,9 +86,7 @@ class Adapt(opt.Command):
     """Contact classes of the source for methods that need them: this many of equal size, by Fz."""
     seed: opt.Seed = 0
     """Seed of weights, splits and batches."""
-    weights: Annotated[Path | None, opt.optional("PATH", "from scratch"), opt.input_file("a checkpoint")] = (
-        None
-    )
+    weights: Annotated[Path | None, opt.optional("PATH", "from scratch")] = None
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
     out: Annotated[Path, opt.output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
@@ -128,8 +107,8 @@ class Adapt(opt.Command):
                 profile=profile,
                 seed=self.seed,
                 labels=self.labels,
-                ranges=None if self.range is None else label_ranges(self.range),
-                classes_from_force=None if self.classes is None else self.classes[1],
+                ranges=self.range and label_ranges(self.range),
+                classes_from_force=self.classes and self.classes[1],
                 weights=self.weights,
                 out_dir=self.out,
                 progress=progress,
@@ -147,12 +126,12 @@ def _table(runs: "Sequence[Run]") -> str:
     errors = {"constant mean": runs[0].target_constant_mean} | runs[0].baselines | runs[0].oracles
     errors |= {run.method: run.target_test for run in done}
     lines = [f"{runs[0].group}, target test frames", errors_text(errors)]
-    noted = {run.method: worse_than_constant(run.target_test) for run in done}
-    lines += [f"{method}: {note}" for method, note in noted.items() if note]
-    for run in runs:
-        if run.problem:
-            lines.append(f"{run.method}: {run.problem}")
-        if run.skipped_steps:
-            lines.append(f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite")
+    lines += [f"{run.method}: {note}" for run in done if (note := worse_than_constant(run.target_test))]
+    lines += [f"{run.method}: {run.problem}" for run in runs if run.problem]
+    lines += [
+        f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite"
+        for run in runs
+        if run.skipped_steps
+    ]
     lines += [f"no picture shows: {note}" for note in runs[0].unseen]
     return "\n".join(lines)

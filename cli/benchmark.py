@@ -3,7 +3,7 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -11,21 +11,15 @@ from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, su
 from gelgap.cli import options as opt
 
 LOG = logging.getLogger(__name__)
-_PARTS = tuple(dict.fromkeys(benchmark.part for benchmark in BENCHMARKS if benchmark.part))
-
-
-def _help_on_subjects() -> str:
-    alone = [f"{b.subject} ({b.description})" for b in BENCHMARKS if b.part is None]
-    return f"What to measure: {', '.join(alone)}, or a subject with parts."
+ALONE = ", ".join(f"{b.subject} ({b.description})" for b in BENCHMARKS if b.part is None)
 
 
 def _help_on_parts() -> str:
     sentences = []
     for subject in subjects():
         if parts := parts_of(subject):
-            default = (
-                "all" if all(p.by_default for p in parts) else next(p.part for p in parts if p.by_default)
-            )
+            usual = [p.part for p in parts if p.by_default]
+            default = "all" if len(usual) == len(parts) else usual[0]
             names = ", ".join(f"{p.part} ({p.description})" for p in parts)
             sentences.append(f"Of {subject} (default: {default}): {names}.")
     return f"One part. {' '.join(sentences)}"
@@ -38,10 +32,13 @@ class Benchmark(opt.Command):
     Example: gelgap benchmark physics --quick
     """
 
-    fills_cache: ClassVar[bool] = True
+    fills_cache = True
 
-    subject: Annotated[tyro.conf.Positional[Literal[*subjects()]], tyro.conf.arg(help=_help_on_subjects())]
-    what: Annotated[Literal[*_PARTS] | None, opt.optional("PART", help=_help_on_parts())] = None
+    subject: Annotated[
+        tyro.conf.Positional[Literal[*subjects()]],
+        tyro.conf.arg(help=f"What to measure: {ALONE}, or a subject with parts."),
+    ]
+    what: Annotated[str | None, opt.optional("PART", help=_help_on_parts())] = None
     quick: opt.Flag = False
     """A short form: one or two small cases of each table; a minute or two, for adaptation more."""
     data: Annotated[

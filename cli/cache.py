@@ -1,7 +1,7 @@
 """`gelgap cache`: what physics is kept on disk, and clearing it."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 from gelgap.cli import options as opt
 
@@ -20,7 +20,7 @@ class Cache(opt.Command):
       gelgap cache --clear
     """
 
-    when_stopped: ClassVar[str] = "what was deleted is gone, the rest is kept; run the same command again"
+    when_stopped = "what was deleted is gone, the rest is kept; run the same command again"
 
     clear: opt.Flag = False
     """Delete every cached solution, responses of cameras, and shrunken pictures that do not lie beside their data."""
@@ -49,24 +49,24 @@ def _line(entry: "CacheEntry") -> str:
     problem = entry.problem
     if problem is None:
         return f"{head}  damaged, or of an older version"
-    pad = "edges far"
-    if problem.pad_mm is not None:
-        x_min, x_max, y_min, y_max = problem.pad_mm
-        at = 0.0 - (x_min + x_max) / 2, 0.0 - (y_min + y_max) / 2
-        pad = f"at ({at[0]:g}, {at[1]:g}) of a pad of {x_max - x_min:g} × {y_max - y_min:g} mm"
-    depths = [-z for _, _, z in problem.waypoints_mm]
-    moduli, mount = problem.moduli, problem.mount_stiffness_n_per_mm
     parts = [
         problem.quality.name,
-        f"{len(problem.waypoints_mm)} poses, deepest {max(depths):g} mm",
+        f"{len(problem.waypoints_mm)} poses, deepest {max(-z for _, _, z in problem.waypoints_mm):g} mm",
         problem.indenter.label,
         f"gel {problem.thickness_mm:g} mm",
-        f"MuJoCo's E {moduli.young_modulus_mpa:.4g} MPa, ν {moduli.poisson_ratio:.4g}",
+        f"MuJoCo's E {problem.moduli.young_modulus_mpa:.4g} MPa, ν {problem.moduli.poisson_ratio:.4g}",
         f"friction {problem.friction:g}",
-        *([] if mount is None else [f"mount {mount:g} N/mm"]),
-        pad,
-        *([] if entry.current else ["of another version: not used"]),
     ]
+    if problem.mount_stiffness_n_per_mm is not None:
+        parts.append(f"mount {problem.mount_stiffness_n_per_mm:g} N/mm")
+    if problem.pad_mm is None:
+        parts.append("edges far")
+    else:
+        x_min, x_max, y_min, y_max = problem.pad_mm
+        at = f"({0.0 - (x_min + x_max) / 2:g}, {0.0 - (y_min + y_max) / 2:g})"
+        parts.append(f"at {at} of a pad of {x_max - x_min:g} × {y_max - y_min:g} mm")
+    if not entry.current:
+        parts.append("of another version: not used")
     return f"{head}  {'; '.join(parts)}"
 
 

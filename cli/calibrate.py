@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from gelgap.render import HeldOut, LightCalibration, PressPicture, Sensor
+    from gelgap.render import LightCalibration, PressPicture, Sensor
 
 HELD_OUT = {
     "unchanged": "unchanged reference",
@@ -31,12 +31,6 @@ ASSUMED = (
 DOUBTFUL_DB = 5.0
 DIFFERENCE_GAIN = 4
 NEARLY_PARALLEL_MM = 200
-
-
-def taxim_package(name: str) -> None:
-    """Check presses of the package taxim, by name, or a folder with such a file."""
-    if name not in ("gelsight", "gelsight_mini") and not (Path(name) / "dataPack.npz").is_file():
-        raise ValueError("must be gelsight, gelsight_mini, or a folder with a dataPack.npz")
 
 
 @dataclass(frozen=True)
@@ -63,19 +57,17 @@ class Calibrate(opt.Command):
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 
-    when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
+    when_stopped = "nothing was written; run the same command again to start over"
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
-    presses: Annotated[
-        tyro.conf.Positional[Path | None], opt.optional("PRESSES"), opt.input_file("a TOML file")
-    ] = None
+    presses: Annotated[tyro.conf.Positional[Path | None], opt.optional("PRESSES")] = None
     """TOML file that lists the pictures of pressed spheres."""
-    reference: Annotated[Path | None, opt.optional("PATH"), opt.input_file("a picture")] = None
+    reference: Annotated[Path | None, opt.optional("PATH")] = None
     """Picture without contact."""
-    sensor: Annotated[str | None, opt.optional("NAME"), opt.preset_or_file("sensors")] = None
+    sensor: Annotated[str | None, opt.optional("NAME")] = None
     """Where the fit starts, instead of mm_per_px: a sensor preset or TOML file; LEDs of its own within 30°, or none."""
-    from_taxim: Annotated[str | None, opt.optional("NAME"), taxim_package] = None
+    from_taxim: Annotated[str | None, opt.optional("NAME")] = None
     """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
     mm_per_px: Annotated[float | None, opt.optional("MM"), opt.between(0.001, 1)] = None
     """How much of the gel a pixel shows. With --from-taxim 0.0295 if left out, as those packages say."""
@@ -135,19 +127,17 @@ class Calibrate(opt.Command):
                     "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
                 )
             found = taxim_presses(self.from_taxim, self.mm_per_px)
-            start = opt.named(Sensor, self.sensor) if self.sensor else found.start
-            reference, presses = found.reference, found.presses
+            start, reference, presses = found.start, found.reference, found.presses
         elif self.presses and self.reference and (self.sensor is None) != (self.mm_per_px is None):
             presses, reference = read_presses(self.presses), read_picture(self.reference)
-            if self.sensor:
-                start = opt.named(Sensor, self.sensor)
-            else:
-                camera = Camera.showing(reference.shape[1] * self.mm_per_px)
-                start = Sensor(name=self.output.stem, camera=camera, markers=Markers(layout="none"))
+            camera = Camera.showing(reference.shape[1] * self.mm_per_px) if self.mm_per_px else Camera()
+            start = Sensor(name=self.output.stem, camera=camera, markers=Markers(layout="none"))
         else:
             raise ValueError(
                 "calibrate needs PRESSES, --reference and either --mm-per-px or --sensor, or --from-taxim instead"
             )
+        if self.sensor is not None:
+            start = opt.named(Sensor, self.sensor)
         if self.sphere_diameter_mm is not None:
             presses = tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
         return start, reference, presses
@@ -160,8 +150,7 @@ def report_lines(fit: "LightCalibration") -> list[str]:
         tried = zip(size.tried_mm, size.rms_code_values, strict=True)
         lines.append(
             f"sphere of {size.diameter_mm:.2f} mm, between {size.interval_mm[0]:.2f} and {size.interval_mm[1]:.2f} mm; "
-            "code values rms by diameter: "
-            + ", ".join(f"{diameter:.2f}: {rms:.1f}" for diameter, rms in tried)
+            f"code values rms by diameter: {', '.join(f'{diameter:.2f}: {rms:.1f}' for diameter, rms in tried)}"
         )
     if fit.left_out:
         lines.append(f"left out, since no fit explains them: {', '.join(fit.left_out)}")
@@ -169,7 +158,9 @@ def report_lines(fit: "LightCalibration") -> list[str]:
         lines.append(
             f"held out, {len(fit.held_out)} presses each predicted by a fit without it; PSNR in dB, median (worst):"
         )
-        lines += [f"  {what:32s} {_scores(fit.held_out, kind)}" for kind, what in HELD_OUT.items()]
+    for kind, what in HELD_OUT.items() if fit.held_out else ():
+        inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in _levels(fit, kind))
+        lines.append(f"  {what:32s} inside the contact {inside}, from one to two radii {ring}")
     if len(fit.levels):
         low, high = fit.levels.min(), fit.levels.max()
         lines.append(f"brightness far from the contacts {low:.2f}…{high:.2f} of the reference's, taken out")
@@ -181,9 +172,9 @@ def report_lines(fit: "LightCalibration") -> list[str]:
             f"LED {led.name or '?'}: azimuth {_with_error(*azimuth)}°, elevation {_with_error(*elevation)}°"
         )
     distance_mm = -fit.sensor.camera.position_mm[2]
-    error_mm = distance_mm**2 * fit.nearness_error_per_mm
+    distance = _with_error(distance_mm, distance_mm**2 * fit.nearness_error_per_mm)
     parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""
-    lines.append(f"camera {_with_error(distance_mm, error_mm)} mm from the gel{parallel}")
+    lines.append(f"camera {distance} mm from the gel{parallel}")
     depths = fit.poses_mm[:, 2]
     lines.append(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
     return lines
@@ -200,29 +191,24 @@ def warnings_of(fit: "LightCalibration") -> list[str]:
             "that no pictures are mirrored or have red and blue exchanged, diameters, scale and, among few presses, "
             "the picture of each, since one can spoil the fit"
         )
-    levels = [
-        [median(getattr(press, kind)[region] for press in fit.held_out) for kind in ("marked", "table")]
-        for region in (0, 1)
-        if fit.held_out
-    ]
-    for where, (fitted, table) in zip(("inside", "around"), levels, strict=False):
-        if table > fitted + DOUBTFUL_DB:
+    predicted = zip(("inside", "around"), _levels(fit, "table"), _levels(fit, "marked"), strict=False)
+    for where, table, marked in predicted:
+        if (better := median(table) - median(marked)) > DOUBTFUL_DB:
             warnings.append(
-                f"{where} the contact a plain table of the same presses predicts {table - fitted:.1f} dB better, for "
+                f"{where} the contact a plain table of the same presses predicts {better:.1f} dB better, for "
                 "this ball alone: check the spheres' diameters, the scale and the marks; if they are right, the "
                 "sensor has light or shadows that the fit lacks"
             )
     return warnings
 
 
+def _levels(fit: "LightCalibration", kind: str) -> list[tuple[float, ...]]:
+    """Return the held-out presses' PSNR inside the contact, and around it; nothing if none is held out."""
+    return list(zip(*(getattr(press, kind) for press in fit.held_out), strict=True))
+
+
 def _with_error(value: float, error: float) -> str:
     return f"{value:.0f}" if isnan(error) else f"{value:.0f} ± {error:.0f}"
-
-
-def _scores(held_out: "Sequence[HeldOut]", kind: str) -> str:
-    values = zip(*(getattr(press, kind) for press in held_out), strict=True)
-    inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in values)
-    return f"inside the contact {inside}, from one to two radii {ring}"
 
 
 def write_comparisons(fit: "LightCalibration", presses: "Sequence[PressPicture]", folder: Path) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -29,12 +29,9 @@ class Convert(opt.Command):
       gelgap convert clones/EstimateModulus --layout wedge --out wedge
     """
 
-    when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
+    when_stopped = "nothing was written; run the same command again to start over"
 
-    folder: Annotated[
-        tyro.conf.Positional[Path],
-        opt.input_folder("a clone (gelgap convert --help says how to get one), or a folder of recordings,"),
-    ]
+    folder: Annotated[tyro.conf.Positional[Path], opt.input_folder("a clone, or a folder of recordings,")]
     """Folder of the clone, or of your recordings."""
     layout: Literal["wedge", "ball-presses", "recordings"]
     """What the folder holds."""

@@ -1,26 +1,22 @@
 """`gelgap demo`: the whole chain at its smallest, on two domains, from presses to a report."""
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated
 
-from gelgap.assets import asset_path, load_preset
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from gelgap.adapt import NamedFigure, Run
 
-    from gelgap.cli.demo_page import DemoResult
-
+SOURCE, TARGET = "mb0i0", "wmb1i1"
 METHODS = ("source-only", "adabn", "dsan")
 SEED = 0
 # Of the source's frames, by Fz, for DSAN: contacts at random are on no grid that would class them.
 CLASSES = 10
-# The contact whose force is compared with theory and the reference tables (assets/reference).
-CURVE_DEPTHS_MM = (0.2, 0.4, 0.6, 0.8, 1.0)
+SAMPLE_DEPTH_MM = 0.6
 
 
 @dataclass(frozen=True)
@@ -33,16 +29,14 @@ class Demo(opt.Command):
       gelgap demo
     """
 
-    when_stopped: ClassVar[str] = (
-        "finished shards, solves, runs and epochs are kept, run the same command again to go on"
-    )
-    fills_cache: ClassVar[bool] = True
+    when_stopped = "finished shards, solves, runs and epochs are kept, run the same command again to go on"
+    fills_cache = True
 
     out: Annotated[Path, opt.output_folder] = Path("demo")
     """Folder for domains, models and report.html."""
-    path: Annotated[str, opt.preset_or_file("paths")] = "smoke-random"
+    path: str = "smoke-random"
     """Contact path of both domains (see: gelgap presets paths)."""
-    profile: Annotated[str, lambda name: load_preset("profiles", name)] = "smoke"
+    profile: str = "smoke"
     """Training profile (see: gelgap presets profiles)."""
     quality: opt.Quality = "draft"
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
@@ -54,35 +48,18 @@ class Demo(opt.Command):
     """Address of a Dask scheduler; `synchronous` runs in this process."""
 
     def run(self, started: float) -> None:
-        """Run the demo and print its tables."""
-        result = self.result()
-        from gelgap.adapt.evaluation import errors_text
-
-        print(f"\n{result.headline}\n")
-        print(errors_text({", ".join(what): error for what, error in result.errors.items()}))
-        print(f"\n{'stage':<20} {'s':>7}")
-        for stage, wall_s in result.stages_s.items():
-            print(f"{stage:<20} {wall_s:7.1f}")
-        print(f"\n{time.perf_counter() - started:.0f} s in all; report: {self.out / 'report.html'}")
-
-    def result(self) -> "DemoResult":
-        """Generate source and target, train, adapt, evaluate on held-out frames, and write `report.html`.
-
-        Generation resumes: domains that are finished are kept.
-        """
-        from gelgap.cli.demo_page import SOURCE, TARGET, DemoResult, write_page
+        """Generate source and target, train, adapt, write the report and print its tables; finished parts are kept."""
+        from gelgap.adapt import Profile, adapt_folders, console_progress, write_pages
+        from gelgap.adapt.report import axis_table, error_table, training_table
         from gelgap.domains import generate, shown_progress
+        from gelgap.sim import load_path
 
-        stages_s: dict[str, float] = {}
-        print(f"1/4  force against depth, compared with theory and reference ({self.quality})")
-        with timed("force curve", stages_s):
-            curve, seconds_per_pose = force_curve(self.quality)
-
-        print(f"2/4  generating {SOURCE} and {TARGET} on the path {self.path}")
-        with timed("generate", stages_s), shown_progress() as progress:
+        path, profile = load_path(self.path), Profile.preset(self.profile)
+        print(f"1/3  generating {SOURCE} and {TARGET} on the path {self.path}")
+        with shown_progress() as progress:
             report = generate(
                 (SOURCE, TARGET),
-                self.path,
+                path,
                 self.out / "data",
                 quality=self.quality,
                 seed=SEED,
@@ -91,73 +68,79 @@ class Demo(opt.Command):
                 columns=("height_map",),
                 progress=progress,
             )
-        print(str(report))
+        print(report)
 
         print(
-            f"3/4  training on {SOURCE}, adapting to {TARGET} without its labels (profile {self.profile!r})"
+            f"2/3  training on {SOURCE}, adapting to {TARGET} without its labels (profile {self.profile!r})"
         )
-        from gelgap.adapt import adapt_folders, console_progress, load_predictions
-
-        runs = {}
         with console_progress() as progress:
-            for method in METHODS:
-                with timed(f"train {method}", stages_s):
-                    (runs[method],) = adapt_folders(
-                        self.out / "data" / SOURCE,
-                        self.out / "data" / TARGET,
-                        (method,),
-                        profile=self.profile,
-                        seed=SEED,
-                        classes_from_force=CLASSES,
-                        out_dir=self.out / "runs",
-                        progress=progress,
-                    )
-        plain = runs["source-only"]
-        predictions = {method: load_predictions(run) for method, run in runs.items()}
-        result = DemoResult(
-            errors={
-                ("constant mean", SOURCE): plain.source_constant_mean,
-                ("source-only", SOURCE): plain.source_held_out,
-                ("constant mean", TARGET): plain.target_constant_mean,
-                **{(method, TARGET): run.target_test for method, run in runs.items()},
-            },
-            stages_s=stages_s,
-            true_n=predictions["source-only"]["target_true_n"],
-            predicted_n={method: arrays["target_predicted_n"] for method, arrays in predictions.items()},
-            curve=curve,
-            seconds_per_pose=seconds_per_pose,
-        )
-        print("4/4  writing the report")
-        write_page(result, self.out, self.out / "report.html")
-        return result
+            runs = adapt_folders(
+                self.out / "data" / SOURCE,
+                self.out / "data" / TARGET,
+                METHODS,
+                profile=profile,
+                seed=SEED,
+                classes_from_force=CLASSES,
+                out_dir=self.out / "runs",
+                progress=progress,
+            )
+
+        print("3/3  writing the report")
+        tables = [error_table(runs), axis_table(runs), training_table(runs)]
+        figures = [samples(self.out / "data"), scatter(runs)]
+        page = write_pages(self.out, "report", headline(runs), tables, figures)
+        for table in tables:
+            table.show()
+        print(f"{headline(runs)}\n\n{time.perf_counter() - started:.0f} s in all; report: {page}")
 
 
-def force_curve(quality: str) -> "tuple[pd.DataFrame, float]":
-    """Press at `CURVE_DEPTHS_MM` and compare with Hertz, the bonded layer and the FEM table; tell seconds per pose."""
+def headline(runs: "Sequence[Run]") -> str:
+    """Return the report's title: whether adaptation helped and the network learned at all."""
+    plain, adapted = runs[0].target_test.mean_mae_n, runs[-1].target_test.mean_mae_n
+    told = (
+        f"DSAN {'beats' if adapted < plain else 'does NOT beat'} source-only on the target: mean error "
+        f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %)"
+    )
+    if runs[0].source_held_out.mean_mae_n >= 0.5 * runs[0].source_constant_mean.mean_mae_n:
+        told += "; source-only did NOT learn: its error on the source is over half the mean's"
+    return told
+
+
+def samples(data: Path) -> "NamedFigure":
+    """Draw a contact in both domains: the frame dragged furthest right and down of the tenth nearest to 0.6 mm."""
     import numpy as np
-    import pandas as pd
+    from matplotlib.figure import Figure
 
-    from gelgap.benchmarks.fem.theory import hertz_force_n
-    from gelgap.sim import Elastomer, Pose, Sphere, bonded_layer_force_n, solve_poses
+    from gelgap.adapt import NamedFigure
+    from gelgap.domains import open_domain
+    from gelgap.render import difference_picture
 
-    gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
-    modulus_mpa, radius_mm, depth_mm = gel.young_modulus_mpa, Sphere().radius_mm, np.array(CURVE_DEPTHS_MM)
-    started = time.perf_counter()
-    states = solve_poses(gel, Sphere(), tuple(Pose(depth_mm=depth) for depth in CURVE_DEPTHS_MM), quality)
-    seconds = (time.perf_counter() - started) / len(depth_mm)
-    table = pd.read_csv(asset_path("reference", "force_depth.csv"))
-    forces_n = {
-        "force_n": [-state.force_n[2] for state in states],
-        "hertz_n": hertz_force_n(modulus_mpa, gel.poisson_ratio, radius_mm, depth_mm),
-        "bonded_layer_n": bonded_layer_force_n(modulus_mpa, radius_mm, gel.thickness_mm, depth_mm),
-        "reference_n": -table[table["case"] == "nh49_no_slip"].set_index("depth_mm")["fz_n"][depth_mm],
-    }
-    return pd.DataFrame(forces_n, index=depth_mm), seconds
+    figure = Figure(figsize=(11, 4.8), layout="constrained")
+    for row, name in zip(figure.subplots(2, 4), (SOURCE, TARGET), strict=True):
+        domain = open_domain(data / name)
+        sideways = domain.columns["shear_x_mm"] + domain.columns["shear_y_mm"]
+        off_mm = np.abs(domain.columns["depth_mm"] - SAMPLE_DEPTH_MM)
+        index = int(np.argmax(np.where(off_mm <= np.quantile(off_mm, 0.1) + 1e-9, sideways, -np.inf)))
+        picture = domain.picture(index)
+        row[0].imshow(domain.reference)
+        row[1].imshow(picture)
+        row[2].imshow(difference_picture(picture, domain.reference, 2.0))
+        height = row[3].imshow(domain.height_map_mm(index))
+        figure.colorbar(height, ax=row[3], label="mm", shrink=0.8)
+        for panel, title in zip(row, ("reference", "contact", "difference, ×2", "height"), strict=True):
+            panel.set(title=title, xticks=[], yticks=[])
+        row[0].set_ylabel(name)
+    caption = (
+        f"The same commanded contact in both domains, about {SAMPLE_DEPTH_MM} mm deep and dragged sideways"
+    )
+    return NamedFigure("samples", caption, figure)
 
 
-@contextmanager
-def timed(name: str, stages_s: dict[str, float]) -> Iterator[None]:
-    """Enter the wall time of what happens inside among the stages."""
-    started = time.perf_counter()
-    yield
-    stages_s[name] = time.perf_counter() - started
+def scatter(runs: "Sequence[Run]") -> "NamedFigure":
+    """Draw predicted against true force on the target."""
+    from gelgap.adapt import NamedFigure, force_scatter, load_predictions
+
+    arrays = {run.method: load_predictions(run) for run in runs}
+    predicted = {method: own["target_predicted_n"] for method, own in arrays.items()}
+    figure = force_scatter(arrays[METHODS[0]]["target_true_n"], predicted)
+    return NamedFigure("scatter", f"Predicted against true force, test frames of {TARGET}", figure)

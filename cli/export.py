@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -18,9 +18,9 @@ class Export(opt.Command):
       gelgap export data --format lerobot-v3 --out episodes
     """
 
-    when_stopped: ClassVar[str] = "nothing was written; run the same command again to start over"
+    when_stopped = "nothing was written; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], opt.domains_inside]
+    folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     out: Annotated[Path, opt.output_folder]
     """New folder for the export."""

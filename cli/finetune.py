@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
@@ -20,13 +20,13 @@ class Finetune(opt.Command):
       gelgap finetune runs/stage1/mb0i0-*.pt --on data/wmb1i1 --test data/wmb1i1 --frames 8 --out tuned.pt
     """
 
-    when_stopped: ClassVar[str] = "nothing is kept, run the same command again to start over"
+    when_stopped = "nothing is kept, run the same command again to start over"
 
-    checkpoint: Annotated[tyro.conf.Positional[Path], opt.input_file("a checkpoint")]
+    checkpoint: tyro.conf.Positional[Path]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
-    on: Annotated[Path, opt.data_sets]
+    on: Path
     """Folder of the data set of which some frames are learnt."""
-    test: Annotated[Path, opt.data_sets]
+    test: Path
     """Folder of the data set to evaluate on; if it is the same, the frames that are not learnt are held out."""
     frames: Annotated[int | None, opt.optional("K"), opt.between(1, 10_000_000)] = None
     """Number of frames to learn, spread over the commanded depths where these are known."""
@@ -39,10 +39,6 @@ class Finetune(opt.Command):
 
     def run(self, started: float) -> None:
         """Fine-tune and print the errors."""
-        if (self.frames is None) == (self.clips is None):
-            raise ValueError(
-                "give one of --frames and --clips: how many labelled frames, or clips, are learnt"
-            )
         from gelgap.adapt import finetune
 
         found = finetune(

@@ -1,12 +1,11 @@
 """`gelgap generate`: labelled domains on disk."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from gelgap.assets import load_preset
 from gelgap.cli import options as opt
 from gelgap.cli.adapt import label_ranges
 
@@ -31,10 +30,10 @@ def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
     from gelgap.domains import FORCE_COLUMNS, PAPER_FORCE_RANGE_N
 
-    given = label_ranges(texts)
-    if others := sorted(given.keys() - set(FORCE_COLUMNS)):
-        raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(FORCE_COLUMNS)}")
-    return tuple((dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True)) | given).values())
+    given, papers = label_ranges(texts), dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True))
+    if others := sorted(given.keys() - papers.keys()):
+        raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(papers)}")
+    return tuple((papers | given).values())
 
 
 @dataclass(frozen=True)
@@ -53,57 +52,45 @@ class Generate(opt.Command):
       gelgap generate wmb0i0 --lights-like reference.png --name like-mine --out data
     """
 
-    when_stopped: ClassVar[str] = "finished shards and solves are kept, run the same command again to go on"
-    fills_cache: ClassVar[bool] = True
+    when_stopped = "finished shards and solves are kept, run the same command again to go on"
+    fills_cache = True
 
+    out: Annotated[Path, opt.output_folder]
+    """Folder that gets one folder per domain."""
     domains: Annotated[tyro.conf.Positional[tuple[str, ...]], opt.optional("[DOMAIN ...]")] = ()
     """Names of domains; or leave them out and give --preset or --sweep."""
-    out: Annotated[
-        Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="(required)"), opt.output_folder
-    ] = None
-    """Folder that gets one folder per domain."""
-    preset: Annotated[str | None, opt.optional("NAME"), lambda name: load_preset("datasets", name)] = None
+    preset: Annotated[str | None, opt.optional("NAME")] = None
     """A whole data set (see: gelgap presets datasets)."""
-    sweep: Annotated[Path | None, opt.optional("TOML"), opt.input_file("a TOML file")] = None
+    sweep: Annotated[Path | None, opt.optional("TOML")] = None
     """A TOML file that crosses factors around a base domain; each domain's gap to the base goes to sweep.json."""
-    recipe: Annotated[Path | None, opt.optional("TOML"), opt.input_file("a TOML file")] = None
+    recipe: Annotated[Path | None, opt.optional("TOML")] = None
     """A TOML file of whole domains, with path, gels, lights and sensors, as `gelgap view` saves it."""
-    elastomer: Annotated[
-        str | None, opt.optional("NAME", "the domain's"), opt.preset_or_file("elastomers")
-    ] = None
+    elastomer: Annotated[str | None, opt.optional("NAME", "the domain's")] = None
     """Another elastomer than the named domain's: a preset or a TOML file; needs --name."""
-    illumination: Annotated[
-        str | None, opt.optional("NAME", "the domain's"), opt.preset_or_file("illuminations")
-    ] = None
+    illumination: Annotated[str | None, opt.optional("NAME", "the domain's")] = None
     """Another illumination than the named domain's: a preset or a TOML file; needs --name."""
-    lights_like: Annotated[Path | None, opt.optional("PICTURE"), opt.input_file("a PNG or JPEG file")] = None
+    lights_like: Annotated[Path | None, opt.optional("PICTURE")] = None
     """A sensor's picture without contact: make the domain in 8 drawn lights like its, or like --illumination turned
     and recoloured to suit it, as NAME-1 to NAME-8 with the frames of one; needs --name."""
     name: Annotated[str | None, opt.optional("NAME")] = None
     """What the domain with parts of your own is called; without a named domain the rest is from mb0i0."""
-    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=opt.IndenterOptions
-    )
-    further_indenters: Annotated[
-        tuple[str, ...] | None, opt.optional("NAME [NAME ...]", "none"), opt.indenter_name
-    ] = None
+    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = opt.SPHERE
+    further_indenters: Annotated[tuple[str, ...] | None, opt.optional("NAME [NAME ...]", "none")] = None
     """Indenters that go the whole path after the first: shapes, presets, TOML or mesh files; column `indenter`."""
-    path: Annotated[str, opt.preset_or_file("paths")] = "cpu"
+    path: str = "cpu"
     """Contact path of the named domains: a preset (see: gelgap presets paths) or a TOML file."""
     quality: opt.Quality = "standard"
     """Quality of the physics."""
     seed: opt.Seed = 0
     """Seed of sensor noise and acquisition errors."""
-    sensor: opt.SensorName = "paper"
+    sensor: str = "paper"
     """Sensor preset or TOML file."""
     size: opt.PictureSize = (320, 240)
     """Width and height of the pictures in pixels."""
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Optional columns to write as well: pictures of the contact, how it was solved, six axes, force by cell."""
     force_range: Annotated[
-        tuple[str, ...] | None,
-        opt.optional("NAME=LOW:HIGH ...", "the paper's"),
-        force_ranges,
+        tuple[str, ...] | None, opt.optional("NAME=LOW:HIGH ...", "the paper's"), force_ranges
     ] = None
     """Declared ranges of forces in N, as fz_n=-40:0, by which training normalises; it refuses forces outside."""
     contacts: Literal["paired", "independent"] = "paired"
@@ -112,9 +99,7 @@ class Generate(opt.Command):
     """Solve every pose of a random path, instead of interpolating it from a library of a few solves."""
     rendered_without_markers: opt.Flag = False
     """Render wmb0i0 without markers instead of inpainting the markers of mb0i0 (the paper's way)."""
-    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=opt.GenerationOptions
-    )
+    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
 
     def run(self, started: float) -> None:
         """Plan and run the generation."""
@@ -131,29 +116,27 @@ class Generate(opt.Command):
 
     def _check_choices(self) -> None:
         """Refuse options that lack or exclude each other."""
-        if self.out is None:
-            raise ValueError(
-                "--out is missing: name the folder that gets the domains, for example --out data"
-            )
-        chosen = sum(map(bool, (self.domains, self.preset, self.sweep, self.recipe)))
-        if chosen > 1 or (chosen == 0 and self.name is None):
+        sources = [bool(source) for source in (self.domains, self.preset, self.sweep, self.recipe)]
+        if sum(sources) > 1 or not (any(sources) or self.name):
             raise ValueError(
                 "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file, "
                 "a --recipe file"
             )
-        parts = ("elastomer", "illumination", "lights_like")
-        own = [f"--{part.replace('_', '-')}" for part in parts if getattr(self, part) is not None]
-        if own and self.name is None:
+        own = {
+            "--elastomer": self.elastomer,
+            "--illumination": self.illumination,
+            "--lights-like": self.lights_like,
+        }
+        if self.name is None and any(own.values()):
+            given = " and ".join(option for option, value in own.items() if value)
             raise ValueError(
-                f"--name is missing: a domain with {' and '.join(own)} of your own needs a name, "
-                "for example --name my-gel"
+                f"--name is missing: a domain with {given} of your own needs a name, for example --name my-gel"
             )
-        if self.name is not None and (self.preset or self.sweep or self.recipe or len(self.domains) > 1):
+        if self.name is not None and (any(sources[1:]) or len(self.domains) > 1):
             raise ValueError(
                 f"--name = {self.name!r}: names one domain; give it with one domain or none, "
                 "not with --preset, --sweep or --recipe"
             )
-        self.generation.check()
 
     def _recipes(self) -> "tuple[tuple[DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
@@ -184,15 +167,17 @@ class Generate(opt.Command):
             return domains.load_recipes(self.recipe, **settings), ()
         if self.preset:
             return domains.preset_recipes(self.preset, **settings), ()
-        if self.name is not None:
-            settings["elastomer"] = opt.named(Elastomer, self.elastomer) if self.elastomer else None
-            settings["illumination"] = (
-                opt.named(Illumination, self.illumination) if self.illumination else None
-            )
-            base = self.domains[0] if self.domains else "mb0i0"
-            recipe = domains.own_recipe(self.name, self.path, base=base, **settings)
-            if self.lights_like is None:
-                return (recipe,), ()
-            like = read_picture(self.lights_like)
-            return domains.in_drawn_lights(recipe, like, self.illumination and [recipe.illumination]), ()
-        return domains.make_recipes(self.domains, self.path, **settings), ()
+        if self.name is None:
+            return domains.make_recipes(self.domains, self.path, **settings), ()
+        recipe = domains.own_recipe(
+            self.name,
+            self.path,
+            base=self.domains[0] if self.domains else "mb0i0",
+            elastomer=self.elastomer and opt.named(Elastomer, self.elastomer),
+            illumination=self.illumination and opt.named(Illumination, self.illumination),
+            **settings,
+        )
+        if self.lights_like is None:
+            return (recipe,), ()
+        like = read_picture(self.lights_like)
+        return domains.in_drawn_lights(recipe, like, self.illumination and [recipe.illumination]), ()

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
@@ -18,15 +18,15 @@ class Inspect(opt.Command):
       gelgap inspect data/wmb1i1 --gap-to data/mb0i0
     """
 
-    when_stopped: ClassVar[str] = "nothing was changed; run the same command again to start over"
+    when_stopped = "nothing was changed; run the same command again to start over"
 
-    folder: Annotated[tyro.conf.Positional[Path], opt.domains_inside]
+    folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     verify: opt.Flag = False
     """Compare every byte with the manifest, or decode every picture of real data; exit code 1 if one is damaged."""
     html: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
     """Write one self-contained page of pictures and plots (of one domain)."""
-    gap_to: Annotated[Path | None, opt.optional("PATH"), opt.data_sets] = None
+    gap_to: Annotated[Path | None, opt.optional("PATH")] = None
     """Folder of another domain: say how far this one is from it (colours, modulus, markers, forces)."""
 
     def run(self, started: float) -> None:
@@ -38,35 +38,34 @@ class Inspect(opt.Command):
             names = ", ".join(folder.name for folder in folders)
             raise ValueError(f"--html shows one domain; {self.folder} holds {names}: name one of them")
         base = domains.open_domain(self.gap_to) if self.gap_to is not None else None
-        generated = all((folder / domains.MANIFEST).exists() for folder in folders)
-        if self.verify:
-            _verify(folders, generated)
+        intact = _verified(folders) if self.verify else ""
         for folder in folders:
             print(domains.inspect_domain(folder))
             if base is not None:
                 print(f"  gap from {self.gap_to}:")
                 for what, value in domains.gap_rows(domains.open_domain(folder), base):
                     print(f"    {what}: {value}")
-        if self.verify:
-            print(
-                "every file is what its manifest says" if generated else "every picture and force is readable"
-            )
+        if intact:
+            print(intact)
         if self.html is not None:
             print(f"wrote {domains.write_overview(folders[0], self.html, self.gap_to)}")
 
 
-def _verify(folders: tuple[Path, ...], generated: bool) -> None:
-    """Raise RuntimeError for damage, with what to do: what gelgap generated it makes again, real data it cannot."""
+def _verified(folders: tuple[Path, ...]) -> str:
+    """Return what is sure of files without damage; a RuntimeError says what to do about damage.
+
+    What gelgap generated it makes again, real data it cannot.
+    """
     from gelgap.domains import MANIFEST, verify_domain
 
+    generated = all((folder / MANIFEST).exists() for folder in folders)
     damages = [(folder.name, damage) for folder in folders for damage in verify_domain(folder)]
     if not damages:
-        return
+        return "every file is what its manifest says" if generated else "every picture and force is readable"
     if not generated:
         advice = "Take these rows out of the table, or replace the files by whole ones"
     elif any(damage.file == MANIFEST for _, damage in damages):
         advice = "The same gelgap generate command with --overwrite makes it again"
     else:
         advice = "The same gelgap generate command repairs it"
-    listed = "; ".join(f"{name}/{damage}" for name, damage in damages)
-    raise RuntimeError(f"damaged: {listed}. {advice}")
+    raise RuntimeError(f"damaged: {'; '.join(f'{name}/{damage}' for name, damage in damages)}. {advice}")

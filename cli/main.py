@@ -63,14 +63,13 @@ def fail(message: str, exit_code: int) -> NoReturn:
     raise SystemExit(exit_code)
 
 
-def check_cache(command: Command) -> None:
-    """Raise ValueError if the cache's folder is none or, where a command fills it, takes no file."""
+def check_cache() -> None:
+    """Raise ValueError unless files can be made in the cache's folder."""
     from gelgap.assets.locks import cache_folder
 
     folder = cache_folder()
     try:
-        if command.fills_cache:
-            output_folder(folder)
+        output_folder(folder)
     except ValueError as error:
         raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {error}") from None
 
@@ -113,14 +112,12 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
         print(f"gelgap {version('gelgap')}")
         return
     command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
-    doing = (
-        f"{type(command).__name__.lower()}: reading and preparing" if command.doing is None else command.doing
-    )
     stops = _counted_stops()
     try:
         check_values(command)
-        check_cache(command)
-        with Speaker(doing):
+        if command.fills_cache:
+            check_cache()
+        with Speaker(command.doing):
             command.run(started)
     except BrokenPipeError:
         raise SystemExit(EXIT_FAILED_RUN) from None
@@ -129,10 +126,8 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
             fail(f"interrupted; {command.when_stopped}", EXIT_INTERRUPTED)
         if debug:
             raise
-        fail(
-            str(error) or type(error).__name__,
-            EXIT_BAD_INPUT if isinstance(error, ValueError) else EXIT_FAILED_RUN,
-        )
+        is_bad_input = isinstance(error, ValueError | FileNotFoundError)
+        fail(str(error) or type(error).__name__, EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED_RUN)
 
 
 if __name__ == "__main__":

@@ -6,12 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
-
-from gelgap.assets import load_preset
-from gelgap.assets.names import quoted
 
 if TYPE_CHECKING:
     from gelgap.domains import DomainRecipe
@@ -29,13 +26,11 @@ need none here.
 class Command:
     """What the command line parses to: a frozen dataclass whose fields are its options."""
 
-    doing: ClassVar[str | None] = None
-    """What is said of it while nothing else is known and it takes long; by default that it reads and prepares."""
-    when_stopped: ClassVar[str] = (
-        "nothing is kept but solved physics; run the same command again to start over"
-    )
+    doing = "reading and preparing"
+    """What is said of it while nothing else is known and it takes long."""
+    when_stopped = "nothing is kept but solved physics; run the same command again to start over"
     """What is left of it after Ctrl-C, and what to do."""
-    fills_cache: ClassVar[bool] = False
+    fills_cache = False
 
     def run(self, started: float) -> None:
         """Do it and print what came out; `started` is when the process began, by `time.perf_counter`."""
@@ -58,41 +53,14 @@ def between(low: float, high: float, unit: str = "") -> Check:
     return check
 
 
-def preset_or_file(kind: str) -> Check:
-    """Return the check of a preset's name, or of a TOML file."""
+def input_folder(what: str) -> Check:
+    """Return the check of a folder that is there."""
 
-    def check(value: str) -> None:
-        if value.endswith(".toml"):
-            input_file("a TOML file")(Path(value))
-            return
-        try:
-            load_preset(kind, value)
-        except ValueError as error:
-            raise ValueError(f"name a preset, or a file that ends in .toml; {error}") from None
+    def check(path: Path) -> None:
+        if not path.is_dir():
+            raise ValueError(f"{'is a file' if path.exists() else 'does not exist'}; {what} is needed")
 
     return check
-
-
-def input_file(what: str) -> Check:
-    """Return the check of a file that can be read."""
-    return lambda path: _check_readable(path, what, is_folder=False)
-
-
-def input_folder(what: str) -> Check:
-    """Return the check of a folder that can be read."""
-    return lambda path: _check_readable(path, what, is_folder=True)
-
-
-def _check_readable(path: Path, what: str, is_folder: bool) -> None:
-    if not path.exists():
-        problem = "does not exist"
-    elif not (path.is_dir() if is_folder else path.is_file()):
-        problem = "is a file" if is_folder else "is a folder"
-    elif not os.access(path, os.R_OK):
-        problem = "cannot be read"
-    else:
-        return
-    raise ValueError(f"{problem}; {what} is needed")
 
 
 @cache
@@ -117,9 +85,7 @@ def output_folder(path: Path) -> None:
     """Check a folder that can be written to, or can be made."""
     there = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
     if not there.is_dir():
-        raise ValueError(
-            "is a file; name a folder" if there == path else f"{there} is a file; name another folder"
-        )
+        raise ValueError(f"{there} is a file; name a folder")
     _check_takes_files(there)
 
 
@@ -129,28 +95,7 @@ def _check_takes_files(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise ValueError(
-            f"the folder {folder} cannot be written to ({error.strerror}); name another"
-        ) from None
-
-
-def data_sets(value: Path | tuple[Path, ...]) -> None:
-    """Check folders in a layout that is known: of one domain each."""
-    from gelgap.domains import layout_problem
-
-    paths = value if isinstance(value, tuple) else (value,)
-    if not paths:
-        raise ValueError("name one folder, or several")
-    for path in paths:
-        if problem := layout_problem(path):
-            raise ValueError(problem if len(paths) == 1 else f"{quoted(str(path))} {problem}")
-
-
-def domains_inside(folder: Path) -> None:
-    """Check the folder of one domain, or of several."""
-    from gelgap.domains import domain_folders
-
-    data_sets(domain_folders(folder))
+        raise ValueError(f"{folder} cannot be written to ({error.strerror}); name another") from None
 
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
@@ -158,11 +103,7 @@ Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior
 Quality = Literal["draft", "standard", "fine"]
 Seed = Annotated[int, between(0, 2**63 - 1)]
 PictureSize = Annotated[tuple[int, int], between(16, 4096, "px")]
-SensorName = Annotated[str, preset_or_file("sensors")]
-"""A sensor by its preset's name or its TOML file."""
-LightName = Annotated[
-    str | None, optional("NAME", "the sensor's own, or i0"), preset_or_file("illuminations")
-]
+LightName = Annotated[str | None, optional("NAME", "the sensor's own, or i0")]
 
 
 def scheduler_address(address: str) -> None:
@@ -185,82 +126,46 @@ class GenerationOptions:
     overwrite: Flag = False
     """Replace domains under --out that hold another configuration."""
 
-    def check(self) -> None:
-        """Raise ValueError if options exclude each other."""
-        if self.workers is not None and self.scheduler is not None:
-            raise ValueError(
-                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
-            )
-
     def generate(self, recipes: "Sequence[DomainRecipe]", out: Path) -> None:
         """Generate domains with a progress bar, and print the report."""
         from gelgap.domains import generate_recipes, shown_progress
 
-        with shown_progress() as progress:
-            report = generate_recipes(
-                recipes,
-                out,
-                scheduler=self.scheduler,
-                workers=self.workers,
-                overwrite=self.overwrite,
-                progress=progress,
+        if self.workers is not None and self.scheduler is not None:
+            raise ValueError(
+                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
             )
+        chosen = {"scheduler": self.scheduler, "workers": self.workers, "overwrite": self.overwrite}
+        with shown_progress() as progress:
+            report = generate_recipes(recipes, out, progress=progress, **chosen)
         print(report)
 
 
-INDENTER_SUFFIXES = (".toml", ".stl", ".ply", ".obj", ".off", ".glb")
-
-
-def indenter_name(value: str | tuple[str, ...]) -> None:
-    """Check the name of a shape or a preset, or a file; or several."""
-    if isinstance(value, tuple):
-        if not value:
-            raise ValueError("name one indenter, or several")
-        for name in value:
-            indenter_name(name)
-        return
-    if "." in value:
-        if not value.lower().endswith(INDENTER_SUFFIXES):
-            raise ValueError(f"a file's name must end in {', '.join(INDENTER_SUFFIXES)}")
-        input_file("a TOML file or a mesh")(Path(value))
-        return
-    from gelgap.sim import SHAPES
-
-    if value not in SHAPES:
-        try:
-            load_preset("indenters", value)
-        except ValueError as error:
-            shapes = ", ".join(SHAPES)
-            raise ValueError(f"name a shape ({shapes}), a mesh file, or a TOML file; {error}") from None
+LOCALLY = GenerationOptions()
 
 
 @dataclass(frozen=True)
 class IndenterOptions:
     """What is pressed into the gel: a shape, and those of its sizes that are not as by default."""
 
-    indenter: Annotated[str, indenter_name] = "sphere"
+    indenter: str = "sphere"
     """Shape (sphere, cylinder, cone, edge, box, ellipsoid), preset (gelgap presets indenters), TOML or mesh file."""
     indenter_diameter_mm: Annotated[float | None, optional("MM", "3; cone: 6"), between(0.5, 50, "mm")] = None
     """Diameter in mm, of sphere, cylinder, cone or edge."""
-    edge_radius_mm: Annotated[float | None, optional("MM", "0.2 or 0.3; mesh: 0"), between(0, 25, "mm")] = (
-        None
-    )
+    edge_radius_mm: Annotated[float | None, optional("MM", "0.2 or 0.3; mesh: 0")] = None
     """Rounding of a cylinder's face, of the ends of an edge, of a box, or of a mesh, in mm."""
-    half_angle_deg: Annotated[float | None, optional("DEG", "60"), between(20, 85, "°")] = None
+    half_angle_deg: Annotated[float | None, optional("DEG", "60")] = None
     """Angle between axis and flank of a cone, in degrees."""
-    tip_radius_mm: Annotated[float | None, optional("MM", "0.3"), between(0.01, 25, "mm")] = None
+    tip_radius_mm: Annotated[float | None, optional("MM", "0.3")] = None
     """Radius of a cone's tip in mm."""
-    length_mm: Annotated[float | None, optional("MM", "6"), between(0.5, 50, "mm")] = None
+    length_mm: Annotated[float | None, optional("MM", "6")] = None
     """Length of an edge, a lying cylinder, in mm."""
-    size_mm: Annotated[tuple[float, float] | None, optional("MM MM", "4 3"), between(0.5, 50, "mm")] = None
+    size_mm: Annotated[tuple[float, float] | None, optional("MM MM", "4 3")] = None
     """Size of a box along x and y in mm."""
-    diameters_mm: Annotated[
-        tuple[float, float, float] | None, optional("MM MM MM", "4 3 3"), between(0.5, 50, "mm")
-    ] = None
+    diameters_mm: Annotated[tuple[float, float, float] | None, optional("MM MM MM", "4 3 3")] = None
     """Diameters of an ellipsoid along x, y and z in mm."""
-    yaw_deg: Annotated[float | None, optional("DEG", "0"), between(-180, 180, "°")] = None
+    yaw_deg: Annotated[float | None, optional("DEG", "0")] = None
     """Turn of the indenter about the vertical axis in degrees, from +x towards +y."""
-    tilt_deg: Annotated[tuple[float, float] | None, optional("DEG DEG", "0 0"), between(-15, 15, "°")] = None
+    tilt_deg: Annotated[tuple[float, float] | None, optional("DEG DEG", "0 0")] = None
     """Tilt of the indenter about x and about y in degrees."""
 
     def make(self) -> "AnyIndenter":
@@ -272,6 +177,9 @@ class IndenterOptions:
         if "indenter_diameter_mm" in given:
             given["diameter_mm"] = given.pop("indenter_diameter_mm")
         return load_indenter(name, **given)
+
+
+SPHERE = IndenterOptions()
 
 
 def named(kind: Any, name: str) -> Any:

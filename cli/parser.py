@@ -1,92 +1,24 @@
-"""From words to a command: its options by its dataclass, their checks, and one sentence for words that do not parse."""
+"""From words to a command, and one sentence about words that do not parse or values that cannot be used."""
 
 import contextlib
 import io
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from itertools import takewhile
-from pathlib import Path
-from types import FunctionType, NoneType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from dataclasses import fields, is_dataclass
+from types import FunctionType
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
-from gelgap.assets.names import closest_name, quoted, unknown_name
-from gelgap.cli.options import Check, Command
+from gelgap.assets.names import quoted, unknown_name
+from gelgap.cli.options import Command
 
+_BOX_AND_STYLE = re.compile(r"\x1b\[[0-9;]*m|\[/?bold\]|-{5,}|[│╭╮╰╯─┃━]")
+# What tyro says of a value of a type `X | None` is about None as well.
+_NEITHER_NOR = re.compile(r"no type matching {None}\|(.+) could be instantiated from (.+)\. Got errors: .*")
 _POSITIONAL = get_args(tyro.conf.Positional[int])[1]
-_BOX_AND_COLOUR = re.compile(r"\x1b\[[0-9;]*m|[│╭╮╰╯─┃━]")
-_WRONG_VALUE = re.compile(r"(?:Error parsing|(?:Missing value|invalid choice .*) for argument) '?([\w-]+)'?")
-_UNKNOWN = re.compile(r"Unrecognized(?: or misplaced)? options: ([^\s,]+)")
-
-
-@dataclass(frozen=True)
-class Option:
-    """One option of a command, or one value without a name (`positional`), called by its first name in messages."""
-
-    field: str
-    names: tuple[str, ...]
-    type: Any
-    positional: bool
-    checks: tuple[Check, ...]
-
-    @property
-    def name(self) -> str:
-        return self.field if self.positional else self.names[0]
-
-    @property
-    def is_switch(self) -> bool:
-        return self.type is bool
-
-
-def options_of(command: type) -> tuple[Option, ...]:
-    """Return the options of a command's dataclass and of those inside it, in their order."""
-    hints = get_type_hints(command, include_extras=True)
-    return tuple(option for field in fields(command) for option in _options(field.name, hints[field.name]))
-
-
-def _options(field: str, hint: Any) -> tuple[Option, ...]:
-    kind, metadata = hint, []
-    while get_origin(kind) is Annotated or NoneType in get_args(kind):
-        kind, *more = (part for part in get_args(kind) if part is not NoneType)
-        metadata += more
-    if is_dataclass(kind):
-        return options_of(kind)
-    settings = [item for item in metadata if hasattr(item, "aliases")]
-    name = next((item.name for item in settings if item.name), field)
-    aliases = [alias for item in settings for alias in item.aliases or ()]
-    names = (f"--{name.replace('_', '-')}", *aliases)
-    checks = tuple(item for item in metadata if isinstance(item, FunctionType))
-    return (Option(field, names, kind, _POSITIONAL in metadata, checks),)
-
-
-def check_values(command: Any) -> None:
-    """Run the checks of a command's options.
-
-    Raises
-    ------
-    ValueError
-        If some fail; the message names each option, its value, and what is allowed.
-    """
-    if problems := list(_problems(command)):
-        raise ValueError("; ".join(problems))
-
-
-def _problems(command: Any) -> Iterator[str]:
-    for field in fields(command):
-        if is_dataclass(value := getattr(command, field.name)):
-            yield from _problems(value)
-    for option in options_of(type(command)):
-        value = getattr(command, option.field, None)
-        for check in option.checks if value is not None else ():
-            try:
-                check(value)
-            except (ValueError, OSError) as error:
-                typed = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-                reason = getattr(error, "strerror", None)
-                problem = f"cannot be used ({reason})" if reason else error
-                yield f"{option.name} = {quoted(typed)}: {problem}"
+_LONGEST = 800
 
 
 def parse_words(words: Sequence[str], commands: Mapping[str, type[Command]], description: str) -> Command:
@@ -95,95 +27,74 @@ def parse_words(words: Sequence[str], commands: Mapping[str, type[Command]], des
     Raises
     ------
     ValueError
-        For words that do not parse: one sentence with option, value and what is allowed, or the name that was
-        probably meant.
+        For words that do not parse; the sentence names the option, what was typed and what it takes.
     """
     name = next((word for word in words if not word.startswith("-")), None)
     if name is not None and name not in commands:
         raise ValueError(unknown_name("command", name, commands, "commands"))
-    options = options_of(commands[name]) if name else ()
-    _refuse_empty(words, options)
-    listed = []
-    for known, command in commands.items():
-        # In the summary of all commands each has the first line of its docstring alone.
-        summary = command.__doc__.partition("\n")[0] if name is None else None
-        listed.append(Annotated[command, tyro.conf.subcommand(known, description=summary)])
+    # As a shell's variable that is not set leaves it.
+    if any(re.fullmatch(r"(--[\w-]+=)?", word) for word in words):
+        raise ValueError(f"a value is empty: gelgap {shlex.join(words)}")
+    if name is None:
+        listed = [
+            Annotated[command, tyro.conf.subcommand(known, description=command.__doc__.partition("\n")[0])]
+            for known, command in commands.items()
+        ]
+        wanted, prog, about = Union[tuple(listed)], "gelgap", description  # noqa: UP007
+    else:
+        words = [word for place, word in enumerate(words) if place != words.index(name)]
+        wanted, prog, about = commands[name], f"gelgap {name}", None
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
-            return tyro.cli(Union[tuple(listed)], prog="gelgap", description=description, args=list(words))  # noqa: UP007
+            return tyro.cli(wanted, prog=prog, description=about, args=words)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-    raise ValueError(_refusal(words, name, options, _one_line(errors.getvalue())))
+    raise ValueError(_one_sentence(errors.getvalue(), words))
 
 
-def _refuse_empty(words: Sequence[str], options: Sequence[Option]) -> None:
-    """Refuse an empty value, as an unset variable of a shell leaves it."""
-    for place, word in enumerate(words):
-        if word == "" or re.fullmatch(r"--[\w-]+=", word):
-            before = next((other for other in reversed(words[:place]) if other.startswith("-")), None)
-            first = next((option.name for option in options if option.positional), "a value")
-            raise ValueError(f"{word[:-1] or before or first} = '': must not be empty")
+def _one_sentence(said: str, words: Sequence[str]) -> str:
+    """Return what tyro says in a box as one sentence, without title and frame, and no longer than a screen."""
+    text = " ".join(_BOX_AND_STYLE.sub(" ", said.partition("\n")[2]).split())
+    text, _, pointer = text.partition(" For full helptext, ")
+    if unknown := re.match(r"Unrecognized[\w ]* options: (\S+)", text):
+        switch = next((word for word in words if word.endswith(f"={unknown[1]}")), None)
+        text = f"{switch}: takes no value" if switch else f"{text}; {pointer}"
+    text, _, usage = text.partition(" Argument helptext: ")
+    text = _NEITHER_NOR.sub(r"\2 is not \1", text) + (f"; {usage}" if usage else "")
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]}…{text[-_LONGEST // 2 :]}"
 
 
-def _one_line(parser_message: str) -> str:
-    """Flatten the parser's boxed error into one sentence, without the pointer to --help that closes it."""
-    without_title = parser_message.partition("\n")[2]
-    text = re.sub("-{5,}", "", " ".join(_BOX_AND_COLOUR.sub(" ", without_title).split())).strip()
-    return text.split(" For full helptext, ")[0]
+def check_values(command: Command) -> None:
+    """Run the checks of a command's options.
+
+    Raises
+    ------
+    ValueError
+        If some fail; the message names each option, its value, and what is allowed.
+    """
+    groups = [value for value in vars(command).values() if is_dataclass(value)]
+    if problems := [problem for part in (command, *groups) for problem in _problems(part)]:
+        raise ValueError("; ".join(problems))
 
 
-def _refusal(words: Sequence[str], command: str | None, options: Sequence[Option], text: str) -> str:
-    """Return what is wrong with words that the parser refused, saying `text`."""
-    for option in options:
-        if option.is_switch and (given := [word for word in words if word.startswith(f"{option.name}=")]):
-            return f"{given[0]}: {option.name} takes no value"
-    if found := _WRONG_VALUE.match(text):
-        # The parser calls an option by any of its names, and a value without a name by its field or metavar.
-        for option in options:
-            if found[1] in (*option.names, option.field) or f"--{found[1].lower()}" in option.names:
-                return _wrong_value(option, words)
-    if found := _UNKNOWN.match(text):
-        word = found[1]
-        if not word.startswith("-"):
-            return f"{quoted(word)} is one value too many for gelgap {command}; see: gelgap {command} --help"
-        names = [name for option in options if not option.positional for name in option.names]
-        known = closest_name(word, names) or f" options: {', '.join(names)};"
-        return f"option {quoted(word)} is unknown;{known} see: gelgap {command} --help"
-    return text
+def _problems(options: Any) -> Iterator[str]:
+    hints = get_type_hints(type(options), include_extras=True)
+    for field in fields(options):
+        value, notes = getattr(options, field.name), _notes(hints[field.name])
+        for check in notes if value is not None else ():
+            if isinstance(check, FunctionType):
+                try:
+                    check(value)
+                except (ValueError, OSError) as error:
+                    name = field.name if _POSITIONAL in notes else f"--{field.name.replace('_', '-')}"
+                    typed = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+                    reason = getattr(error, "strerror", None)
+                    yield f"{name} = {quoted(typed)}: {f'cannot be used ({reason})' if reason else error}"
 
 
-def _wrong_value(option: Option, words: Sequence[str]) -> str:
-    given = _typed(option, words)
-    if not given:
-        return f"{option.name}: its value is missing; must be {_needs(option.type)}"
-    choices = get_args(option.type) if get_origin(option.type) is Literal else ()
-    near = closest_name(given, choices)
-    return f"{option.name} = {quoted(given)}: must be {_needs(option.type)}{';' + near if near else ''}"
-
-
-def _typed(option: Option, words: Sequence[str]) -> str:
-    """Return what was typed after an option, or all values without a name."""
-    if option.positional:
-        return " ".join(words[1:])
-    place = next(
-        (place for place, word in enumerate(words) if word.partition("=")[0] in option.names), len(words)
-    )
-    behind_equals = [value for word in words[place : place + 1] if (value := word.partition("=")[2])]
-    following = takewhile(lambda word: not word.startswith("--"), words[place + 1 :])
-    return " ".join([*behind_equals, *following])
-
-
-def _needs(kind: Any) -> str:
-    """Return what a value of a type must be, in words."""
-    parts = get_args(kind)
-    if get_origin(kind) is Literal:
-        return f"one of {', '.join(parts)}"
-    if get_origin(kind) is tuple and parts[-1] is Ellipsis:
-        return f"{_needs(parts[0])}, or several"
-    if get_origin(kind) is tuple and len(set(parts)) > 1:
-        return " and ".join(map(_needs, parts))
-    if get_origin(kind) is tuple:
-        return f"{len(parts)} {_needs(parts[0]).removeprefix('a ')}s"
-    return {int: "a whole number", float: "a number", Path: "a path", str: "a name"}[kind]
+def _notes(hint: Any) -> list[Any]:
+    """Return what stands in an annotation beside the type, also inside `X | None`."""
+    own = hint.__metadata__ if get_origin(hint) is Annotated else ()
+    return [*own, *(note for part in get_args(hint) for note in _notes(part))]

@@ -1,7 +1,7 @@
 """`gelgap presets`: the presets that ship with gelgap."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
@@ -17,7 +17,7 @@ class Presets(opt.Command):
       gelgap presets elastomers
     """
 
-    when_stopped: ClassVar[str] = "nothing was changed; run the same command again"
+    when_stopped = "nothing was changed; run the same command again"
 
     kind: Annotated[tyro.conf.Positional[str | None], opt.optional("[KIND]", "all"), list_presets] = None
     """One of elastomers, paths, illuminations, sensors, datasets and profiles."""

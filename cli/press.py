@@ -2,9 +2,10 @@
 
 import json
 import time
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -28,9 +29,9 @@ class Press(opt.Command):
       gelgap press --indenter cone --half-angle-deg 60 --tip-radius-mm 0.4 --depth-mm 0.5 --traction map.npz
     """
 
-    fills_cache: ClassVar[bool] = True
+    fills_cache = True
 
-    elastomer: Annotated[str | None, opt.optional("NAME"), opt.preset_or_file("elastomers")] = None
+    elastomer: Annotated[str | None, opt.optional("NAME")] = None
     """Elastomer preset or TOML file to start from (see: gelgap presets elastomers); the values below override it."""
     young_modulus_mpa: Annotated[float | None, opt.optional("MPA", "0.3, or the preset's")] = None
     """Young's modulus in MPa."""
@@ -45,13 +46,10 @@ class Press(opt.Command):
     mount_stiffness_n_per_mm: Annotated[float | None, opt.optional("N/MM", "rigid, or the preset's")] = None
     """Stiffness of the rig, a spring in series with the gel, in N/mm."""
     strain_energy: Annotated[
-        Literal["isochoric", "stable-neo-hookean"] | None,
-        opt.optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's"),
+        str | None, opt.optional("{isochoric,stable-neo-hookean}", "isochoric, or the preset's")
     ] = None
     """Form of the neo-Hookean energy: isochoric, as silicone behaves, or MuJoCo's own."""
-    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=opt.IndenterOptions
-    )
+    body: Annotated[opt.IndenterOptions, tyro.conf.OmitArgPrefixes] = opt.SPHERE
     depth_mm: Annotated[float | None, opt.optional("MM", "0.6, or what --force-n needs")] = None
     """Commanded depth below first contact in mm, at least 0."""
     normal_force_n: Annotated[
@@ -62,9 +60,9 @@ class Press(opt.Command):
     """Commanded sideways travel along x after the press, in mm."""
     shear_y_mm: Annotated[float, opt.between(-50, 50, "mm")] = 0.0
     """Commanded sideways travel along y (down in the image) after the press, in mm."""
-    twist_deg: Annotated[float, opt.between(-90, 90, "°")] = 0.0
+    twist_deg: float = 0.0
     """Turn of the indenter about the vertical on its way sideways, or after the press, degrees from +x towards +y."""
-    roll_deg: Annotated[tuple[float, float], opt.between(-90, 90, "°")] = (0.0, 0.0)
+    roll_deg: tuple[float, float] = (0.0, 0.0)
     """Turn about x and y on the same way, in degrees: about a sphere's centre, another body's lowest point."""
     point_x_mm: float = 0.0
     """Contact point along x in mm; 0 is the centre of the pad."""
@@ -76,51 +74,36 @@ class Press(opt.Command):
     """Print one JSON object instead of a table."""
     save: Annotated[Path | None, opt.optional("PATH"), opt.output_file()] = None
     """Write the membrane to this .npz (x_mm, y_mm, displacement_mm, contact, force_n) for `gelgap render`."""
-
     traction: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
     """Write the contact stress on the membrane's grid, and the force on 24 × 32 cells, to this .npz."""
-
     slip: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npz")] = None
     """Write how far the membrane has slid over the indenter since the press straight down to this .npz."""
-
     mesh: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".glb", ".ply")] = None
     """Write the membrane, with the paper sensor's picture of it under illumination i0, and the indenter as a mesh."""
 
     def run(self, started: float) -> None:
         """Solve the scene and print it; `wall_s` counts from `started`, the start of the process."""
-        from gelgap.sim import Elastomer, Pose, pose_for_force, solve_in_full
+        from gelgap.sim import Elastomer, Pose, pose_for_force, solve_in_full, solve_slip, solve_traction
 
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
         base = opt.named(Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
-        given = {name: getattr(self, name, None) for name in Elastomer.model_fields}
-        elastomer = Elastomer(**base | {name: value for name, value in given.items() if value is not None})
+        elastomer = Elastomer(**base | self._given(Elastomer.model_fields))
         indenter = self.body.make()
-        pose = Pose(
-            point_x_mm=self.point_x_mm,
-            point_y_mm=self.point_y_mm,
-            depth_mm=DEFAULT_DEPTH_MM if self.depth_mm is None else self.depth_mm,
-            shear_x_mm=self.shear_x_mm,
-            shear_y_mm=self.shear_y_mm,
-            twist_deg=self.twist_deg,
-            roll_deg=self.roll_deg,
-        )
+        pose = Pose(**{"depth_mm": DEFAULT_DEPTH_MM} | self._given(Pose.__dataclass_fields__))
         point_mm = (pose.point_x_mm, pose.point_y_mm)
         if self.normal_force_n is not None:
             pressed = pose_for_force(elastomer, indenter, self.normal_force_n, point_mm, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
-        solved = solve_in_full(elastomer, indenter, pose, self.quality)
-        state = solved.state
+        scene = elastomer, indenter, pose, self.quality
+        solved = solve_in_full(*scene)
+        state, found = solved.state, solved.state.diagnostics
         if self.save is not None:
             state.save(self.save)
         if self.traction is not None:
-            from gelgap.sim import solve_traction
-
-            solve_traction(elastomer, indenter, pose, self.quality).save(self.traction)
+            solve_traction(*scene).save(self.traction)
         if self.slip is not None:
-            from gelgap.sim import solve_slip
-
-            solve_slip(elastomer, indenter, pose, self.quality).save(self.slip)
+            solve_slip(*scene).save(self.slip)
         if self.mesh is not None:
             from gelgap.render import Illumination, MembraneRenderer, Sensor
             from gelgap.view import save_mesh
@@ -128,10 +111,21 @@ class Press(opt.Command):
             sensor = Sensor.preset("paper")
             renderer = MembraneRenderer(sensor, Illumination.preset("i0"), MESH_PICTURE_PX)
             picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
-            turned = indenter.turned(pose.turn_deg)
-            save_mesh(self.mesh, solved, point_mm, turned, sensor.camera, picture)
-        force_n, found = [float(component) for component in state.force_n], state.diagnostics
-        wall_s = time.perf_counter() - started
+            save_mesh(self.mesh, solved, point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture)
+        report = {
+            "force_n": state.force_n.tolist(),
+            "force_error_n": found.force_error_n,
+            "torque_n_mm": state.torque_n_mm.tolist(),
+            "slip": found.slip,
+            "sticking_fraction": found.sticking_fraction,
+            "converged": bool(state.converged),
+            "coarse": found.coarse,
+            "folded": found.folded,
+            "contact_radius_mm": float(state.contact_radius_mm),
+            "contact_radius_error_mm": found.contact_radius_error_mm,
+            "membrane_error_mm": found.membrane_error_mm,
+            "wall_s": time.perf_counter() - started,
+        }
         if self.json:
             settings = {
                 "elastomer": elastomer.model_dump(mode="json"),
@@ -139,43 +133,32 @@ class Press(opt.Command):
                 "pose": asdict(pose),
                 "quality": self.quality,
             }
-            report = {
-                "force_n": force_n,
-                "force_error_n": found.force_error_n,
-                "torque_n_mm": [float(component) for component in state.torque_n_mm],
-                "slip": found.slip,
-                "sticking_fraction": found.sticking_fraction,
-                "converged": bool(state.converged),
-                "coarse": found.coarse,
-                "folded": found.folded,
-                "contact_radius_mm": float(state.contact_radius_mm),
-                "contact_radius_error_mm": found.contact_radius_error_mm,
-                "membrane_error_mm": found.membrane_error_mm,
-                "wall_s": wall_s,
-                "settings": settings,
-            }
-            print(json.dumps(report))
+            print(json.dumps(report | {"settings": settings}))
         else:
-            print(f"depth           {pose.depth_mm:.4g} mm")
-            parts = zip("xyz", force_n, found.force_error_n, strict=True)
-            print(f"force           {'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in parts)} N")
-            torque = zip("xyz", map(float, state.torque_n_mm), strict=True)
-            print(
-                f"torque          {'  '.join(f'T{axis} {t:+.4f}' for axis, t in torque)} N mm, contact point"
-            )
-            print(f"contact radius  {state.contact_radius_mm:.3f} ± {found.contact_radius_error_mm:.3f} mm")
-            print(f"membrane        ± {1e3 * found.membrane_error_mm:.1f} µm")
-            print(f"slip            {found.slip}: {100 * found.sticking_fraction:.0f} % of the load sticks")
-            print(f"converged       {'yes' if state.converged else 'NO: do not trust these figures'}")
-            if found.folded:
-                print(
-                    "folded          the membrane lies on itself: no camera sees it; drag less, or press less deep"
-                )
-            if found.coarse:
-                print(f"coarse          {self._what_mends()}")
-            print(f"wall time       {wall_s:.2f} s")
+            print(self._table(pose.depth_mm, report))
 
-    def _what_mends(self) -> str:
-        finer = {"draft": "standard", "standard": "fine"}.get(self.quality)
-        off = "the force may be off by more than this quality promises"
-        return f"{off}; try --quality {finer}" if finer else f"{off}, and there is no finer one"
+    def _given(self, names: Iterable[str]) -> dict[str, Any]:
+        """Return the options of these names that are set."""
+        return {name: value for name in names if (value := getattr(self, name, None)) is not None}
+
+    def _table(self, depth_mm: float, report: dict[str, Any]) -> str:
+        force = zip("xyz", report["force_n"], report["force_error_n"], strict=True)
+        torque = zip("xyz", report["torque_n_mm"], strict=True)
+        radius = f"{report['contact_radius_mm']:.3f} ± {report['contact_radius_error_mm']:.3f}"
+        rows = {
+            "depth": f"{depth_mm:.4g} mm",
+            "force": f"{'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in force)} N",
+            "torque": f"{'  '.join(f'T{axis} {t:+.4f}' for axis, t in torque)} N mm, contact point",
+            "contact radius": f"{radius} mm",
+            "membrane": f"± {1e3 * report['membrane_error_mm']:.1f} µm",
+            "slip": f"{report['slip']}: {100 * report['sticking_fraction']:.0f} % of the load sticks",
+            "converged": "yes" if report["converged"] else "NO: do not trust these figures",
+        }
+        if report["folded"]:
+            rows["folded"] = "the membrane lies on itself: no camera sees it; drag less, or press less deep"
+        if report["coarse"]:
+            finer = {"draft": "try --quality standard", "standard": "try --quality fine"}
+            advice = finer.get(self.quality, "there is no finer one")
+            rows["coarse"] = f"the force may be off by more than this quality promises; {advice}"
+        rows["wall time"] = f"{report['wall_s']:.2f} s"
+        return "\n".join(f"{what:<16}{value}" for what, value in rows.items())

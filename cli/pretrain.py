@@ -1,16 +1,12 @@
 """`gelgap pretrain`: drawn domains, and a network trained on all of them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import tyro
 
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.adapt import Profile
-    from gelgap.domains import PretrainingRanges
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
 # Of --quick: a network that learns little.
@@ -30,10 +26,8 @@ class Pretrain(opt.Command):
       gelgap pretrain --domains 60 --frames-per-domain 60 --stream --out streamed
     """
 
-    when_stopped: ClassVar[str] = (
-        "finished shards, solves and epochs are kept, run the same command again to go on"
-    )
-    fills_cache: ClassVar[bool] = True
+    when_stopped = "finished shards, solves and epochs are kept, run the same command again to go on"
+    fills_cache = True
 
     out: Annotated[Path, opt.output_folder]
     """Folder for the domains and the checkpoint."""
@@ -43,9 +37,9 @@ class Pretrain(opt.Command):
     """Frames of each: one without contact, then every depth of its press, straight and dragged, at drawn places."""
     without: Annotated[tuple[Factor, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Factors that are the same in every domain instead of drawn: an ablation."""
-    ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own"), opt.input_file("a TOML file")] = None
+    ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
-    profile: Annotated[str, opt.preset_or_file("profiles")] = "cpu"
+    profile: str = "cpu"
     """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
     quality: opt.Quality = "draft"
     """Quality of physics and pictures."""
@@ -58,15 +52,12 @@ class Pretrain(opt.Command):
     lights, sensors and cameras for every 128 frames. Nothing is written but the checkpoint and what resuming needs."""
     quick: opt.Flag = False
     """Two domains of twelve frames and two epochs: to see that all works, not to learn."""
-    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = field(
-        default_factory=opt.GenerationOptions
-    )
+    generation: Annotated[opt.GenerationOptions, tyro.conf.OmitArgPrefixes] = opt.LOCALLY
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
-        self.generation.check()
-        from gelgap.adapt import Profile
-        from gelgap.domains import PretrainingRanges, estimate, pretraining_recipes
+        from gelgap.adapt import Profile, console_progress, pretrain, pretrain_on_stream
+        from gelgap.domains import PressStream, PretrainingRanges, estimate, pretraining_recipes
 
         profile = opt.named(Profile, self.profile)
         ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
@@ -75,58 +66,34 @@ class Pretrain(opt.Command):
             ranges = ranges.in_quick_form()
             profile = profile.replace(source_epochs=QUICK_EPOCHS)
             domains, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, profile.image_size_px
-        if any(side < trained for side, trained in zip(size_px, profile.image_size_px, strict=True)):
-            width, height = profile.image_size_px
+        width, height = profile.image_size_px
+        if size_px[0] < width or size_px[1] < height:
             raise ValueError(
                 f"--size = {size_px[0]} {size_px[1]}: must be at least the {width} × {height} px of profile "
                 f"{profile.name}"
             )
+        drawn = {"without": self.without, "seed": self.seed, "size_px": size_px, "quality": self.quality}
         if self.stream:
-            self._train_on_stream(ranges, profile, domains * frames, size_px)
-            return
-        recipes = pretraining_recipes(
-            domains,
-            frames,
-            ranges,
-            without=self.without,
-            seed=self.seed,
-            size_px=size_px,
-            quality=self.quality,
-        )
-        print(estimate(recipes, self.generation.workers))
-        print(f"training {profile.source_epochs} epochs of at most {domains * frames} frames", flush=True)
-        if self.generation.dry_run:
-            return
-        self.generation.generate(recipes, self.out / "domains")
-        from gelgap.adapt import console_progress, pretrain
-
-        with console_progress() as progress:
-            folders = [self.out / "domains" / recipe.name for recipe in recipes]
-            print(pretrain(folders, self.out, profile, self.seed, progress=progress))
-
-    def _train_on_stream(
-        self, ranges: "PretrainingRanges", profile: "Profile", frames: int, size_px: tuple[int, int]
-    ) -> None:
-        """Train on frames that are made meanwhile, or say what that takes."""
-        from gelgap.domains import PressStream
-
-        stream = PressStream(
-            ranges, seed=self.seed, size_px=size_px, quality=self.quality, without=self.without
-        )
-        solves = [solve for press in range(ranges.presses) for solve in stream.plan(press).solved.solves]
-        print(
-            f"solves   {len(solves)} for {ranges.presses} gels and spheres, as they are drawn, about "
-            f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
-            f"training {profile.source_epochs} epochs of {frames} new frames each",
-            flush=True,
-        )
-        if self.generation.dry_run:
-            return
-        from gelgap.adapt import console_progress, pretrain_on_stream
-
-        with console_progress() as progress:
+            stream = PressStream(ranges, **drawn)
+            solves = [solve for press in range(ranges.presses) for solve in stream.plan(press).solved.solves]
             print(
-                pretrain_on_stream(
-                    stream, self.out, profile, self.seed, frames_per_epoch=frames, progress=progress
-                )
+                f"solves   {len(solves)} for {ranges.presses} gels and spheres, as they are drawn, about "
+                f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
+                f"training {profile.source_epochs} epochs of {domains * frames} new frames each",
+                flush=True,
             )
+        else:
+            recipes = pretraining_recipes(domains, frames, ranges, **drawn)
+            print(estimate(recipes, self.generation.workers))
+            print(f"training {profile.source_epochs} epochs of at most {domains * frames} frames", flush=True)
+        if self.generation.dry_run:
+            return
+        if self.stream:
+            with console_progress() as progress:
+                every = {"frames_per_epoch": domains * frames, "progress": progress}
+                print(pretrain_on_stream(stream, self.out, profile, self.seed, **every))
+        else:
+            self.generation.generate(recipes, self.out / "domains")
+            folders = [self.out / "domains" / recipe.name for recipe in recipes]
+            with console_progress() as progress:
+                print(pretrain(folders, self.out, profile, self.seed, progress=progress))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
@@ -20,20 +20,15 @@ class Render(opt.Command):
       gelgap render state.npz --illumination i1 --no-markers -o picture.png
     """
 
-    when_stopped: ClassVar[str] = (
-        "no finished picture is sure to be there; run the same command again to start over"
-    )
+    when_stopped = "no finished picture is sure to be there; run the same command again to start over"
 
-    state: Annotated[
-        tyro.conf.Positional[Path],
-        opt.input_file("a membrane's .npz file, as gelgap press --save writes it,"),
-    ]
+    state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]
     """The PNG to write."""
     illumination: opt.LightName = None
     """Illumination preset or TOML file (see: gelgap presets illuminations)."""
-    sensor: opt.SensorName = "paper"
+    sensor: str = "paper"
     """Sensor preset or TOML file (see: gelgap presets sensors)."""
     markers: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: drawn)")] = True
     """Draw the membrane's markers."""

@@ -3,7 +3,7 @@
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
@@ -29,7 +29,7 @@ class Report(opt.Command):
       gelgap report runs
     """
 
-    when_stopped: ClassVar[str] = (
+    when_stopped = (
         "files of an older report may stand beside new ones; run the same command again to write all of them"
     )
 

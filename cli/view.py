@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from gelgap.cli import options as opt
 
@@ -20,16 +20,16 @@ class View(opt.Command):
       gelgap view --elastomer b1 --illumination i2 --port 9000 --no-browser
     """
 
-    when_stopped: ClassVar[str] = "the page was not open yet; run the same command again"
+    when_stopped = "the page was not open yet; run the same command again"
     # An open page is not work that takes long.
-    doing: ClassVar[str] = ""
-    fills_cache: ClassVar[bool] = True
+    doing = ""
+    fills_cache = True
 
-    elastomer: Annotated[str, opt.preset_or_file("elastomers")] = "e04"
+    elastomer: str = "e04"
     """Elastomer preset or TOML file to begin with."""
     illumination: opt.LightName = None
     """Illumination preset or TOML file to begin with."""
-    sensor: opt.SensorName = "paper"
+    sensor: str = "paper"
     """Sensor preset or TOML file to begin with."""
     port: Annotated[int, opt.between(0, 65535)] = 8080
     """Port of the page; 0 takes any free one."""

@@ -8,21 +8,12 @@ import subprocess
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.request import Request, urlopen
 
 ROOT = Path(__file__).parents[1]
 NAMED = 5
 PIP = (sys.executable, "-m", "pip", "install", "--disable-pip-version-check")
-
-
-@dataclass(frozen=True)
-class Package:
-    """A package that is not there yet, and the size of its file; None where the index does not tell it."""
-
-    name: str
-    size: int | None
 
 
 def file_size(url: str) -> int | None:
@@ -36,25 +27,26 @@ def file_size(url: str) -> int | None:
         return None
 
 
-def missing_packages(what: list[str]) -> list[Package]:
-    """Return what pip would install; it asks the index, and installs nothing."""
+def missing_packages(what: list[str]) -> dict[str, int | None]:
+    """Return what pip would install and the size of each file, None where the index does not tell it."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.json"
         subprocess.run([*PIP, "--quiet", "--dry-run", "--report", str(report), *what], check=True)
         entries = json.loads(report.read_text(encoding="utf-8"))["install"]
     with ThreadPoolExecutor(16) as pool:
-        sizes = list(pool.map(lambda entry: file_size(entry["download_info"]["url"]), entries))
-    return [Package(entry["metadata"]["name"], size) for entry, size in zip(entries, sizes, strict=True)]
+        sizes = pool.map(lambda entry: file_size(entry["download_info"]["url"]), entries)
+        return {entry["metadata"]["name"]: size for entry, size in zip(entries, sizes, strict=True)}
 
 
-def announcement(packages: list[Package]) -> str:
+def announcement(packages: dict[str, int | None]) -> str:
     """Return what will be downloaded, in words: how many packages, their size, and the largest of them."""
-    known = sorted((package for package in packages if package.size), key=lambda package: -package.size)
-    total = f"{sum(package.size for package in known) / 1e6:.0f} MB"
-    if any(package.size is None for package in packages):
+    known = {name: size for name, size in packages.items() if size}
+    total = f"{sum(known.values()) / 1e6:.0f} MB"
+    if None in packages.values():
         total = f"at least {total}" if known else "of unknown size"
-    largest = ", ".join(f"{package.name} {package.size / 1e6:.0f} MB" for package in known[:NAMED])
-    return f"to install: {len(packages)} packages, {total}" + (f" ({largest}, …)" if largest else "")
+    largest = sorted(known, key=known.get, reverse=True)[:NAMED]
+    named = f" ({', '.join(f'{name} {known[name] / 1e6:.0f} MB' for name in largest)}, …)" if largest else ""
+    return f"to install: {len(packages)} packages, {total}{named}"
 
 
 def main(extras: str) -> None:

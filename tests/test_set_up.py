@@ -18,11 +18,11 @@ def set_up() -> ModuleType:
 
 
 def test_the_announcement_names_the_number_the_size_and_the_largest(set_up: ModuleType) -> None:
-    packages = [set_up.Package(f"p{number}", number * 10**6) for number in range(1, 9)]
+    packages = {f"p{number}": number * 10**6 for number in range(1, 9)}
     told = set_up.announcement(packages)
     assert told == "to install: 8 packages, 36 MB (p8 8 MB, p7 7 MB, p6 6 MB, p5 5 MB, p4 4 MB, …)"
-    assert "at least 36 MB" in set_up.announcement([*packages, set_up.Package("other", None)])
-    assert set_up.announcement([]) == "to install: 0 packages, 0 MB"
+    assert "at least 36 MB" in set_up.announcement(packages | {"other": None})
+    assert set_up.announcement({}) == "to install: 0 packages, 0 MB"
 
 
 def test_missing_packages_are_those_of_pips_report_with_the_sizes_of_their_files(
@@ -33,10 +33,7 @@ def test_missing_packages_are_those_of_pips_report_with_the_sizes_of_their_files
     entries = [{"metadata": {"name": name}, "download_info": {"url": url}} for name, url in urls.items()]
     program = f"import sys; open(sys.argv[-2], 'w').write({json.dumps({'install': entries})!r})"
     monkeypatch.setattr(set_up, "PIP", (sys.executable, "-c", program))
-    assert set_up.missing_packages(["what"]) == [
-        set_up.Package("there", 5),
-        set_up.Package("not-there", None),
-    ]
+    assert set_up.missing_packages(["what"]) == {"there": 5, "not-there": None}
 
 
 def test_a_pip_that_fails_has_the_last_word(

@@ -15,7 +15,7 @@ from gelgap.render import difference_picture
 from gelgap.view.controls import Controls
 from gelgap.view.panels import ComparePanel, DataPanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
-from gelgap.view.scene3d import Scene3d, colours_mean
+from gelgap.view.scene3d import Scene3d
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
 from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
 
@@ -139,11 +139,9 @@ class Page:
             self._solver.request(request)
         shown = self.shown = self._model.show(configuration)
         reference = self._model.pictures.reference(configuration.light, configuration.markers)
-        colouring = self.controls.colouring.value
-        colours = colours_mean(shown, colouring)
+        colours = self._scene.show(shown, self.controls.colouring.value, self.controls.chosen_led)
         self._readout.show(shown, difference_picture(shown.picture, reference, 2.0), colours)
         self._narrow.content = narrow_html(shown, colours)
-        self._scene.show(shown, colouring, self.controls.chosen_led)
         if not self._wanted:
             self._compare.update(shown)
 
@@ -206,24 +204,22 @@ def _start_server(host: str, port: int) -> viser.ViserServer:
     ValueError
         If the port is taken or the address is none of this machine: viser itself would silently take another port.
     """
-    taken = (
-        f"--port = {port}: is taken by another program; choose another, for example --port {port % 65535 + 1}"
-    )
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
-    except PermissionError:
-        raise ValueError(f"--port = {port}: is not allowed; choose one from 1024 on") from None
     except (OSError, UnicodeError) as error:
-        if getattr(error, "errno", None) == errno.EADDRINUSE:
-            raise ValueError(taken) from None
-        raise ValueError(f"--host = {quoted(host)}: is no address of this machine ({error})") from None
+        if isinstance(error, PermissionError):
+            problem = f"--port = {port}: is not allowed; choose one from 1024 on"
+        elif getattr(error, "errno", None) == errno.EADDRINUSE:
+            other = port % 65535 + 1
+            problem = (
+                f"--port = {port}: is taken by another program; choose another, for example --port {other}"
+            )
+        else:
+            problem = f"--host = {quoted(host)}: is no address of this machine ({error})"
+        raise ValueError(problem) from None
     # viser prints a table of addresses, and this program prints its own.
     with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)
-    if port and server.get_port() != port:
-        server.stop()
-        raise ValueError(taken)
-    return server
+        return viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)

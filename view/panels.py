@@ -24,31 +24,46 @@ _GREY = np.full((SIZE_PX[1], SIZE_PX[0], 3), 128, np.uint8)
 _COLUMNS = ("shear_x_mm", "shear_y_mm", "contact_class", "clip", "object", "session")
 
 
+class PicturePair:
+    """Two pictures, one above the other, which appear when they are first shown."""
+
+    def __init__(self, gui: viser.GuiApi, *labels: str) -> None:
+        self._handles = [gui.add_image(_GREY, label=each, jpeg_quality=92, visible=False) for each in labels]
+
+    def show(self, *pictures: Picture) -> None:
+        """Show both."""
+        for handle, picture in zip(self._handles, pictures, strict=True):
+            handle.image, handle.visible = picture, True
+
+
 class Readout:
     """What is read off the page: pictures, force, contact, where the physics is from, and how long it took."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        self.picture = gui.add_image(_GREY, label="camera", jpeg_quality=92)
-        self.difference = gui.add_image(_GREY, label="difference to the reference, ×2", jpeg_quality=92)
+        self._pictures = PicturePair(gui, "camera", "difference to the reference, ×2")
         self.figures = gui.add_html("")
         self.message = gui.add_html("")
         self.progress = gui.add_progress_bar(0.0, visible=False, animated=True)
 
     def show(self, shown: Shown, difference: Picture, colours: str) -> None:
         """Show a configuration's figures and pictures."""
-        self.picture.image = shown.picture
-        self.difference.image = difference
+        self._pictures.show(shown.picture, difference)
         self.figures.content = html_page("panel.html", **_figures(shown, colours))
 
     def say(self, sentence: str, bad: bool = False) -> None:
         """Show a sentence below the figures; an empty one takes the last away."""
-        style = f"padding:4px 12px;font-size:12px;color:{_BAD if bad else 'inherit'}"
-        self.message.content = f'<div style="{style}">{escape(sentence)}</div>' if sentence else ""
+        self.message.content = sentence_html(sentence, bad) if sentence else ""
 
     def show_progress(self, done: int, total: int) -> None:
         """Show how much of a solve is done; nothing once it is all done."""
         self.progress.visible = done < total
         self.progress.value = 100.0 * done / max(total, 1)
+
+
+def sentence_html(sentence: str, bad: bool) -> str:
+    """Return a sentence as HTML, a bad one in red."""
+    style = f"padding:4px 12px;font-size:12px;color:{_BAD if bad else 'inherit'}"
+    return f'<div style="{style}">{escape(sentence)}</div>'
 
 
 def _figures(shown: Shown, colours: str) -> dict[str, Any]:
@@ -97,21 +112,18 @@ class ComparePanel:
         self.recipe = gui.add_button(
             "Save both as a recipe", disabled=True, hint="gelgap generate --recipe gap.toml --out data"
         )
-        self._picture = gui.add_image(_GREY, label="source", jpeg_quality=92, visible=False)
-        self._target = gui.add_image(_GREY, label="target", jpeg_quality=92, visible=False)
+        self._pair = PicturePair(gui, "source", "target")
         self.figures = gui.add_html("")
 
     def take(self, source: Shown) -> None:
         """Make something the source."""
         self.source = source
-        self._picture.image = source.picture
-        self._picture.visible = self._target.visible = True
         self.swap.disabled = self.recipe.disabled = False
 
     def update(self, target: Shown) -> None:
         """Tell the gap to a new target."""
         if self.source is not None:
-            self._target.image = target.picture
+            self._pair.show(self.source.picture, target.picture)
             gap = compare(self.source.configuration, target.configuration, self._pictures)
             self.figures.content = gap_html(gap, self.source, target)
 
@@ -153,24 +165,21 @@ class DataPanel:
         self._folder = gui.add_text("folder", "", hint="The folder of one domain, such as data/mb0i0")
         opened = gui.add_button("Open")
         self._index = gui.add_slider("frame", 0, 1, 1, 0, disabled=True)
-        self._picture = gui.add_image(_GREY, label="frame", jpeg_quality=92, visible=False)
-        self._difference = gui.add_image(_GREY, label="difference, ×2", jpeg_quality=92, visible=False)
+        self._pair = PicturePair(gui, "frame", "difference, ×2")
         self._labels = gui.add_html("")
         opened.on_click(lambda _: self.open(self._folder.value))
         self._index.on_update(lambda _: self.show(int(self._index.value)))
 
     def open(self, folder: str) -> None:
         """Open a domain and show its first frame, or say why it cannot be opened."""
-        if not folder.strip():
-            self._say("name the folder of one domain, such as data/mb0i0")
-            return
         with self._told():
+            if not folder.strip():
+                raise ValueError("name the folder of one domain, such as data/mb0i0")
             frames = open_domain(Path(folder.strip()).expanduser())
             self._references = frames.references_at()
             self._frames = frames
             self._index.max = max(len(frames) - 1, 1)
             self._index.disabled = False
-            self._picture.visible = self._difference.visible = True
             self._index.value = 0
             self.show(0)
 
@@ -182,8 +191,7 @@ class DataPanel:
         with self._told():
             picture = frames.picture(index)
             reference = self._references[frames.reference_id[index]]
-            self._picture.image = _enlarged(picture)
-            self._difference.image = _enlarged(difference_picture(picture, reference, 2.0))
+            self._pair.show(_enlarged(picture), _enlarged(difference_picture(picture, reference, 2.0)))
             self._labels.content = labels_html(frames, index)
 
     @contextmanager
@@ -192,10 +200,7 @@ class DataPanel:
         try:
             yield
         except (ValueError, OSError, RuntimeError) as error:
-            self._say(str(error))
-
-    def _say(self, sentence: str) -> None:
-        self._labels.content = f'<div style="padding:4px 12px;color:{_BAD}">{escape(sentence)}</div>'
+            self._labels.content = sentence_html(str(error), bad=True)
 
 
 def labels_html(frames: LabelledFrames, index: int) -> str:

@@ -8,7 +8,6 @@ from itertools import count
 import numpy as np
 import trimesh
 import viser
-from numpy.typing import NDArray
 from viser import transforms
 
 from gelgap.render import Illumination, Led
@@ -58,14 +57,16 @@ class Scene3d:
             position=(0.0, 0.0, -_FLOOR_MM),
         )
 
-    def show(self, shown: Shown, colouring: Colouring, chosen_led: int) -> None:
-        """Show membrane, indenter, and the LEDs, the chosen one with handles to drag it by."""
+    def show(self, shown: Shown, colouring: Colouring, chosen_led: int) -> str:
+        """Show membrane, indenter, and the LEDs, the chosen one with handles; return what the colours mean."""
         pose, indenter = shown.configuration.pose, shown.configuration.indenter
-        self._swap_membrane(glb(_coloured(shown, colouring)))
+        membrane, meaning = _coloured(shown, colouring)
+        self._swap_membrane(glb(membrane))
         centre = indenter_centre_mm(shown.solved, (pose.point_x_mm, pose.point_y_mm), indenter)
         self._indenter.position = tuple(centre)
         self._indenter.scale = indenter.radius_mm
         self._show_leds(shown.configuration.illumination, chosen_led)
+        return meaning
 
     def _show_leds(self, illumination: Illumination, chosen: int) -> None:
         if illumination == self._illumination and chosen == self._chosen:
@@ -141,24 +142,15 @@ def _form(led: Led) -> tuple:
     return led.kind, led.length_mm, led.height_mm, led.diameter_mm, led.facing, led.spectrum, led.drive > 0
 
 
-def _values(shown: Shown, colouring: Colouring) -> NDArray[np.floating]:
-    """Return what colours show, (ny, nx)."""
-    if colouring == "displacement":
-        return np.linalg.norm(shown.solved.state.displacement_mm, axis=-1)
-    return shown.solved.pressure_mpa
-
-
-def _coloured(shown: Shown, colouring: Colouring) -> trimesh.Trimesh:
+def _coloured(shown: Shown, colouring: Colouring) -> tuple[trimesh.Trimesh, str]:
+    """Return the membrane, and what its colours mean; nothing where it wears the picture."""
     state = shown.solved.state
     if colouring == "picture":
-        return membrane_mesh(state, shown.configuration.sensor.camera, shown.picture, _EVERY)
-    values = _values(shown, colouring)
-    return coloured_mesh(state, values, float(values.max()), _EVERY)
-
-
-def colours_mean(shown: Shown, colouring: Colouring) -> str:
-    """Return what the membrane's colours mean; nothing where it wears the picture."""
-    if colouring == "picture":
-        return ""
-    unit = {"displacement": "mm", "pressure": "MPa"}[colouring]
-    return f"{colouring}: 0 (violet) to {_values(shown, colouring).max():.3g} {unit} (yellow)"
+        return membrane_mesh(state, shown.configuration.sensor.camera, shown.picture, _EVERY), ""
+    if colouring == "displacement":
+        values, unit = np.linalg.norm(state.displacement_mm, axis=-1), "mm"
+    else:
+        values, unit = shown.solved.pressure_mpa, "MPa"
+    most = float(values.max())
+    meaning = f"{colouring}: 0 (violet) to {most:.3g} {unit} (yellow)"
+    return coloured_mesh(state, values, most, _EVERY), meaning

@@ -244,7 +244,7 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
             "'fz_n=0:-3': range of fz_n is [0, -3]: the lower bound must be below the upper",
         ),
         (["--range", "fz=-3:0"], "label 'fz' is unknown; known labels: fx_n"),
-        (["--range", "fz_n=-3:0", "fz_n=-4:0"], "label fz_n stands twice"),
+        (["--range", "fz_n=-3:0", "fz_n=-4:0"], "one stands twice"),
         (["--classes", "from-force"], "--classes"),
     ],
 )

@@ -3,20 +3,21 @@
 import contextlib
 import shutil
 from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, Literal, get_args, get_origin
+from types import FunctionType, NoneType, SimpleNamespace
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import cv2
 import numpy as np
 import pytest
+import tyro
 
 from gelgap.adapt import Profile
 from gelgap.adapt.trainer import untrained
 from gelgap.cli.main import COMMANDS, main
 from gelgap.cli.options import Check, output_file, output_folder
-from gelgap.cli.parser import Option, options_of
 from gelgap.domains import open_domain
 from gelgap.sim import MembraneState
 
@@ -50,17 +51,35 @@ RIGHT: dict[str, dict[str, list[str]]] = {
 }
 """What a command needs besides the option that is tried."""
 
-BESIDE: dict[tuple[str, str], dict[str, list[str]]] = {
+SHAPES = {
+    "--edge-radius-mm": "box",
+    "--half-angle-deg": "cone",
+    "--tip-radius-mm": "cone",
+    "--length-mm": "edge",
+    "--size-mm": "box",
+    "--diameters-mm": "ellipsoid",
+    "--yaw-deg": "box",
+    "--tilt-deg": "box",
+}
+"""Indenters that have a size."""
+
+BESIDE: dict[tuple[str, str], dict[str, list[str] | None]] = {
+    **{
+        (command, size): {"--indenter": [shape]}
+        for command in ("press", "generate")
+        for size, shape in SHAPES.items()
+    },
     ("generate", "--preset"): {"domains": []},
     ("generate", "--sweep"): {"domains": []},
     ("generate", "--recipe"): {"domains": []},
     ("generate", "--elastomer"): {"--name": ["own"]},
     ("generate", "--illumination"): {"--name": ["own"]},
     ("generate", "--lights-like"): {"--name": ["own"]},
+    ("calibrate", "--from-taxim"): {"presses": None, "--reference": None, "--sensor": None},
     ("benchmark", "--what"): {"subject": ["adaptation"]},
     ("benchmark", "--data"): {"subject": ["real"]},
 }
-"""Where an option needs others than that."""
+"""Where an option needs others than that, or none of one (None)."""
 
 WRONG: dict[Any, dict[str, str]] = {
     int: {
@@ -97,10 +116,12 @@ WRONG: dict[Any, dict[str, str]] = {
         "below a file": NO_FOLDER_HERE,
         "unwritable": "/proc/gelgap",
         "unicode": "ü☃",
-        "huge": LONG,
     },
 }
 """Wrong values by the type of an option: what is wrong, and the value."""
+
+CALLED = {"further_indenters": "indenter '", "source": "data set"}
+"""What a room calls the option of a field."""
 
 SAME_NUMBER = {"1e308": ("1e+308",), "-1e9": ("-1e+09", "-1000000000.0")}
 
@@ -113,7 +134,9 @@ ALLOWED: dict[tuple[str | Check, str], str] = {
     (output_file(), "unicode"): "a file may have such a name",
     ("benchmark --data", "folder"): "which clones are missing is told when they are needed",
     ("generate --columns", "missing"): "no optional columns",
+    ("generate --further-indenters", "missing"): "one indenter alone",
     ("pretrain --without", "missing"): "all is drawn",
+    ("calibrate --from-taxim", "huge"): "of a name that is too long the system tells",
     ("generate --name", "unknown"): ANY_NAME,
     ("generate --name", "unknown file"): ANY_NAME,
     ("generate --name", "folder"): ANY_NAME,
@@ -135,10 +158,48 @@ WORK = {
     "render.renderer": "MembraneRenderer.linear",
     "render.calibration.fit": "LightFit.run",
     "benchmarks.registry": "Benchmark.run",
-    "cli.demo": "force_curve",
     "view.page": "viser.ViserServer",
 }
 """Where work starts, by module."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a command, or one value without a name, which is called by its field."""
+
+    field: str
+    names: tuple[str, ...]
+    type: Any
+    positional: bool
+    checks: tuple[Check, ...]
+
+    @property
+    def name(self) -> str:
+        return self.field if self.positional else self.names[0]
+
+    @property
+    def is_switch(self) -> bool:
+        return self.type is bool
+
+
+def options_of(command: type) -> tuple[Option, ...]:
+    hints = get_type_hints(command, include_extras=True)
+    return tuple(option for field in fields(command) for option in _options(field.name, hints[field.name]))
+
+
+def _options(field: str, hint: Any) -> tuple[Option, ...]:
+    kind, notes = hint, []
+    while get_origin(kind) is Annotated or NoneType in get_args(kind):
+        kind, *more = (part for part in get_args(kind) if part is not NoneType)
+        notes += more
+    if is_dataclass(kind):
+        return options_of(kind)
+    settings = [note for note in notes if hasattr(note, "aliases")]
+    name = next((note.name for note in settings if note.name), field)
+    names = [f"--{name.replace('_', '-')}", *(alias for note in settings for alias in note.aliases or ())]
+    checks = tuple(note for note in notes if isinstance(note, FunctionType))
+    is_positional = get_args(tyro.conf.Positional[int])[1] in notes
+    return (Option(field, tuple(names), kind, is_positional, checks),)
 
 
 class WorkStarted(BaseException):
@@ -260,7 +321,8 @@ def outcome(command: str, option: Option, typed: list[str], capsys: Any) -> Simp
     """Run a command with one option as typed and the others right."""
     others = RIGHT[command] | BESIDE.get((command, option.name), {})
     mine = {option.field, *option.names}
-    words = [word for name, values in others.items() if name not in mine for word in _words(name, values)]
+    needed = {name: values for name, values in others.items() if name not in mine and values is not None}
+    words = [word for name, values in needed.items() for word in _words(name, values)]
     # Values without a name come first, or a list of values would take them.
     arguments = [command, *typed, *words] if option.positional else [command, *words, *typed]
     code: Any = 0
@@ -284,8 +346,11 @@ def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
         return f"exit code {said.code}: {said.err.strip()[:200]}"
     if said.out or said.err.count("\n") != 1 or not said.err.startswith("gelgap: ") or len(said.err) > 900:
         return f"not one sentence: {said.err[:200]!r}"
-    # A value that is a file names itself.
-    if option.type is Path and value[:30] in said.err:
+    # A value that is a file names itself, and the command line shows where a value is empty or missing.
+    is_path = Path in (option.type, *get_args(option.type))
+    if value and value[:30] in said.err and (is_path or "does not exist" in said.err):
+        return None
+    if "a value is empty: gelgap " in said.err:
         return None
     named = (
         *option.names,
@@ -293,10 +358,12 @@ def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
         option.field.replace("_", "-"),
         option.field.upper(),
         option.field.rstrip("s"),
+        CALLED.get(option.field, option.field),
     )
     if not any(name in said.err for name in named):
         return f"does not name the option: {said.err.strip()[:200]}"
-    if not any(form[:30] in said.err for form in (value, *SAME_NUMBER.get(value, ()))):
+    shown = (value, *SAME_NUMBER.get(value, ()), "Missing value")
+    if not any(form[:30] in said.err for form in shown):
         return f"does not show the value: {said.err.strip()[:200]}"
     return None
 

@@ -33,6 +33,8 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["press", "--point-x-mm", "13"], ("point_x_mm", "12")),
         (["press", "--young-modulus-mpa", "0"], ("young_modulus_mpa", "0.001")),
         (["press", "--elastomer", "b7"], ("b7", "b0, b1, b2")),
+        (["press", "--elastomer", "gel.toml"], ("gel.toml does not exist",)),
+        (["press", "--indenter", "tip.stl"], ("tip.stl does not exist",)),
         (["press", "--quality", "superb"], ("superb", "standard")),
         (["press", "--depht-mm", "1"], ("--depht-mm", "--depth-mm")),
         (["generate", "mb9i0", "--out", "never"], ("mb9i0", "b0, b1, b2")),
@@ -41,8 +43,8 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["generate", "--preset", "huge", "--out", "never"], ("huge", "smoke")),
         (["generate", "mb0i0", "--preset", "smoke", "--out", "never"], ("one of", "--sweep")),
         (
-            ["generate", "mb0i0", "--sweep", "s.toml", "--out", "never"],
-            ("--sweep", "s.toml", "does not exist"),
+            ["generate", "--sweep", "s.toml", "--out", "never"],
+            ("s.toml", "does not exist"),
         ),
         (["generate", "mb0i0", "--scheduler", "foo", "--out", "never"], ("--scheduler", "foo", "tcp://")),
         (["generate", "mb0i0", "--seed", "-1", "--out", "never"], ("--seed", "-1", "0")),
@@ -54,7 +56,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         ),
         (["adapt", "--source", ".", "--target", ".", "--out", "x", "--method"], ("--method", "dsan")),
         (["generat"], ("command 'generat' is unknown", "did you mean generate?", "press")),
-        (["generate", "mb0i0", "--presett", "paper"], ("'--presett'", "did you mean --preset?")),
+        (["generate", "mb0i0", "--presett", "paper", "--out", "x"], ("--presett", "meant: --preset NAME")),
         (["generate", "--preset", "papre", "--out", "never"], ("papre", "did you mean paper?")),
         (["press", "--save", "nowhere/state.npz"], ("--save", "nowhere", "does not exist; create it first")),
         (["press", "--save", "/proc/state.npz"], ("--save", "/proc cannot be written to")),
@@ -86,8 +88,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
 def test_a_missing_data_set_is_bad_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     code, _, err = run(["adapt", "--source", str(tmp_path / "a"), "--target", str(tmp_path / "b")], capsys)
     assert code == 2
-    assert "--source" in err
-    assert "does not exist" in err
+    assert f"{tmp_path / 'a'} does not exist" in err
 
 
 def test_a_cache_that_is_a_file_is_refused_first(
@@ -106,7 +107,7 @@ def test_a_cache_that_takes_no_file_is_refused_before_solving(
     monkeypatch.setenv("GELGAP_CACHE", "/proc/gelgap")
     code, out, err = run(["press"], capsys)
     assert (code, out) == (2, "")
-    assert "GELGAP_CACHE = '/proc/gelgap': the folder /proc cannot be written to" in err
+    assert "GELGAP_CACHE = '/proc/gelgap': /proc cannot be written to" in err
     assert run(["presets", "paths"], capsys)[0] == 0
 
 

@@ -83,7 +83,7 @@ def test_forces_beyond_the_declared_range_are_told_before_solving_and_a_range_me
     ranges = note.partition("--force-range ")[2].split()
     main([*command, "--size", "64", "48", "--out", str(tmp_path / "data"), "--force-range", *ranges])
     assert "note" not in capsys.readouterr().out
-    (recipe,), _ = Generate(("mb0i0",), force_range=("fz_n=-40:0",))._recipes()
+    (recipe,), _ = Generate(tmp_path, ("mb0i0",), force_range=("fz_n=-40:0",))._recipes()
     assert recipe.force_range_n == ((-0.75, 0.75), (-0.75, 0.75), (-40.0, 0.0))
     said = refused(*command, "--out", tmp_path / "data", "--force-range", "depth_mm=0:1")
     assert "depth_mm is no axis of the force" in said
@@ -92,9 +92,8 @@ def test_forces_beyond_the_declared_range_are_told_before_solving_and_a_range_me
 def test_another_sphere_makes_the_domain_and_one_too_small_for_the_path_is_refused(
     refused: Callable[..., str], tmp_path: Path
 ) -> None:
-    (recipe,), _ = Generate(
-        ("mb0i0",), path="smoke", body=IndenterOptions(indenter_diameter_mm=42.0)
-    )._recipes()
+    large = IndenterOptions(indenter_diameter_mm=42.0)
+    (recipe,), _ = Generate(tmp_path, ("mb0i0",), path="smoke", body=large)._recipes()
     assert recipe.indenter == Sphere(diameter_mm=42.0)
     command = ["generate", "mb0i0", "--path", "smoke", "--scheduler", "synchronous", "--indenter-diameter-mm"]
     for value, problem in (("0.6", "depth_mm = 0.6: must be in [0, 0.3] mm"), ("60", "[0.5, 50] mm")):

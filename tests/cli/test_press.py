@@ -34,4 +34,4 @@ def test_a_press_may_twist(capsys: pytest.CaptureFixture[str], refused: Callable
     report = json.loads(capsys.readouterr().out)
     assert report["torque_n_mm"][2] > 1e-4
     assert report["settings"]["pose"]["twist_deg"] == 5.0
-    assert "--twist-deg" in refused("press", "--twist-deg", "100")
+    assert "twist_deg = 100: must be in [−90, 90]°" in refused("press", "--twist-deg", "100")

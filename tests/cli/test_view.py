@@ -24,9 +24,9 @@ def test_without_viser_it_says_how_to_install_it(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--sensor", "papre"], ("--sensor = 'papre'", "did you mean")),
-        (["--elastomer", "b9"], ("--elastomer = 'b9'", "known presets")),
-        (["--illumination", "i9"], ("--illumination = 'i9'", "known presets")),
+        (["--sensor", "papre"], ("sensor preset 'papre'", "did you mean")),
+        (["--elastomer", "b9"], ("elastomer preset 'b9'", "known presets")),
+        (["--illumination", "i9"], ("illumination preset 'i9'", "known presets")),
         (["--port", "70000"], ("--port = '70000'", "[0, 65535]")),
         (["--port", "many"], ("--port",)),
     ],

@@ -173,7 +173,7 @@ def test_a_domain_is_opened_and_a_missing_one_is_not(page: Any, tmp_path: Path) 
     panel.open(str(tmp_path))
     panel._index.value = 2
     assert "-2.000" in panel._labels.content, panel._labels.content
-    assert panel._picture.image.max() == 80
+    assert panel._pair._handles[0].image.max() == 80
 
 
 def test_a_domain_with_fz_alone_and_references_of_its_own_is_shown(page: Any, tmp_path: Path) -> None:
@@ -185,10 +185,10 @@ def test_a_domain_with_fz_alone_and_references_of_its_own_is_shown(page: Any, tm
     assert "&lt;a&gt;" in panel._labels.content
     panel.show(2)
     assert "-2.000" in panel._labels.content
-    assert panel._difference.image.max() == 255  # 128 + 2 × (80 − 10), clipped
+    assert panel._pair._handles[1].image.max() == 255  # 128 + 2 × (80 − 10), clipped
     panel.show(1)
-    assert panel._difference.image.max() == 128 + 2 * 40
-    assert panel._picture.image.shape == (240, 320, 3)
+    assert panel._pair._handles[1].image.max() == 128 + 2 * 40
+    assert panel._pair._handles[0].image.shape == (240, 320, 3)
 
 
 @needs_browser

@@ -192,6 +192,6 @@ def test_a_missing_clone_comes_with_the_line_that_gets_it(tmp_path: Path, capsys
         main(
             ["benchmark", "real", "--what", "contact-point", "--data", str(tmp_path), "--out", str(tmp_path)]
         )
-    assert stopped.value.code == 1
+    assert stopped.value.code == 2
     said = capsys.readouterr().err
     assert f"git clone https://github.com/yanglh14/gelsight {tmp_path / 'gelsight'}" in said

@@ -84,7 +84,7 @@ def test_errors_are_those_of_each_clip_and_seed():
 def test_a_missing_clone_comes_with_the_line_that_gets_it(tmp_path: Path, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(["benchmark", "real", "--data", str(tmp_path), "--out", str(tmp_path / "out")])
-    assert stopped.value.code == 1
+    assert stopped.value.code == 2
     said = capsys.readouterr().err
     assert f"git clone https://github.com/GelSight-lab/EstimateModulus {tmp_path / 'EstimateModulus'}" in said
 
