@@ -45,7 +45,12 @@ _MEASURED = {
     "physics": [
         ("accuracy", "error of forces and displacements against run time", "physics.accuracy"),
         ("estimate", "each pose's estimate of its error beside the true one", "physics.estimate", EXTRA),
-        ("shapes", "other indenters than spheres against finite elements", "physics.shapes", EXTRA),
+        (
+            "shapes",
+            "other indenters than spheres against finite elements",
+            "physics.accuracy:run_shapes",
+            EXTRA,
+        ),
     ],
     "render": [(None, "error of pictures against run time, beside a path tracer", "render.accuracy", ANEW)],
     "sensors": [

@@ -18,8 +18,9 @@ from scipy.optimize import curve_fit
 
 from gelgap.benchmarks.common import show
 from gelgap.benchmarks.fem.spheres import Press, solve_press
-from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS, SURFACE, errors
+from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver
+from gelgap.benchmarks.physics.errors import SURFACE, errors
 from gelgap.benchmarks.physics.references import own_cases, press_cases, stable_press
 from gelgap.sim import Sharing, Solve
 from gelgap.sim.problem import LARGEST_POISSON_RATIO, QUALITIES, MeshSize

@@ -14,12 +14,15 @@ from gelgap.assets import asset_path
 from gelgap.benchmarks.common import Results
 from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.sim import AnyIndenter, Elastomer, Pose, Sphere
+from gelgap.sim import AnyIndenter, Box, Cone, Cylinder, Edge, Elastomer, Pose, Sphere
 
 FORCE_UNCERTAINTY = 0.003
-DRAG_FX_UNCERTAINTY = 0.04
+DRAG_UNCERTAINTY_PERCENT = 4.0  # of Fx
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"
+WIDE_PAD_MM = (60.0, 60.0)
+# Long enough that the middle is in plane strain: its ends are further away than two thicknesses.
+LONG_MM = 16.0
 Descent = tuple[Press, tuple[float, ...]]
 """A press that the project's own axisymmetric solver is the truth of, and its depths, mm."""
 
@@ -77,6 +80,7 @@ def press_cases() -> dict[str, Case]:
     cases = {}
     for name, own in rows[rows["energy"].str.contains("neo-Hookean")].groupby("case", sort=False):
         first = own.iloc[0]
+        off = own.eval("(contact_radius_high_mm - contact_radius_low_mm) / 2 / contact_radius_mm")
         cases[name] = press_case(
             "presses",
             name,
@@ -84,10 +88,8 @@ def press_cases() -> dict[str, Case]:
             Sphere(diameter_mm=2 * first["indenter_radius_mm"]),
             Truth(
                 force_n=normal(own["fz_n"]),
+                uncertainty_percent=100 * off.max(),
                 radius_mm=own["contact_radius_mm"].to_numpy(),
-                radius_uncertainty_mm=own.eval(
-                    "(contact_radius_high_mm - contact_radius_low_mm) / 2"
-                ).to_numpy(),
                 profiles=profiles(own["depth_mm"], "profiles", f"{name}.csv"),
             ),
             **first[["young_modulus_mpa", "poisson_ratio", "thickness_mm"]],
@@ -98,28 +100,83 @@ def press_cases() -> dict[str, Case]:
 
 
 def tabled_sphere() -> Case:
-    """Return the table of a sphere of 8 mm diameter on 3 mm of gel, in assets/reference/spheres."""
-    rows = pd.read_csv(asset_path("reference", "spheres", "forces.csv"))
-    rows = rows[rows["case"] == TABLED_SPHERE]
-    first = rows.iloc[0]
-    # The true radius lies between the last node that touches and the next, one element further out.
-    half_mm = first["element_mm_fine"] / 2
-    return press_case(
-        "larger",
-        TABLED_SPHERE,
-        rows["depth_mm"],
-        Sphere(diameter_mm=2 * json.loads(first["shape_params"])["R"]),
-        Truth(
-            force_n=normal(-rows["F_fine"]),
-            radius_mm=rows["contact_radius_now_mm"].to_numpy() + half_mm,
-            radius_uncertainty_mm=np.full(len(rows), half_mm),
-            profiles=profiles(rows["depth_mm"], "spheres", f"{TABLED_SPHERE}_profile.csv"),
-        ),
-        young_modulus_mpa=first["E_MPa"],
-        poisson_ratio=first["nu"],
-        thickness_mm=first["h_mm"],
-        friction=NO_SLIP_FRICTION,
+    """Return the press of a sphere of 8 mm diameter on 3 mm of gel."""
+    return second_model("larger", "spheres")[TABLED_SPHERE]
+
+
+def shape_cases() -> tuple[Case, ...]:
+    """Return the presses of bodies of revolution, and last that of a long lying cylinder."""
+    *round_bodies, lying = second_model("shapes", "shapes", pad_size_mm=WIDE_PAD_MM).values()
+    # The table has one side of the cylinder.
+    sides = tuple(np.hstack([[[-1], [-1], [1]] * own[:, :0:-1], own]) for own in lying.truth.profiles)
+    return *round_bodies, replace(lying, truth=replace(lying.truth, profiles=sides))
+
+
+def second_model(study: str, folder: str, **gel: Any) -> dict[str, Case]:
+    """Return the presses of a folder of assets/reference by the second finite-element model, by their names."""
+    cases = {}
+    for name, own in pd.read_csv(asset_path("reference", folder, "forces.csv")).groupby("case", sort=False):
+        profile = asset_path("reference", folder, f"{name}_profile.csv")
+        if not profile.is_file():
+            continue
+        first, body = own.iloc[0], body_of(own.iloc[0])
+        # The true radius lies between the last node that touches and the next, one element further out.
+        half_mm = own["element_mm_fine"] / 2
+        radius_mm = own["contact_radius_now_mm"] + half_mm
+        uncertainty = 100 * half_mm / radius_mm if isinstance(body, Sphere) else own["unc_pct"]
+        cases[name] = press_case(
+            study,
+            name,
+            own["depth_mm"],
+            body,
+            Truth(
+                force_n=normal(-own["F_fine"]),
+                uncertainty_percent=uncertainty.max(),
+                radius_mm=radius_mm.to_numpy(),
+                profiles=profiles(own["depth_mm"], folder, profile.name),
+            ),
+            young_modulus_mpa=first["E_MPa"],
+            poisson_ratio=first["nu"],
+            thickness_mm=first["h_mm"],
+            friction=friction_of(first["contact"]),
+            **gel,
+        )
+    return cases
+
+
+def body_of(row: pd.Series) -> AnyIndenter:
+    """Return the indenter of a row of the second model; its sphere in plane strain is a long lying cylinder."""
+    size = json.loads(row["shape_params"])
+    match row["shape"], row["kind"]:
+        case "Flat", _:
+            return Cylinder(diameter_mm=2 * size["R"], edge_radius_mm=size["f"])
+        case "Cone", _:
+            half_angle_deg = round(90 - math.degrees(size["b"]), 9)
+            return Cone(diameter_mm=6.0, half_angle_deg=half_angle_deg, tip_radius_mm=size["rho"])
+        case _, "plane strain (N/mm)":
+            return Edge(diameter_mm=2 * size["R"], length_mm=LONG_MM, edge_radius_mm=0.5)
+    return Sphere(diameter_mm=2 * size["R"])
+
+
+def across_cases() -> tuple[Case, ...]:
+    """Return a long box that is pressed and dragged across, with what plane strain has per mm of its length."""
+    forces, surfaces = (
+        pd.read_csv(asset_path("reference", "shapes", f"box_across_{kind}.csv"))
+        for kind in ("forces", "profiles")
     )
+    box, cases = Box(size_mm=(3.0, LONG_MM), edge_radius_mm=0.5), []
+    for contact, own in forces.groupby("contact", sort=False):
+        gel = Elastomer(
+            young_modulus_mpa=0.3, poisson_ratio=0.48, friction=friction_of(contact), pad_size_mm=WIDE_PAD_MM
+        )
+        surface = surfaces[surfaces["contact"] == contact].groupby(["depth_mm", "travel_mm"])
+        truth = Truth(
+            force_n=own.assign(fy=np.nan)[["fx_n_per_mm", "fy", "fz_n_per_mm"]].to_numpy(),
+            profiles=tuple(rows.to_numpy().T for _, rows in surface[["x_rest_mm", "u_x_mm", "u_z_mm"]]),
+        )
+        poses = tuple(Pose(depth_mm=p.depth_mm, shear_x_mm=p.travel_mm) for p in own.itertuples())
+        cases.append(Case("across", contact, gel, poses, indenter=box, truth=truth))
+    return tuple(cases)
 
 
 def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[Case]:
@@ -135,8 +192,8 @@ def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[C
             Truth(
                 force_n=normal(found.loc[name, "fz_n"]),
                 source="own",
+                uncertainty_percent=25 * press.element_mm / found.loc[name, "radius_mm"].min(),
                 radius_mm=found.loc[name, "radius_mm"],
-                radius_uncertainty_mm=np.full(len(depths_mm), press.element_mm / 4),
                 profiles=tuple(found.loc[name, "profiles"]),
             ),
             young_modulus_mpa=press.young_modulus_mpa,
@@ -172,19 +229,21 @@ def drag_cases() -> tuple[Case, ...]:
     for source, rows in (("table", table), ("own 3-D", own[np.isfinite(own["friction"])])):
         for (friction, depth_mm), drag in rows.groupby(["friction", "depth_mm"], sort=False):
             fine, *coarser = [mesh for _, mesh in drag.groupby("element_mm")]
-            uncertainty = DRAG_FX_UNCERTAINTY
+            uncertainty_percent = DRAG_UNCERTAINTY_PERCENT
             if source != "table":
                 if not coarser or len(coarser[0]) != len(fine):
                     continue
                 ratio = coarser[0]["element_mm"].iloc[0] / fine["element_mm"].iloc[0]
                 apart = np.abs(coarser[0]["fx_n"].to_numpy()[1:] / fine["fx_n"].to_numpy()[1:] - 1).max()
-                uncertainty = float(apart / (ratio**2 - 1))
+                uncertainty_percent = 100 * float(apart / (ratio**2 - 1))
             gel = fine.iloc[0][["young_modulus_mpa", "poisson_ratio", "friction"]]
             poses = tuple(Pose(depth_mm=depth_mm, shear_x_mm=float(x)) for x in fine["shear_x_mm"])
             force_n = np.stack([fine["fx_n"], np.full(len(fine), np.nan), fine["fz_n"]], axis=-1)
             name = f"{depth_mm:g} mm, friction {friction:g}"
             elastomer = Elastomer(pad_size_mm=(20.0, 20.0), **gel)
-            cases.append(Case("drags", name, elastomer, poses, truth=Truth(force_n, source, uncertainty)))
+            cases.append(
+                Case("drags", name, elastomer, poses, truth=Truth(force_n, source, uncertainty_percent))
+            )
     return tuple(cases)
 
 
