@@ -58,7 +58,7 @@ _MEASURED = {
         (
             "unknown-ball",
             "the same where ball, scale and marks are hardly known",
-            "render.unknown_ball",
+            "render.sensors:run_unknown_ball",
             EXTRA,
         ),
         ("robustness", "what a fit to disturbed pictures still predicts", "render.robustness", EXTRA),

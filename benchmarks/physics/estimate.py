@@ -16,7 +16,7 @@ import pandas as pd
 
 from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION, Descent, own_cases, stable_press
+from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION, Descent, axisymmetric_press, own_cases
 from gelgap.sim import Elastomer, Pose, Sphere
 from gelgap.sim.estimate import CAUSES, ERRORS, causes_of_error
 
@@ -70,7 +70,7 @@ def descent_of(case: Case) -> Descent:
     gel = case.elastomer
     friction = gel.friction if gel.friction < NO_SLIP_FRICTION else math.inf
     scene = case.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio, friction
-    return stable_press(*scene, case.poses[0].depth_mm)
+    return axisymmetric_press(*scene, case.poses[0].depth_mm)
 
 
 def causes(case: Case, found: Any, index: int) -> Floats:

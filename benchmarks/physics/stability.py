@@ -41,6 +41,7 @@ CORNERS = 2**5
 POSES_DOWN, POSES_SIDEWAYS = 4, 3
 NOTHING_SHARED = Sharing(modulus=False, translation=False, reflection=False, path=False, cache=False)
 PAPERS_REGIME, BEYOND = "the paper's regime", "beyond it"
+STATUSES = ("converged", "flagged", "failed")
 FORCE_TOLERANCE = 0.01  # by which the force of a press may fall, of the sphere's force
 
 
@@ -180,20 +181,23 @@ def judge_scenes(numbers: Sequence[int], quality: str, out_dir: Path) -> None:
 def summarise(verdicts: pd.DataFrame, file: Path) -> None:
     """Print and write how many scenes converged, were flagged, failed and violated an invariant, by regime."""
     by_regime = pd.concat([verdicts, verdicts.assign(regime="all")]).groupby("regime")
-    statuses = by_regime["status"].value_counts().unstack(fill_value=0)
-    table = pd.DataFrame({"number": by_regime.size()}, index=[PAPERS_REGIME, BEYOND, "all"]).rename_axis(
-        "scenes"
-    )
-    for status in ("converged", "flagged", "failed"):
-        table[status] = statuses.get(status, 0)
+    counts = by_regime["status"].value_counts().unstack()
+    table = counts.reindex([PAPERS_REGIME, BEYOND, "all"], columns=STATUSES).fillna(0).astype(int)
+    table.insert(0, "number", table.sum(axis=1))
     table.insert(1, "converged %", 100 * table["converged"] / table["number"])
     table["violate an invariant"] = by_regime["violations"].agg(lambda own: (own.str.len() > 0).sum())
     minutes = verdicts["core_s"].sum() / 60
     targets = "targets: 99 % in the paper's regime, 90 % over all, no violation"
-    show("Stability of the physics", table, f"{targets}; {minutes:.0f} core minutes in all")
+    show(
+        "Stability of the physics",
+        table.rename_axis("scenes"),
+        f"{targets}; {minutes:.0f} core minutes in all",
+    )
     kinds = Counter(found for own in verdicts["violations"] for found in own)
     show("Violated invariants", pd.DataFrame(kinds.most_common(), columns=["invariant", "scenes"]))
-    write_json(file, {"scenes": table.reset_index(), "violations": kinds, "core_minutes": minutes})
+    write_json(
+        file, {"scenes": table.reset_index(names="scenes"), "violations": kinds, "core_minutes": minutes}
+    )
 
 
 def main() -> None:
