@@ -6,7 +6,7 @@ machine does.
 """
 
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,10 +60,15 @@ SHAPE_NOTE = (
     "displacement within 5 mm; ref ±: the references' own; targets at standard: round bodies 3 % rms, 6 % worst, 8 µm; "
     "lying cylinder and box 4 % rms, 10 µm, Fx 6 % rms"
 )
-TITLES = {
-    "presses": "Presses against independent finite elements",
-    "held back": "Held-back presses, small and large spheres, against the project's own",
-}
+TABLES = (  # study, title, columns, note
+    ("presses", "Presses against independent finite elements: force, contact radius, cost", PRESS, ""),
+    ("presses", "The same presses: membrane", MEMBRANE, MEMBRANE_NOTE),
+    ("held back", "Held-back presses against the project's own solver", PRESS, ""),
+    ("held back", "The same presses: membrane", MEMBRANE, MEMBRANE_NOTE),
+    ("drags", "Drags to 0.6 mm, ν 0.48, against 3-D finite elements", DRAG, DRAG_NOTE),
+    ("shapes", "Indenters against independent finite elements", SHAPE, SHAPE_NOTE),
+    ("across", "A long box in its middle, pressed and dragged across: per mm of length", ACROSS, SHAPE_NOTE),
+)
 FZ_TARGET = 2.0  # %, rms
 
 
@@ -75,18 +80,32 @@ def run(quick: bool, out_dir: Path) -> None:
     """
     solver = Solver(None, out_dir / "physics-solves")
     results = measured(quick_cases() if quick else full_cases(solver), solver, picture_maker())
-    for study, title in TITLES.items():
-        if study in results:
-            show(f"{title}: force, contact radius, cost", results[study][list(PRESS)])
-            show(f"{title}: membrane", results[study].reindex(columns=list(MEMBRANE)), MEMBRANE_NOTE)
-    title = "Drags to 0.6 mm, ν 0.48, against 3-D finite elements"
-    show(title, results["drags"][list(DRAG)], DRAG_NOTE)
+    show_tables(results)
     results["condensation"] = condensation_table(solver, quick)
     show_targets(results["presses"], results["drags"])
     plot_frontier(out_dir / "physics-frontier.png", frontier(results["presses"]))
     write_json(out_dir / "physics.json", results)
     shutil.rmtree(solver.folder, ignore_errors=True)
     print(f"results in {out_dir / 'physics.json'}, plot in {out_dir / 'physics-frontier.png'}")
+
+
+def run_shapes(quick: bool, out_dir: Path) -> None:
+    """Print errors and run time of other indenters, and write `shapes.json` to `out_dir`.
+
+    The quick form has two depths of each round body at `draft`; the full one all depths at `draft` and `standard`, the
+    lying cylinder, and a long box that is pressed and dragged across.
+    """
+    solver = Solver(None, out_dir / "shape-solves")
+    cases = at_both([*shape_cases(), *across_cases()])
+    if quick:
+        *round_bodies, _ = shape_cases()
+        shallow = [case.down_to(case.poses[QUICK_DEPTHS - 1].depth_mm) for case in round_bodies]
+        cases = [replace(case, quality="draft") for case in shallow]
+    results = measured(cases, solver)
+    show_tables(results)
+    write_json(out_dir / "shapes.json", results)
+    shutil.rmtree(solver.folder, ignore_errors=True)
+    print(f"results in {out_dir / 'shapes.json'}")
 
 
 def quick_cases() -> list[Case]:
@@ -114,35 +133,19 @@ def at_both(cases: Iterable[Case]) -> list[Case]:
     return [replace(case, quality=quality) for quality in ("draft", "standard") for case in cases]
 
 
-def run_shapes(quick: bool, out_dir: Path) -> None:
-    """Print errors and run time of other indenters, and write `shapes.json` to `out_dir`.
-
-    The quick form has two depths of each round body at `draft`; the full one all depths at `draft` and `standard`, the
-    lying cylinder, and a long box that is pressed and dragged across.
-    """
-    solver = Solver(None, out_dir / "shape-solves")
-    *round_bodies, lying = shape_cases()
-    if quick:
-        shallow = [case.down_to(case.poses[QUICK_DEPTHS - 1].depth_mm) for case in round_bodies]
-        results = measured([replace(case, quality="draft") for case in shallow], solver)
-    else:
-        results = measured(at_both([*round_bodies, lying, *across_cases()]), solver)
-    show("Indenters against independent finite elements", results["shapes"][list(SHAPE)], SHAPE_NOTE)
-    if not quick:
-        note = "per mm of length, beside plane strain by elements of 0.12 mm"
-        title = "A long box in its middle, pressed and dragged across"
-        show(title, results["across"][list(ACROSS)], note)
-    write_json(out_dir / "shapes.json", results)
-    shutil.rmtree(solver.folder, ignore_errors=True)
-    print(f"results in {out_dir / 'shapes.json'}")
-
-
 def picture_maker() -> Picture:
     """Return a function that renders a membrane with the paper's sensor under i0."""
     from gelgap.render import Illumination, MembraneRenderer, Sensor
 
     renderer = MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"))
     return lambda state: renderer.picture(state.x_mm, state.y_mm, state.displacement_mm.astype(np.float32))
+
+
+def show_tables(results: Mapping[str, pd.DataFrame]) -> None:
+    """Print the tables of the studies that were measured."""
+    for study, title, columns, note in TABLES:
+        if study in results:
+            show(title, results[study].reindex(columns=list(columns)), note)
 
 
 def show_targets(presses: pd.DataFrame, drags: pd.DataFrame) -> None:

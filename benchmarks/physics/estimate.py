@@ -50,19 +50,12 @@ def random_case(number: int) -> Case:
         pad_size_mm=WIDE_PAD_MM if inside else (24.0, 20.0),
         strain_energy="stable-neo-hookean",
     )
-    places = {"point_x_mm": point[0], "point_y_mm": point[1], "depth_mm": depth}
-    poses = [Pose(**places)]
+    poses = [Pose(depth, point_x_mm=point[0], point_y_mm=point[1])]
     if number % 3 == 2:
-        poses.append(
-            Pose(
-                **places,
-                shear_x_mm=round(travel * math.cos(angle), 4),
-                shear_y_mm=round(travel * math.sin(angle), 4),
-            )
-        )
-    return Case(
-        "random", f"scene {number}", gel, tuple(poses), indenter=Sphere(diameter_mm=round(2 * radius, 3))
-    )
+        x_mm, y_mm = (round(travel * of(angle), 4) for of in (math.cos, math.sin))
+        poses.append(replace(poses[0], shear_x_mm=x_mm, shear_y_mm=y_mm))
+    ball = Sphere(diameter_mm=round(2 * radius, 3))
+    return Case("random", f"scene {number}", gel, tuple(poses), indenter=ball)
 
 
 def descent_of(case: Case) -> Descent:
@@ -144,9 +137,9 @@ def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Print how often true errors are below twice their estimate, and estimates below four times the true error."""
     found = []
     for quality, own in rows[rows["known"]].groupby("quality", sort=False):
+        unflagged = ~own["coarse"] & own["converged"]
         for error in ERRORS:
             true, estimate = own[error].abs(), own[f"estimated {error}"]
-            unflagged = ~own["coarse"] & own["converged"]
             found.append(
                 {
                     "quality": quality,
@@ -160,12 +153,8 @@ def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:
                     "worst unflagged %": 100 * true[unflagged].max(),
                 }
             )
-    table = pd.DataFrame(found)
-    show(
-        "Estimates of random scenes beside their true errors",
-        table,
-        "forces as shares of the whole force, the membrane's rms as a share of the depth",
-    )
+    note = "forces as shares of the whole force, the membrane's rms as a share of the depth"
+    show("Estimates of random scenes beside their true errors", table := pd.DataFrame(found), note)
     return table
 
 
