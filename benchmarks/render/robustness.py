@@ -92,9 +92,8 @@ def turned(sensor: Sensor, angle_deg: float = 30.0) -> Sensor:
     return sensor.model_copy(update={"illumination": light})
 
 
-UNDISTURBED = "undisturbed"
 DISTURBANCES = {
-    UNDISTURBED: Disturbance(),
+    "undisturbed": Disturbance(),
     "start: LEDs turned by 30°": Disturbance(start=turned),
     "circles marked ± 3 px": Disturbance(fitted=marked_badly),
     "centres not marked": Disturbance(
@@ -166,9 +165,7 @@ class Trial:
         reference = case.picture(self.found.reference)
         found = PressSet(reference, case.fitted(fitted), case.start(self.found.start))
         try:
-            calibration, pictures, fit_s = (
-                self.best if setting["disturbance"] == UNDISTURBED else self.fit(found)
-            )
+            calibration, pictures, fit_s = self.fit(found)
         except ValueError as refusal:
             return results | {"own": levels([], []), "fit, s": 0.0, "note": f"refused: {refusal}"}
         note = ", ".join(calibration.left_out)
