@@ -47,7 +47,12 @@ _MEASURED = {
     "physics": [
         ("accuracy", "error of forces and displacements against run time", "physics.accuracy"),
         ("estimate", "each pose's estimate of its error beside the true one", "physics.estimate", EXTRA),
-        ("shapes", "other indenters than spheres against finite elements", "physics.shapes", EXTRA),
+        (
+            "shapes",
+            "other indenters than spheres against finite elements",
+            "physics.accuracy:run_shapes",
+            EXTRA,
+        ),
     ],
     "render": [(None, "error of pictures against run time, beside a path tracer", "render.accuracy", ANEW)],
     "sensors": [
@@ -55,7 +60,7 @@ _MEASURED = {
         (
             "unknown-ball",
             "the same where ball, scale and marks are hardly known",
-            "render.unknown_ball",
+            "render.sensors:run_unknown_ball",
             EXTRA,
         ),
         ("robustness", "what a fit to disturbed pictures still predicts", "render.robustness", EXTRA),

@@ -22,6 +22,7 @@ from gelgap.benchmarks.render import rivals, sensors
 from gelgap.benchmarks.render.scenes import OWN_LIT_SENSORS, STORED_SCENES, stored_reference
 from gelgap.domains import taxim_presses
 from gelgap.render import Illumination, MembraneRenderer, PressPicture, Sensor, difference_picture
+from gelgap.render.calibration.calibrator import LightTask
 from gelgap.render.imaging import encode
 from gelgap.sim import Elastomer, MembraneState, Pose, QualityName, Sphere, solve_poses
 
@@ -85,14 +86,13 @@ def compared(
 def draw_real(path: Path) -> None:
     """Fit the even presses of a real sensor, and show the best, median and worst of the odd ones.
 
-    Columns: real, gelgap with the press as marked and Taxim refitted, each with 128 + 4 times the difference.
+    Columns: real, gelgap with the press as marked and Taxim, each with 128 + 4 times the difference.
     """
     found = taxim_presses(sensors.SET)
-    task = sensors.light_task(found, sensors.VARIANTS[sensors.WHOLE])
+    task = LightTask(found.start, sensors.placed_presses(found), **sensors.VARIANTS[sensors.WHOLE])
     even, odd = range(0, len(found.presses), 2), range(1, len(found.presses), 2)
-    forms = sensors.rival_models(found, task.placed.poses_mm[:, 2], (rivals.REFITTED,))
-    light, (refitted, _) = sensors.FittedLight(task, even), list(forms.values())[-1](even)
-    pictures = [[draw(press)() for press in odd] for draw in (partial(light.draw, "marked"), refitted)]
+    light, (taxim, _) = sensors.FittedLight(task, even), rivals.taxim(found, sensors.SET, None, even)
+    pictures = [[draw(press)() for press in odd] for draw in (partial(light.draw, "marked"), taxim)]
     presses = [found.presses[press] for press in odd]
     level = [sensors.scores(own, press)["within"] for own, press in zip(pictures[0], presses, strict=True)]
     best_first, rows = np.argsort(level)[::-1], []

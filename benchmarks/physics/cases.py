@@ -5,6 +5,7 @@ Those processes import this module, so that it is light: what they take is what 
 
 import hashlib
 import importlib.metadata
+import math
 import resource
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -34,24 +35,29 @@ SLOWEST_FIRST = ("fine", "standard", "draft")
 class Truth:
     """The solution that a case is compared with, by pose: forces (k, 3), N, NaN where they are not known.
 
-    `fx_uncertainty` is how far Fx may be off, as a share. Presses have contact radii (k,), their uncertainty, and
-    `profiles` (r, u_r, u_z) of the surface.
+    Presses of round bodies have contact radii (k,), and presses `profiles` (r, u_r, u_z) of the surface. The truth may
+    be off itself by `uncertainty_percent`: in Fx of a drag, the contact radius of a sphere, Fz of another body.
     """
 
     force_n: Floats
     source: str = "table"
-    fx_uncertainty: float = 0.0
-    radius_mm: Floats | None = None
-    radius_uncertainty_mm: Floats | None = None
+    uncertainty_percent: float = math.nan
+    radius_mm: Floats = field(default_factory=lambda: np.empty(0))
     profiles: tuple[Floats, ...] = ()
 
-    def displacement_mm(self, index: int, x_mm: Floats, y_mm: Floats) -> Floats:
-        """Return the surface's displacement (ny, nx, 3) on a rest grid centred on the contact."""
+    def state(self, index: int, like: MembraneState) -> MembraneState:
+        """Return the true membrane at a pose, centred on the contact, on the rest grid of another."""
         r, u_r, u_z = self.profiles[index]
-        x, y = np.meshgrid(x_mm, y_mm)
+        x, y = np.meshgrid(like.x_mm, like.y_mm)
         radius = np.hypot(x, y)
         outward = np.interp(radius, r, u_r) / np.maximum(radius, 1e-9)
-        return np.stack([outward * x, outward * y, np.interp(radius, r, u_z)], axis=-1)
+        return replace(
+            like,
+            displacement_mm=np.stack([outward * x, outward * y, np.interp(radius, r, u_z)], axis=-1),
+            force_n=self.force_n[index],
+            contact_radius_mm=float(self.radius_mm[index]),
+            converged=True,
+        )
 
 
 @dataclass(frozen=True)
@@ -79,9 +85,7 @@ class Case:
     def down_to(self, depth_mm: float) -> "Case":
         """Return the part of a press that is no deeper."""
         count = sum(pose.depth_mm <= depth_mm for pose in self.poses)
-        arrays = ("force_n", "radius_mm", "radius_uncertainty_mm", "profiles")
-        there = {name: own for name in arrays if (own := getattr(self.truth, name)) is not None}
-        kept = {name: own[:count] for name, own in there.items()}
+        kept = {name: getattr(self.truth, name)[:count] for name in ("force_n", "radius_mm", "profiles")}
         return replace(self, poses=self.poses[:count], truth=replace(self.truth, **kept))
 
     def states(self, solution: Solution) -> tuple[MembraneState, ...]:
@@ -104,7 +108,7 @@ class Solver:
         What the folder has of the same thing and the same code of the solvers is read.
         """
         settings = [
-            {"study": function.__name__.replace("_", " "), "what": name, "of": _digest(thing)}
+            {"what": name, "of": hashlib.sha256(f"{thing!r} {code_digest()}".encode()).hexdigest()[:12]}
             for name, thing in things.items()
         ]
         by_key = dict(zip(map(key_of, settings), things.values(), strict=True))
@@ -115,10 +119,10 @@ class Solver:
             workers=self.processes,
             tasks_per_worker=tasks_per_worker,
         )
-        return found.set_index("what").drop(columns=["study", "of"])
+        return found.set_index("what").drop(columns="of")
 
     def solve(self, solves: Mapping[str, Solve]) -> "pd.DataFrame":
-        """Return solution, wall_s, core_s, solve_s and peak_mib of each solve; see `solved`."""
+        """Return solution, core_s, solve_s and peak_mib of each solve; see `solved`."""
         found = self.measure(solved, solves)
         return found.assign(solution=[solution_from_bytes(data.tobytes()) for data in found["solution"]])
 
@@ -137,10 +141,9 @@ def solved(solve: Solve) -> Results:
 
     `core_s` is the processor time of the whole process, imports included, `solve_s` that of the solve in it.
     """
-    started, imports_s = time.perf_counter(), time.process_time()
+    imports_s = time.process_time()
     solution = solve.run()
     return {
-        "wall_s": time.perf_counter() - started,
         "core_s": time.process_time(),
         "solve_s": time.process_time() - imports_s,
         "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
@@ -150,10 +153,6 @@ def solved(solve: Solve) -> Results:
 
 def _called(function: Callable[[Any], Results], things: Mapping[str, Any], setting: Setting) -> Results:
     return function(things[key_of(setting)])
-
-
-def _digest(thing: Any) -> str:
-    return hashlib.sha256(f"{thing!r} {code_digest()}".encode()).hexdigest()[:12]
 
 
 @cache

@@ -5,7 +5,6 @@ axisymmetric solver.
 """
 
 import math
-import os
 import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -17,8 +16,8 @@ import pandas as pd
 
 from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION, Descent, own_cases, stable_press
-from gelgap.sim import Elastomer, MembraneState, Pose, Sphere
+from gelgap.benchmarks.physics.references import NO_SLIP_FRICTION, Descent, axisymmetric_press, own_cases
+from gelgap.sim import Elastomer, Pose, Sphere
 from gelgap.sim.estimate import CAUSES, ERRORS, causes_of_error
 
 RANDOM_SCENES, QUICK_SCENES = 300, (0, 12)
@@ -51,19 +50,12 @@ def random_case(number: int) -> Case:
         pad_size_mm=WIDE_PAD_MM if inside else (24.0, 20.0),
         strain_energy="stable-neo-hookean",
     )
-    places = {"point_x_mm": point[0], "point_y_mm": point[1], "depth_mm": depth}
-    poses = [Pose(**places)]
+    poses = [Pose(depth, point_x_mm=point[0], point_y_mm=point[1])]
     if number % 3 == 2:
-        poses.append(
-            Pose(
-                **places,
-                shear_x_mm=round(travel * math.cos(angle), 4),
-                shear_y_mm=round(travel * math.sin(angle), 4),
-            )
-        )
-    return Case(
-        "random", f"scene {number}", gel, tuple(poses), indenter=Sphere(diameter_mm=round(2 * radius, 3))
-    )
+        x_mm, y_mm = (round(travel * of(angle), 4) for of in (math.cos, math.sin))
+        poses.append(replace(poses[0], shear_x_mm=x_mm, shear_y_mm=y_mm))
+    ball = Sphere(diameter_mm=round(2 * radius, 3))
+    return Case("random", f"scene {number}", gel, tuple(poses), indenter=ball)
 
 
 def descent_of(case: Case) -> Descent:
@@ -71,7 +63,7 @@ def descent_of(case: Case) -> Descent:
     gel = case.elastomer
     friction = gel.friction if gel.friction < NO_SLIP_FRICTION else math.inf
     scene = case.indenter.radius_mm, gel.thickness_mm, gel.poisson_ratio, friction
-    return stable_press(*scene, case.poses[0].depth_mm)
+    return axisymmetric_press(*scene, case.poses[0].depth_mm)
 
 
 def causes(case: Case, found: Any, index: int) -> Floats:
@@ -88,48 +80,38 @@ def rows_of(case: Case, found: Any, truth: Truth | None, finer: Any) -> Iterator
     """
     for index, (pose, state) in enumerate(zip(case.poses, found.states, strict=True)):
         if truth is not None:
-            known, force_n, radius_mm = True, truth.force_n[index], float(truth.radius_mm[index])
-            surface_mm, own_causes = (
-                truth.displacement_mm(index, state.x_mm, state.y_mm),
-                np.zeros(len(CAUSES)),
-            )
+            right, own_causes = truth.state(index, state), np.zeros(len(CAUSES))
         else:
             right, own_causes = finer.states[index], causes(case, finer, index)
-            known, force_n = right.converged, right.force_n
-            radius_mm, surface_mm = right.contact_radius_mm, right.displacement_mm
-        size, off = max(float(np.linalg.norm(force_n)), 1e-9), state.force_n - force_n
-        x_mm, y_mm = (
-            state.x_mm - pose.point_x_mm - pose.shear_x_mm,
-            state.y_mm - pose.point_y_mm - pose.shear_y_mm,
+        size_n, own_size_n = (max(float(np.linalg.norm(s.force_n)), 1e-9) for s in (right, state))
+        off_n, estimates = state.force_n - right.force_n, state.diagnostics
+        x_mm = state.x_mm - pose.point_x_mm - pose.shear_x_mm
+        y_mm = state.y_mm - pose.point_y_mm - pose.shear_y_mm
+        near = np.hypot(*np.meshgrid(x_mm, y_mm)) < SURFACE_REACH_RADII * right.contact_radius_mm
+        apart_mm = np.linalg.norm(state.displacement_mm - right.displacement_mm, axis=-1)[near]
+        true = (
+            off_n[2] / size_n,
+            float(np.hypot(*off_n[:2])) / size_n,
+            state.contact_radius_mm / max(right.contact_radius_mm, 1e-9) - 1,
+            rms(apart_mm) / pose.depth_mm if near.any() else 0.0,
         )
-        near = np.hypot(*np.meshgrid(x_mm, y_mm)) < SURFACE_REACH_RADII * radius_mm
-        apart = np.linalg.norm(state.displacement_mm - surface_mm, axis=-1)[near]
-        together = np.sqrt(causes(case, found, index) ** 2 + own_causes**2)
+        estimated = (
+            estimates.fz_error_n / own_size_n,
+            estimates.shear_error_n * math.sqrt(2) / own_size_n,
+            estimates.contact_radius_error_mm / max(state.contact_radius_mm, 1e-9),
+            estimates.membrane_error_mm / pose.depth_mm,
+        )
         yield {
             "case": case.name,
             "quality": case.quality,
             "pose": index,
-            "known": known,
+            "known": right.converged,
             "converged": state.converged,
-            "coarse": state.diagnostics.coarse,
-            "Fz": off[2] / size,
-            "shear": float(np.hypot(*off[:2])) / size,
-            "radius": state.contact_radius_mm / max(radius_mm, 1e-9) - 1,
-            "membrane": rms(apart) / pose.depth_mm if near.any() else 0.0,
-            **_estimates(state, pose),
-            **dict(zip(CAUSES, together, strict=True)),
+            "coarse": estimates.coarse,
+            **dict(zip(ERRORS, true, strict=True)),
+            **dict(zip((f"estimated {error}" for error in ERRORS), estimated, strict=True)),
+            **dict(zip(CAUSES, np.hypot(causes(case, found, index), own_causes), strict=True)),
         }
-
-
-def _estimates(state: MembraneState, pose: Pose) -> dict[str, float]:
-    found, size = state.diagnostics, max(float(np.linalg.norm(state.force_n)), 1e-9)
-    shares = (
-        found.fz_error_n / size,
-        found.shear_error_n * math.sqrt(2) / size,
-        found.contact_radius_error_mm / max(state.contact_radius_mm, 1e-9),
-        found.membrane_error_mm / pose.depth_mm,
-    )
-    return {f"estimated {error}": share for error, share in zip(ERRORS, shares, strict=True)}
 
 
 def random_errors(
@@ -138,8 +120,8 @@ def random_errors(
     """Return the rows of random scenes at some qualities, beside the finest where there is no axisymmetric solution."""
     cases = [random_case(number) for number in numbers]
     presses = [case for case in cases if len(case.poses) == 1 and case.elastomer.pad_size_mm == WIDE_PAD_MM]
-    truths = own_cases("random", [descent_of(case) for case in presses], solver)
-    truth_of = {case: truth.truth for case, truth in zip(presses, truths, strict=True)}
+    own = own_cases("random", list(map(descent_of, presses)), solver)
+    truth_of = {case: truth.truth for case, truth in zip(presses, own, strict=True)}
     finer = solver.cases(replace(case, quality=finest) for case in cases if case not in truth_of)
     rows = []
     for quality in qualities:
@@ -155,9 +137,9 @@ def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Print how often true errors are below twice their estimate, and estimates below four times the true error."""
     found = []
     for quality, own in rows[rows["known"]].groupby("quality", sort=False):
+        unflagged = ~own["coarse"] & own["converged"]
         for error in ERRORS:
             true, estimate = own[error].abs(), own[f"estimated {error}"]
-            unflagged = ~own["coarse"] & own["converged"]
             found.append(
                 {
                     "quality": quality,
@@ -171,18 +153,14 @@ def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:
                     "worst unflagged %": 100 * true[unflagged].max(),
                 }
             )
-    table = pd.DataFrame(found)
-    show(
-        "Estimates of random scenes beside their true errors",
-        table,
-        "forces as shares of the whole force, the membrane's rms as a share of the depth",
-    )
+    note = "forces as shares of the whole force, the membrane's rms as a share of the depth"
+    show("Estimates of random scenes beside their true errors", table := pd.DataFrame(found), note)
     return table
 
 
 def run(quick: bool, out_dir: Path) -> None:
     """Run the benchmark, print its tables, and write `estimate.json` to `out_dir`."""
-    solver = Solver(os.cpu_count() or 1, out_dir / "estimate-solves")
+    solver = Solver(None, out_dir / "estimate-solves")
     qualities = ("draft",) if quick else ("draft", "standard")
     rows = random_errors(QUICK_SCENES if quick else range(RANDOM_SCENES), qualities, solver)
     table = calibration_table(rows)

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -14,59 +14,52 @@ from gelgap.assets import asset_path
 from gelgap.benchmarks.common import Results
 from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.sim import AnyIndenter, Elastomer, Pose, Sphere
+from gelgap.sim import AnyIndenter, Box, Cone, Cylinder, Edge, Elastomer, Pose, Sphere
 
-FORCE_UNCERTAINTY = 0.003
-DRAG_FX_UNCERTAINTY = 0.04
+FORCE_UNCERTAINTY_PERCENT = 0.3
+DRAG_UNCERTAINTY_PERCENT = 4.0  # of Fx
 NO_SLIP_FRICTION = 10.0  # more than any contact of a sphere can use up
 TABLED_SPHERE = "d_sph_R4_h3_nu49_stick"
+WIDE_PAD_MM = (60.0, 60.0)
+# Long enough that the middle is in plane strain: its ends are further away than two thicknesses.
+LONG_MM = 16.0
 Descent = tuple[Press, tuple[float, ...]]
 """A press that the project's own axisymmetric solver is the truth of, and its depths, mm."""
 
 
-def _held_back(*scene: float) -> Descent:
-    press = Press.scaled(*scene)
-    depths_mm = tuple(round(press.deepest_mm * share, 3) for share in (0.25, 0.5, 0.75, 1.0))
-    return replace(press, element_mm=0.05 * press.indenter_radius_mm), depths_mm
-
-
-def _larger_sphere(radius: float, thickness: float, nu: float, friction: float, *depths_mm: float) -> Descent:
-    """A pad must reach so far beyond the contact that its rim does not matter."""
-    press = Press.scaled(radius, thickness, nu, friction)
-    return replace(press, pad_radius_mm=radius + 3.5 * thickness, element_mm=thickness / 20), depths_mm
-
-
-def stable_press(
-    radius_mm: float, thickness_mm: float, poisson_ratio: float, friction: float, *depths_mm: float
+def axisymmetric_press(
+    radius_mm: float,
+    thickness_mm: float,
+    poisson_ratio: float,
+    friction: float,
+    *depths_mm: float,
+    energy: Literal["isochoric", "stable"] = "stable",
+    elements: int = 12,
 ) -> Descent:
-    """Return a press in MuJoCo's energy on elements that its contact at the deepest needs."""
+    """Return a press with so many elements across Hertz's radius at the deepest, of a pad whose rim does not matter."""
     press = Press(
-        energy="stable",
+        energy=energy,
         poisson_ratio=poisson_ratio,
         friction=friction,
         indenter_radius_mm=radius_mm,
         thickness_mm=thickness_mm,
         pad_radius_mm=radius_mm + 3.5 * thickness_mm,
-        element_mm=min(math.sqrt(radius_mm * max(depths_mm)) / 12, thickness_mm / 15),
+        element_mm=min(math.sqrt(radius_mm * max(depths_mm)) / elements, thickness_mm / 15),
     )
     return press, depths_mm
 
 
-HELD_BACK = (  # presses that no table and no calibration has: R, thickness, ν, friction
-    _held_back(1.0, 2.0, 0.47, 0.3),
-    _held_back(2.5, 4.0, 0.49, 0.8),
-    _held_back(1.5, 5.0, 0.495, 0.1),
-    _held_back(2.0, 3.0, 0.46, math.inf),
-)
-LARGER_SPHERES = (  # the rows of docs/results/physics.md: R, thickness, ν, friction, and depths
-    _larger_sphere(4.0, 3.0, 0.49, 0.0, 0.2, 0.55, 0.9),
-    _larger_sphere(6.0, 2.0, 0.48, math.inf, 0.15, 0.375, 0.6),
-    _larger_sphere(6.0, 2.0, 0.48, 0.0, 0.15, 0.375, 0.6),
-    _larger_sphere(6.0, 4.0, 0.49, 0.3, 0.3, 0.75, 1.2),
-    _larger_sphere(6.0, 4.0, 0.49, 0.3, 0.33, 0.67, 1.0, 1.33),
-    _larger_sphere(6.0, 3.0, 0.45, math.inf, 0.2, 0.55, 0.9),
-    _larger_sphere(10.0, 4.0, 0.49, math.inf, 0.1, 0.25, 0.4),
-    _larger_sphere(10.0, 4.0, 0.49, math.inf, 0.1, 0.65, 1.2),
+HELD_BACK = tuple(  # presses that no table and no calibration has
+    axisymmetric_press(*scene, energy="isochoric", elements=20)
+    for scene in (
+        (1.0, 2.0, 0.47, 0.3, 0.167, 0.333, 0.5, 0.667),
+        (2.5, 4.0, 0.49, 0.8, 0.333, 0.667, 1.0, 1.333),
+        (1.5, 5.0, 0.495, 0.1, 0.25, 0.5, 0.75, 1.0),
+        (2.0, 3.0, 0.46, math.inf, 0.25, 0.5, 0.75, 1.0),
+        (6.0, 2.0, 0.48, math.inf, 0.15, 0.375, 0.6),
+        (6.0, 4.0, 0.49, 0.3, 0.33, 0.67, 1.0, 1.33),
+        (10.0, 4.0, 0.49, math.inf, 0.1, 0.65, 1.2),
+    )
 )
 
 
@@ -74,78 +67,129 @@ LARGER_SPHERES = (  # the rows of docs/results/physics.md: R, thickness, ν, fri
 def press_cases() -> dict[str, Case]:
     """Return the neo-Hookean presses of the tables by name (the linear elastic ones are not a material of gelgap)."""
     rows = pd.read_csv(asset_path("reference", "force_depth.csv"))
-    cases = {}
-    for name, own in rows[rows["energy"].str.contains("neo-Hookean")].groupby("case", sort=False):
-        first = own.iloc[0]
-        cases[name] = press_case(
-            "presses",
-            name,
-            own["depth_mm"],
-            Sphere(diameter_mm=2 * first["indenter_radius_mm"]),
-            Truth(
-                force_n=normal(own["fz_n"]),
-                radius_mm=own["contact_radius_mm"].to_numpy(),
-                radius_uncertainty_mm=own.eval(
-                    "(contact_radius_high_mm - contact_radius_low_mm) / 2"
-                ).to_numpy(),
-                profiles=profiles(own["depth_mm"], "profiles", f"{name}.csv"),
-            ),
-            **first[["young_modulus_mpa", "poisson_ratio", "thickness_mm"]],
-            friction=friction_of(first["contact"]),
-            strain_energy="isochoric" if first["energy"].startswith("isochoric") else "stable-neo-hookean",
-        )
-    return cases
+    rows = rows[rows["energy"].str.contains("neo-Hookean")]
+    isochoric = rows["energy"].str.startswith("isochoric")
+    rows = rows.assign(
+        body=[Sphere(diameter_mm=2 * radius_mm) for radius_mm in rows["indenter_radius_mm"]],
+        strain_energy=np.where(isochoric, "isochoric", "stable-neo-hookean"),
+        off_percent=rows.eval("50 * (contact_radius_high_mm - contact_radius_low_mm) / contact_radius_mm"),
+    )
+    return tabled_cases("presses", rows, "profiles/{}.csv")
 
 
 def tabled_sphere() -> Case:
-    """Return the table of a sphere of 8 mm diameter on 3 mm of gel, in assets/reference/spheres."""
-    rows = pd.read_csv(asset_path("reference", "spheres", "forces.csv"))
-    rows = rows[rows["case"] == TABLED_SPHERE]
-    first = rows.iloc[0]
-    # The true radius lies between the last node that touches and the next, one element further out.
-    half_mm = first["element_mm_fine"] / 2
-    return press_case(
-        "larger",
-        TABLED_SPHERE,
-        rows["depth_mm"],
-        Sphere(diameter_mm=2 * json.loads(first["shape_params"])["R"]),
-        Truth(
-            force_n=normal(-rows["F_fine"]),
-            radius_mm=rows["contact_radius_now_mm"].to_numpy() + half_mm,
-            radius_uncertainty_mm=np.full(len(rows), half_mm),
-            profiles=profiles(rows["depth_mm"], "spheres", f"{TABLED_SPHERE}_profile.csv"),
-        ),
-        young_modulus_mpa=first["E_MPa"],
-        poisson_ratio=first["nu"],
-        thickness_mm=first["h_mm"],
-        friction=NO_SLIP_FRICTION,
+    """Return the press of a sphere of 8 mm diameter on 3 mm of gel."""
+    rows = second_model("spheres/forces.csv").query("case == @TABLED_SPHERE")
+    # The true radius lies between the last node that touches and the next.
+    rows = rows.assign(off_percent=50 * rows["element_mm_fine"] / rows["contact_radius_mm"])
+    return tabled_cases("presses", rows, "spheres/{}_profile.csv")[TABLED_SPHERE]
+
+
+def shape_cases() -> tuple[Case, ...]:
+    """Return the presses of bodies of revolution, and last that of a long lying cylinder."""
+    cases = tabled_cases(
+        "shapes", second_model("shapes/forces.csv"), "shapes/{}_profile.csv", pad_size_mm=WIDE_PAD_MM
     )
+    *round_bodies, lying = cases.values()
+    # The table has one side of the cylinder.
+    sides = tuple(np.hstack([[[-1], [-1], [1]] * own[:, :0:-1], own]) for own in lying.truth.profiles)
+    return *round_bodies, replace(lying, truth=replace(lying.truth, profiles=sides))
+
+
+def second_model(place: str) -> pd.DataFrame:
+    """Return a table of presses by the second finite-element model, in the names and signs of the first one's."""
+    rows = pd.read_csv(asset_path("reference", *place.split("/")))
+    names = {
+        "nu": "poisson_ratio",
+        "E_MPa": "young_modulus_mpa",
+        "h_mm": "thickness_mm",
+        "unc_pct": "off_percent",
+    }
+    return rows.rename(columns=names).assign(
+        body=list(map(body_of, rows.itertuples())),
+        strain_energy="isochoric",
+        fz_n=-rows["F_fine"],
+        contact_radius_mm=rows["contact_radius_now_mm"] + rows["element_mm_fine"] / 2,
+    )
+
+
+def body_of(row: Any) -> AnyIndenter:
+    """Return the indenter of a row of the second model; its sphere in plane strain is a long lying cylinder."""
+    size = json.loads(row.shape_params)
+    match row.shape, row.kind:
+        case "Flat", _:
+            return Cylinder(diameter_mm=2 * size["R"], edge_radius_mm=size["f"])
+        case "Cone", _:
+            half_angle_deg = round(90 - math.degrees(size["b"]), 9)
+            return Cone(diameter_mm=6.0, half_angle_deg=half_angle_deg, tip_radius_mm=size["rho"])
+        case _, "plane strain (N/mm)":
+            return Edge(diameter_mm=2 * size["R"], length_mm=LONG_MM, edge_radius_mm=0.5)
+    return Sphere(diameter_mm=2 * size["R"])
+
+
+def tabled_cases(study: str, rows: pd.DataFrame, profiles: str, **gel: Any) -> dict[str, Case]:
+    """Return the presses of a table by name, with the surfaces in files of assets/reference that are named alike."""
+    cases = {}
+    for name, own in rows.groupby("case", sort=False):
+        first, place = own.iloc[0], asset_path("reference", *profiles.format(name).split("/"))
+        surface = np.genfromtxt(place, delimiter=",", skip_header=1)
+        truth = Truth(
+            normal(own["fz_n"]),
+            uncertainty_percent=own["off_percent"].max(),
+            radius_mm=own["contact_radius_mm"].to_numpy(),
+            profiles=tuple(surface[np.isclose(surface[:, 0], depth), 1:].T for depth in own["depth_mm"]),
+        )
+        material = first[["young_modulus_mpa", "poisson_ratio", "thickness_mm", "strain_energy"]]
+        elastomer = Elastomer(**material, **gel, friction=friction_of(first["contact"]))
+        poses = tuple(map(Pose, own["depth_mm"]))
+        cases[name] = Case(study, name, elastomer, poses, indenter=first["body"], truth=truth)
+    return cases
+
+
+def across_cases() -> tuple[Case, ...]:
+    """Return a long box that is pressed and dragged across, with what plane strain has per mm of its length."""
+    forces, surfaces = (
+        pd.read_csv(asset_path("reference", "shapes", f"box_across_{kind}.csv"))
+        for kind in ("forces", "profiles")
+    )
+    box, cases = Box(size_mm=(3.0, LONG_MM), edge_radius_mm=0.5), []
+    for contact, own in forces.groupby("contact", sort=False):
+        gel = Elastomer(
+            young_modulus_mpa=0.3, poisson_ratio=0.48, friction=friction_of(contact), pad_size_mm=WIDE_PAD_MM
+        )
+        surface = surfaces[surfaces["contact"] == contact].groupby(["depth_mm", "travel_mm"])
+        truth = Truth(
+            force_n=own.assign(fy=np.nan)[["fx_n_per_mm", "fy", "fz_n_per_mm"]].to_numpy(),
+            profiles=tuple(rows.to_numpy().T for _, rows in surface[["x_rest_mm", "u_x_mm", "u_z_mm"]]),
+        )
+        poses = tuple(Pose(depth_mm=p.depth_mm, shear_x_mm=p.travel_mm) for p in own.itertuples())
+        cases.append(Case("across", contact, gel, poses, indenter=box, truth=truth))
+    return tuple(cases)
 
 
 def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[Case]:
     """Return presses with what the project's own axisymmetric solver finds, named by scene and greatest depth."""
     named = {f"{press} to {depths_mm[-1]:g} mm": (press, depths_mm) for press, depths_mm in descents}
     found = solver.measure(solved_truth, named, tasks_per_worker=None)
-    return [
-        press_case(
-            study,
-            name,
-            depths_mm,
-            Sphere(diameter_mm=2 * press.indenter_radius_mm),
-            Truth(
-                force_n=normal(found.loc[name, "fz_n"]),
-                source="own",
-                radius_mm=found.loc[name, "radius_mm"],
-                radius_uncertainty_mm=np.full(len(depths_mm), press.element_mm / 4),
-                profiles=tuple(found.loc[name, "profiles"]),
-            ),
+    cases = []
+    for name, (press, depths_mm) in named.items():
+        radius_mm = found.loc[name, "radius_mm"]
+        truth = Truth(
+            normal(found.loc[name, "fz_n"]),
+            source="own",
+            uncertainty_percent=25 * press.element_mm / radius_mm.min(),
+            radius_mm=radius_mm,
+            profiles=tuple(found.loc[name, "profiles"]),
+        )
+        elastomer = Elastomer(
             young_modulus_mpa=press.young_modulus_mpa,
             poisson_ratio=press.poisson_ratio,
             thickness_mm=press.thickness_mm,
             friction=min(press.friction, NO_SLIP_FRICTION),
         )
-        for name, (press, depths_mm) in named.items()
-    ]
+        ball = Sphere(diameter_mm=2 * press.indenter_radius_mm)
+        cases.append(Case(study, name, elastomer, tuple(map(Pose, depths_mm)), indenter=ball, truth=truth))
+    return cases
 
 
 def solved_truth(descent: Descent) -> Results:
@@ -172,28 +216,22 @@ def drag_cases() -> tuple[Case, ...]:
     for source, rows in (("table", table), ("own 3-D", own[np.isfinite(own["friction"])])):
         for (friction, depth_mm), drag in rows.groupby(["friction", "depth_mm"], sort=False):
             fine, *coarser = [mesh for _, mesh in drag.groupby("element_mm")]
-            uncertainty = DRAG_FX_UNCERTAINTY
+            uncertainty_percent = DRAG_UNCERTAINTY_PERCENT
             if source != "table":
                 if not coarser or len(coarser[0]) != len(fine):
                     continue
                 ratio = coarser[0]["element_mm"].iloc[0] / fine["element_mm"].iloc[0]
                 apart = np.abs(coarser[0]["fx_n"].to_numpy()[1:] / fine["fx_n"].to_numpy()[1:] - 1).max()
-                uncertainty = float(apart / (ratio**2 - 1))
+                uncertainty_percent = 100 * float(apart / (ratio**2 - 1))
             gel = fine.iloc[0][["young_modulus_mpa", "poisson_ratio", "friction"]]
             poses = tuple(Pose(depth_mm=depth_mm, shear_x_mm=float(x)) for x in fine["shear_x_mm"])
             force_n = np.stack([fine["fx_n"], np.full(len(fine), np.nan), fine["fz_n"]], axis=-1)
             name = f"{depth_mm:g} mm, friction {friction:g}"
             elastomer = Elastomer(pad_size_mm=(20.0, 20.0), **gel)
-            cases.append(Case("drags", name, elastomer, poses, truth=Truth(force_n, source, uncertainty)))
+            cases.append(
+                Case("drags", name, elastomer, poses, truth=Truth(force_n, source, uncertainty_percent))
+            )
     return tuple(cases)
-
-
-def press_case(
-    study: str, name: str, depths_mm: Sequence[float], indenter: AnyIndenter, truth: Truth, **gel: Any
-) -> Case:
-    """Return one descent through the depths of a truth."""
-    poses = tuple(Pose(depth_mm=float(depth)) for depth in depths_mm)
-    return Case(study, name, Elastomer(**gel), poses, indenter=indenter, truth=truth)
 
 
 def friction_of(contact: str) -> float:
@@ -205,9 +243,3 @@ def friction_of(contact: str) -> float:
 def normal(fz_n: pd.Series | Floats) -> Floats:
     """Return forces (k, 3) that have no other component than Fz."""
     return np.outer(fz_n, [0.0, 0.0, 1.0])
-
-
-def profiles(depths_mm: pd.Series, *place: str) -> tuple[Floats, ...]:
-    """Return the surface at each depth, (place, u aside, u_z), from a table of assets/reference."""
-    rows = np.genfromtxt(asset_path("reference", *place), delimiter=",", skip_header=1)
-    return tuple(rows[np.isclose(rows[:, 0], depth), 1:].T for depth in depths_mm)

@@ -39,15 +39,6 @@ def sphere_dent(
     return x, y, np.stack([shear_mm[0] * drag, shear_mm[1] * drag, -depth], axis=-1)
 
 
-def triangle_mesh(membrane: Membrane) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points (ny, nx, 3) of a membrane in mm and the corners (triangles, 3) of its faces."""
-    x, y, displacement = membrane
-    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1) + displacement
-    index = np.arange(len(y) * len(x)).reshape(len(y), len(x))
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    return points, np.stack([a, c, b, a, d, c], axis=-1).reshape(-1, 3)
-
-
 @dataclass(frozen=True)
 class RenderScene:
     """One press under one illumination, without markers and lens errors, which the path tracer does not know.
@@ -188,7 +179,11 @@ def trace(scene: RenderScene, size_px: tuple[int, int], samples_per_pixel: int, 
 
 
 def _mesh(mi, scene: RenderScene):
-    points, faces = triangle_mesh(scene.membrane())
+    x, y, displacement = scene.membrane()
+    points = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1) + displacement
+    index = np.arange(len(y) * len(x)).reshape(len(y), len(x))
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.stack([a, c, b, a, d, c], axis=-1).reshape(-1, 3)
     normals = -np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     coating = scene.sensor().coating

@@ -121,6 +121,22 @@ def test_force_scales_with_the_modulus_and_shape_does_not() -> None:
     np.testing.assert_allclose(hard.displacement_mm, soft.displacement_mm, atol=2e-3)
 
 
+@pytest.mark.usefixtures("coarse")
+def test_a_mirrored_scene_near_a_corner_has_the_mirrored_force() -> None:
+    nothing_shared = Sharing(translation=False, reflection=False, path=False, cache=False)
+    one, other = (
+        solve_pose(
+            GEL,
+            BALL,
+            Pose(0.3, sign * 0.1, 0.05, point_x_mm=sign * 10.5, point_y_mm=9.0),
+            "draft",
+            nothing_shared,
+        )
+        for sign in (1, -1)
+    )
+    np.testing.assert_allclose(other.force_n, one.force_n * [-1, 1, 1], rtol=1e-2)
+
+
 def test_a_soft_mount_takes_part_of_the_way() -> None:
     pose = Pose(depth_mm=0.2)
     rigid = solve_pose(GEL, BALL, pose, "draft")

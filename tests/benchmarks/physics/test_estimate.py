@@ -6,7 +6,7 @@ import pytest
 
 from gelgap.benchmarks.physics import estimate
 from gelgap.benchmarks.physics.cases import Truth
-from gelgap.sim import Sphere
+from gelgap.sim import MembraneState, Sphere
 from gelgap.sim.estimate import CAUSES, ERRORS
 
 
@@ -52,7 +52,7 @@ def test_the_table_counts_what_it_says(capsys: pytest.CaptureFixture[str]) -> No
 def test_rows_of_a_state_beside_itself_have_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(estimate, "causes", lambda *_: np.ones(len(CAUSES)))
     case = estimate.random_case(1)
-    state = estimate.MembraneState(
+    state = MembraneState(
         np.linspace(-7, 7, 141),
         np.linspace(-5.5, 5.5, 111),
         np.zeros((111, 141, 3), np.float32),

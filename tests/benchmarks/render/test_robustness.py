@@ -1,45 +1,43 @@
 """The benchmark of disturbed pictures, on a small set that gelgap itself rendered."""
 
+import json
+
 import numpy as np
 import pytest
 
-from gelgap.benchmarks.render.robustness import DISTURBANCES, SPOILT, Trial, one_spoilt, synthetic_set
-from gelgap.benchmarks.render.scenes import sphere_dent
-from gelgap.render import PressProfiles, SolvedPress
+from gelgap.benchmarks.render import robustness
+from gelgap.benchmarks.render.robustness import DISTURBANCES, SPOILT, spoilt
 
-RADIUS_MM, SIZE_PX = 2.0, (160, 120)
-
-
-@pytest.fixture(scope="module")
-def trial() -> Trial:
-    solves = []
-    for depth in (0.3, 0.6, 0.9, 1.2):
-        x, y, displacement = sphere_dent(depth, half_extent_mm=(10.5, 8.2), radius_mm=RADIUS_MM)
-        along = displacement[len(y) // 2, len(x) // 2 :, 2]
-        solves.append(SolvedPress(depth, x[len(x) // 2 :], along, min((depth * RADIUS_MM) ** 0.5, 1.8)))
-    profiles = {2 * RADIUS_MM: PressProfiles.from_solves(RADIUS_MM, solves)}
-    return Trial(synthetic_set(profiles, SIZE_PX, 14), profiles)
+BLURRED = "blurred by 2 px"
 
 
-@pytest.mark.parametrize(
-    "name", ["dots, predicted with", pytest.param("dots, predicted without", marks=pytest.mark.slow)]
-)
-def test_dots_are_drawn_and_predicted(trial: Trial, name: str) -> None:
-    result = trial.measure({"disturbance": name})
-    assert all(np.median(levels) > 34 for levels in result["own"].values())
-    assert [len(levels) for levels in result["undisturbed"].values()] == [len(trial.predicted)] * 2
-
-
-def test_presses_that_are_refused_are_reported(trial: Trial, monkeypatch: pytest.MonkeyPatch) -> None:
-    untouched = one_spoilt(lambda press, other: {"picture": trial.found.reference})
+@pytest.fixture
+def shown(rendered_set, profiles, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(robustness, "taxim_presses", lambda name: rendered_set)
+    monkeypatch.setattr(robustness, "sphere_profiles", profiles)
+    untouched = spoilt(lambda press, other: {"picture": rendered_set.reference})
     monkeypatch.setitem(DISTURBANCES, "untouched", untouched)
-    result = trial.measure({"disturbance": "untouched"})
-    assert result["note"].startswith(f"refused: {trial.fitted[SPOILT].name} hardly differs")
-    assert result["own"] == {"inside": [], "ring": []}
+    monkeypatch.setattr(robustness, "QUICK", (BLURRED, "untouched"))
+    robustness.run(quick=True, out_dir=tmp_path)
+    records = json.loads((tmp_path / "sensor-robustness.json").read_text())["disturbances"]
+    return {record["disturbance"]: record for record in records}, capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_a_view_can_be_cut_at_presses(trial: Trial) -> None:
-    result = trial.measure({"disturbance": "view cut at the presses"})
-    assert "fitted presses on the edge" in result["note"]
-    assert np.median(result["own"]["inside"]) > 25
+def test_disturbed_presses_are_predicted_and_those_refused_are_reported(rendered_set, shown):
+    records, text = shown
+    blurred, untouched = records[BLURRED], records["untouched"]
+    for region in ("inside", "ring"):
+        levels = blurred[f"own.{region}"]
+        assert len(levels) == len(blurred[f"undisturbed.{region}"]) == 7
+        assert np.median(levels) > 30
+        assert untouched[f"own.{region}"] == []
+    name = rendered_set.presses[2 * SPOILT].name
+    assert untouched["note"].startswith(f"refused: {name} hardly differs")
+    assert f"the outlier is {name}" in text
+
+
+def test_a_turned_start_has_its_lights_elsewhere_and_as_high(rendered_set):
+    start, turned = rendered_set.start.illumination.leds, robustness.turned(rendered_set.start, 90.0)
+    for led, other in zip(start, turned.illumination.leds, strict=True):
+        x, y, z = led.position_mm
+        assert other.position_mm == pytest.approx((-y, x, z))
