@@ -54,10 +54,10 @@ def test_optional_columns_are_there_when_asked_for_and_refused_when_not(data: Pa
     height = frames.height_map_mm(4)
     assert height.shape == (60, 80)
     assert height.max() == pytest.approx(0.2, abs=0.03)
-    assert frames.contact_mask(4).any()
-    assert not frames.contact_mask(0).any()
-    moved = frames.marker_px(4) - frames.marker_px(0)
-    assert frames.marker_rest_mm(4).shape == moved.shape == (88, 2)
+    assert frames.optional("contact_mask", 4).any()
+    assert not frames.optional("contact_mask", 0).any()
+    moved = frames.optional("marker_px", 4) - frames.optional("marker_px", 0)
+    assert frames.optional("marker_rest_mm", 4).shape == moved.shape == (88, 2)
     assert 0 < np.nanmax(np.abs(moved)) < 2
     solved = {field.name for field in dataclasses.fields(Diagnostics)}
     assert solved <= frames.columns.keys()
@@ -229,7 +229,7 @@ def test_it_opens_as_it_is_in_pandas_pyarrow_and_hugging_face(data: Path, tmp_pa
     assert isinstance(loaded.features["image"], datasets.Image)
     assert np.array_equal(np.asarray(loaded[5]["image"]), frames.picture(5))
     assert np.asarray(loaded[5]["height_map"]).dtype.itemsize >= 2
-    assert np.allclose(loaded[5]["marker_px"], frames.marker_px(5))
+    assert np.allclose(loaded[5]["marker_px"], frames.optional("marker_px", 5))
 
 
 @pytest.mark.parametrize("shape", [(7, 5, 3), (7, 5)])
@@ -261,7 +261,7 @@ def test_torch_batches_are_pairs_of_normalised_pictures(data: Path, pairing: str
     assert len(pairs) == 16
     inputs, forces, classes = next(iter(pairs.loader(batch_size=8, shuffle=False)))
     mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-    pictures = frames.images((40, 30))[4] / 255, frames.reference_at((40, 30)) / 255
+    pictures = frames.images((40, 30))[4] / 255, frames.references_at((40, 30))[0] / 255
     contact, reference = (((picture - mean) / std).transpose(2, 0, 1) for picture in pictures)
     expected = {
         "channels": np.concatenate([contact, reference], axis=0),
