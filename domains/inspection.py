@@ -44,22 +44,28 @@ class DomainSummary:
     bytes: int
     notes: tuple[str, ...]
 
-    def __str__(self) -> str:
+    @property
+    def rows(self) -> list[tuple[str, str]]:
+        """What and its value, as the command and the page show them."""
+        width, height = self.size_px
         labels = (
             f"{QUANTITIES[name].symbol} {low:.3f}…{high:.3f} {QUANTITIES[name].unit}"
             for name, (low, high) in self.labels.items()
         )
+        size = f"{self.frames} of {width}×{height} px, {self.bytes / 1e6:.1f} MB"
         groups = ", ".join(f"{count} of {name}" for name, count in self.groups.items())
-        lines = [
-            f"{self.name} ({self.folder})",
-            f"  frames   {self.frames} of {self.size_px[0]}×{self.size_px[1]} px, {self.bytes / 1e6:.1f} MB; "
-            f"{self.unconverged} left out (not converged)",
-            f"  contacts {self.points} points, {self.classes} classes",
-            f"  labels   {', '.join(labels)}; {self.outside_range} frames outside the declared range",
-            *([f"  groups   {groups}"] if groups else []),
-            f"  columns  {', '.join(self.optional_columns) or 'none beyond the standard ones'}",
+        return [
+            ("frames", f"{size}; {self.unconverged} left out (not converged)"),
+            ("contacts", f"{self.points} points, {self.classes} classes"),
+            ("labels", f"{', '.join(labels)}; {self.outside_range} frames outside the declared range"),
+            *([("groups", groups)] if groups else []),
+            ("columns", ", ".join(self.optional_columns) or "none beyond the standard ones"),
+            *(("note", note) for note in self.notes),
         ]
-        return "\n".join([*lines, *(f"  note     {note}" for note in self.notes)])
+
+    def __str__(self) -> str:
+        rows = (f"  {what:8} {value}" for what, value in self.rows)
+        return "\n".join([f"{self.name} ({self.folder})", *rows])
 
 
 def inspect_domain(folder: Path | str) -> DomainSummary:

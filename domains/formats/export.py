@@ -76,9 +76,10 @@ def export(
         )
     if split_by is not None:
         for frames in domains:
-            frames.columns["split"] = np.empty(len(frames), dtype=object)
+            split = np.empty(len(frames), dtype=object)
             for part, indices in zip(PARTS, split_frames(frames, split_by), strict=True):
-                frames.columns["split"][indices] = part
+                split[indices] = part
+            frames.columns["split"] = split
     with new_folder(out_dir) as building:
         LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
         for frames in domains:

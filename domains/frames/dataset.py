@@ -117,13 +117,12 @@ class LabelledFrames(ABC):
     def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
         """Return all pictures (n, h, w, 3) uint8 of this width and height, or all with their markers filled in."""
 
-    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`)."""
-        return self.load(self.image_size_px(size_px), markers=True)
+    def images(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
+        """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`).
 
-    def images_without_markers(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        """Return what `images` does, of pictures whose markers are found and inpainted at the stored size."""
-        return self.load(self.image_size_px(size_px), markers=False)
+        Without `markers`, their dots are found and inpainted at the stored size.
+        """
+        return self.load(self.image_size_px(size_px), markers)
 
     def take(self, indices: np.ndarray) -> "LabelledFrames":
         """Return the frames with these indices, in this order."""
@@ -269,7 +268,7 @@ class LabelledFrames(ABC):
         from gelgap.domains.frames.paired_frames import PairedFrames
 
         return PairedFrames(
-            self.images(size_px) if markers else self.images_without_markers(size_px),
+            self.images(size_px, markers),
             self.references_at(size_px, markers),
             self.label_values,
             self.contact_class,

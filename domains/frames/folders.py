@@ -17,7 +17,7 @@ from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames, join_domains
 from gelgap.domains.frames.labels import (
     FORCE_COLUMNS,
-    PAPER_FORCE_RANGE_N,
+    PAPER_RANGES,
     QUANTITIES,
     Labels,
     covering,
@@ -234,9 +234,8 @@ def _picture_folder(folder: Path) -> PictureFiles:
     if repeated := len(paths) - len(set(paths)):
         notes.append(f"{repeated} rows name a picture that a row before them names")
     forces = [name for name in FORCE_COLUMNS if name in columns]
-    ranges = dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True))
-    ranges |= {name: covering(columns[name], ranges[name]) for name in forces}
-    if tuple(ranges.values()) != PAPER_FORCE_RANGE_N:
+    ranges = PAPER_RANGES | {name: covering(columns[name], PAPER_RANGES[name]) for name in forces}
+    if ranges != PAPER_RANGES:
         told = Labels.of({name: ranges[name] for name in forces})
         notes.append(f"forces go beyond the paper's range: the declared range is {told}")
     if (largest_n := np.abs(list(ranges.values())).max()) > _LARGEST_LIKELY_N:

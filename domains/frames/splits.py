@@ -12,6 +12,7 @@ from gelgap.assets.names import quoted
 from gelgap.domains.domain import random_stream
 from gelgap.domains.frames.dataset import LabelledFrames, outside
 from gelgap.domains.frames.labels import (
+    PAPER_RANGES,
     QUANTITIES,
     Labels,
     Range,
@@ -19,7 +20,6 @@ from gelgap.domains.frames.labels import (
     covering,
     hull,
     known_labels,
-    paper_range,
     usual_labels,
 )
 
@@ -305,8 +305,7 @@ def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndar
 
 
 def _rounded(frames: LabelledFrames, columns: Sequence[str]) -> np.ndarray:
-    values_mm = np.stack([frames.columns[name] for name in columns], axis=1)
-    return np.rint(values_mm / _RESOLUTION_MM).astype(np.int64)
+    return np.rint(frames.values_of(columns) / _RESOLUTION_MM).astype(np.int64)
 
 
 def _numbered(keys: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -354,7 +353,7 @@ def labels_of_run(
         raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
     found, notes = {}, []
     for name in names:
-        declared = hull(frames.declared_range(name) for frames in (source, target)) or paper_range(name)
+        declared = hull(frames.declared_range(name) for frames in (source, target)) or PAPER_RANGES.get(name)
         found[name] = ranges.get(name) or declared
         if name not in ranges and (declared is None or not source.declares_ranges):
             found[name] = covering(source.columns[name], declared)

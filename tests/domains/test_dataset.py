@@ -116,21 +116,21 @@ def test_pictures_without_markers_are_made_once_and_only_when_asked_for(
     frames = open_domain(tmp_path / "mb0i0")
     shown = frames.images(80)
     assert [path.name.split("-")[0] for path in (tmp_path / "mb0i0" / ".cache").glob("*.npy")] == ["images"]
-    hidden = frames.images_without_markers(80)
+    hidden = frames.images(80, markers=False)
     # The generated domain with inpainted markers has been made in the same way.
     np.testing.assert_array_equal(hidden, open_domain(data / "wmb0i0").images(80))
     assert (shown.max(axis=3) < 60).sum() > 1000
     assert not (hidden.max(axis=3) < 60).any()
     some = frames.take(np.array([5, 2]))
     monkeypatch.setattr("gelgap.domains.frames.stored.write_kept_pictures", pytest.fail)
-    np.testing.assert_array_equal(some.images_without_markers(80), hidden[[5, 2]])
+    np.testing.assert_array_equal(some.images(80, markers=False), hidden[[5, 2]])
     held = ArrayFrames("held", frames.images(), frames.reference, frames.force_n)
-    np.testing.assert_array_equal(held.images_without_markers((40, 30))[3], resized(hidden[3], (40, 30)))
+    np.testing.assert_array_equal(held.images((40, 30), markers=False)[3], resized(hidden[3], (40, 30)))
 
 
 def test_pictures_in_which_no_marker_is_found_stay(data: Path):
     frames = open_domain(data / "wmb0i0")
-    np.testing.assert_array_equal(frames.images_without_markers(40), frames.images(40))
+    np.testing.assert_array_equal(frames.images(40, markers=False), frames.images(40))
 
 
 @pytest.mark.parametrize("pairing", ["channels", "difference"])
