@@ -27,41 +27,19 @@ class DomainSummary:
     """The facts of one domain: `frames` that can be read, and the least and the greatest value of each label.
 
     Both are 0 where no frame has a number. A generated domain's labels are its forces; `outside_range` counts frames
-    with a label outside its range.
+    with a label outside its range. `rows` are (what, value), as the command and the page show them.
     """
 
     folder: str
     name: str
     frames: int
     unconverged: int
-    size_px: tuple[int, int]
     points: int
     classes: int
-    groups: dict[str, int]
     labels: dict[str, Range]
     outside_range: int
-    optional_columns: tuple[str, ...]
-    bytes: int
     notes: tuple[str, ...]
-
-    @property
-    def rows(self) -> list[tuple[str, str]]:
-        """What and its value, as the command and the page show them."""
-        width, height = self.size_px
-        labels = (
-            f"{QUANTITIES[name].symbol} {low:.3f}…{high:.3f} {QUANTITIES[name].unit}"
-            for name, (low, high) in self.labels.items()
-        )
-        size = f"{self.frames} of {width}×{height} px, {self.bytes / 1e6:.1f} MB"
-        groups = ", ".join(f"{count} of {name}" for name, count in self.groups.items())
-        return [
-            ("frames", f"{size}; {self.unconverged} left out (not converged)"),
-            ("contacts", f"{self.points} points, {self.classes} classes"),
-            ("labels", f"{', '.join(labels)}; {self.outside_range} frames outside the declared range"),
-            *([("groups", groups)] if groups else []),
-            ("columns", ", ".join(self.optional_columns) or "none beyond the standard ones"),
-            *(("note", note) for note in self.notes),
-        ]
+    rows: tuple[tuple[str, str], ...]
 
     def __str__(self) -> str:
         rows = (f"  {what:8} {value}" for what, value in self.rows)
@@ -78,30 +56,45 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
     """
     frames = open_domain(folder)
     is_generated = isinstance(frames, GeneratedDomain)
-    names = usual_labels(frames.columns) if is_generated else known_labels(frames.columns)
-    labels = {}
-    for name in names:
-        values = frames.columns[name][np.isfinite(frames.columns[name])]
-        labels[name] = (float(values.min()) + 0.0, float(values.max()) + 0.0) if len(values) else (0.0, 0.0)
+    labels, told = {}, []
+    for name in usual_labels(frames.columns) if is_generated else known_labels(frames.columns):
+        values, (symbol, unit) = frames.columns[name], QUANTITIES[name]
+        values = values[np.isfinite(values)] + 0.0 if np.isfinite(values).any() else np.zeros(1)
+        low, high = labels[name] = float(values.min()), float(values.max())
+        told.append(f"{symbol} {low:.3f}…{high:.3f} {unit}")
     notes = [*frames.notes, *label_notes(frames)]
     # Generated pictures were compared with their manifest.
     if not is_generated and (damages := picture_damages(frames)):
         notes.append(f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}")
     files = (path for path in Path(folder).rglob("*") if path.is_file() and ".cache" not in path.parts)
+    (width, height), size_mb = frames.size_px, sum(path.stat().st_size for path in files) / 1e6
+    points, classes = _distinct(frames.point_id), _distinct(frames.contact_class)
+    outside_range = int(outside(frames, frames.labels).sum())
+    groups = [f"{len(set(frames.columns[name]))} of {name}" for name in GROUPS if name in frames.columns]
+    columns = frames.optional_columns if isinstance(frames, GeneratedDomain) else ()
+    rows = (
+        (
+            "frames",
+            f"{len(frames)} of {width}×{height} px, {size_mb:.1f} MB; "
+            f"{frames.unconverged} left out (not converged)",
+        ),
+        ("contacts", f"{points} points, {classes} classes"),
+        ("labels", f"{', '.join(told)}; {outside_range} frames outside the declared range"),
+        *([("groups", ", ".join(groups))] if groups else []),
+        ("columns", ", ".join(columns) or "none beyond the standard ones"),
+        *(("note", note) for note in notes),
+    )
     return DomainSummary(
         folder=str(folder),
         name=frames.name,
         frames=len(frames),
         unconverged=frames.unconverged,
-        size_px=frames.size_px,
-        points=_distinct(frames.point_id),
-        classes=_distinct(frames.contact_class),
-        groups={name: len(set(frames.columns[name])) for name in GROUPS if name in frames.columns},
+        points=points,
+        classes=classes,
         labels=labels,
-        outside_range=int(outside(frames, frames.labels).sum()),
-        optional_columns=frames.optional_columns if is_generated else (),
-        bytes=sum(path.stat().st_size for path in files),
+        outside_range=outside_range,
         notes=tuple(notes),
+        rows=rows,
     )
 
 
@@ -259,7 +252,7 @@ def _plots(frames: LabelledFrames) -> str:
         )
         panels[-1].scatter(x_mm, y_mm, s=2, color=_COLOURS[2])
         panels[-1].invert_yaxis()
-        panels[-1].set(xlabel="x, mm", ylabel="y, mm (down, as in the picture)", aspect="equal")
+        panels[-1].set(xlabel="x, mm", ylabel="y, mm (down)", aspect="equal")
     for axes in panels:
         axes.spines[["top", "right"]].set_visible(False)
     out = io.BytesIO()

@@ -239,7 +239,7 @@ class Clip:
             )
         pictures = (resized(picture, _SIGNAL_PX).astype(np.int16) for picture in self.pictures())
         first = next(pictures, None)
-        change = pd.Series([0.0, *(np.abs(picture - first).mean() for picture in pictures)])
+        change = pd.Series(np.array([0.0, *(np.abs(picture - first).mean() for picture in pictures)]))
         if len(change) != n:
             raise ValueError(f"clip {self.name} has {len(change)} pictures and {n} times of pictures")
         pressed_n = (pd.Series(_pressing_n(self.labels_at(lag))) for lag in self.lags)
@@ -301,7 +301,8 @@ def _recorded_clip(table: Path) -> Clip:
         if not {"picture", "time_s"} <= of_pictures.keys():
             raise ValueError(f"{source} must hold one table with the columns picture, time_s")
         paths = [picture_path(tables[0], name) for name in of_pictures["picture"]]
-        time_s, pictures = of_pictures["time_s"], partial(map, read_picture, paths)
+        time_s = of_pictures["time_s"]
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_picture, paths)
     else:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])

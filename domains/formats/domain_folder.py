@@ -125,7 +125,7 @@ class DomainFolder:
         """Yield the files that differ from what the manifest states; they are read side by side."""
         files = sorted(manifest["files"].items())
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
-            problems = threads.map(lambda file: self.problem(*file, digest), files)
+            problems = threads.map(lambda file: self.problem(file[0], file[1], digest), files)
             for (name, _), problem in zip(files, problems, strict=True):
                 if problem:
                     yield Damage(name, problem)
