@@ -18,7 +18,7 @@ import pyarrow as pa
 from gelgap.assets.checksums import sha256
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.whole_file import warn, whole_file
-from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, remembered, remembered_sha256
+from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, remembered
 from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
 from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, ShardFile, damaged
 from gelgap.domains.frames.dataset import LabelledFrames, RestPictures
@@ -189,7 +189,7 @@ class GeneratedDomain(StoredFrames):
                 f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
             )
         # A changed label would train a model, and no one would see it.
-        for damage in files.damaged_files(self.manifest, remembered_sha256):
+        for damage in files.damaged_files(self.manifest):
             raise damaged(self.folder / damage.file, damage.problem)
         self.shards = [ShardFile(self.folder / name) for name in names]
         for shard in self.shards:
