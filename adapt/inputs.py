@@ -141,7 +141,7 @@ class Displacements:
             raise ValueError(
                 f"input markers: the reference of {frames.name} shows no dots; choose another input for this domain"
             )
-        pictures = _dots(frames.images(flow_px), frames.images_without_markers(flow_px))
+        pictures = _dots(frames.images(flow_px), frames.images(flow_px, markers=False))
         moved = np.empty((len(pictures), size_px[1], size_px[0], 2), np.float32)
         for k, (picture, own) in enumerate(zip(pictures, frames.reference_id, strict=True)):
             flow = np.zeros((*picture.shape, 2), np.float32)

@@ -20,6 +20,7 @@ from .frames.dataset import force_classes as force_classes
 from .frames.dataset import join_domains as join_domains
 from .frames.dataset import with_labels as with_labels
 from .frames.dataset import within_range as within_range
+from .frames.folders import domain_folders as domain_folders
 from .frames.folders import layout_problem as layout_problem
 from .frames.folders import open_domain as open_domain
 from .frames.folders import open_domains as open_domains
@@ -48,7 +49,6 @@ from .generation.plan import estimate as estimate
 from .generation.plan import plan_generation as plan_generation
 from .generation.progress import GenerationProgress as GenerationProgress
 from .generation.progress import shown_progress as shown_progress
-from .inspection import domain_folders as domain_folders
 from .inspection import gap_rows as gap_rows
 from .inspection import inspect_domain as inspect_domain
 from .inspection import label_notes as label_notes

@@ -167,5 +167,5 @@ def test_real_data_is_inspected_picture_by_picture(files: Path) -> None:
     ]
     facts = str(inspect_domain(folder))
     assert "3 pictures cannot be used" in facts
-    assert "1 frames have a force that is not a number" in facts
+    assert "1 frames have a label that is not a number" in facts
     assert "nan…" not in facts

@@ -259,7 +259,7 @@ def _center_px(picture: Path) -> tuple[float, float]:
 
 
 LAYOUTS: dict[str, Layout] = {
-    "wedge": _wedge_clips,
-    "ball-presses": lambda clone: (ball_presses(clone, name) for name in SERIES),
+    "wedge": lambda clone, every: (clip.selected(every) for clip in _wedge_clips(clone)),
+    "ball-presses": lambda clone, every: (ball_presses(clone, name).selected(every) for name in SERIES),
 }
 """What `gelgap.domains.convert` reads of a clone, by name."""

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelgap.assets.names import is_plain_name, stays_inside
+from gelgap.assets.names import is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import as_colour, decode_picture, encode_png, resized
-from gelgap.domains.frames.folders import read_table
+from gelgap.domains.frames.folders import GROUPS, known_columns, picture_path
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 
 if TYPE_CHECKING:
@@ -31,14 +31,13 @@ LOG = logging.getLogger(__name__)
 CONTACT_N = 0.3
 """What is pressed harder than this is in contact."""
 TABLE = "frames.csv"
-COLUMNS = ("picture", "reference", *QUANTITIES, "clip", "object", "session", "time_s", "split")
+COLUMNS = ("picture", "reference", *QUANTITIES, *GROUPS, "time_s", "split")
 """What a row of the table may hold. Pictures are paths inside the folder; forces are those on the sensor."""
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 _LAYOUT = (
     "expected for each clip a table of times and forces (press.csv with time_s, fz_n) beside a video (press.mp4) or a "
     "folder of pictures (press/) with a table picture, time_s in it"
 )
-_TIME = "time_s"
 _LAGS = range(-15, 16)
 _REFERENCE_FRAMES = 5
 _FEWEST_FRAMES = 10
@@ -84,16 +83,8 @@ class Selection:
     table: "pd.DataFrame"
 
 
-class Source(Protocol):
-    """One recording, or one series of presses."""
-
-    def selected(self, every: int) -> Selection:
-        """Select every n-th picture in contact."""
-        ...
-
-
-Layout = Callable[[Path], Iterable[Source]]
-"""Reads what is in a folder, the recordings of a domain one after the other."""
+Layout = Callable[[Path, int], Iterable[Selection]]
+"""Reads what is in a folder, the recordings of a domain one after the other; selects every n-th picture in contact."""
 
 
 def convert(
@@ -102,7 +93,7 @@ def convert(
     """Write recordings as picture folders, one a domain, below a new folder, and return what became of each clip.
 
     Of the pictures in contact every n-th is written (n = `every`), and the few before that make a clip's reference.
-    The layout is `recordings`, a user's folder, or a function that reads another one:
+    The layout is `recordings`, a user's folder, or a function of the folder and n that reads another one:
     `gelgap.benchmarks.real.published_sets.LAYOUTS` has those of two public repositories, by name.
 
     Raises
@@ -116,8 +107,7 @@ def convert(
             raise ValueError(f"layout {layout!r} is unknown; known layouts: {', '.join(LAYOUTS)}")
         layout = LAYOUTS[layout]
     with new_folder(Path(out_dir)) as building:
-        selections = (source.selected(every) for source in layout(Path(folder)))
-        return tuple(_write(selections, building))
+        return tuple(_write(layout(Path(folder), every), building))
 
 
 def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[ConvertedClip]:
@@ -234,6 +224,8 @@ class Clip:
 
     def _correlations(self) -> list[float]:
         """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
+        import pandas as pd
+
         measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
         if min(n, m) < _FEWEST_FRAMES:
             raise ValueError(
@@ -245,19 +237,13 @@ class Clip:
                 f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
                 f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
             )
-        first, changes = None, []
-        for picture in self.pictures():
-            small = resized(picture, _SIGNAL_PX).astype(np.int16)
-            first = small if first is None else first
-            changes.append(np.abs(small - first).mean())
-        if len(changes) != n:
-            raise ValueError(f"clip {self.name} has {len(changes)} pictures and {n} times of pictures")
-        change, found = np.array(changes), []
-        for lag in self.lags:
-            pressed_n = _pressing_n(self.labels_at(lag))
-            both = np.isfinite(pressed_n)
-            varies = both.sum() >= _FEWEST_FRAMES and np.ptp(change[both]) > 0 and np.ptp(pressed_n[both]) > 0
-            found.append(float(np.corrcoef(change[both], pressed_n[both])[0, 1]) if varies else np.nan)
+        pictures = (resized(picture, _SIGNAL_PX).astype(np.int16) for picture in self.pictures())
+        first = next(pictures, None)
+        change = pd.Series(np.array([0.0, *(np.abs(picture - first).mean() for picture in pictures)]))
+        if len(change) != n:
+            raise ValueError(f"clip {self.name} has {len(change)} pictures and {n} times of pictures")
+        pressed_n = (pd.Series(_pressing_n(self.labels_at(lag))) for lag in self.lags)
+        found = [float(change.corr(own, min_periods=_FEWEST_FRAMES)) for own in pressed_n]
         if np.isnan(found).all():
             raise ValueError(
                 f"clip {self.name}: its force or its pictures do not change; take it out of the folder"
@@ -277,27 +263,26 @@ def mean_rgb(picture: np.ndarray) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _recordings(folder: Path) -> Iterator[Clip]:
-    """Read the clips of a user's folder; the folder is their session."""
+def _recordings(folder: Path, every: int) -> Iterator[Selection]:
+    """Select from the clips of a user's folder; the folder is their session."""
     tables = sorted(folder.glob("*.csv"))
     if not tables:
         raise ValueError(f"{folder} holds no recordings: {_LAYOUT}")
-    return map(_recorded_clip, tables)
+    return (_recorded_clip(table).selected(every) for table in tables)
 
 
 def _recorded_clip(table: Path) -> Clip:
     import pandas as pd
 
-    rows = read_table(table)
-    header = list(rows[0]) if rows else []
-    names = known_labels(header)
-    if _TIME not in header or not set(names) & set(FORCE_COLUMNS):
+    columns = known_columns(table)
+    names = known_labels(columns)
+    if "time_s" not in columns or not set(names) & set(FORCE_COLUMNS):
         raise ValueError(
-            f"{table} must have the column {_TIME} and one of {', '.join(FORCE_COLUMNS)} at least; "
-            f"it has {', '.join(header)}"
+            f"{table} must have the column time_s and one of {', '.join(FORCE_COLUMNS)} at least"
         )
-    columns = {name: _numbers(rows, name, table) for name in (_TIME, *names)}
-    labels = pd.DataFrame(columns).set_index(_TIME)
+    labels = pd.DataFrame({name: columns[name] for name in names}, columns["time_s"])
+    if not np.isfinite(labels).all(axis=None):
+        raise ValueError(f"{table}: every label must be a finite number")
     pressed_n = _pressing_n(labels)
     if pressed_n.max() < -pressed_n.min():
         raise ValueError(
@@ -312,35 +297,20 @@ def _recorded_clip(table: Path) -> Clip:
     (source,) = sources
     if source.is_dir():
         tables = sorted(source.glob("*.csv"))
-        rows = read_table(tables[0]) if len(tables) == 1 else []
-        if not rows or not {"picture", _TIME} <= rows[0].keys():
-            raise ValueError(f"{source} must hold one table with the columns picture, {_TIME}")
-        files = [row["picture"] for row in rows]
-        if wrong := [name for name in files if not stays_inside(name) or not (source / name).is_file()]:
-            raise ValueError(f"{tables[0]} names the picture {wrong[0]!r}, which is not in {source}")
-        time_s = _numbers(rows, _TIME, tables[0])
-        pictures: Callable[[], Iterable[np.ndarray]] = partial(
-            map, read_picture, [source / name for name in files]
-        )
+        of_pictures = known_columns(tables[0]) if len(tables) == 1 else {}
+        if not {"picture", "time_s"} <= of_pictures.keys():
+            raise ValueError(f"{source} must hold one table with the columns picture, time_s")
+        paths = [picture_path(tables[0], name) for name in of_pictures["picture"]]
+        time_s = of_pictures["time_s"]
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_picture, paths)
     else:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
         pictures = partial(video_pictures, source)
-    for times, place in ((time_s, source), (columns[_TIME], table)):
-        if (np.diff(times) <= 0).any():
-            row = int(np.argmax(np.diff(times) <= 0)) + 1
-            raise ValueError(f"{place}: times must increase; that of row {row} does not")
+    for times, place in ((time_s, source), (columns["time_s"], table)):
+        if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
+            raise ValueError(f"{place}: times must be finite and increase from row to row")
     return Clip(table.stem, table.parent.resolve().name, pictures, time_s, labels)
-
-
-def _numbers(rows: list[dict[str, str]], name: str, table: Path) -> np.ndarray:
-    try:
-        values = np.array([float(row[name]) for row in rows])
-    except ValueError:
-        values = np.array([np.nan])
-    if not np.isfinite(values).all():
-        raise ValueError(f"{table}, column {name!r}: every row must hold a finite number")
-    return values
 
 
 def read_picture(path: Path) -> np.ndarray:

@@ -1,9 +1,11 @@
 """Folders on disk: a domain's, with its manifest and what differs from it, and output that is whole or not there."""
 
 import json
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,7 +23,6 @@ from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
 SHARDS = "frames-*.parquet"
-MISSING = "is missing"
 _SETTLED_NS = 2_000_000_000
 
 
@@ -29,21 +30,21 @@ def shard_name(number: int) -> str:
     return f"frames-{number:05d}.parquet"
 
 
-def remembered(check: Callable[..., Any]) -> Callable[..., Any]:
-    """Let a process check a file once: what `check(path, *more)` returns holds until its size or time changes."""
-    kept = lru_cache(maxsize=4096)(lambda path, size, modified_ns, *more: check(path, *more))
+def remembered(check: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    """Let a process check a file once: what `check` returns holds until its size or time changes."""
+    kept = lru_cache(maxsize=4096)(lambda path, size, modified_ns: check(path))
 
-    def checked(path: Path, *more: Any) -> Any:
+    def checked(path: Path) -> Any:
         about = path.stat()
         # What was written a moment ago may be written again without a later time.
         if time.time_ns() - about.st_mtime_ns < _SETTLED_NS:
-            return check(path, *more)
-        return kept(path.absolute(), about.st_size, about.st_mtime_ns, *more)
+            return check(path)
+        return kept(path.absolute(), about.st_size, about.st_mtime_ns)
 
     return checked
 
 
-remembered_sha256 = remembered(file_sha256)
+_sha256_of = remembered(file_sha256)
 
 
 @dataclass(frozen=True)
@@ -104,19 +105,26 @@ class DomainFolder:
         write_whole(self.path / name, data)
         return {"sha256": sha256(data), "bytes": len(data)}
 
-    def problem(
-        self, name: str, entry: dict[str, Any], digest: Callable[[Path], str] = file_sha256
-    ) -> str | None:
+    def problem(self, name: str, entry: dict[str, Any]) -> str | None:
         """Return how a file differs from what the manifest states, or None if it has exactly those bytes."""
         path = self.path / name
         if not path.exists():
-            return MISSING
+            return "is missing"
         size = path.stat().st_size
         if size != entry["bytes"]:
             return f"has {size} bytes, the manifest states {entry['bytes']}"
-        if digest(path) != entry["sha256"]:
+        if _sha256_of(path) != entry["sha256"]:
             return "has other bytes than the manifest states (SHA-256 differs)"
         return None
+
+    def damaged_files(self, manifest: dict[str, Any]) -> Iterator[Damage]:
+        """Yield the files that differ from what the manifest states; they are read side by side."""
+        files = sorted(manifest["files"].items())
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+            problems = threads.map(lambda file: self.problem(*file), files)
+            for (name, _), problem in zip(files, problems, strict=True):
+                if problem:
+                    yield Damage(name, problem)
 
     def keep_only(self, names: set[str]) -> None:
         """Remove the files of a generation that are not among these, and nothing else."""
@@ -130,13 +138,11 @@ class DomainFolder:
         try:
             manifest = self.read_manifest()
         except FileNotFoundError:
-            return [Damage(MANIFEST, MISSING)]
+            return [Damage(MANIFEST, "is missing")]
         except RuntimeError:
             return [Damage(MANIFEST, "is damaged (its own checksum does not match)")]
-        files = manifest["files"]
-        problems = {name: self.problem(name, entry) for name, entry in sorted(files.items())}
-        found = [Damage(name, problem) for name, problem in problems.items() if problem]
-        unknown = {path.name for path in self.path.glob(SHARDS)} - set(files)
+        found = list(self.damaged_files(manifest))
+        unknown = {path.name for path in self.path.glob(SHARDS)} - set(manifest["files"])
         found += [Damage(name, "is not in the manifest") for name in sorted(unknown)]
         if not manifest["complete"]:
             found.append(Damage(MANIFEST, "says that generation has not finished"))

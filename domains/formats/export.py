@@ -3,15 +3,14 @@
 Those of other tactile data sets and of robot learning are in `public_layouts`.
 """
 
-import csv
 import io
 import json
 import logging
 import os
 import tarfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -21,18 +20,18 @@ from gelgap.assets.checksums import file_sha256
 from gelgap.domains.formats.domain_folder import check_is_new, new_folder
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
 from gelgap.domains.formats.public_layouts import write_feats, write_lerobot, write_mini_pretrain
-from gelgap.domains.formats.shards import COLUMNS, FORCES, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
+from gelgap.domains.formats.shards import COLUMNS, FORCES, KINDS, OPTIONAL, PICTURE, POINTS, SCHEMA_VERSION
 from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import (
     PUBLISHED_FORCES,
     PUBLISHED_LABEL,
     PUBLISHED_REFERENCE,
     UNSPLIT,
+    domain_folders,
     open_domain,
 )
 from gelgap.domains.frames.splits import PARTS, indices_by_part, split_frames, stated_split
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
-from gelgap.domains.inspection import domain_folders, inspect_domain
 
 LOG = logging.getLogger(__name__)
 _SAMPLES_PER_TAR = 1000
@@ -41,15 +40,6 @@ _ABOUT = {
     "description": "Made with gelgap: MuJoCo presses a sphere into a soft pad, a photometric renderer makes the "
     "sensor's picture. Nothing here was measured on a real sensor.",
     "licence": "other",
-}
-_CROISSANT_TYPES = {
-    pa.int32(): "sc:Integer",
-    pa.float64(): "sc:Float",
-    pa.bool_(): "sc:Boolean",
-    pa.string(): "sc:Text",
-    PICTURE: "sc:ImageObject",
-    POINTS: "sc:Float",
-    FORCES: "sc:Float",
 }
 _CROISSANT_FORMATS = {".parquet": "application/x-parquet", ".png": "image/png"}
 Axis = Literal["x", "y", "z"]
@@ -86,131 +76,106 @@ def export(
         )
     if split_by is not None:
         for frames in domains:
-            frames.columns["split"] = _drawn_split(frames, split_by)
+            split = np.empty(len(frames), dtype=object)
+            for part, indices in zip(PARTS, split_frames(frames, split_by), strict=True):
+                split[indices] = part
+            frames.columns["split"] = split
     with new_folder(out_dir) as building:
         LOG.info("exporting %s to %s", ", ".join(frames.name for frames in domains), out_dir)
-        FORMATS[format_name](domains, building)
+        for frames in domains:
+            (building / frames.name).mkdir()
+            FORMATS[format_name](frames, building / frames.name)
+        if format_name == "huggingface":
+            _describe(domains, building)
     return tuple(out_dir / name for name in sorted(path.name for path in out_dir.iterdir()))
 
 
-def _paper(domains: Iterable[LabelledFrames], out_dir: Path) -> None:
+def _paper(frames: LabelledFrames, folder: Path) -> None:
     """`ref.jpg`, and `{train,test,ori}/images/i.jpg` with `forcePosition/force.csv`; ori holds all frames in order."""
-    for frames in domains:
-        folder = out_dir / frames.name
-        folder.mkdir()
-        (folder / PUBLISHED_REFERENCE).write_bytes(encode_jpeg(frames.reference))
-        header, values = [*PUBLISHED_FORCES], frames.force_n.tolist()
-        if frames.has_classes:
-            header.append(PUBLISHED_LABEL)
-            values = [[*own, int(label)] for own, label in zip(values, frames.contact_class, strict=True)]
-        is_test = stated_split(frames) == "test"
-        parts = {
-            UNSPLIT: np.arange(len(frames)),
-            "train": np.flatnonzero(~is_test),
-            "test": np.flatnonzero(is_test),
-        }
-        for part, indices in parts.items():
-            if part != UNSPLIT and not len(indices):
-                continue
-            for inside in ("images", "forcePosition"):
-                (folder / part / inside).mkdir(parents=True)
-            with (folder / part / "forcePosition" / "force.csv").open(
-                "w", newline="", encoding="utf-8"
-            ) as file:
-                csv.writer(file).writerows([header, *(values[index] for index in indices)])
-            for number, index in enumerate(indices):
-                picture = folder / part / "images" / f"{number}.jpg"
-                if part == UNSPLIT:
-                    picture.write_bytes(encode_jpeg(frames.picture(int(index))))
-                else:
-                    # The same picture in two places takes its bytes once.
-                    os.link(folder / UNSPLIT / "images" / f"{index}.jpg", picture)
+    import pandas as pd
+
+    (folder / PUBLISHED_REFERENCE).write_bytes(encode_jpeg(frames.reference))
+    table = pd.DataFrame(frames.force_n, columns=PUBLISHED_FORCES)
+    if frames.has_classes:
+        table[PUBLISHED_LABEL] = frames.contact_class
+    is_test = stated_split(frames) == "test"
+    for part, rows in {UNSPLIT: is_test | ~is_test, "train": ~is_test, "test": is_test}.items():
+        if not rows.any():
+            continue
+        images, forces = folder / part / "images", folder / part / "forcePosition"
+        images.mkdir(parents=True)
+        forces.mkdir()
+        # Every digit, also where another package has set how NumPy writes its numbers.
+        digits = {"float_format": float.__repr__, "lineterminator": "\r\n"}
+        table[rows].to_csv(forces / "force.csv", index=False, **digits)
+        for number, index in enumerate(np.flatnonzero(rows).tolist()):
+            if part == UNSPLIT:
+                (images / f"{number}.jpg").write_bytes(encode_jpeg(frames.picture(index)))
+            else:
+                # The same picture in two places takes its bytes once.
+                os.link(folder / UNSPLIT / "images" / f"{index}.jpg", images / f"{number}.jpg")
 
 
-def _webdataset(domains: Iterable[StoredFrames], out_dir: Path) -> None:
-    """`<domain>/<split>-000000.tar` of `<frame>.png` and `<frame>.json`, and `<domain>/reference.png` beside them."""
-    for frames in domains:
-        folder = out_dir / frames.name
-        folder.mkdir()
-        (folder / "reference.png").write_bytes(encode_png(frames.reference))
-        for split, indices in indices_by_part(frames).items():
-            for start in range(0, len(indices), _SAMPLES_PER_TAR):
-                path = folder / f"{split}-{start // _SAMPLES_PER_TAR:06d}.tar"
-                with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
-                    for index in indices[start : start + _SAMPLES_PER_TAR]:
-                        name = f"{int(frames.columns['frame_id'][index]):06d}"
-                        picture = frames.encoded_picture(int(index))
-                        suffix = "png" if picture.startswith(b"\x89PNG") else "jpg"
-                        labels = {
-                            column: _plain_json(values[index]) for column, values in frames.columns.items()
-                        }
-                        _add(tar, f"{name}.{suffix}", picture)
-                        _add(tar, f"{name}.json", json.dumps(labels).encode())
+def _webdataset(frames: StoredFrames, folder: Path) -> None:
+    """`<split>-000000.tar` of `<frame>.png` and `<frame>.json`, and `reference.png` beside them."""
+    (folder / "reference.png").write_bytes(encode_png(frames.reference))
+    columns = {name: values.tolist() for name, values in frames.columns.items()}
+    for split, indices in indices_by_part(frames).items():
+        for start in range(0, len(indices), _SAMPLES_PER_TAR):
+            path = folder / f"{split}-{start // _SAMPLES_PER_TAR:06d}.tar"
+            with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
+                for index in indices[start : start + _SAMPLES_PER_TAR].tolist():
+                    values = ((name, of_frames[index]) for name, of_frames in columns.items())
+                    # JSON has no NaN, which alone differs from itself.
+                    labels = {name: value if value == value else None for name, value in values}
+                    picture = frames.encoded_picture(index)
+                    suffix = "png" if picture.startswith(b"\x89PNG") else "jpg"
+                    for ending, data in ((suffix, picture), ("json", json.dumps(labels).encode())):
+                        entry = tarfile.TarInfo(f"{int(labels['frame_id']):06d}.{ending}")
+                        entry.size = len(data)
+                        tar.addfile(entry, io.BytesIO(data))
 
 
-def _add(tar: tarfile.TarFile, name: str, data: bytes) -> None:
-    entry = tarfile.TarInfo(name)
-    entry.size = len(data)
-    tar.addfile(entry, io.BytesIO(data))
-
-
-def _plain_json(value: Any) -> Any:
-    value = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(value, float) and np.isnan(value) else value
-
-
-def _drawn_split(frames: LabelledFrames, by: str) -> np.ndarray:
-    split = np.empty(len(frames), dtype=object)
-    for part, indices in zip(PARTS, split_frames(frames, by), strict=True):
-        split[indices] = part
-    return split
-
-
-def _huggingface(generated: Sequence[GeneratedDomain], out_dir: Path) -> None:
-    """`<domain>/<split>-00000.parquet`, references, a data card that `datasets` reads, and `croissant.json`."""
+def _huggingface(frames: GeneratedDomain, folder: Path) -> None:
+    """`<split>-00000.parquet` and `reference.png`, of which `_describe` tells `datasets`."""
     import pyarrow.parquet as pq
 
-    for frames in generated:
-        folder = out_dir / frames.name
-        folder.mkdir()
-        (folder / "reference.png").write_bytes(encode_png(frames.reference))
-        writers = {
-            part: pq.ParquetWriter(
-                folder / f"{part}-00000.parquet", frames.shards[0].schema, compression="zstd"
-            )
-            for part in indices_by_part(frames)
-        }
-        part_of = dict(zip(frames.columns["frame_id"].tolist(), stated_split(frames).tolist(), strict=True))
-        for table in (shard.table() for shard in frames.shards):
-            table = table.filter(table["converged"])
-            split = pa.array([part_of[frame] for frame in table["frame_id"].to_pylist()], pa.string())
-            table = table.set_column(
-                table.schema.get_field_index("split"), table.schema.field("split"), split
-            )
-            for part, writer in writers.items():
-                writer.write_table(table.filter(pa.compute.equal(table["split"], part)), row_group_size=100)
-        for writer in writers.values():
-            writer.close()
+    (folder / "reference.png").write_bytes(encode_png(frames.reference))
+    schema, split, start = frames.shards[0].schema, pa.array(stated_split(frames), pa.string()), 0
+    writers = {
+        part: pq.ParquetWriter(folder / f"{part}-00000.parquet", schema, compression="zstd")
+        for part in indices_by_part(frames)
+    }
+    for shard in frames.shards:
+        table = shard.table()
+        table = table.filter(table["converged"])
+        own, start = split.slice(start, len(table)), start + len(table)
+        table = table.set_column(schema.get_field_index("split"), schema.field("split"), own)
+        for part, writer in writers.items():
+            writer.write_table(table.filter(pa.compute.equal(own, part)), row_group_size=100)
+    for writer in writers.values():
+        writer.close()
+
+
+def _describe(generated: Sequence[GeneratedDomain], out_dir: Path) -> None:
+    """Write the data card that `datasets` reads, and `croissant.json`."""
+    import pandas as pd
+
     used = {name for frames in generated for name in frames.optional_columns}
     card = html_page(
         "data-card.md",
         **_ABOUT,
-        domains=[
-            (frames, inspect_domain(frames.folder), list(indices_by_part(frames))) for frames in generated
-        ],
+        domains=[(frames, list(indices_by_part(frames))) for frames in generated],
         # The height map's scale is in no other file of the export.
         optional=[columns for name, columns in OPTIONAL.items() if name in used],
-        points_apart=all(map(_keeps_points_apart, generated)),
+        points_apart=all(
+            pd.Series(stated_split(frames)).groupby(frames.point_id).nunique().max() == 1
+            for frames in generated
+        ),
         versions=generated[0].manifest["versions"],
     )
     (out_dir / "README.md").write_text(f"{card}\n", encoding="utf-8")
     (out_dir / "croissant.json").write_text(_croissant(out_dir), encoding="utf-8")
-
-
-def _keeps_points_apart(frames: GeneratedDomain) -> bool:
-    """Return whether every contact point is in one part of the split."""
-    pairs = set(zip(frames.point_id.tolist(), stated_split(frames).tolist(), strict=True))
-    return len(pairs) == len(np.unique(frames.point_id))
 
 
 def _croissant(folder: Path) -> str:
@@ -240,7 +205,7 @@ def _croissant(folder: Path) -> str:
         **_ABOUT,
         schema_version=SCHEMA_VERSION,
         files=files,
-        types=_CROISSANT_TYPES,
+        kinds=KINDS,
         picture=PICTURE,
         lists=(POINTS, FORCES),
     )

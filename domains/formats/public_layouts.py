@@ -5,17 +5,22 @@ and y up, so that Fx and Fy have the other sign than gelgap's; `yxma/gelsight-mi
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 
 from gelgap.domains.formats.pictures import encode_jpeg
 from gelgap.domains.formats.shards import PICTURE
+from gelgap.domains.frames.labels import FORCE_COLUMNS
 from gelgap.domains.frames.splits import PARTS, indices_by_part
 from gelgap.domains.frames.stored import GeneratedDomain
+from gelgap.sim.traction import COARSE_SHAPE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _FEATS_SIGNS = (-1.0, -1.0, 1.0)
 _FEATS_PARTS = dict(zip(PARTS, ("train", "val", "test"), strict=True))
@@ -39,132 +44,121 @@ LEROBOT_VERSION = "v3.0"
 FRAMES_PER_S = 10
 """Frames are equilibria without a time; this says how a policy's loader spaces them."""
 _POSE = ("x_mm", "y_mm", "depth_mm", "shear_x_mm", "shear_y_mm")
-_FORCE = ("fx_n", "fy_n", "fz_n")
 _MOST_BYTES = 100 * 2**20
 _CAMERA = "observation.images.tactile"
 _DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
-_VECTORS = {"observation.force": _FORCE, "observation.state": _POSE, "action": _POSE}
+_VECTORS = {"observation.force": FORCE_COLUMNS, "observation.state": _POSE, "action": _POSE}
 
 
-def write_feats(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
-    """`<domain>/{train,val,test}/<frame>.npy`, a dictionary a frame, and `<domain>/normalization.npy`.
+def write_feats(frames: GeneratedDomain, folder: Path) -> None:
+    """`{train,val,test}/<frame>.npy`, a dictionary a frame, and `normalization.npy`.
 
     A dictionary in an `.npy` is a pickle, which FEATS's own reader loads as such. `grid_x`, `grid_y` and `grid_z`, the
     force on each of 24×32 cells of the view, are there if the domain was generated with `--columns traction`.
     """
-    for frames in domains:
-        bounds: dict[str, dict[str, float]] = {}
-        for part, indices in indices_by_part(frames).items():
-            folder = out_dir / frames.name / _FEATS_PARTS[part]
-            folder.mkdir(parents=True)
-            for index in indices:
-                forces = (frames.force_n[index] * _FEATS_SIGNS + 0.0).tolist()
-                label = {"gs_img": frames.picture(index)} | _feats_maps(frames, index)
-                label |= dict(zip(("f_x", "f_y", "f_z"), forces, strict=True))
-                np.save(folder / f"{int(frames.columns['frame_id'][index]):06d}.npy", label)
-                if part == "train":
-                    for name, value in label.items():
-                        known = bounds.setdefault(name, {"min": np.inf, "max": -np.inf})
-                        known["min"] = min(known["min"], float(np.min(value)))
-                        known["max"] = max(known["max"], float(np.max(value)))
-        np.save(out_dir / frames.name / "normalization.npy", bounds)
+    forces_n, bounds = _feats_forces_n(frames), {}
+    for part, indices in indices_by_part(frames).items():
+        (folder / _FEATS_PARTS[part]).mkdir()
+        for index in indices.tolist():
+            label = {"gs_img": frames.picture(index)}
+            if "traction" in frames.optional_columns:
+                maps_n = frames.optional("traction", index).reshape(*COARSE_SHAPE, 3) * _FEATS_SIGNS + 0.0
+                label |= {f"grid_{axis}": maps_n[..., k] for k, axis in enumerate("xyz")}
+            label |= forces_n[index]
+            np.save(folder / _FEATS_PARTS[part] / f"{int(frames.columns['frame_id'][index]):06d}.npy", label)
+            if part == "train":
+                for name, value in label.items():
+                    known = bounds.setdefault(name, {"min": np.inf, "max": -np.inf})
+                    known["min"] = min(known["min"], float(np.min(value)))
+                    known["max"] = max(known["max"], float(np.max(value)))
+    np.save(folder / "normalization.npy", bounds)
 
 
-def _feats_maps(frames: GeneratedDomain, index: int) -> dict[str, np.ndarray]:
-    from gelgap.sim.traction import COARSE_SHAPE
-
-    if "traction" not in frames.optional_columns:
-        return {}
-    maps_n = frames.optional("traction", index).reshape(*COARSE_SHAPE, 3) * _FEATS_SIGNS + 0.0
-    return {f"grid_{axis}": maps_n[..., k] for k, axis in enumerate("xyz")}
+def _feats_forces_n(frames: GeneratedDomain) -> list[dict[str, float]]:
+    """Return the force of each frame by FEATS's names and signs."""
+    forces_n = (frames.force_n * _FEATS_SIGNS + 0.0).tolist()  # adding zero turns −0.0 into 0.0
+    return [dict(zip(("f_x", "f_y", "f_z"), own, strict=True)) for own in forces_n]
 
 
-def write_mini_pretrain(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
-    """`<domain>/<split>-00000-of-00001.parquet` in `MINI_SCHEMA`, with JPEG pictures; what is not known is null."""
+def write_mini_pretrain(frames: GeneratedDomain, folder: Path) -> None:
+    """`<split>-00000-of-00001.parquet` in `MINI_SCHEMA`, with JPEG pictures; what is not known is null."""
     import pyarrow.parquet as pq
 
-    for frames in domains:
-        folder = out_dir / frames.name
-        folder.mkdir()
-        for part, indices in indices_by_part(frames).items():
-            path = folder / f"{_FEATS_PARTS[part]}-00000-of-00001.parquet"
-            with pq.ParquetWriter(path, MINI_SCHEMA, compression="snappy") as writer:
-                for start in range(0, len(indices), 100):
-                    rows = [_mini_row(frames, index, part) for index in indices[start : start + 100]]
-                    writer.write_table(pa.Table.from_pylist(rows, MINI_SCHEMA))
-
-
-def _mini_row(frames: GeneratedDomain, index: int, part: str) -> dict[str, Any]:
-    columns, recipe = frames.columns, frames.recipe
+    columns, recipe, forces_n = frames.columns, frames.recipe, _feats_forces_n(frames)
     shape = recipe.indenter.shape
-    force_n = frames.force_n[index] * _FEATS_SIGNS + 0.0
     width, height = frames.size_px
-    return {
-        "image": encode_jpeg(frames.picture(index), _MINI_JPEG_QUALITY),
+    of_all = {
         "image_format": "jpeg",
         "source": "gelgap",
         "markered": recipe.markers,
-        "capture": f"{frames.name}_{int(columns['frame_id'][index]):06d}",
-        "split": _FEATS_PARTS[part],
         "height": height,
         "width": width,
-        "x_mm": columns["x_mm"][index],
-        "y_mm": columns["y_mm"][index],
-        "z_mm": columns["commanded_z_mm"][index],
         "indenter": shape,
         "indenter_param": recipe.indenter.label.removeprefix(shape).removesuffix("mm").strip(),
-        **dict(zip(("f_x", "f_y", "f_z"), force_n.tolist(), strict=True)),
-        "episode": str(int(columns["trajectory_id"][index])),
-        "frame_idx": int(columns["step"][index]),
         "gel_variant": "markered" if recipe.markers else "markerless",
         "domain": "sim",
     }
 
+    def row(index: int, part: str) -> dict[str, Any]:
+        return {
+            **of_all,
+            "image": encode_jpeg(frames.picture(index), _MINI_JPEG_QUALITY),
+            "capture": f"{frames.name}_{int(columns['frame_id'][index]):06d}",
+            "split": part,
+            "x_mm": columns["x_mm"][index],
+            "y_mm": columns["y_mm"][index],
+            "z_mm": columns["commanded_z_mm"][index],
+            **forces_n[index],
+            "episode": str(int(columns["trajectory_id"][index])),
+            "frame_idx": int(columns["step"][index]),
+        }
 
-def write_lerobot(domains: Sequence[GeneratedDomain], out_dir: Path) -> None:
-    """`<domain>/{meta,data}` in LeRobot's format v3.0, pictures as PNG inside the Parquet files.
+    for split, indices in indices_by_part(frames).items():
+        part = _FEATS_PARTS[split]
+        with pq.ParquetWriter(folder / f"{part}-00000-of-00001.parquet", MINI_SCHEMA) as writer:
+            for start in range(0, len(indices), 100):
+                rows = [row(index, part) for index in indices[start : start + 100].tolist()]
+                writer.write_table(pa.Table.from_pylist(rows, MINI_SCHEMA))
+
+
+def write_lerobot(frames: GeneratedDomain, folder: Path) -> None:
+    """`{meta,data}` in LeRobot's format v3.0, pictures as PNG inside the Parquet files.
 
     An episode is a trajectory: a travel at one point, depth and direction. `action` is the next commanded pose, of the
     last frame its own. Episodes whose frames are of several parts of the split, as those of a random one, count as
     training.
     """
-    for frames in domains:
-        _write_lerobot_set(frames, out_dir / frames.name)
-
-
-def _write_lerobot_set(frames: GeneratedDomain, folder: Path) -> None:
     import pandas as pd
     import pyarrow.parquet as pq
 
-    parts, episodes = _episodes(frames)
-    values = _lerobot_values(frames, episodes)
+    parts, table = _episodes(frames)
+    values = _lerobot_values(frames, table)
     dtypes = {name: "float32" if own.dtype.kind == "f" else "int64" for name, own in values.items()}
     types = {name: pa.list_(pa.float32(), len(labels)) for name, labels in _VECTORS.items()}
     schema = pa.schema([(_CAMERA, PICTURE), *(dtypes | types).items()])
     (folder / "meta/episodes/chunk-000").mkdir(parents=True)
     (folder / "data/chunk-000").mkdir(parents=True)
-    task = f"press and drag: {frames.recipe.indenter.label} on gel {frames.name}"
-    lengths = [len(own) for own in episodes]
-    ends = np.cumsum(lengths).tolist()
-    starts, n = [0, *ends[:-1]], len(episodes)
+    lengths = table.groupby("episode").size().to_numpy()
+    ends = np.cumsum(lengths)
+    starts, n = ends - lengths, len(ends)
     files, writer, size = [], None, 0
-    for indices, start, end in zip(episodes, starts, ends, strict=True):
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         if writer is None or size > _MOST_BYTES:
             if writer is not None:
                 writer.close()
             number, size = files[-1] + 1 if files else 0, 0
-            path = folder / _DATA_PATH.format(chunk_index=0, file_index=number)
-            writer = pq.ParquetWriter(path, schema)
-        pictures = [frames.encoded_picture(index) for index in indices.tolist()]
+            writer = pq.ParquetWriter(folder / _DATA_PATH.format(chunk_index=0, file_index=number), schema)
+        pictures = [frames.encoded_picture(index) for index in table.index[start:end]]
         cells = {_CAMERA: [{"bytes": picture, "path": None} for picture in pictures]}
         cells |= {name: own[start:end].tolist() for name, own in values.items()}
         writer.write_table(pa.Table.from_pydict(cells, schema))
         size += sum(map(len, pictures))
         files.append(number)
     writer.close()
+    task = f"press and drag: {frames.recipe.indenter.label} on gel {frames.name}"
     listed = {
-        "episode_index": list(range(n)),
+        "episode_index": range(n),
         "tasks": [[task]] * n,
         "length": lengths,
         "data/chunk_index": [0] * n,
@@ -174,7 +168,7 @@ def _write_lerobot_set(frames: GeneratedDomain, folder: Path) -> None:
         "meta/episodes/chunk_index": [0] * n,
         "meta/episodes/file_index": [0] * n,
     }
-    pq.write_table(pa.table(listed), folder / _EPISODES_PATH)
+    pq.write_table(pa.table({name: list(own) for name, own in listed.items()}), folder / _EPISODES_PATH)
     pd.DataFrame({"task_index": [0]}, index=[task]).to_parquet(folder / "meta/tasks.parquet")
     width, height = frames.size_px
     picture = {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]}
@@ -186,7 +180,7 @@ def _write_lerobot_set(frames: GeneratedDomain, folder: Path) -> None:
         "codebase_version": LEROBOT_VERSION,
         "robot_type": "gelgap",
         "total_episodes": n,
-        "total_frames": ends[-1],
+        "total_frames": len(table),
         "total_tasks": 1,
         "chunks_size": 1000,
         "data_files_size_in_mb": _MOST_BYTES // 2**20,
@@ -197,61 +191,56 @@ def _write_lerobot_set(frames: GeneratedDomain, folder: Path) -> None:
         "video_path": None,
         "features": features,
     }
-    statistics = _lerobot_statistics(frames, np.concatenate(episodes), values)
-    for name, content in (("info", info), ("stats", statistics)):
+    for name, content in (("info", info), ("stats", _lerobot_statistics(frames, table.index, values))):
         (folder / f"meta/{name}.json").write_text(json.dumps(content, indent=4), encoding="utf-8")
 
 
-def _episodes(frames: GeneratedDomain) -> tuple[dict[str, str], list[np.ndarray]]:
-    """Return the range of episodes of each part, as `0:12`, and the indices of each episode's frames, part by part."""
-    trajectory, step = frames.columns["trajectory_id"], frames.columns["step"]
-    split = frames.columns["split"]
-    of_part: dict[str, list[np.ndarray]] = {part: [] for part in PARTS}
-    for number in np.unique(trajectory):
-        indices = np.flatnonzero(trajectory == number)
-        parts = set(split[indices].tolist())
-        of_part[parts.pop() if len(parts) == 1 else PARTS[0]].append(indices[np.argsort(step[indices])])
-    if any(len(set(split[own].tolist())) > 1 for own in of_part[PARTS[0]]):
-        of_part = {PARTS[0]: [own for part in PARTS for own in of_part[part]]}
-    ranges, start = {}, 0
-    for part, own in of_part.items():
-        if own:
-            ranges[part] = f"{start}:{start + len(own)}"
-            start += len(own)
-    return ranges, [own for part in of_part.values() for own in part]
+def _episodes(frames: GeneratedDomain) -> tuple[dict[str, str], "pd.DataFrame"]:
+    """Return the range of episodes of each part, as `0:12`, and trajectory, step and episode of all frames in order."""
+    import pandas as pd
+
+    names = ("trajectory_id", "step", "split")
+    table = pd.DataFrame({name: frames.columns[name] for name in names})
+    split = table.groupby("trajectory_id")["split"]
+    is_whole = split.transform("nunique") == 1
+    table["split"] = pd.Categorical(table["split"].where(is_whole, PARTS[0]), PARTS)
+    table = table.sort_values(["split", "trajectory_id", "step"])
+    table["episode"] = table.groupby("trajectory_id", sort=False).ngroup()
+    counts = table.groupby("split", observed=True)["episode"].nunique()
+    if not is_whole.all():
+        counts = pd.Series({PARTS[0]: counts.sum()})
+    ends = counts.cumsum()
+    return {part: f"{ends[part] - count}:{ends[part]}" for part, count in counts.items()}, table
 
 
-def _lerobot_values(frames: GeneratedDomain, episodes: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+def _lerobot_values(frames: GeneratedDomain, table: "pd.DataFrame") -> dict[str, np.ndarray]:
     """Return the features other than pictures, (n,) or (n, k) each, of the frames episode by episode."""
-    order, lengths = np.concatenate(episodes), [len(own) for own in episodes]
-    ends = np.cumsum(lengths)
-    state = np.stack([frames.columns[name][order] for name in _POSE], axis=1)
-    action = np.roll(state, -1, axis=0)
-    action[ends - 1] = state[ends - 1]
-    step = np.arange(len(order)) - np.repeat(ends - lengths, lengths)
+    order, n = table.index, len(table)
+    state = frames.values_of(_POSE)[order]
+    is_last = table["episode"].diff(-1).to_numpy() != 0
+    action = np.where(is_last[:, None], state, np.roll(state, -1, axis=0))
+    step = table.groupby("episode").cumcount().to_numpy()
     return {
         "observation.force": frames.force_n[order],
         "observation.state": state,
         "action": action,
         "timestamp": step / FRAMES_PER_S,
         "frame_index": step,
-        "episode_index": np.repeat(np.arange(len(episodes)), lengths),
-        "index": np.arange(len(order)),
-        "task_index": np.zeros_like(order),
+        "episode_index": table["episode"].to_numpy(),
+        "index": np.arange(n),
+        "task_index": np.zeros(n, np.int64),
     }
 
 
 def _lerobot_statistics(
-    frames: GeneratedDomain, order: np.ndarray, values: dict[str, np.ndarray]
+    frames: GeneratedDomain, order: Iterable[int], values: dict[str, np.ndarray]
 ) -> dict[str, Any]:
     """Return least, greatest, mean and standard deviation of each feature, pictures by channel in [0, 1]."""
-    pictures = []
-    for index in order.tolist():
-        pixels = frames.picture(index).reshape(-1, 3) / 255
-        pictures.append(
-            (pixels.min(axis=0), pixels.max(axis=0), pixels.mean(axis=0), (pixels**2).mean(axis=0))
-        )
-    low, high, mean, square = map(np.stack, zip(*pictures, strict=True))
+    pixels = (frames.picture(index).reshape(-1, 3) / 255 for index in order)
+    of_pictures = [
+        (own.min(axis=0), own.max(axis=0), own.mean(axis=0), (own**2).mean(axis=0)) for own in pixels
+    ]
+    low, high, mean, square = map(np.stack, zip(*of_pictures, strict=True))
     average = mean.mean(axis=0)
     deviation = np.sqrt(np.maximum(square.mean(axis=0) - average**2, 0))
     by_channel = {"min": low.min(axis=0), "max": high.max(axis=0), "mean": average, "std": deviation}
@@ -259,4 +248,4 @@ def _lerobot_statistics(
     for name, own in values.items():
         rows = np.ascontiguousarray(own.reshape(len(own), -1), float)
         found[name] = {what: getattr(rows, what)(axis=0).tolist() for what in ("min", "max", "mean", "std")}
-    return {name: {**of, "count": [len(order)]} for name, of in found.items()}
+    return {name: {**of, "count": [len(mean)]} for name, of in found.items()}

@@ -28,10 +28,33 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 # A row group is what a reader must take from disk to see one frame: small, so that random access stays cheap.
 ROWS_PER_GROUP = 32
+
+
+class Kind(NamedTuple):
+    """How a column's type is called: the feature of Hugging Face `datasets`, Croissant's type, its leaf in Parquet."""
+
+    feature: dict[str, Any]
+    croissant: str
+    leaf: str = ""
+
+
+_INT, _FLOAT, _BOOL, _TEXT = pa.int32(), pa.float64(), pa.bool_(), pa.string()
 PICTURE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 """A picture as Hugging Face `datasets` reads it."""
 POINTS = pa.list_(pa.list_(pa.float32(), 2))
 FORCES = pa.list_(pa.float32())
+_NUMBER = {"dtype": "float32", "_type": "Value"}
+_PAIR = {"feature": _NUMBER, "length": 2, "_type": "List"}
+KINDS = {
+    _INT: Kind({"dtype": "int32", "_type": "Value"}, "sc:Integer"),
+    _FLOAT: Kind({"dtype": "float64", "_type": "Value"}, "sc:Float"),
+    _BOOL: Kind({"dtype": "bool", "_type": "Value"}, "sc:Boolean"),
+    _TEXT: Kind({"dtype": "string", "_type": "Value"}, "sc:Text"),
+    PICTURE: Kind({"_type": "Image"}, "sc:ImageObject", "bytes"),
+    POINTS: Kind({"feature": _PAIR, "_type": "List"}, "sc:Float", "list.element.list.element"),
+    FORCES: Kind({"feature": _NUMBER, "_type": "List"}, "sc:Float", "list.element"),
+}
+"""Every type that a column may have."""
 
 # 16-bit height maps: 0.1 µm steps from 0.5 mm outwards (the membrane bulges) to 6 mm inwards.
 HEIGHT_MAP_STEP_MM = 1e-4
@@ -119,7 +142,6 @@ def _point_list(points: np.ndarray) -> list[list[float]]:
     return points.reshape(-1, 2).astype(np.float32).tolist()
 
 
-_INT, _FLOAT, _BOOL, _TEXT = pa.int32(), pa.float64(), pa.bool_(), pa.string()
 _CLASS = "0 without contact; −1 off the paper's grid"
 _DIRECTION = "commanded direction of the travel; null without travel"
 _RADIUS = "deformed radius where the normal pressure vanishes"
@@ -201,21 +223,9 @@ def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
     """Return the Arrow schema of a shard, with the metadata by which Hugging Face `datasets` decodes pictures."""
     chosen = (column for name in OPTIONAL if name in optional for column in OPTIONAL[name])
     columns = [*LABELS, IMAGE, *chosen]
-    features = {column.name: _huggingface_feature(column.type) for column in columns}
+    features = {column.name: KINDS[column.type].feature for column in columns}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
     return pa.schema([pa.field(column.name, column.type) for column in columns], metadata=metadata)
-
-
-def _huggingface_feature(kind: pa.DataType) -> dict[str, Any]:
-    if kind == PICTURE:
-        return {"_type": "Image"}
-    if kind == FORCES:
-        return {"feature": {"dtype": "float32", "_type": "Value"}, "_type": "List"}
-    if kind == POINTS:
-        pair = {"feature": {"dtype": "float32", "_type": "Value"}, "length": 2, "_type": "List"}
-        return {"feature": pair, "_type": "List"}
-    names = {pa.float64(): "float64", pa.bool_(): "bool"}
-    return {"dtype": names.get(kind, str(kind)), "_type": "Value"}
 
 
 def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
@@ -223,14 +233,13 @@ def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColu
     import pyarrow.parquet as pq
 
     # Labels are few, and noise leaves pictures nothing to gain: only optional columns are compressed.
-    leaves = {PICTURE: "bytes", POINTS: "list.element.list.element", FORCES: "list.element"}
-    packed = (column for name in optional for column in OPTIONAL[name] if column.type in leaves)
+    packed = (column for name in optional for column in OPTIONAL[name] if KINDS[column.type].leaf)
     table = pa.Table.from_pylist(list(rows), schema=frame_schema(optional))
     sink = io.BytesIO()
     pq.write_table(
         table,
         sink,
-        compression={f"{column.name}.{leaves[column.type]}": "zstd" for column in packed},
+        compression={f"{column.name}.{KINDS[column.type].leaf}": "zstd" for column in packed},
         row_group_size=ROWS_PER_GROUP,
         use_dictionary=False,
     )
@@ -266,12 +275,10 @@ class ShardFile:
         """The columns, as they lie in the file."""
         return self._file.schema_arrow
 
-    def labels(self) -> dict[str, np.ndarray]:
-        """Return the columns that are made from the contact alone, by name, (n,)."""
-        names = [name for name in self.schema.names if COLUMNS[name].value]
+    def table(self, names: Sequence[str] | None = None) -> pa.Table:
+        """Return the columns of these names, or the whole shard."""
         with self._named_if_damaged():
-            table = self._file.read(columns=names)
-        return {name: table[name].to_numpy() for name in names}
+            return self._file.read(columns=names)
 
     def cell(self, row: int, column: str) -> Any:
         """Return one value of a column, of a picture its bytes; its row group is kept for the next one."""
@@ -289,11 +296,6 @@ class ShardFile:
         """The row after the last of each row group."""
         groups = map(self._file.metadata.row_group, range(self._file.metadata.num_row_groups))
         return np.cumsum([group.num_rows for group in groups])
-
-    def table(self) -> pa.Table:
-        """Return the whole shard."""
-        with self._named_if_damaged():
-            return self._file.read()
 
     @cached_property
     def _file(self) -> "ParquetFile":
@@ -315,13 +317,12 @@ class ShardFile:
 def _check_footer(file: "ParquetFile") -> None:
     """Raise ValueError if a shard states other columns, more rows or more bytes than generation writes."""
     metadata, schema = file.metadata, file.schema_arrow
+    names, needed = set(schema.names), {column.name for column in (*LABELS, IMAGE)}
+    are_known = names <= COLUMNS.keys() and all(own.type == COLUMNS[own.name].type for own in schema)
+    if len(names) < len(schema) or not needed <= names or not are_known:
+        raise ValueError("its columns are not those of a domain")
     if not 0 <= metadata.num_rows <= _MOST_ROWS:
         raise ValueError(f"it states {metadata.num_rows} rows")
-    for name in (*schema.names, *(column.name for column in (*LABELS, IMAGE))):
-        if name not in COLUMNS or schema.names.count(name) > 1:
-            raise ValueError(f"column {name[:40]!r} is unknown or there twice")
-        if name not in schema.names or schema.field(name).type != COLUMNS[name].type:
-            raise ValueError(f"column {name} is missing or not {COLUMNS[name].type}")
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for chunk in map(group.column, range(group.num_columns)):
             column, n_bytes = COLUMNS[chunk.path_in_schema.partition(".")[0]], chunk.total_uncompressed_size
@@ -329,12 +330,8 @@ def _check_footer(file: "ParquetFile") -> None:
             if not column.value:
                 most_bytes = max(_SMALL_BYTES, _MOST_GROWTH * chunk.total_compressed_size)
                 most_values += n_bytes
-            if chunk.has_dictionary_page:
-                raise ValueError(f"column {column.name} has a dictionary")
-            if n_bytes > most_bytes:
-                raise ValueError(f"column {column.name} would take {n_bytes / 2**20:.0f} MiB")
-            if chunk.num_values > most_values:
-                raise ValueError(f"column {column.name} states {chunk.num_values} values")
+            if chunk.has_dictionary_page or n_bytes > most_bytes or chunk.num_values > most_values:
+                raise ValueError(f"column {column.name} would take more memory than generated ones")
 
 
 def damaged(path: Path, problem: str) -> RuntimeError:

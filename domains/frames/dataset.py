@@ -2,9 +2,9 @@
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,6 +46,26 @@ class Frame:
     labels: dict[str, float]
 
 
+class RestPictures:
+    """The pictures without contact of a data set: each is read when it is asked for, and reduced once for each size."""
+
+    def __init__(self, readers: Sequence[Callable[[], np.ndarray]]):
+        self.readers = tuple(readers)
+        self._reduced: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """The first one as stored, (h, w, 3) uint8."""
+        return self.readers[0]()
+
+    def at(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
+        """Return all of them (r, h, w, 3) uint8 of this width and height, or all with their markers filled in."""
+        if (size_px, markers) not in self._reduced:
+            pictures = (read() if markers else without_markers(read()) for read in self.readers)
+            self._reduced[size_px, markers] = np.stack([resized(picture, size_px) for picture in pictures])
+        return self._reduced[size_px, markers]
+
+
 class LabelledFrames(ABC):
     """The frames of one domain: labels as `columns` (n,), pictures on demand; `take` gives some of them.
 
@@ -66,23 +86,23 @@ class LabelledFrames(ABC):
         Sentences on what is unusual about the data set.
     unconverged
         How many frames were left out because the simulation did not converge.
-    reference_count
-        How many reference pictures there are.
+    rest_pictures
+        The reference pictures, one or several.
     """
 
     name: str
     columns: dict[str, np.ndarray]
+    rest_pictures: RestPictures
     force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
     declares_ranges: bool = True
     n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
-    reference_count: int = 1
 
     @property
-    @abstractmethod
     def reference(self) -> np.ndarray:
         """The picture without contact, (h, w, 3) uint8; the first one where frames have references of their own."""
+        return self.rest_pictures.first
 
     @property
     @abstractmethod
@@ -97,19 +117,20 @@ class LabelledFrames(ABC):
     def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
         """Return all pictures (n, h, w, 3) uint8 of this width and height, or all with their markers filled in."""
 
-    def images(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`)."""
-        return self.load(self.image_size_px(size_px), markers=True)
+    def images(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
+        """Return all pictures (n, h, w, 3) uint8, reduced to `size_px` (see `image_size_px`).
 
-    def images_without_markers(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        """Return what `images` does, of pictures whose markers are found and inpainted at the stored size."""
-        return self.load(self.image_size_px(size_px), markers=False)
+        Without `markers`, their dots are found and inpainted at the stored size.
+        """
+        return self.load(self.image_size_px(size_px), markers)
 
     def take(self, indices: np.ndarray) -> "LabelledFrames":
         """Return the frames with these indices, in this order."""
-        return DerivedFrames(self, np.arange(len(self))[indices])
+        rows = np.arange(len(self))[indices]
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return DerivedFrames(self, columns, rows.tobytes(), rows)
 
-    @property
+    @cached_property
     def members(self) -> "tuple[LabelledFrames, ...]":
         """The data sets that it is joined from; itself where it is one."""
         return (self,)
@@ -190,12 +211,11 @@ class LabelledFrames(ABC):
         if wrong.any():
             frame, label = np.argwhere(wrong)[0]
             value, (symbol, unit) = values[frame, label], labels.quantities[label]
-            what = "a force" if set(labels.names) <= set(FORCE_COLUMNS) else "a label"
             how, advice = "outside the declared range", "labels are never clipped: give a wider one (--range)"
             if not np.isfinite(value):
                 how, advice = "that is not a number", "take such frames out"
             raise ValueError(
-                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have {what} {how}; first: frame "
+                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have a label {how}; first: frame "
                 f"{frame}, {symbol} = {value:.4g} {unit}, allowed [{labels.low[label]:g}, {labels.high[label]:g}] "
                 f"{unit}; {advice}"
             )
@@ -222,10 +242,6 @@ class LabelledFrames(ABC):
         width, height = (max(1, round(side * size_px / longest)) for side in self.size_px)
         return width, height
 
-    def reference_at(self, size_px: int | tuple[int, int] | None = None) -> np.ndarray:
-        """Return the reference picture as `images` returns pictures."""
-        return resized(self.reference, self.image_size_px(size_px))
-
     @property
     def reference_id(self) -> np.ndarray:
         """Which of `references_at` is a frame's own (n,)."""
@@ -236,8 +252,7 @@ class LabelledFrames(ABC):
 
         Without `markers`, their dots are inpainted.
         """
-        reference = self.reference if markers else without_markers(self.reference)
-        return resized(reference, self.image_size_px(size_px))[None]
+        return self.rest_pictures.at(self.image_size_px(size_px), markers)
 
     def torch(
         self,
@@ -253,7 +268,7 @@ class LabelledFrames(ABC):
         from gelgap.domains.frames.paired_frames import PairedFrames
 
         return PairedFrames(
-            self.images(size_px) if markers else self.images_without_markers(size_px),
+            self.images(size_px, markers),
             self.references_at(size_px, markers),
             self.label_values,
             self.contact_class,
@@ -298,7 +313,8 @@ class ArrayFrames(LabelledFrames):
     ):
         self.name, self.n_classes = name, n_classes
         self.force_range_n = np.asarray(force_range_n, float)
-        self._images, self._reference = images, reference
+        self._images = images
+        self.rest_pictures = RestPictures([partial(np.asarray, reference)])
         numbers = {"contact_class": contact_class, "point_id": point_id}
         columns |= {label: values for label, values in numbers.items() if values is not None}
         if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
@@ -317,14 +333,10 @@ class ArrayFrames(LabelledFrames):
         if not known_labels(self.columns):
             raise ValueError(f"domain {name} has no label; known labels: {', '.join(QUANTITIES)}")
 
-    @property
-    def reference(self) -> np.ndarray:
-        return self._reference
-
     @cached_property
     def digest(self) -> str:
         found = hashlib.sha256(self.name.encode())
-        for array in (self._images, self._reference, self.label_values, self.contact_class, self.point_id):
+        for array in (self._images, self.reference, self.label_values, self.contact_class, self.point_id):
             found.update(np.ascontiguousarray(array).data)
         return found.hexdigest()
 
@@ -339,42 +351,26 @@ class ArrayFrames(LabelledFrames):
 
 
 class DerivedFrames(LabelledFrames):
-    """Frames of another data set, `whole`: those of `indices` (n,), in this order, or all with what has changed.
+    """Frames of another data set, `whole`: those of `indices` (n,), in this order, or all with other columns or labels.
 
-    Changed are the labels, or the contact classes (n,), of which there are then `n_classes`. References and declared
-    ranges are the whole's.
+    References and declared ranges are the whole's. `change` says what differs, for the digest.
     """
 
     def __init__(
         self,
         whole: LabelledFrames,
+        columns: dict[str, np.ndarray],
+        change: bytes,
         indices: np.ndarray | None = None,
         labels: Labels | None = None,
-        contact_class: np.ndarray | None = None,
         n_classes: int | None = None,
     ):
-        self.whole, self._indices = whole, indices
-        self.name, self.notes, self.reference_count = whole.name, whole.notes, whole.reference_count
+        self.whole, self.columns, self._change, self._indices = whole, columns, change, indices
+        self.name, self.notes, self.rest_pictures = whole.name, whole.notes, whole.rest_pictures
         self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
         self.n_classes, self.labels = n_classes or whole.n_classes, labels or whole.labels
+        self.unconverged = whole.unconverged if indices is None else 0
         self._loaded: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
-        if indices is not None:
-            self.columns = {name: values[indices] for name, values in whole.columns.items()}
-            self._change = indices.tobytes()
-            return
-        self.unconverged = whole.unconverged
-        self.columns = dict(whole.columns)
-        self._change = repr((self.labels, n_classes)).encode() + self.label_values.tobytes()
-        if contact_class is not None:
-            self.columns["contact_class"] = contact_class
-            self._change += contact_class.tobytes()
-
-    @property
-    def reference(self) -> np.ndarray:
-        return self.whole.reference
-
-    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
-        return self.whole.references_at(size_px, markers)
 
     def declared_range(self, name: str) -> Range | None:
         return self.whole.declared_range(name)
@@ -402,7 +398,10 @@ def with_labels(frames: LabelledFrames, labels: Labels) -> LabelledFrames:
     ValueError
         If the data set lacks a label; the message names those that it has.
     """
-    return frames if labels == frames.labels else DerivedFrames(frames, labels=labels)
+    if labels == frames.labels:
+        return frames
+    change = repr((labels, None)).encode() + frames.values_of(labels.names).tobytes()
+    return DerivedFrames(frames, frames.columns, change, labels=labels)
 
 
 def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
@@ -423,7 +422,8 @@ def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
     values = train.label_values[:, names.index("fz_n") if "fz_n" in names else 0]
     inner = np.quantile(values, np.arange(1, count) / count)
     classes = np.searchsorted(inner, values, side="right")
-    return DerivedFrames(train, contact_class=classes, n_classes=count)
+    change = repr((train.labels, count)).encode() + train.label_values.tobytes() + classes.tobytes()
+    return DerivedFrames(train, train.columns | {"contact_class": classes}, change, n_classes=count)
 
 
 def join_domains(domains: Sequence[LabelledFrames]) -> LabelledFrames:
@@ -446,7 +446,7 @@ class JoinedFrames(LabelledFrames):
     """The frames of several data sets in order; its name is theirs with + between them, of many the first's."""
 
     def __init__(self, domains: Sequence[LabelledFrames]):
-        self._members = tuple(domains)
+        self.members = tuple(domains)
         names = [frames.name for frames in domains]
         # Names of folders have at most 255 letters.
         self.name = "+".join(names if len(names) <= 3 else [names[0], f"{len(names) - 1}-more"])
@@ -455,48 +455,39 @@ class JoinedFrames(LabelledFrames):
             raise ValueError(f"data sets {', '.join(names)} share no label")
         self.columns = {name: np.concatenate([frames.columns[name] for frames in domains]) for name in shared}
         self.columns["reference_id"] = _counted_on(
-            [frames.reference_id for frames in domains], [frames.reference_count for frames in domains]
+            [frames.reference_id for frames in domains],
+            [len(frames.rest_pictures.readers) for frames in domains],
         )
         # What was left out keeps its number: a split at random counts it.
         self.columns["frame_id"] = _counted_on(
             [f.columns["frame_id"] if f.unconverged else np.arange(len(f)) for f in domains],
             [len(frames) + frames.unconverged for frames in domains],
         )
-        ranges = np.stack([np.asarray(frames.force_range_n, float) for frames in domains])
-        self.force_range_n = np.stack([ranges[..., 0].min(axis=0), ranges[..., 1].max(axis=0)], axis=1)
+        low, high = np.stack([np.asarray(frames.force_range_n, float) for frames in domains]).T
+        self.force_range_n = np.stack([low.min(axis=1), high.max(axis=1)], axis=1)
         self.declares_ranges = all(frames.declares_ranges for frames in domains)
         self.n_classes = max(frames.n_classes for frames in domains)
         self.unconverged = sum(frames.unconverged for frames in domains)
-        self.reference_count = sum(frames.reference_count for frames in domains)
+        self.rest_pictures = RestPictures([read for own in domains for read in own.rest_pictures.readers])
         self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
 
-    @property
-    def members(self) -> tuple[LabelledFrames, ...]:
-        return self._members
-
-    @property
-    def reference(self) -> np.ndarray:
-        return self._members[0].reference
-
-    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
-        size = self.image_size_px(size_px)
-        return np.concatenate([frames.references_at(size, markers) for frames in self._members])
-
     def declared_range(self, name: str) -> Range | None:
-        return hull(frames.declared_range(name) for frames in self._members)
+        return hull(frames.declared_range(name) for frames in self.members)
 
     @cached_property
     def digest(self) -> str:
-        found = [(frames.name, frames.digest, len(frames)) for frames in self._members]
+        found = [(frames.name, frames.digest, len(frames)) for frames in self.members]
         return sha256(repr(found).encode())
 
     def picture(self, index: int) -> np.ndarray:
-        ends = np.cumsum([len(frames) for frames in self._members])
-        number = int(np.searchsorted(ends, index, side="right"))
-        return self._members[number].picture(index - int(ends[number]) + len(self._members[number]))
+        for frames in self.members:
+            if index < len(frames):
+                break
+            index -= len(frames)
+        return frames.picture(index)
 
     def load(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
-        return np.concatenate([frames.load(size_px, markers) for frames in self._members])
+        return np.concatenate([frames.load(size_px, markers) for frames in self.members])
 
 
 def _counted_on(numbers: Sequence[np.ndarray], counts: Sequence[int]) -> np.ndarray:

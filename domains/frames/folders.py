@@ -5,7 +5,7 @@ folder of pictures and one CSV table with named columns, as of a GelSight Mini.
 """
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -14,9 +14,15 @@ import numpy as np
 from gelgap.assets.checksums import sha256
 from gelgap.assets.names import quoted, stays_inside
 from gelgap.domains.formats.domain_folder import MANIFEST
-from gelgap.domains.formats.pictures import resized, without_markers
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames, join_domains
-from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, covering, known_labels, paper_range
+from gelgap.domains.frames.labels import (
+    FORCE_COLUMNS,
+    PAPER_RANGES,
+    QUANTITIES,
+    Labels,
+    covering,
+    known_labels,
+)
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 
 PUBLISHED_REFERENCE = "ref.jpg"
@@ -30,12 +36,8 @@ _ALIASES = {"inpainting": "wmb0i0"}
 # Names under which people write the same thing; letters and digits alone count.
 PICTURE_NAMES = ("image", "file", "filename", "path", "picture", "frame", "img", "imagepath", "imagefile")
 NUMBERS = {
-    "fx_n": ("fx", "fxn", "forcex", "forcexn"),
-    "fy_n": ("fy", "fyn", "forcey", "forceyn"),
-    "fz_n": ("fz", "fzn", "forcez", "forcezn"),
-    "mx_nmm": ("mx", "mxnmm", "torquex", "torquexnmm"),
-    "my_nmm": ("my", "mynmm", "torquey", "torqueynmm"),
-    "mz_nmm": ("mz", "mznmm", "torquez", "torqueznmm"),
+    **{f"f{axis}_n": (f"f{axis}", f"f{axis}n", f"force{axis}", f"force{axis}n") for axis in "xyz"},
+    **{f"m{axis}_nmm": (f"m{axis}", f"m{axis}nmm", f"torque{axis}", f"torque{axis}nmm") for axis in "xyz"},
     "x_mm": ("xmm", "x"),
     "y_mm": ("ymm", "y"),
     "depth_mm": ("depthmm", "depth"),
@@ -43,7 +45,7 @@ NUMBERS = {
 }
 WHOLE_NUMBERS = {"contact_class": ("contactclass", "class", "label"), "point_id": ("pointid", "point")}
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
-TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",)}
+TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",), "picture": PICTURE_NAMES}
 COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
 REFERENCE_STEMS = ("reference", "ref", "background", "bg", "nocontact")
@@ -77,6 +79,12 @@ def open_domains(folders: Path | str | Sequence[Path | str]) -> LabelledFrames:
     return join_domains([open_domain(folder) for folder in folders])
 
 
+def domain_folders(folder: Path | str) -> tuple[Path, ...]:
+    """Return the folders of generated domains directly inside a folder; itself where there are none."""
+    inside = sorted(path.parent for path in Path(folder).glob(f"*/{MANIFEST}"))
+    return tuple(inside) or (Path(folder),)
+
+
 def layout_problem(folder: Path) -> str | None:
     """Return why a folder is not a data set, and what was looked for; None if it has a known layout."""
     tables = _tables_in(folder)
@@ -88,7 +96,7 @@ def layout_problem(folder: Path) -> str | None:
             "with a row per picture"
         )
     what = "does not exist" if not folder.exists() else "is not a data set"
-    inside = sorted(path.parent.name for path in folder.glob(f"*/{MANIFEST}"))
+    inside = [path.name for path in domain_folders(folder) if path != folder]
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
     return (
         f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
@@ -103,8 +111,7 @@ class PictureFiles(StoredFrames):
     """A data set whose pictures are files of their own, `picture_paths`, one per frame.
 
     It has one rest picture or several, of which the column `reference_id` says which is a frame's own. The digest is
-    made from names, sizes and times of change of the pictures and of `further_files`: tables and rest pictures. Ranges
-    of forces that were found in the frames, (3, 2) N, are not declared.
+    made from names, sizes and times of change of the pictures and of `further_files`: tables and rest pictures.
     """
 
     def __init__(
@@ -116,32 +123,10 @@ class PictureFiles(StoredFrames):
         reference_paths: Sequence[Path],
         further_files: Sequence[Path],
         notes: Sequence[str],
-        found_range_n: np.ndarray | None = None,
     ):
-        self.folder, self.name, self.columns, self.notes = folder, name, columns, tuple(notes)
-        self.picture_paths, self.reference_paths = picture_paths, reference_paths
-        self.further_files, self.reference_count = further_files, len(reference_paths)
-        self._reduced: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
-        if found_range_n is not None:
-            self.force_range_n, self.declares_ranges = found_range_n, False
-
-    @cached_property
-    def reference(self) -> np.ndarray:
-        path = self.reference_paths[0]
-        return self.decoded(path.read_bytes(), f"the reference {path}", is_reference=True)
-
-    def references_at(self, size_px: int | tuple[int, int] | None = None, markers: bool = True) -> np.ndarray:
-        size = self.image_size_px(size_px)
-        if (size, markers) not in self._reduced:
-            pictures = map(self.reference_picture, self.reference_paths)
-            self._reduced[size, markers] = np.stack(
-                [resized(picture if markers else without_markers(picture), size) for picture in pictures]
-            )
-        return self._reduced[size, markers]
-
-    def reference_picture(self, path: Path) -> np.ndarray:
-        """Return a rest picture (h, w, 3); a ValueError if it is damaged or of another size than the first."""
-        return self.decoded(path.read_bytes(), f"the rest picture {path}")
+        super().__init__(folder, reference_paths)
+        self.name, self.columns, self.notes = name, columns, tuple(notes)
+        self.picture_paths, self.further_files = picture_paths, further_files
 
     @cached_property
     def digest(self) -> str:
@@ -203,23 +188,12 @@ def _published(folder: Path) -> PictureFiles:
     classes = columns.get("contact_class")
     if classes is None:
         notes.append("the table has no contact labels: contact classes are off")
-    else:
+    elif beyond := int((classes >= CONTACT_CLASSES).sum()):
         columns["contact_class"] = classes % CONTACT_CLASSES
-        if beyond := int((classes >= CONTACT_CLASSES).sum()):
-            notes.append(f"{beyond} labels are running numbers: taken modulo {CONTACT_CLASSES}")
+        notes.append(f"{beyond} labels are running numbers: taken modulo {CONTACT_CLASSES}")
     if parts != [UNSPLIT]:
-        counts = [len(own) for own, _ in read]
-        columns["split"] = np.repeat(np.array(parts, dtype=object), counts)
+        columns["split"] = np.repeat(np.array(parts, dtype=object), [len(own) for own, _ in read])
     columns["frame_id"] = np.arange(len(paths))
-    declared = LabelledFrames.force_range_n
-    forces = np.stack([columns[name] for name in FORCE_COLUMNS], axis=1)
-    forces = forces[np.isfinite(forces).all(axis=1)]
-    if outside := int(((forces < declared[:, 0]) | (forces > declared[:, 1])).any(axis=1).sum()):
-        smallest, largest = (np.round(part, 3).tolist() for part in (forces.min(axis=0), forces.max(axis=0)))
-        notes.append(
-            f"{outside} of {len(paths)} frames have a force outside the declared range {declared.tolist()} N: "
-            f"found {smallest}…{largest} N"
-        )
     reference = folder / PUBLISHED_REFERENCE
     return PictureFiles(folder, domain, columns, paths, [reference], [reference, *tables], notes)
 
@@ -227,25 +201,19 @@ def _published(folder: Path) -> PictureFiles:
 def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
     """Return the pictures of a part and its columns: forces, and contact classes where every row has one."""
     part = table.parents[1]
-    try:
-        rows = read_table(table)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{table} is missing; every part has its forces there") from None
-    names = list(rows[0]) if rows else PUBLISHED_FORCES
-    if missing := [name for name in PUBLISHED_FORCES if name not in names]:
-        raise ValueError(f"{table} lacks the columns {', '.join(missing)}; it has {', '.join(names)}")
-    found = sum(1 for path in (part / "images").glob("*.jpg") if path.stem.isdigit())
-    if found != len(rows):
+    if not table.is_file():
+        raise FileNotFoundError(f"{table} is missing; every part has its forces there")
+    columns = known_columns(table, (*FORCE_COLUMNS, "contact_class"))
+    if not set(FORCE_COLUMNS) <= columns.keys():
+        raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
+    paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
+    found = {path for path in (part / "images").glob("*.jpg") if path.stem.isdigit()}
+    if found != set(paths):
         raise ValueError(
-            f"{part} has {found} pictures and {len(rows)} rows of forces ({table}); they must match"
+            f"{part} has {len(found)} pictures and {len(paths)} rows of forces ({table}): they must match, "
+            "row i and images/i.jpg"
         )
-    paths = [part / "images" / f"{number}.jpg" for number in range(found)]
-    if gone := [path for path in paths if not path.is_file()]:
-        raise ValueError(f"{gone[0]} is missing; a row of {table} belongs to it")
-    wanted = dict(zip(FORCE_COLUMNS, PUBLISHED_FORCES, strict=True))
-    if all(row.get(PUBLISHED_LABEL) for row in rows):
-        wanted["contact_class"] = PUBLISHED_LABEL
-    return paths, {ours: _values(ours, theirs, rows, table) for ours, theirs in wanted.items()}
+    return paths, columns
 
 
 def _picture_folder(folder: Path) -> PictureFiles:
@@ -255,92 +223,80 @@ def _picture_folder(folder: Path) -> PictureFiles:
     0.1 N, which is noted.
     """
     (table,) = _tables_in(folder)
-    rows = read_table(table)
-    if not rows:
-        raise ValueError(f"{table} has no rows; expected one per picture")
-    header = [name for name in rows[0] if name]
-    picture = _find(header, PICTURE_NAMES)
-    found = {ours: theirs for ours, names in COLUMNS.items() if (theirs := _find(header, names))}
-    has = f"it has {', '.join(header)}: expected for example picture, fx_n, fy_n, fz_n"
-    if picture is None:
-        raise ValueError(f"{table} lacks a column that names the picture; {has}")
-    if not known_labels(found):
+    columns, notes = known_columns(table), []
+    if "picture" not in columns or not known_labels(columns):
         raise ValueError(
-            f"{table} has no label, of which one at least is needed ({', '.join(QUANTITIES)}); {has}"
+            f"{table} has no label, or names no pictures: it needs a column picture and at least one of "
+            f"{', '.join(QUANTITIES)}; it has {', '.join(read_table(table)[0])}"
         )
-    paths = [_picture_path(table, row[picture]) for row in rows]
-    columns = {"frame_id": np.arange(len(rows))}
-    columns |= {ours: _values(ours, found[ours], rows, table) for ours in found if ours != "reference"}
-    notes = []
+    paths = [picture_path(table, name) for name in columns.pop("picture")]
+    columns = {"frame_id": np.arange(len(paths))} | columns
     if repeated := len(paths) - len(set(paths)):
         notes.append(f"{repeated} rows name a picture that a row before them names")
-    forces_n = [
-        np.abs(columns[name]).max(initial=0, where=np.isfinite(columns[name]))
-        for name in FORCE_COLUMNS
-        if name in columns
-    ]
-    if forces_n and max(forces_n) > _LARGEST_LIKELY_N:
-        notes.append(f"forces reach {max(forces_n):g} N, beyond any such sensor's: are they in mN?")
-    ranges = LabelledFrames.force_range_n.copy()
-    for axis, name in enumerate(FORCE_COLUMNS):
-        if name in columns:
-            ranges[axis] = covering(columns[name], paper_range(name))
-    if not np.array_equal(ranges, LabelledFrames.force_range_n):
-        told = (
-            f"{QUANTITIES[name].symbol} {low:g}…{high:g}"
-            for name, (low, high) in zip(FORCE_COLUMNS, ranges, strict=True)
-            if name in columns
-        )
-        notes.append(f"forces go beyond the paper's range: the declared range is {', '.join(told)} N")
-    named = [row[found["reference"]] for row in rows] if "reference" in found else None
-    references = _references(table, columns, named, paths, notes)
-    return PictureFiles(folder, folder.name, columns, paths, references, [table, *references], notes, ranges)
+    forces = [name for name in FORCE_COLUMNS if name in columns]
+    ranges = PAPER_RANGES | {name: covering(columns[name], PAPER_RANGES[name]) for name in forces}
+    if ranges != PAPER_RANGES:
+        told = Labels.of({name: ranges[name] for name in forces})
+        notes.append(f"forces go beyond the paper's range: the declared range is {told}")
+    if (largest_n := np.abs(list(ranges.values())).max()) > _LARGEST_LIKELY_N:
+        notes.append(f"forces reach {largest_n:g} N, beyond any such sensor's: are they in mN?")
+    references = _references(table, columns, paths, notes)
+    frames = PictureFiles(folder, folder.name, columns, paths, references, [table, *references], notes)
+    frames.force_range_n, frames.declares_ranges = np.array(list(ranges.values())), False
+    return frames
 
 
-def _find(header: list[str], names: tuple[str, ...]) -> str | None:
-    return next((column for column in header if _plain(column) in names), None)
+def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.ndarray]:
+    """Return the wanted columns that a table has, (n,) each by our name: numbers, whole numbers, or texts.
+
+    Numbers of classes and points are left out unless every row has one.
+
+    Raises
+    ------
+    ValueError
+        If there is no row, or a cell is not what its column needs.
+    """
+    rows = read_table(table)
+    if not rows:
+        raise ValueError(f"{table} has no rows")
+    found: dict[str, np.ndarray] = {}
+    for ours in wanted:
+        theirs = next((name for name in rows[0] if name and _plain(name) in COLUMNS[ours]), None)
+        if theirs is None:
+            continue
+        values, where = [row[theirs] for row in rows], f"{table}, column {theirs!r}"
+        if ours in TEXTS:
+            if ours in GROUPS and not all(values):
+                raise ValueError(f"{where}: every row must hold a name")
+            found[ours] = np.array(values, dtype=object)
+        elif ours in NUMBERS or all(values):
+            found[ours] = _numbers(values, where)
+    for name in WHOLE_NUMBERS.keys() & found.keys():
+        if not (np.abs(found[name]) < 2**31).all():
+            raise ValueError(f"{table}: every row must hold a whole number in the column of {name}")
+        found[name] = found[name].astype(np.int64)
+    return found
 
 
-def _plain(name: str) -> str:
-    return "".join(letter for letter in name.lower().split("(")[0] if letter.isalnum())
-
-
-def _picture_path(table: Path, name: str) -> Path:
-    folder = table.parent
-    if not stays_inside(name):
-        raise ValueError(f"{table} names the picture {name!r}: pictures must lie in {folder}")
-    for place in (folder / name, folder / "images" / name):
-        if place.is_file():
-            return place
-    raise FileNotFoundError(
-        f"{table} names the picture {name!r}, which is neither in {folder} nor in images/"
-    )
-
-
-def _values(ours: str, theirs: str, rows: list[dict[str, str]], table: Path) -> np.ndarray:
-    values = [row[theirs] for row in rows]
-    if ours in TEXTS:
-        if ours in GROUPS and not all(values):
-            raise ValueError(f"{table}, column {theirs!r}: every row must hold a name")
-        return np.array(values, dtype=object)
+def _numbers(values: list[str], where: str) -> np.ndarray:
     numbers = np.empty(len(values))
     for row, value in enumerate(values):
         try:
             numbers[row] = float(value)
         except ValueError:
             raise ValueError(
-                f"{table}, column {theirs!r}: every row must hold a number, and row {row + 1} below the header holds "
+                f"{where}: every row must hold a number, and row {row + 1} below the header holds "
                 f"{quoted(value) if value else 'nothing'}"
             ) from None
-    if ours not in WHOLE_NUMBERS:
-        return numbers
-    if not (np.abs(numbers) < 2**31).all():
-        raise ValueError(f"{table}, column {theirs!r}: every row must hold a whole number")
-    return numbers.astype(np.int64)
+    return numbers
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower().split("(")[0] if letter.isalnum())
 
 
 def _references(
-    table: Path, columns: dict[str, np.ndarray], named: list[str] | None, paths: list[Path], notes: list[str]
+    table: Path, columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
 ) -> list[Path]:
     """Return the rest pictures; where frames have their own, the column `reference_id` says which.
 
@@ -349,48 +305,51 @@ def _references(
     contact, which is noted.
     """
     folder = table.parent
-    if named is not None:
-        own = [_picture_path(table, name) for name in named]
+    if "reference" in columns:
+        own = [picture_path(table, name) for name in columns.pop("reference")]
     elif "clip" in columns and (folder / REFERENCES).is_dir():
-        of_clip = {clip: _clip_reference(table, clip) for clip in dict.fromkeys(columns["clip"])}
-        own = [of_clip[clip] for clip in columns["clip"]]
+        own = [
+            _file_of(table, f"clip {clip!r}", [f"{REFERENCES}/{clip}{ending}" for ending in PICTURES])
+            for clip in columns["clip"]
+        ]
     else:
         for path in sorted([*folder.iterdir(), *(folder / "images").glob("*")]):
             if path.suffix.lower() in PICTURES and _plain(path.stem) in REFERENCE_STEMS:
                 return [path]
-        index, why = _lightest_touch(folder, columns)
-        notes.append(f"no reference picture: frame {index}, {why}, takes its place")
+        index = _lightest_touch(folder, columns)
+        notes.append(f"no reference picture: frame {index}, which shows least contact, takes its place")
         return [paths[index]]
     number = {path: i for i, path in enumerate(dict.fromkeys(own))}
     columns["reference_id"] = np.array([number[path] for path in own])
     return list(number)
 
 
-def _clip_reference(table: Path, clip: str) -> Path:
-    folder = table.parent
-    if not stays_inside(clip):
-        raise ValueError(f"{table} names the clip {clip!r}: its rest picture must lie in {folder}")
-    for ending in PICTURES:
-        if (path := folder / REFERENCES / f"{clip}{ending}").is_file():
+def picture_path(table: Path, name: str) -> Path:
+    """Return the picture that a table names, in its folder or `images/`; a ValueError if it is not there."""
+    return _file_of(table, f"the picture {name!r}", [name, f"images/{name}"])
+
+
+def _file_of(table: Path, what: str, places: Sequence[str]) -> Path:
+    """Return the first of some places in a table's folder that has a file, of what the table names."""
+    for place in places:
+        if not stays_inside(place):
+            raise ValueError(f"{table} names {what}: pictures must lie in {table.parent}")
+        if (path := table.parent / place).is_file():
             return path
-    raise FileNotFoundError(
-        f"clip {clip!r} of {table} has no rest picture; expected {folder / REFERENCES / clip}.png"
+    raise ValueError(
+        f"{table} names {what}, which is not there: expected {' or '.join(places)} in {table.parent}"
     )
 
 
-def _lightest_touch(folder: Path, columns: dict[str, np.ndarray]) -> tuple[int, str]:
-    """Return the frame that shows least contact, and why: of class 0, or of the smallest force or depth."""
+def _lightest_touch(folder: Path, columns: dict[str, np.ndarray]) -> int:
+    """Return the frame that shows least contact: of class 0, or of the smallest force or depth."""
+    is_untouched = columns.get("contact_class", np.ones(1)) == 0
+    if is_untouched.any():
+        return int(is_untouched.argmax())
     forces = [columns[name] for name in FORCE_COLUMNS if name in columns]
     size = np.linalg.norm(forces, axis=0) if forces else columns.get("depth_mm")
-    classes = columns.get("contact_class")
-    if classes is not None and (classes == 0).any():
-        index = int(np.flatnonzero(classes == 0)[0])
-    elif size is not None:
-        index = int(np.nan_to_num(size, nan=np.inf).argmin())
-    else:
+    if size is None:
         raise FileNotFoundError(
             f"{folder} has no reference picture: put reference.png there, or name rest pictures in a column reference"
         )
-    if size is None:
-        return index, "of class 0"
-    return index, f"with a force of {size[index]:.3f} N" if forces else f"at a depth of {size[index]:.3f} mm"
+    return int(np.nan_to_num(size, nan=np.inf).argmin())

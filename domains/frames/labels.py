@@ -14,6 +14,8 @@ FORCE_COLUMNS = ("fx_n", "fy_n", "fz_n")
 
 PAPER_FORCE_RANGE_N = ((-0.75, 0.75), (-0.75, 0.75), (-3.0, 0.0))
 """The paper's fixed ranges of Fx, Fy, Fz in N, by which forces are normalised."""
+PAPER_RANGES = dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True))
+"""The same by name."""
 
 _PER_UNIT = 10
 """Ranges found in the data end at tenths of the label's unit."""
@@ -120,11 +122,6 @@ def usual_labels(columns: Iterable[str]) -> tuple[str, ...]:
     """Return which columns are labels unless others are named: the force's axes, or without any all that there are."""
     known = known_labels(columns)
     return tuple(name for name in known if name in FORCE_COLUMNS) or known
-
-
-def paper_range(name: str) -> Range | None:
-    """Return the paper's range of an axis of the force; None for other labels."""
-    return dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True)).get(name)
 
 
 def hull(ranges: Iterable[Range | None]) -> Range | None:

@@ -1,6 +1,5 @@
 """Network inputs from labelled frames: contact and reference picture paired and normalised, a batch at a time."""
 
-import copy
 from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
@@ -66,7 +65,6 @@ class PairedFrames(Dataset):
         if pairing not in get_args(Pairing):
             raise ValueError(f"pairing {pairing!r} is unknown; known: {', '.join(get_args(Pairing))}")
         self.pairing = pairing
-        self.statistics: ChannelStatistics | None = None
         self.images = torch.from_numpy(images).to(device)
         self.label_values = torch.from_numpy(label_values.astype(np.float32)).to(device)
         self.contact_class = torch.from_numpy(contact_class.astype(np.int64)).to(device)
@@ -107,9 +105,6 @@ class PairedFrames(Dataset):
             pictures.sub_(self._mean).div_(self._std)
             reference = own.expand_as(pictures)
             pictures = torch.cat([pictures, reference], dim=3 if self.pairing == "channels" else 1)
-        if self.statistics is not None:
-            mean, std = (torch.tensor(values, device=pictures.device) for values in self.statistics)
-            pictures.sub_(mean).div_(std)
         return pictures.permute(0, 3, 1, 2)
 
     def channel_statistics(self) -> ChannelStatistics:
@@ -122,12 +117,6 @@ class PairedFrames(Dataset):
         mean = total / n
         std = (squares / n - mean.square()).clamp_min(_LEAST_STD**2).sqrt()
         return ChannelStatistics(tuple(mean.tolist()), tuple(std.tolist()))
-
-    def standardised(self, statistics: ChannelStatistics) -> "PairedFrames":
-        """Return the same frames with inputs less the mean and over the standard deviation of each channel."""
-        frames = copy.copy(self)
-        frames.statistics = statistics
-        return frames
 
     def loader(
         self, batch_size: int = 32, shuffle: bool = True, seed: int = 0, workers: int = 0

@@ -12,6 +12,7 @@ from gelgap.assets.names import quoted
 from gelgap.domains.domain import random_stream
 from gelgap.domains.frames.dataset import LabelledFrames, outside
 from gelgap.domains.frames.labels import (
+    PAPER_RANGES,
     QUANTITIES,
     Labels,
     Range,
@@ -19,7 +20,6 @@ from gelgap.domains.frames.labels import (
     covering,
     hull,
     known_labels,
-    paper_range,
     usual_labels,
 )
 
@@ -182,12 +182,12 @@ def _parts_by_group(
     """As `_parts`, of frames with numbers of groups (n,); those that both domains have are drawn by themselves."""
     count = int(np.concatenate(groups).max()) + 1
     known_to = np.stack([np.isin(np.arange(count), own) for own in groups])
-    sharing = np.unique(known_to, axis=1, return_inverse=True)[1].reshape(-1)
-    strata = None if stratify_by is None else _strata_of(domains, groups, count, stratify_by)
+    shared = known_to.all(axis=0)
+    strata = None if stratify_by is None else _strata_of(domains, groups, stratify_by)
     found = []
-    for frames, own_groups, own_shares in zip(domains, groups, shares, strict=True):
+    for frames, own_groups, known, own_shares in zip(domains, groups, known_to, shares, strict=True):
         parts = np.empty(count, dtype=np.int64)
-        for same in (sharing == kind for kind in np.unique(sharing)):
+        for same in (shared, known & ~shared):
             if strata is None:
                 parts[same] = draw_parts(int(same.sum()), seed, own_shares)
             else:
@@ -197,7 +197,7 @@ def _parts_by_group(
     return found
 
 
-def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: str) -> list[np.ndarray]:
+def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: str) -> tuple[np.ndarray, ...]:
     """Return the number (n,) of each frame's group, from 0; equal values of a column are one group, across domains."""
     for frames in domains:
         if column not in frames.columns:
@@ -206,29 +206,25 @@ def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: st
                 f"{what} = {quoted(column)}: data set {frames.name} has no such column; {known}, such as "
                 f"{', '.join(has)}"
             )
-    values = np.concatenate([frames.columns[column] for frames in domains])
-    numbers = np.unique(values.astype(str), return_inverse=True)[1]
-    return np.split(numbers, np.cumsum([len(frames) for frames in domains])[:-1])
+    return _numbered([frames.columns[column].astype(str) for frames in domains])
 
 
-def _strata_of(
-    domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], count: int, column: str
-) -> np.ndarray:
-    """Return the stratum (count,) of each group; a ValueError if a group has frames of several."""
-    strata = _groups(domains, column, "stratify_by", "take a column")
-    pairs = np.unique(np.stack([np.concatenate(groups), np.concatenate(strata)], axis=1), axis=0)
-    if len(pairs) > len(np.unique(pairs[:, 0])):
-        twice = pairs[1:, 0][np.diff(pairs[:, 0]) == 0][0]
+def _strata_of(domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], column: str) -> np.ndarray:
+    """Return the stratum of each group; a ValueError if a group has frames of several."""
+    import pandas as pd
+
+    strata = np.concatenate(_groups(domains, column, "stratify_by", "take a column"))
+    of_group = pd.Series(strata).groupby(np.concatenate(groups))
+    if (is_mixed := of_group.nunique() > 1).any():
         named = " and ".join(frames.name for frames in domains)
-        own = (f.columns[column][g == twice] for f, g in zip(domains, groups, strict=True))
-        values = ", ".join(sorted({str(value) for values in own for value in values}))
+        found = zip(domains, groups, strict=True)
+        values = {str(value) for f, own in found for value in f.columns[column][own == is_mixed.idxmax()]}
         raise ValueError(
-            f"data set {named}: a group that stays whole has more than one {column} ({values}): stratify by a column "
-            "that is the same for all frames of a group, and give groups of two data sets different names"
+            f"data set {named}: a group that stays whole has more than one {column} ({', '.join(sorted(values))}): "
+            "stratify by a column that is the same for all frames of a group, and give groups of two data sets "
+            "different names"
         )
-    found = np.empty(count, dtype=np.int64)
-    found[pairs[:, 0]] = pairs[:, 1]
-    return found
+    return of_group.first().to_numpy()
 
 
 def _stated_parts(frames: LabelledFrames, stratify_by: str | None) -> np.ndarray:
@@ -298,8 +294,7 @@ def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndar
         first, second = _numbered(labels)
     else:
         for frames in domains:
-            missing = [name for name in _POSE if name not in frames.columns]
-            if missing:
+            if missing := [name for name in _POSE if name not in frames.columns]:
                 raise ValueError(
                     f"data set {frames.name} lacks {', '.join(missing)}: its contacts cannot be paired"
                 )
@@ -310,8 +305,7 @@ def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndar
 
 
 def _rounded(frames: LabelledFrames, columns: Sequence[str]) -> np.ndarray:
-    values_mm = np.stack([frames.columns[name] for name in columns], axis=1)
-    return np.rint(values_mm / _RESOLUTION_MM).astype(np.int64)
+    return np.rint(frames.values_of(columns) / _RESOLUTION_MM).astype(np.int64)
 
 
 def _numbered(keys: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -359,7 +353,7 @@ def labels_of_run(
         raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
     found, notes = {}, []
     for name in names:
-        declared = hull(frames.declared_range(name) for frames in (source, target)) or paper_range(name)
+        declared = hull(frames.declared_range(name) for frames in (source, target)) or PAPER_RANGES.get(name)
         found[name] = ranges.get(name) or declared
         if name not in ranges and (declared is None or not source.declares_ranges):
             found[name] = covering(source.columns[name], declared)

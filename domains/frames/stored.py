@@ -6,27 +6,22 @@ import itertools
 import logging
 import os
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from gelgap.assets.checksums import sha256
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.whole_file import warn, whole_file
-from gelgap.domains.formats.domain_folder import (
-    MISSING,
-    REFERENCE,
-    DomainFolder,
-    remembered,
-    remembered_sha256,
-)
+from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, remembered
 from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
-from gelgap.domains.formats.shards import OPTIONAL, ShardFile, damaged
-from gelgap.domains.frames.dataset import LabelledFrames
+from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, ShardFile, damaged
+from gelgap.domains.frames.dataset import LabelledFrames, RestPictures
 
 if TYPE_CHECKING:
     from gelgap.domains.recipe import DomainRecipe
@@ -40,9 +35,14 @@ _CHECKSUM_BYTES = len(_MARK) + hashlib.sha256().digest_size
 
 
 class StoredFrames(LabelledFrames):
-    """A data set in a `folder`; what reads one layout says how to get a frame's encoded picture."""
+    """A data set in a `folder`; what reads one layout says how to get a frame's encoded picture.
 
-    folder: Path
+    Frames have the picture without contact of one of the files `reference_paths`.
+    """
+
+    def __init__(self, folder: Path, reference_paths: Sequence[Path]):
+        self.folder, self.reference_paths = folder, reference_paths
+        self.rest_pictures = RestPictures([partial(self.rest_picture, path) for path in reference_paths])
 
     @abstractmethod
     def encoded_picture(self, index: int) -> bytes:
@@ -53,13 +53,16 @@ class StoredFrames(LabelledFrames):
         """Return the name of the file that holds one frame's picture."""
 
     def picture(self, index: int) -> np.ndarray:
-        return self._decoded(index, self.encoded_picture(index))
+        return self.decoded(self.encoded_picture(index), f"{self.place_of(index)}: frame {index}")
 
-    def _decoded(self, index: int, data: bytes) -> np.ndarray:
-        return self.decoded(data, f"{self.place_of(index)}: frame {index}")
+    def rest_picture(self, path: Path) -> np.ndarray:
+        """Return a picture without contact; a ValueError if it is damaged, or of another size than the first."""
+        return self.decoded(
+            path.read_bytes(), f"the reference {path}", is_first=path == self.reference_paths[0]
+        )
 
-    def decoded(self, data: bytes, what: str, *, is_reference: bool = False) -> np.ndarray:
-        """Return a picture (h, w, 3) of the reference's size; a ValueError names what it is."""
+    def decoded(self, data: bytes, what: str, *, is_first: bool = False) -> np.ndarray:
+        """Return a picture (h, w, 3) of the size of the first reference; a ValueError names what it is."""
         try:
             picture = as_colour(decode_picture(data))
         except ValueError as error:
@@ -67,7 +70,7 @@ class StoredFrames(LabelledFrames):
                 f"data set {self.name}: {what} is not readable: {error}; "
                 f"`gelgap inspect {self.folder} --verify` names every such picture"
             ) from None
-        if not is_reference and picture.shape != self.reference.shape:
+        if not is_first and picture.shape != self.reference.shape:
             (height, width), (width0, height0) = picture.shape[:2], self.size_px
             raise ValueError(
                 f"data set {self.name}: {what} is {width}×{height} px, the reference {width0}×{height0} px; "
@@ -108,7 +111,7 @@ class StoredFrames(LabelledFrames):
 
     def _decoded_chunks(self, size_px: tuple[int, int], markers: bool) -> Iterator[bytes]:
         def shrunk(index: int, data: bytes) -> np.ndarray:
-            picture = self._decoded(index, data)
+            picture = self.decoded(data, f"{self.place_of(index)}: frame {index}")
             return resized(picture if markers else without_markers(picture), size_px)
 
         doing = "decoding pictures" if markers else "hiding the markers"
@@ -172,7 +175,7 @@ class GeneratedDomain(StoredFrames):
 
     def __init__(self, folder: Path | str):
         files = DomainFolder(folder)
-        self.folder = files.path
+        super().__init__(files.path, [files.path / REFERENCE])
         self.manifest: dict[str, Any] = files.read_manifest()
         self.name = self.manifest["domain"]
         self.force_range_n = np.array(self.manifest["force_range_n"])
@@ -185,40 +188,23 @@ class GeneratedDomain(StoredFrames):
             raise RuntimeError(
                 f"{files.manifest_path} names no frames; generate the domain again with --overwrite"
             )
-        self._check_bytes(files)
+        # A changed label would train a model, and no one would see it.
+        for damage in files.damaged_files(self.manifest):
+            raise damaged(self.folder / damage.file, damage.problem)
         self.shards = [ShardFile(self.folder / name) for name in names]
-        tables = [shard.labels() for shard in self.shards]
-        for shard, table in zip(self.shards, tables, strict=True):
-            if table.keys() != tables[0].keys():
+        for shard in self.shards:
+            if shard.schema != self.shards[0].schema:
                 raise damaged(shard.path, f"its columns are not those of {names[0]}")
-        joined = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-        kept = np.flatnonzero(joined["converged"])
-        self.columns = {name: values[kept] for name, values in joined.items()}
-        self.unconverged = len(joined["converged"]) - len(kept)
+        labels = [name for name in self.shards[0].schema.names if COLUMNS[name].value]
+        tables = [shard.table(labels) for shard in self.shards]
+        table = pa.concat_tables(tables)
+        kept = np.flatnonzero(table["converged"])
+        self.columns = {name: table[name].to_numpy()[kept] for name in labels}
+        self.unconverged = len(table) - len(kept)
         if self.unconverged:
-            self.notes = (
-                f"{self.unconverged} of {len(joined['converged'])} frames did not converge: left out",
-            )
-        places = [
-            (number, row) for number, table in enumerate(tables) for row in range(len(table["converged"]))
-        ]
+            self.notes = (f"{self.unconverged} of {len(table)} frames did not converge: left out",)
+        places = [(number, row) for number, own in enumerate(tables) for row in range(len(own))]
         self._places = np.array(places)[kept]
-
-    def _check_bytes(self, files: DomainFolder) -> None:
-        """Compare every file with the manifest: a changed label would train a model, and no one would see it."""
-        names, entries = self.manifest["files"].keys(), self.manifest["files"].values()
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
-            problems = threads.map(files.problem, names, entries, itertools.repeat(remembered_sha256))
-            for name, problem in zip(names, problems, strict=True):
-                if problem == MISSING:
-                    raise FileNotFoundError(f"{self.folder / name} is missing; generate the domain again")
-                if problem:
-                    raise damaged(self.folder / name, problem)
-
-    @cached_property
-    def reference(self) -> np.ndarray:
-        path = self.folder / REFERENCE
-        return self.decoded(path.read_bytes(), str(path), is_reference=True)
 
     @cached_property
     def digest(self) -> str:
@@ -254,18 +240,6 @@ class GeneratedDomain(StoredFrames):
         """Return the height map (h, w) in mm."""
         scale = self.manifest["height_map"]
         return scale["offset_mm"] + scale["step_mm"] * self.optional("height_map", index).astype(np.float64)
-
-    def contact_mask(self, index: int) -> np.ndarray:
-        """Return where the indenter touches, (h, w) bool."""
-        return self.optional("contact_mask", index) > 0
-
-    def marker_px(self, index: int) -> np.ndarray:
-        """Return where the markers are in the picture, (m, 2) pixels."""
-        return self.optional("marker_px", index)
-
-    def marker_rest_mm(self, index: int) -> np.ndarray:
-        """Return where the markers are on the undeformed membrane, (m, 2) mm."""
-        return self.optional("marker_rest_mm", index)
 
     @cached_property
     def recipe(self) -> "DomainRecipe":

@@ -32,14 +32,20 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
         (lambda mine: (mine / "press-2.mp4").write_bytes(b""), "has several: press-2, press-2.mp4"),
         (lambda mine: (mine / "press-1.csv").write_text("time,fz_n\n1,2\n"), "must have the column time_s"),
         (lambda mine: (mine / "press-1.csv").write_text("time_s,depth_mm\n1,2\n"), "one of fx_n, fy_n, fz_n"),
-        (lambda mine: (mine / "press-1.csv").write_text("time_s,fz_n\n1,a\n"), "finite number"),
+        (
+            lambda mine: (mine / "press-1.csv").write_text("time_s,fz_n\n1,a\n"),
+            "row 1 below the header holds 'a'",
+        ),
         (lambda mine: (mine / "press-1.csv").write_text("time_s,fz_n\n1,9\n2,0\n"), "turn its sign"),
         (
             lambda mine: (mine / "press-1.csv").write_text("time_s,fz_n\n1,-9\n1,0\n"),
-            "times must increase; that of row 1",
+            "times must be finite and increase",
         ),
         (lambda mine: (mine / "press-2/times.csv").unlink(), "one table with the columns picture, time_s"),
-        (lambda mine: (mine / "press-2/7.png").unlink(), "'7.png', which is not in"),
+        (
+            lambda mine: (mine / "press-2/7.png").unlink(),
+            "names the picture '7.png', which is not there: expected 7.png",
+        ),
         (lambda mine: (mine / "press-2/7.png").write_bytes(b"no"), "7.png is not readable"),
         (
             lambda mine: write_table(

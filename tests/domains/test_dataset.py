@@ -54,10 +54,10 @@ def test_optional_columns_are_there_when_asked_for_and_refused_when_not(data: Pa
     height = frames.height_map_mm(4)
     assert height.shape == (60, 80)
     assert height.max() == pytest.approx(0.2, abs=0.03)
-    assert frames.contact_mask(4).any()
-    assert not frames.contact_mask(0).any()
-    moved = frames.marker_px(4) - frames.marker_px(0)
-    assert frames.marker_rest_mm(4).shape == moved.shape == (88, 2)
+    assert frames.optional("contact_mask", 4).any()
+    assert not frames.optional("contact_mask", 0).any()
+    moved = frames.optional("marker_px", 4) - frames.optional("marker_px", 0)
+    assert frames.optional("marker_rest_mm", 4).shape == moved.shape == (88, 2)
     assert 0 < np.nanmax(np.abs(moved)) < 2
     solved = {field.name for field in dataclasses.fields(Diagnostics)}
     assert solved <= frames.columns.keys()
@@ -116,32 +116,30 @@ def test_pictures_without_markers_are_made_once_and_only_when_asked_for(
     frames = open_domain(tmp_path / "mb0i0")
     shown = frames.images(80)
     assert [path.name.split("-")[0] for path in (tmp_path / "mb0i0" / ".cache").glob("*.npy")] == ["images"]
-    hidden = frames.images_without_markers(80)
+    hidden = frames.images(80, markers=False)
     # The generated domain with inpainted markers has been made in the same way.
     np.testing.assert_array_equal(hidden, open_domain(data / "wmb0i0").images(80))
     assert (shown.max(axis=3) < 60).sum() > 1000
     assert not (hidden.max(axis=3) < 60).any()
     some = frames.take(np.array([5, 2]))
     monkeypatch.setattr("gelgap.domains.frames.stored.write_kept_pictures", pytest.fail)
-    np.testing.assert_array_equal(some.images_without_markers(80), hidden[[5, 2]])
+    np.testing.assert_array_equal(some.images(80, markers=False), hidden[[5, 2]])
     held = ArrayFrames("held", frames.images(), frames.reference, frames.force_n)
-    np.testing.assert_array_equal(held.images_without_markers((40, 30))[3], resized(hidden[3], (40, 30)))
+    np.testing.assert_array_equal(held.images((40, 30), markers=False)[3], resized(hidden[3], (40, 30)))
 
 
 def test_pictures_in_which_no_marker_is_found_stay(data: Path):
     frames = open_domain(data / "wmb0i0")
-    np.testing.assert_array_equal(frames.images_without_markers(40), frames.images(40))
+    np.testing.assert_array_equal(frames.images(40, markers=False), frames.images(40))
 
 
 @pytest.mark.parametrize("pairing", ["channels", "difference"])
-def test_standardised_inputs_have_unit_statistics(data: Path, pairing: str):
-    pytest.importorskip("torch")
+def test_the_statistics_of_channels_are_those_of_all_inputs(data: Path, pairing: str):
     pairs = open_domain(data / "mb0i1").torch((40, 30), pairing)
-    statistics = pairs.channel_statistics()
-    inputs = pairs.standardised(statistics).inputs(np.arange(len(pairs))).double()
-    assert inputs.mean(dim=(0, 2, 3)).abs().max() < 1e-4
-    assert (inputs.std(dim=(0, 2, 3)) - 1).abs().max() < 1e-3
-    assert pairs.statistics is None
+    inputs = pairs.inputs(np.arange(len(pairs))).double()
+    mean, std = pairs.channel_statistics()
+    assert mean == pytest.approx(inputs.mean(dim=(0, 2, 3)).tolist(), abs=1e-6)
+    assert std == pytest.approx(inputs.std(dim=(0, 2, 3)).tolist(), rel=1e-3)
 
 
 def arrays(n: int = 6, **changes) -> ArrayFrames:
@@ -229,7 +227,7 @@ def test_it_opens_as_it_is_in_pandas_pyarrow_and_hugging_face(data: Path, tmp_pa
     assert isinstance(loaded.features["image"], datasets.Image)
     assert np.array_equal(np.asarray(loaded[5]["image"]), frames.picture(5))
     assert np.asarray(loaded[5]["height_map"]).dtype.itemsize >= 2
-    assert np.allclose(loaded[5]["marker_px"], frames.marker_px(5))
+    assert np.allclose(loaded[5]["marker_px"], frames.optional("marker_px", 5))
 
 
 @pytest.mark.parametrize("shape", [(7, 5, 3), (7, 5)])
@@ -261,7 +259,7 @@ def test_torch_batches_are_pairs_of_normalised_pictures(data: Path, pairing: str
     assert len(pairs) == 16
     inputs, forces, classes = next(iter(pairs.loader(batch_size=8, shuffle=False)))
     mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
-    pictures = frames.images((40, 30))[4] / 255, frames.reference_at((40, 30)) / 255
+    pictures = frames.images((40, 30))[4] / 255, frames.references_at((40, 30))[0] / 255
     contact, reference = (((picture - mean) / std).transpose(2, 0, 1) for picture in pictures)
     expected = {
         "channels": np.concatenate([contact, reference], axis=0),

@@ -32,8 +32,8 @@ def test_the_papers_layout_is_read_back_with_the_same_labels(data: Path, tmp_pat
 
 
 def test_webdataset_tars_hold_pictures_and_labels_and_are_the_same_each_time(data: Path, tmp_path: Path):
-    for name in ("one", "two"):
-        export(data, "webdataset", tmp_path / name)
+    for name, split_by in {"one": None, "two": "given"}.items():
+        export(data, "webdataset", tmp_path / name, split_by=split_by)
     files = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.*"))
     assert all(
         (tmp_path / "one" / path).read_bytes() == (tmp_path / "two" / path).read_bytes() for path in files

@@ -93,12 +93,12 @@ def unknown(table: pa.Table) -> pa.Table:
 
 
 PLANTED: dict[str, tuple[Callable[[pa.Table], pa.Table], str]] = {
-    "strings": (strings, "column split has a dictionary"),
-    "pictures": (pictures, "column image would take "),
-    "points": (points, "column marker_px states "),
+    "strings": (strings, "column split would take more memory"),
+    "pictures": (pictures, "column image would take more memory"),
+    "points": (points, "column marker_px would take more memory"),
     "rows": (rows, "it states 250000 rows"),
     "nested": (nested, ""),
-    "unknown": (unknown, "column 'more' is unknown"),
+    "unknown": (unknown, "its columns are not those of a domain"),
     "texts": (lambda table: with_column(table, "fx_n", pa.array(["x"] * len(table))), ""),
     "no pictures": (lambda table: table.drop_columns("image"), ""),
     "no cells": (lambda table: with_column(table, "image", pa.nulls(len(table), PICTURE)), ""),

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.domains.inspection import domain_folders, inspect_domain, verify_domain, write_overview
+from gelgap.domains import domain_folders, inspect_domain, verify_domain, write_overview
 
 
 def test_the_facts_are_those_of_the_data(data: Path):
     facts = inspect_domain(data / "mb0i0")
     assert (facts.frames, facts.unconverged, facts.points, facts.classes) == (26, 0, 2, 13)
-    assert facts.force_max_n[2] == 0
+    assert facts.labels["fz_n"][1] == 0
     assert facts.outside_range == 0
     assert "contact_mask" in str(facts)
     assert [path.name for path in domain_folders(data)] == ["mb0i0", "mb0i1", "wmb0i0"]
@@ -45,11 +45,8 @@ def test_the_page_is_self_contained_and_holds_every_section(data: Path, tmp_path
     titles = re.findall("<h2>(.*?)</h2>", page)
     assert titles == [
         "Counts",
-        "Forces",
-        "Force against the contact",
-        "Coverage of the path",
+        "Labels and contacts",
         "Samples",
-        "Marker flow",
         "Frames left out",
         "Gap",
         "Provenance",
@@ -65,10 +62,10 @@ def test_a_page_of_real_data_leaves_out_what_is_not_known(tmp_path: Path, data: 
     export(data / "mb0i1", "paper", tmp_path / "out")
     page = write_overview(tmp_path / "out" / "mb0i1", tmp_path / "page.html").read_text()
     assert "<h2>Gap</h2>" not in page
-    assert "generate with the column marker_px" in page
+    assert "class 0" in page
 
 
-def test_a_page_of_fz_alone_has_no_empty_plots_and_no_class(tmp_path: Path):
+def test_a_page_of_fz_alone_has_no_class(tmp_path: Path):
     import cv2
     import numpy as np
 
@@ -76,7 +73,6 @@ def test_a_page_of_fz_alone_has_no_empty_plots_and_no_class(tmp_path: Path):
         cv2.imwrite(str(tmp_path / name), np.full((24, 32, 3), 90, np.uint8))
     (tmp_path / "frames.csv").write_text("picture,fz_n\n0.png,0.1\n1.png,-44.5\n")
     page = write_overview(tmp_path, tmp_path / "page.html").read_text()
-    assert page.count("Not in this data set") == 3
     assert "class -1" not in page
     assert "-44.50 N" in page
-    assert "the declared range is Fz -44.5…0.1 N" in page
+    assert "the declared range is fz_n=-44.5:0.1" in page

@@ -52,7 +52,7 @@ def test_a_table_may_have_one_axis_alone(tmp_path: Path):
     assert inputs[0, 0, 0, 0] == pytest.approx(4 * (40 - 200) / 255)
     with pytest.raises(ValueError, match="wedge has no label fx_n, fy_n; its labels: fz_n"):
         _ = data.force_n
-    assert "  forces   Fz -12.000…0.000 N; 0 frames outside" in str(inspect_domain(tmp_path / "wedge"))
+    assert "  labels   Fz -12.000…0.000 N; 0 frames outside" in str(inspect_domain(tmp_path / "wedge"))
 
 
 def test_without_forces_every_label_counts_and_its_range_covers_the_frames(tmp_path: Path):
@@ -83,7 +83,10 @@ def test_a_range_moves_only_where_it_must(values, start, found):
         ({"fz_n": ""}, "column 'fz_n': every row must hold a number"),
         ({"fz_n": -1.0, "clip": ""}, "column 'clip': every row must hold a name"),
         ({"fz_n": -1.0, "reference": "../rest.png"}, "pictures must lie in"),
-        ({"force": -1.0}, r"has no label, .*; it has force, picture: expected for example picture, fx_n"),
+        (
+            {"force": -1.0},
+            r"has no label, .* a column picture and at least one of fx_n.*; it has force, picture",
+        ),
     ],
 )
 def test_what_a_table_lacks_is_named(tmp_path: Path, columns: dict, message: str):
@@ -95,7 +98,7 @@ def test_what_a_table_lacks_is_named(tmp_path: Path, columns: dict, message: str
 def test_a_label_that_is_no_number_is_called_so(tmp_path: Path):
     folder = folder_of(tmp_path / "gaps", [{"fz_n": -1.0}, {"fz_n": "nan"}])
     with pytest.raises(
-        ValueError, match=r"1 of 2 frames have a force that is not a number; first: frame 1, Fz = nan"
+        ValueError, match=r"1 of 2 frames have a label that is not a number; first: frame 1, Fz = nan"
     ):
         open_domain(folder).check_labels()
     (damage,) = verify_domain(folder)
@@ -129,7 +132,9 @@ def test_a_clip_has_the_rest_picture_of_its_name(tmp_path: Path):
         open_domain(folder).torch(32)
     assert "foam.png" in str(verify_domain(folder)[0])
     (folder / "references" / "foam.png").unlink()
-    with pytest.raises(FileNotFoundError, match=r"clip 'foam' .* has no rest picture"):
+    with pytest.raises(
+        ValueError, match=r"names clip 'foam', which is not there: expected references/foam.png"
+    ):
         open_domain(folder)
 
 

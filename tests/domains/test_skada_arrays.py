@@ -51,7 +51,7 @@ def test_features_are_differences_to_each_domains_own_reference(data: Path):
     domains = open_domain(data / "mb0i0"), open_domain(data / "mb0i1")
     X, _, sample_domain = to_skada(*domains, axis="z", size_px=(20, 12))
     for frames, rows in zip(domains, (X[sample_domain > 0], X[sample_domain < 0]), strict=True):
-        pictures = rows.reshape(-1, 12, 20, 3) * 255 + frames.reference_at((20, 12))
+        pictures = rows.reshape(-1, 12, 20, 3) * 255 + frames.references_at((20, 12))[0]
         np.testing.assert_allclose(pictures, frames.images((20, 12)), atol=1e-3)
 
 
