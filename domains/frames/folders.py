@@ -203,7 +203,8 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
     part = table.parents[1]
     if not table.is_file():
         raise FileNotFoundError(f"{table} is missing; every part has its forces there")
-    columns = known_columns(table, (*FORCE_COLUMNS, "contact_class"))
+    has_labels = all(row.get(PUBLISHED_LABEL) for row in read_table(table))
+    columns = known_columns(table, (*FORCE_COLUMNS, *(("contact_class",) if has_labels else ())))
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
@@ -249,7 +250,7 @@ def _picture_folder(folder: Path) -> PictureFiles:
 def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.ndarray]:
     """Return the wanted columns that a table has, (n,) each by our name: numbers, whole numbers, or texts.
 
-    Numbers of classes and points are left out unless every row has one.
+    Numbers of classes and points are left out if no row has one.
 
     Raises
     ------
@@ -269,7 +270,7 @@ def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.
             if ours in GROUPS and not all(values):
                 raise ValueError(f"{where}: every row must hold a name")
             found[ours] = np.array(values, dtype=object)
-        elif ours in NUMBERS or all(values):
+        elif ours in NUMBERS or any(values):
             found[ours] = _numbers(values, where)
     for name in WHOLE_NUMBERS.keys() & found.keys():
         if not (np.abs(found[name]) < 2**31).all():

@@ -95,6 +95,14 @@ def test_what_a_table_lacks_is_named(tmp_path: Path, columns: dict, message: str
         open_domain(folder)
 
 
+def test_points_are_numbered_in_every_row_or_in_none(tmp_path: Path):
+    unnumbered = folder_of(tmp_path / "none", [{"fz_n": -1.0, "point_id": ""}] * 2)
+    assert "point_id" not in open_domain(unnumbered).columns
+    in_part = folder_of(tmp_path / "some", [{"fz_n": -1.0, "point_id": 3}, {"fz_n": -1.0, "point_id": ""}])
+    with pytest.raises(ValueError, match=r"'point_id'.* row 2 below the header holds nothing"):
+        open_domain(in_part)
+
+
 def test_a_label_that_is_no_number_is_called_so(tmp_path: Path):
     folder = folder_of(tmp_path / "gaps", [{"fz_n": -1.0}, {"fz_n": "nan"}])
     with pytest.raises(
