@@ -1,7 +1,7 @@
 """The ball presses' sensor: where a press is seen in its pictures, its light, and synthetic presses in its view."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from gelgap.domains import (
     LabelledFrames,
     Labels,
     PretrainingRanges,
-    generate_recipes,
     join_domains,
     open_domain,
     pretraining_recipes,
@@ -23,7 +22,6 @@ from gelgap.domains.calibration_presses import start_sensor
 from gelgap.render import (
     Camera,
     Led,
-    LightCalibration,
     Markers,
     PressPicture,
     Sensor,
@@ -44,6 +42,7 @@ PRESSES = 24
 """The light is fitted to as many."""
 LABELS = Labels.of({"x_mm": (-VIEW_MM[0] / 2, VIEW_MM[0] / 2), "y_mm": (-VIEW_MM[1] / 2, VIEW_MM[1] / 2)})
 SYNTHETIC_PX = (120, 160)
+MM_PER_SYNTHETIC_PX = VIEW_MM[0] / SYNTHETIC_PX[0]
 _MARGIN = 0.05
 """Share of the width: the pad's rim changes, too, when the gel is pressed."""
 _BLUR = 0.025
@@ -121,14 +120,16 @@ def dots_of(picture: np.ndarray) -> np.ndarray:
     return cv2.dilate((hollow > _DOT_CONTRAST).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
 
 
-def fitted_sensor(presses: Presses, path: Path) -> LightCalibration:
-    """Fit the light to presses of a series, spread over it; their marks are not looked at. Write the sensor to `path`.
+def fitted_sensor(presses: Presses, path: Path) -> Sensor:
+    """Return the sensor of a file, or fit its light to presses of a series and write it; no mark is looked at.
 
     Raises
     ------
     ValueError
         If presses that the fit has not seen are predicted worse than by the unchanged reference.
     """
+    if path.is_file():
+        return Sensor.load(path)
     radius_px = _CONTACT_IN_RADII * presses.ball_radius_mm / MM_PER_PX
     chosen = np.unique(np.linspace(0, len(presses.pictures) - 1, PRESSES).astype(int))
     pictures = presses.pictures[chosen]
@@ -148,18 +149,14 @@ def fitted_sensor(presses: Presses, path: Path) -> LightCalibration:
     reference = inpaint_telea(presses.reference, dots_of(presses.reference))
     fit = calibrate_light(_start(azimuths), reference, listed, sphere_profiles, keep_camera=True)
     save_calibration(replace(fit, sensor=fit.sensor.model_copy(update={"markers": DOTS})), path)
-    return fit
-
-
-def fit_quality(fit: LightCalibration) -> str:
-    """Return in a line what the fit leaves, and how it predicts presses that it has not seen."""
     unchanged, predicted = (
         np.median([getattr(press, kind)[0] for press in fit.held_out]) for kind in ("unchanged", "refined")
     )
-    return (
+    print(
         f"light fitted to {len(fit.names)} presses without their marks: {fit.rms_code_values:.1f} code values rms; "
         f"inside held-out contacts the unchanged reference has {unchanged:.1f} dB, the prediction {predicted:.1f} dB"
     )
+    return Sensor.load(path)
 
 
 def _start(azimuths: np.ndarray) -> Sensor:
@@ -181,33 +178,20 @@ def _farther(led: Led, factor: float) -> Led:
     return led.model_copy(update={**larger, "position_mm": tuple(factor * side for side in led.position_mm)})
 
 
-@dataclass(frozen=True)
-class Amount:
-    """How many domains of how many frames, from how many gels × balls that are solved."""
-
-    domains: int
-    frames: int
-    presses: int
-
-
-def synthetic_presses(folder: Path, amount: Amount, fitted: Sensor | None) -> LabelledFrames:
-    """Return the frames, generated once, with the contact point as their label; in the light of `fitted` if given."""
-    recipes = press_recipes(amount, fitted)
-    generate_recipes(recipes, folder, scheduler="synchronous")
-    return contact_points([folder / recipe.name for recipe in recipes])
-
-
 def contact_points(folders: Sequence[Path]) -> LabelledFrames:
     """Return the frames of data sets, with the contact point as their label."""
     return with_labels(join_domains([open_domain(folder) for folder in folders]), LABELS)
 
 
-def press_recipes(amount: Amount, fitted: Sensor | None) -> tuple[DomainRecipe, ...]:
-    """Return the recipes; they differ in nothing but the light from those in another light."""
-    ranges = PretrainingRanges(
-        **{**PretrainingRanges.default().model_dump(), **_RANGES, "presses": amount.presses}
-    )
-    recipes = pretraining_recipes(amount.domains, amount.frames, ranges, size_px=SYNTHETIC_PX)
+def press_recipes(
+    domains: int, frames: int, presses: int, fitted: Sensor | None = None
+) -> tuple[DomainRecipe, ...]:
+    """Return domains of frames from so many gels × balls, in drawn light or that of a sensor.
+
+    They differ in nothing but the light from those in another light.
+    """
+    ranges = PretrainingRanges(**{**PretrainingRanges.default().model_dump(), **_RANGES, "presses": presses})
+    recipes = pretraining_recipes(domains, frames, ranges, size_px=SYNTHETIC_PX)
     return tuple(_on_the_ball_sensor(recipe, fitted) for recipe in recipes)
 
 

@@ -9,6 +9,7 @@ with `ball_position/*.txt`: x, y and a radius in pixels of the rectified picture
 own and are not used.
 """
 
+import logging
 import pickle
 import re
 from collections.abc import Iterator
@@ -21,10 +22,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from gelgap.domains import ConvertedClip
+from gelgap.domains import ConvertedClip, convert
 from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, read_picture, video_pictures
 from gelgap.domains.frames.folders import read_table
 
+LOG = logging.getLogger(__name__)
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
 PICTURES_PER_S = 30.0
 GLITCH_N = -1.5
@@ -263,3 +265,21 @@ LAYOUTS: dict[str, Layout] = {
     "ball-presses": lambda clone: (ball_presses(clone, name) for name in SERIES),
 }
 """What `gelgap.domains.convert` reads of a clone, by name."""
+
+
+def converted_clone(layout: str, data: Path, out_dir: Path) -> Path:
+    """Return the folder of the domains of a clone in the folder `data`, converted once and kept in `out_dir`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the clone is missing; the message has the line that gets it.
+    """
+    getting = {"wedge": WEDGE_CLONE, "ball-presses": BALL_CLONE}[layout]
+    clone, converted = data / getting.rpartition("/")[2], out_dir / "real" / layout
+    if not clone.is_dir():
+        raise FileNotFoundError(f"{clone} is missing; get it: {getting} {clone}")
+    if not converted.is_dir():
+        LOG.info("converting %s, once", clone)
+        convert(clone, LAYOUTS[layout], converted)
+    return converted

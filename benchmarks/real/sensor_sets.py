@@ -6,31 +6,28 @@ after a fit of the first. Presses of one place are held out together. Predicted 
 of their pictures only the brightness far from the contact is used. Nothing of a set is copied.
 """
 
-import csv
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import show, write_json
-from gelgap.benchmarks.render.rivals import Fitted
-from gelgap.benchmarks.render.sensors import Study, median_and_worst, saved_renderer
+from gelgap.benchmarks.common import write_json
+from gelgap.benchmarks.render import rivals
+from gelgap.benchmarks.render.rivals import Draw, Fitted
+from gelgap.benchmarks.render.sensors import Study, show_scores
 from gelgap.domains import PressSet, lit_from_dents, sphere_profiles, taxim_presses
-from gelgap.render import Camera, LightCalibration, Markers, PressPicture, Sensor, difference_picture
+from gelgap.render import Camera, Markers, PressPicture, Sensor
 from gelgap.render.calibration.calibrator import FEWEST_FOR_ORDER_3, LightTask
-from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.pictures import read_picture, read_presses
 from gelgap.render.calibration.poses import MODELLED_MM, PlacedPresses, place_presses
-from gelgap.render.imaging import psnr_db
 
 Parts = Sequence[tuple[np.ndarray, np.ndarray]]
 """Which presses are fitted and which are predicted, part by part."""
 METRICS = ("inside", "ring", "within", "whole", "SSIM", "mean abs")
-GAIN = 4
 FEW = 6
 EVERY_OTHER_FROM = 40  # presses from which on every other one is fitted; fewer are cross-validated
 PARTS = 3
@@ -61,46 +58,6 @@ class SensorSet:
     name: str
     found: PressSet
     others_from: int
-
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        reference: Path,
-        pictures: Sequence[Path],
-        marks: np.ndarray,
-        ball_mm: float,
-        mm_per_px: float,
-    ) -> "SensorSet":
-        """Return the presses of one ball with marks (n, 3): x, y and radius in px."""
-        flat = read_picture(reference)
-        presses = tuple(
-            PressPicture(
-                read_picture(path),
-                ball_mm,
-                radius_px=float(r),
-                center_px=(float(x), float(y)),
-                name=path.stem,
-            )
-            for path, (x, y, r) in zip(pictures, marks, strict=True)
-        )
-        return cls.started(name, flat, presses, Sensor(camera=Camera.showing(flat.shape[1] * mm_per_px)))
-
-    @classmethod
-    def started(
-        cls,
-        name: str,
-        reference: np.ndarray,
-        presses: tuple[PressPicture, ...],
-        sensor: Sensor,
-        others_from: int = -1,
-    ) -> "SensorSet":
-        """Return presses with a start whose LEDs, if it has none, come from the dents."""
-        others_from = len(presses) if others_from < 0 else others_from
-        if sensor.illumination is None:
-            sensor = lit_from_dents(sensor, reference, presses[:others_from])
-        start = sensor.model_copy(update={"markers": Markers(layout="none")})
-        return cls(name, PressSet(reference, presses, start), others_from)
 
     def splits(self, placed: PlacedPresses) -> dict[str, Parts]:
         """Return by name what is predicted from what."""
@@ -138,9 +95,39 @@ def read_own(folder: Path) -> SensorSet:
     presses, others = read_presses(folder / "presses.toml"), ()
     if (folder / "other-presses.toml").is_file():
         others = read_presses(folder / "other-presses.toml")
-    reference = read_picture(folder / "reference.png")
     sensor = Sensor.load(folder / "start.toml")
-    return SensorSet.started(folder.name, reference, (*presses, *others), sensor, len(presses))
+    return started(folder.name, read_picture(folder / "reference.png"), presses, sensor, others)
+
+
+def started(
+    name: str,
+    reference: np.ndarray,
+    presses: Sequence[PressPicture],
+    sensor: Sensor,
+    others: Sequence[PressPicture] = (),
+) -> SensorSet:
+    """Return presses with a start whose LEDs, if it has none, come from the dents."""
+    if sensor.illumination is None:
+        sensor = lit_from_dents(sensor, reference, presses)
+    start = sensor.model_copy(update={"markers": Markers(layout="none")})
+    return SensorSet(name, PressSet(reference, (*presses, *others), start), len(presses))
+
+
+def circled(
+    name: str,
+    reference: Path,
+    pictures: Sequence[Path],
+    circles_px: np.ndarray,
+    ball_mm: float,
+    mm_per_px: float,
+) -> SensorSet:
+    """Return pictures of one ball's presses with circles (n, 3) around the contacts: x, y and radius."""
+    flat = read_picture(reference)
+    presses = [
+        PressPicture(read_picture(path), ball_mm, radius_px=radius, center_px=(x, y), name=path.stem)
+        for path, (x, y, radius) in zip(pictures, circles_px.astype(float).tolist(), strict=True)
+    ]
+    return started(name, flat, presses, Sensor(camera=Camera.showing(flat.shape[1] * mm_per_px)))
 
 
 def read_taxim(folder: Path) -> SensorSet:
@@ -154,27 +141,25 @@ def read_taxim(folder: Path) -> SensorSet:
 
 def read_fots(folder: Path) -> SensorSet:
     """Read Rancho-zhao/FOTS: circles marked by its authors, 19.58 px a mm; the ball is taken for 5 mm."""
-    root = folder.parent
-    rows = list(csv.DictReader((folder / "annotate.csv").read_text(encoding="utf-8").splitlines()))
-    pictures = [root / "gelsight" / row["img_names"].rpartition("/")[2] for row in rows]
-    marks = np.array([[float(row[name]) for name in ("center_x", "center_y", "radius")] for row in rows])
-    return SensorSet.of("FOTS", root / "0000.png", pictures, marks, ball_mm=5.0, mm_per_px=1 / 19.58)
+    root, table = folder.parent, pd.read_csv(folder / "annotate.csv")
+    pictures = [root / "gelsight" / Path(name).name for name in table["img_names"]]
+    circles = table[["center_x", "center_y", "radius"]].to_numpy()
+    return circled("FOTS", root / "0000.png", pictures, circles, ball_mm=5.0, mm_per_px=1 / 19.58)
 
 
 def read_digit(folder: Path) -> SensorSet:
     """Read rohankotanu/3DCal-tests, a DIGIT: some of the presses at each of five places."""
-    root, step = folder.parent, DIGIT_AT_PLACE // DIGIT_TAKEN
-    numbers = range(0, DIGIT_AT_PLACE * len(DIGIT_MARKS), step)
-    pictures = [next((root / "probe_images").glob(f"{number}_*.png")) for number in numbers]
-    marks = np.repeat(DIGIT_MARKS, DIGIT_TAKEN, axis=0)
-    return SensorSet.of("DIGIT", folder / "blank.png", pictures, marks, ball_mm=4.0, mm_per_px=0.0517)
+    numbers = range(0, DIGIT_AT_PLACE * len(DIGIT_MARKS), DIGIT_AT_PLACE // DIGIT_TAKEN)
+    pictures = [next((folder.parent / "probe_images").glob(f"{number}_*.png")) for number in numbers]
+    circles = np.repeat(DIGIT_MARKS, DIGIT_TAKEN, axis=0)
+    return circled("DIGIT", folder / "blank.png", pictures, circles, ball_mm=4.0, mm_per_px=0.0517)
 
 
 def read_gelslim(folder: Path) -> SensorSet:
     """Read siyuandong16/gelsight_heightmap_reconstruction, a GelSlim with dots; ball and scale as its code says."""
     pictures = [folder / f"sample_{number}.jpg" for number in GELSLIM_MARKS]
-    marks = np.array(list(GELSLIM_MARKS.values()))
-    return SensorSet.of("GelSlim", folder / "ref.jpg", pictures, marks, ball_mm=7.6, mm_per_px=0.10577)
+    circles = np.array(list(GELSLIM_MARKS.values()))
+    return circled("GelSlim", folder / "ref.jpg", pictures, circles, ball_mm=7.6, mm_per_px=0.10577)
 
 
 READERS: dict[str, Callable[[Path], SensorSet]] = {
@@ -186,123 +171,63 @@ READERS: dict[str, Callable[[Path], SensorSet]] = {
 }
 
 
-class Predictors:
-    """What predicts presses of one set, each after a fit of the presses of some indices."""
-
-    def __init__(self, own: SensorSet) -> None:
-        found = own.found
-        profiles = sphere_profiles({press.sphere_diameter_mm for press in found.presses})
-        self.placed = place_presses(found.start.camera, found.reference, found.presses, profiles)
-        self.start = found.start
-        self.fit = cache(self._fit)
-
-    @property
-    def presses(self) -> list[PressPicture]:
-        """The presses, each with the circle that it is judged by."""
-        marks = zip(self.placed.centers_px, self.placed.radii_px, strict=True)
-        return [
-            replace(press, center_px=tuple(center), radius_px=float(radius))
-            for press, (center, radius) in zip(self.placed.presses, marks, strict=True)
-        ]
-
-    def _form(self, fitted: tuple[int, ...]) -> tuple[int, int]:
-        return (3, 2) if len(fitted) >= FEWEST_FOR_ORDER_3 else (2, 1)
-
-    def _fit(self, fitted: tuple[int, ...]) -> tuple[LightFit, float, float]:
-        """Return the fit, the level at which its sensor shows its own reference, and its time."""
-        task = LightTask(self.start, self.placed, *self._form(fitted))
-        started = time.process_time()
-        fit = task.fit(np.array(fitted))
-        fit_s = time.process_time() - started
-        renderer = saved_renderer(LightCalibration(**task.result(fit)), self.placed.size_px)
-        return fit, psnr_db(renderer.reference(), self.placed.reference), fit_s
-
-    def unchanged(self, fitted: tuple[int, ...]) -> Fitted:
-        return lambda press: lambda: self.placed.reference, None
-
-    def table(self, fitted: tuple[int, ...]) -> Fitted:
-        table = self.placed.table(np.array(fitted), self._form(fitted)[1])
-        centers = self.placed.centers_px
-        return lambda press: lambda: self.placed.at_level(press, table.picture(centers[press])), None
-
-    def gelgap(self, fitted: tuple[int, ...]) -> Fitted:
-        fit, *_ = self.fit(fitted)
-        seen = self.placed.seen_from(fit.distance_mm)
-
-        def draw(press: int) -> Callable[[], np.ndarray]:
-            return partial(
-                seen.picture_of, fit.light, fit.field, press, fit.expected_mm(seen, press), MODELLED_MM
-            )
-
-        return draw, None
+def form(fitted: Sequence[int]) -> dict[str, int]:
+    """Return the form of the light that so many presses allow."""
+    return {"order": 3, "degree": 2} if len(fitted) >= FEWEST_FOR_ORDER_3 else {"order": 2, "degree": 1}
 
 
-def measure(own: SensorSet, out_dir: Path, quick: bool) -> pd.DataFrame:
-    """Return how the presses of a set are predicted, all parts of a split together; write pictures of three."""
-    predict = Predictors(own)
-    splits = own.splits(predict.placed)
-    if quick:
-        splits = dict(list(splits.items())[:1])
+def plain_table(placed: PlacedPresses, fitted: Sequence[int]) -> Fitted:
+    """Predict by a table of the fitted presses, without physics."""
+    table = placed.table(np.array(fitted), form(fitted)["degree"])
+    return lambda press: lambda: placed.at_level(press, table.picture(placed.centers_px[press])), None
+
+
+def fitted_light(start: Sensor, placed: PlacedPresses, fitted: Sequence[int]) -> Fitted:
+    """Predict by light that is fitted to the fitted presses; a press is expected where those are off their marks."""
+    started_s = time.process_time()
+    fit = LightTask(start, placed, **form(fitted)).fit(np.array(fitted))
+    fit_s, seen = time.process_time() - started_s, placed.seen_from(fit.distance_mm)
+    draw: Draw = lambda press: partial(  # noqa: E731
+        seen.picture_of, fit.light, fit.field, press, fit.expected_mm(seen, press), MODELLED_MM
+    )
+    return draw, fit_s
+
+
+def measure(own: SensorSet, quick: bool) -> pd.DataFrame:
+    """Return how each model predicts the presses of a set, all parts of a split together."""
+    found = own.found
+    profiles = sphere_profiles({press.sphere_diameter_mm for press in found.presses})
+    placed = place_presses(found.start.camera, found.reference, found.presses, profiles)
+    circles = zip(placed.presses, placed.centers_px, placed.radii_px, strict=True)
+    judged = [replace(press, center_px=tuple(at), radius_px=float(radius)) for press, at, radius in circles]
     models = {
-        ("the reference, unchanged", ""): predict.unchanged,
-        ("plain table", "marked"): predict.table,
-        ("gelgap", "marked"): predict.gelgap,
+        ("the reference, unchanged", ""): partial(rivals.unchanged, found),
+        ("plain table", "marked"): partial(plain_table, placed),
+        ("gelgap", "marked"): partial(fitted_light, found.start, placed),
     }
     rows = []
-    for split, parts in splits.items():
-        named = {f"{split} {part}": indices for part, indices in enumerate(parts)}
-        study = Study(predict.presses, models, named, clear=predict.placed.clear_of_dots)
+    for split, parts in list(own.splits(placed).items())[: 1 if quick else None]:
+        study = Study(judged, models, dict(enumerate(parts)), clear=placed.clear_of_dots)
         for model, press in models:
-            settings = [{"predicted": part, "model": model, "press": press} for part in named]
-            found = [study.measure(setting) for setting in settings]
-            levels = {name: [value for part in found for value in part[name]] for name in METRICS}
-            rows.append(
-                {"set": own.name, "predicted": f"{split}: {len(levels['ring'])}", "model": model, **levels}
-            )
-            if model == "gelgap":
-                fits = [predict.fit(tuple(map(int, fitted))) for fitted, _ in parts]
-                rows[-1] |= {
-                    "fit, s": [fit_s for *_, fit_s in fits],
-                    "untouched": [level for _, level, _ in fits],
-                }
-                if len(rows) == len(models):
-                    write_pictures(
-                        predict, parts, levels["within"], out_dir / f"{own.name.replace(' ', '-')}.png"
-                    )
+            settings = [{"predicted": part, "model": model, "press": press} for part in study.splits]
+            of_parts = pd.DataFrame(map(study.measure, settings))
+            levels = {name: of_parts[name].sum() for name in METRICS}  # lists, one after the other
+            predicted = f"{split}: {len(levels['ring'])}"
+            fit_s = of_parts["fit, s"].mean()
+            rows.append({"set": own.name, "predicted": predicted, "model": model, **levels, "fit, s": fit_s})
     return pd.DataFrame(rows)
 
 
-def write_pictures(predict: Predictors, parts: Parts, levels: Sequence[float], path: Path) -> None:
-    """Write real, predicted and 128 + 4 × difference of the presses with the best, median and worst level."""
-    import cv2
-
-    pairs = [(fitted, press) for fitted, predicted in parts for press in predicted]
-    rows = []
-    for at in np.argsort(levels)[[-1, len(levels) // 2, 0]]:
-        fitted, press = pairs[at]
-        draw, _ = predict.gelgap(tuple(map(int, fitted)))
-        real, predicted = predict.presses[press].picture, draw(int(press))()
-        rows.append(np.hstack([real, predicted, difference_picture(predicted, real, GAIN)]))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), np.vstack(rows)[..., ::-1]):
-        raise RuntimeError(f"{path} could not be written")
-
-
 def run(quick: bool, out_dir: Path, data: Path) -> None:
-    """Print how each set in a folder is predicted; write JSON and pictures. Quick: held-out places alone."""
+    """Print how each set in a folder is predicted, and write `sensor-sets.json`. Quick: held-out places alone."""
     sets = list(find_sets(data))
     if not sets:
         raise ValueError(f"--data {data} holds no set of presses; {', '.join(READERS)} mark one")
-    records = pd.concat([measure(own, out_dir, quick) for own in sets], ignore_index=True)
-    cells = dict.fromkeys(("inside", "ring", "whole"), median_and_worst)
-    cells |= {"SSIM": lambda v: f"{np.median(v):.3f}", "mean abs": lambda v: f"{np.median(v):.2f}"}
-    cells |= {"untouched": lambda v: f"{min(v):.1f}" if isinstance(v, list) else ""}
-    cells |= {"fit, s": lambda v: f"{np.mean(v):.1f}" if isinstance(v, list) else ""}
-    table = records.assign(**{name: records[name].map(cell) for name, cell in cells.items()})
-    show(
+    records = pd.concat([measure(own, quick) for own in sets], ignore_index=True)
+    show_scores(
         "real sensors, presses predicted as marked; PSNR in dB, median (worst)",
-        table[["set", "predicted", "model", *cells]],
-        "untouched: the rendered reference beside the real one, worst of the fits; mean abs: of the whole, code "
-        "values; PSNR of pixels without dots",
+        records,
+        ("set", "predicted", "model", "fit, s"),
+        "mean abs: of the whole, code values; PSNR of pixels without dots",
     )
     write_json(out_dir / "sensor-sets.json", {"predictions": records})

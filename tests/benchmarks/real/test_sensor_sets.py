@@ -60,9 +60,6 @@ def test_a_folder_of_ones_own_is_predicted(tmp_path, capsys, monkeypatch):
     ring = {(row["predicted"], row["model"]): np.median(row["ring"]) for row in records}
     for split in ("places held out: 7", "other list: 2"):
         assert ring[split, "gelgap"] > ring[split, "the reference, unchanged"] + 3
-    assert min(min(row["untouched"]) for row in records if row["model"] == "gelgap") > 45
-    height, width = cv2.imread(str(tmp_path / "out" / "mine.png")).shape[:2]
-    assert (width, height) == (3 * SIZE_PX[0], 3 * SIZE_PX[1])
 
 
 def test_places_are_held_out_whole():
