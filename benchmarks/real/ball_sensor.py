@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.real.published_sets import MM_PER_PX, Presses
+from gelgap.benchmarks.real.published_sets import MM_PER_PX, SERIES
 from gelgap.domains import (
     DomainRecipe,
     LabelledFrames,
@@ -38,8 +38,8 @@ DOTS = Markers(columns=13, rows=17, pitch_mm=2.0, diameter_mm=0.55, jitter_mm=0.
 """Dots as large and as far apart as in the pictures; the real ones end 3 mm from the view's edge."""
 FAR_MM = 500.0
 """Marks are places in the picture: a nearly parallel camera shows a contact where it is, however deep."""
-PRESSES = 24
-"""The light is fitted to as many."""
+FITTED_SERIES, FITTED_PRESSES = "calibration2", 24
+"""The light is fitted to as many presses of that series."""
 LABELS = Labels.of({"x_mm": (-VIEW_MM[0] / 2, VIEW_MM[0] / 2), "y_mm": (-VIEW_MM[1] / 2, VIEW_MM[1] / 2)})
 SYNTHETIC_PX = (120, 160)
 MM_PER_SYNTHETIC_PX = VIEW_MM[0] / SYNTHETIC_PX[0]
@@ -120,8 +120,8 @@ def dots_of(picture: np.ndarray) -> np.ndarray:
     return cv2.dilate((hollow > _DOT_CONTRAST).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
 
 
-def fitted_sensor(presses: Presses, path: Path) -> Sensor:
-    """Return the sensor of a file, or fit its light to presses of a series and write it; no mark is looked at.
+def fitted_sensor(frames: LabelledFrames, path: Path) -> Sensor:
+    """Return the sensor of a file, or fit its light to pictures of ball presses and write it; no label is looked at.
 
     Raises
     ------
@@ -130,15 +130,17 @@ def fitted_sensor(presses: Presses, path: Path) -> Sensor:
     """
     if path.is_file():
         return Sensor.load(path)
-    radius_px = _CONTACT_IN_RADII * presses.ball_radius_mm / MM_PER_PX
-    chosen = np.unique(np.linspace(0, len(presses.pictures) - 1, PRESSES).astype(int))
-    pictures = presses.pictures[chosen]
-    centers = np.array([level_point_px(picture, presses.reference, radius_px) for picture in pictures])
-    azimuths = light_azimuths(presses.reference, list(pictures), centers, np.full(len(chosen), radius_px))
+    series = frames.take(np.flatnonzero(frames.columns["session"] == FITTED_SERIES))
+    ball_radius_mm, with_dots = SERIES[FITTED_SERIES][1], series.references_at()[series.reference_id[0]]
+    radius_px = _CONTACT_IN_RADII * ball_radius_mm / MM_PER_PX
+    chosen = np.unique(np.linspace(0, len(series) - 1, FITTED_PRESSES).astype(int))
+    pictures = [series.picture(number) for number in chosen]
+    centers = np.array([level_point_px(picture, with_dots, radius_px) for picture in pictures])
+    azimuths = light_azimuths(with_dots, pictures, centers, np.full(len(chosen), radius_px))
     listed = [
         PressPicture(
             inpaint_telea(picture, dots_of(picture)),
-            2 * presses.ball_radius_mm,
+            2 * ball_radius_mm,
             radius_px=radius_px,
             center_px=tuple(center),
             marks_off_px=_MARKS_OFF_PX,
@@ -146,7 +148,7 @@ def fitted_sensor(presses: Presses, path: Path) -> Sensor:
         )
         for number, picture, center in zip(chosen, pictures, centers, strict=True)
     ]
-    reference = inpaint_telea(presses.reference, dots_of(presses.reference))
+    reference = inpaint_telea(with_dots, dots_of(with_dots))
     fit = calibrate_light(_start(azimuths), reference, listed, sphere_profiles, keep_camera=True)
     save_calibration(replace(fit, sensor=fit.sensor.model_copy(update={"markers": DOTS})), path)
     unchanged, predicted = (

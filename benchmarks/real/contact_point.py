@@ -44,7 +44,7 @@ from gelgap.benchmarks.real.ball_sensor import (
     level_point_px,
     press_recipes,
 )
-from gelgap.benchmarks.real.published_sets import MM_PER_PX, ball_presses, converted_clone
+from gelgap.benchmarks.real.published_sets import MM_PER_PX, converted_clone
 from gelgap.benchmarks.real.sessions import clip_means, clip_table
 from gelgap.domains import ArrayFrames, LabelledFrames, Labels, generate_recipes, with_labels
 
@@ -212,10 +212,10 @@ WHOLE = Plan(point_profile("cpu", 20), 24, 64, 8, (DRAWN, CALIBRATED), range(4),
 
 
 class Trials:
-    """The trials of a plan; `folder` keeps what is finished, `clone` has the pictures that a light is fitted to."""
+    """The trials of a plan; `folder` keeps what is finished."""
 
-    def __init__(self, plan: Plan, presses: RealPresses, clone: Path, folder: Path):
-        self._plan, self._presses, self._clone, self._folder = plan, presses, clone, folder
+    def __init__(self, plan: Plan, presses: RealPresses, folder: Path):
+        self._plan, self._presses, self._folder = plan, presses, folder
         self._models: dict[tuple[str, int], ForceModel] = {}
 
     def records(self) -> pd.DataFrame:
@@ -268,8 +268,7 @@ class Trials:
         if (light, seed) not in self._models:
             plan, folder, fitted = self._plan, self._folder / light, None
             if light == CALIBRATED:
-                series = ball_presses(self._clone, "calibration2")
-                fitted = fitted_sensor(series, self._folder / "ball-sensor.toml")
+                fitted = fitted_sensor(self._presses.frames, self._folder / "ball-sensor.toml")
             recipes = press_recipes(plan.domains, plan.frames, plan.presses, fitted)
             generate_recipes(recipes, folder, scheduler="synchronous")
             frames = contact_points([folder / recipe.name for recipe in recipes])
@@ -301,7 +300,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     folder = out_dir / "real" / "contact-point" / plan.profile.name
     converted = converted_clone("ball-presses", data, out_dir)
     presses = RealPresses(contact_points([converted / "ball-presses"]))
-    table = point_table(Trials(plan, presses, data / "gelsight", folder).records(), presses)
+    table = point_table(Trials(plan, presses, folder).records(), presses)
     table.show()
     write_json(out_dir / "real-contact-point.json", table)
 

@@ -14,7 +14,7 @@ import pickle
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -164,54 +164,34 @@ SERIES = {"calibration": ("ball", 2.42), "calibration2": ("cal", 2.42), "calibra
 
 
 @dataclass(frozen=True)
-class Presses:
-    """Rectified pictures (n, h, w, 3) in the order in which they were taken, and marked centres (n, 2) in px."""
+class _BallPresses:
+    """One of `SERIES` of a clone of yanglh14/gelsight."""
 
+    clone: Path
     name: str
-    ball_radius_mm: float
-    pictures: np.ndarray
-    centers_px: np.ndarray
-
-    @property
-    def centers_mm(self) -> np.ndarray:
-        """Contact centres (n, 2) from the middle of the picture, x to the right and y down, mm."""
-        height, width = self.pictures.shape[1:3]
-        return (self.centers_px - np.array([width - 1, height - 1]) / 2) * MM_PER_PX
-
-    @cached_property
-    def reference(self) -> np.ndarray:
-        """The median of the pictures (h, w, 3), as a ball touches each place in few of them.
-
-        The repository's `bg-0.jpg` is the same file in all series: some 4 grey levels from the untouched parts of the
-        later two, of which this is 2 away.
-        """
-        return np.median(self.pictures, axis=0).round().astype(np.uint8)
-
-    def is_marked_right(self) -> np.ndarray:
-        """Return whether each press (n,) changes the picture more within the ball's radius of its mark than elsewhere.
-
-        The least of what is right, by eye, is 4.6 times as much; a mark in another place gives 0.9.
-        """
-        reference = self.reference.astype(np.int16)
-        rows, columns = np.indices(reference.shape[:2])
-        radius_px = self.ball_radius_mm / MM_PER_PX
-        right = []
-        for picture, (x, y) in zip(self.pictures, self.centers_px, strict=True):
-            change = np.abs(picture - reference).mean(axis=2)
-            near = np.hypot(columns - x, rows - y) < radius_px
-            right.append(change[near].mean() > _LEAST_CONTRAST * change[~near].mean())
-        return np.array(right)
 
     def selected(self, every: int) -> Selection:
         """Select every n-th press that is marked right; all series are one domain, as they are of one sensor.
 
         A clip is twenty presses that were taken one after another, as they lie close together.
         """
-        right = self.is_marked_right()
+        folder, (prefix, ball_radius_mm) = self.clone / "data" / self.name, SERIES[self.name]
+        paths = sorted(folder.glob(f"{prefix}-*.jpg"), key=_number)
+        if not paths:
+            raise ValueError(
+                f"{self.clone} is no clone of yanglh14/gelsight: it has no {folder}; get one: {BALL_CLONE}"
+            )
+        pictures = np.stack([rectified(read_picture(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths])
+        centers_px = np.array([_center_px(path) for path in paths])
+        # As a ball touches each place in few of them. The repository's `bg-0.jpg` is the same file in all series: some
+        # 4 grey levels from the untouched parts of the later two, of which this is 2 away.
+        reference = np.median(pictures, axis=0).round().astype(np.uint8)
+        right = _is_marked_right(pictures, reference, centers_px, ball_radius_mm / MM_PER_PX)
         chosen = np.flatnonzero(right)[::every]
-        table = pd.DataFrame(self.centers_mm[chosen], chosen, ["x_mm", "y_mm"]).assign(
+        centers_mm = (centers_px - (np.array(_BALL_PX) - 1) / 2) * MM_PER_PX
+        table = pd.DataFrame(centers_mm[chosen], chosen, ["x_mm", "y_mm"]).assign(
             clip=[f"{self.name}-{press // _PRESSES_PER_CLIP:02d}" for press in chosen],
-            object=f"ball of {2 * self.ball_radius_mm:.2f} mm",
+            object=f"ball of {2 * ball_radius_mm:.2f} mm",
         )
         facts = ConvertedClip(
             domain="ball-presses",
@@ -221,27 +201,25 @@ class Presses:
             in_contact=len(right),
             dropped=int((~right).sum()),
             written=len(chosen),
-            reference_rgb=mean_rgb(self.reference),
+            reference_rgb=mean_rgb(reference),
         )
-        return Selection(facts, self.reference, lambda: self.pictures, table)
+        return Selection(facts, reference, lambda: pictures, table)
 
 
-def ball_presses(clone: Path, name: str) -> Presses:
-    """Read one of `SERIES` of a clone of yanglh14/gelsight.
+def _is_marked_right(
+    pictures: np.ndarray, reference: np.ndarray, centers_px: np.ndarray, radius_px: float
+) -> np.ndarray:
+    """Return whether each press (n,) changes the picture more within the ball's radius of its mark than elsewhere.
 
-    Raises
-    ------
-    ValueError
-        If the folder is no such clone, or one of its files is not as it should be.
+    The least of what is right, by eye, is 4.6 times as much; a mark in another place gives 0.9.
     """
-    folder, (prefix, ball_radius_mm) = clone / "data" / name, SERIES[name]
-    paths = sorted(folder.glob(f"{prefix}-*.jpg"), key=_number)
-    if not paths:
-        raise ValueError(
-            f"{clone} is no clone of yanglh14/gelsight: it has no {folder}; get one: {BALL_CLONE}"
-        )
-    pictures = [rectified(read_picture(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths]
-    return Presses(name, ball_radius_mm, np.stack(pictures), np.array([_center_px(path) for path in paths]))
+    rows, columns = np.indices(reference.shape[:2])
+    right = []
+    for picture, (x, y) in zip(pictures, centers_px, strict=True):
+        change = np.abs(picture - reference.astype(np.int16)).mean(axis=2)
+        near = np.hypot(columns - x, rows - y) < radius_px
+        right.append(change[near].mean() > _LEAST_CONTRAST * change[~near].mean())
+    return np.array(right)
 
 
 def _number(path: Path) -> tuple[int, str]:
@@ -262,7 +240,7 @@ def _center_px(picture: Path) -> tuple[float, float]:
 
 LAYOUTS: dict[str, Layout] = {
     "wedge": _wedge_clips,
-    "ball-presses": lambda clone: (ball_presses(clone, name) for name in SERIES),
+    "ball-presses": lambda clone: (_BallPresses(clone, name) for name in SERIES),
 }
 """What `gelgap.domains.convert` reads of a clone, by name."""
 
