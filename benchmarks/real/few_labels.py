@@ -74,7 +74,7 @@ BUDGETS = {
 }
 
 
-def few_labels(session: Session, budget: Budget, draw: int) -> tuple[Session, Session, Session]:
+def few_labels(session: Session, budget: Budget, draw: int) -> Fold:
     """Return the pictures that a draw labels, those that are known without labels, these among them, and the tested.
 
     A draw tests the clips of one fold, and three draws test each clip once; or all clips of one object, one after the
@@ -91,13 +91,13 @@ def few_labels(session: Session, budget: Budget, draw: int) -> tuple[Session, Se
         labelled = known.loc[np.sort(rng.permutation(known.index)[: budget.frames])]
     else:
         labelled = known[known["clip"].isin(rng.permutation(sorted(known["clip"].unique()))[: budget.clips])]
-    return labelled, known, session[is_tested]
+    return Fold(labelled, known, session[is_tested])
 
 
 class FewLabelStudy(SessionStudy):
     """Trainings on a few labels of a session, from a start: the source of a run; its data are a budget."""
 
-    def drawn(self, run: Setting) -> tuple[Session, Session, Session]:
+    def fold_of(self, run: Setting) -> Fold:
         """Return what a run's draw labels, knows and tests; see `few_labels`."""
         return few_labels(read_sessions(self.data)[run["target"]], BUDGETS[run["data"]], run["seed"])
 
@@ -139,7 +139,7 @@ def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
     """Train on what a draw labels, and return the errors on what it tests; one that stops predicts the labels' mean."""
     from gelgap.adapt import FeatureCollapse, TrainingDiverged
 
-    labelled, known, tested = (frames_of_session(study.data, part) for part in study.drawn(run))
+    labelled, known, tested = (frames_of_session(study.data, part) for part in study.fold_of(run))
     profile, checkpoint = profile_of(study, run, len(labelled)), study.checkpoint_of(run["source"])
     for part in (labelled, known, tested):
         part.images(profile.image_size_px)  # read before the clock starts
@@ -236,9 +236,10 @@ def compare_starts(
     for start in starts:
         pretrain_once(study, start)
     records = study.run(train_on_few_labels, few_label_runs(budgets, starts, draws), RUNS)
+    runs = few_label_runs(budgets, (CONSTANT, QUADRATIC), draws)
+    rules = rule_records(({**run, "method": run["source"]} for run in runs), study.fold_of)
     rows = []
-    for budget in budgets:
-        own = pd.concat([rules_on_few_labels(study, budget, draws), records[records["data"] == budget]])
+    for budget, own in pd.concat([rules, records]).groupby("data", sort=False):
         found = error_rows(own, "source", dict.fromkeys(starts, starts[0]))
         rows += [{"labelled": budget, **row} for row in found]
     table = result_table(
@@ -253,18 +254,3 @@ def compare_starts(
     )
     table.show()
     write_json(path, table)
-
-
-def rules_on_few_labels(study: FewLabelStudy, budget: str, draws: Iterable[int]) -> pd.DataFrame:
-    """Return what rules find that are fitted to the labels of each draw, in the form of the networks' records."""
-
-    def fold_of(run: Setting) -> Fold:
-        labelled, _, tested = study.drawn(run)
-        return Fold(labelled, labelled, tested)
-
-    rules = [
-        {"data": budget, "source": rule, "target": SESSION, "method": rule, "seed": draw}
-        for rule in (CONSTANT, QUADRATIC)
-        for draw in draws
-    ]
-    return rule_records(rules, fold_of)

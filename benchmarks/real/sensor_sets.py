@@ -1,9 +1,9 @@
 """Real sensors predicted: sets of ball presses in a folder, each fitted in part and predicted where it was not fitted.
 
-A set is a clone of a published repository, a folder of the package `taxim`, or a folder of one's own: `presses.toml`,
-`reference.png`, a sensor `start.toml` (its LEDs may be missing) and perhaps `other-presses.toml`, which are predicted
-after a fit of the first. Presses of one place are held out together. Predicted presses are taken where they are marked;
-of their pictures only the brightness far from the contact is used. Nothing of a set is copied.
+A set is a folder with `presses.toml`, `reference.png`, a sensor `start.toml` (its LEDs may be missing) and perhaps
+`other-presses.toml`, which are predicted after a fit of the first; or a folder of the package `taxim`. Presses of one
+place are held out together. Predicted presses are taken where they are marked; of their pictures only the brightness
+far from the contact is used.
 """
 
 import time
@@ -20,7 +20,7 @@ from gelgap.benchmarks.render import rivals
 from gelgap.benchmarks.render.rivals import Draw, Fitted
 from gelgap.benchmarks.render.sensors import Study, show_scores
 from gelgap.domains import PressSet, lit_from_dents, sphere_profiles, taxim_presses
-from gelgap.render import Camera, Markers, PressPicture, Sensor
+from gelgap.render import Markers, Sensor
 from gelgap.render.calibration.calibrator import FEWEST_FOR_ORDER_3, LightTask
 from gelgap.render.calibration.pictures import read_picture, read_presses
 from gelgap.render.calibration.poses import MODELLED_MM, PlacedPresses, place_presses
@@ -33,22 +33,6 @@ EVERY_OTHER_FROM = 40  # presses from which on every other one is fitted; fewer 
 PARTS = 3
 SAME_PLACE = 0.1  # contact radii
 MINI_BALL_MM = 1.4  # as in the preset that was fitted to that set
-# DIGIT: places of 30 presses each; contacts marked by eye in the mean of the differences, 0.8 of the rims, in px.
-DIGIT_MARKS = ((66, 218, 29), (74, 207, 29), (82, 196, 29), (90, 185, 29), (98, 175, 29))
-DIGIT_AT_PLACE, DIGIT_TAKEN = 30, 5
-# GelSlim: contacts marked by eye in the differences, 0.8 of the dents' rims, by the picture's number.
-GELSLIM_MARKS = {
-    8: (258, 121, 22),
-    13: (158, 115, 18),
-    34: (128, 103, 26),
-    37: (127, 160, 23),
-    38: (143, 183, 24),
-    40: (208, 204, 21),
-    42: (265, 208, 22),
-    43: (275, 190, 18),
-    47: (324, 121, 26),
-    48: (318, 75, 26),
-}
 
 
 @dataclass(frozen=True)
@@ -91,43 +75,15 @@ def find_sets(folder: Path) -> Iterator[SensorSet]:
 
 
 def read_own(folder: Path) -> SensorSet:
-    """Read a folder of one's own."""
+    """Read a folder of one's own; LEDs that its start does not have come from the dents."""
     presses, others = read_presses(folder / "presses.toml"), ()
     if (folder / "other-presses.toml").is_file():
         others = read_presses(folder / "other-presses.toml")
-    sensor = Sensor.load(folder / "start.toml")
-    return started(folder.name, read_picture(folder / "reference.png"), presses, sensor, others)
-
-
-def started(
-    name: str,
-    reference: np.ndarray,
-    presses: Sequence[PressPicture],
-    sensor: Sensor,
-    others: Sequence[PressPicture] = (),
-) -> SensorSet:
-    """Return presses with a start whose LEDs, if it has none, come from the dents."""
+    sensor, reference = Sensor.load(folder / "start.toml"), read_picture(folder / "reference.png")
     if sensor.illumination is None:
         sensor = lit_from_dents(sensor, reference, presses)
     start = sensor.model_copy(update={"markers": Markers(layout="none")})
-    return SensorSet(name, PressSet(reference, (*presses, *others), start), len(presses))
-
-
-def circled(
-    name: str,
-    reference: Path,
-    pictures: Sequence[Path],
-    circles_px: np.ndarray,
-    ball_mm: float,
-    mm_per_px: float,
-) -> SensorSet:
-    """Return pictures of one ball's presses with circles (n, 3) around the contacts: x, y and radius."""
-    flat = read_picture(reference)
-    presses = [
-        PressPicture(read_picture(path), ball_mm, radius_px=radius, center_px=(x, y), name=path.stem)
-        for path, (x, y, radius) in zip(pictures, circles_px.astype(float).tolist(), strict=True)
-    ]
-    return started(name, flat, presses, Sensor(camera=Camera.showing(flat.shape[1] * mm_per_px)))
+    return SensorSet(folder.name, PressSet(reference, (*presses, *others), start), len(presses))
 
 
 def read_taxim(folder: Path) -> SensorSet:
@@ -139,35 +95,9 @@ def read_taxim(folder: Path) -> SensorSet:
     return SensorSet(f"taxim {folder.name}", replace(found, presses=presses), len(presses))
 
 
-def read_fots(folder: Path) -> SensorSet:
-    """Read Rancho-zhao/FOTS: circles marked by its authors, 19.58 px a mm; the ball is taken for 5 mm."""
-    root, table = folder.parent, pd.read_csv(folder / "annotate.csv")
-    pictures = [root / "gelsight" / Path(name).name for name in table["img_names"]]
-    circles = table[["center_x", "center_y", "radius"]].to_numpy()
-    return circled("FOTS", root / "0000.png", pictures, circles, ball_mm=5.0, mm_per_px=1 / 19.58)
-
-
-def read_digit(folder: Path) -> SensorSet:
-    """Read rohankotanu/3DCal-tests, a DIGIT: some of the presses at each of five places."""
-    numbers = range(0, DIGIT_AT_PLACE * len(DIGIT_MARKS), DIGIT_AT_PLACE // DIGIT_TAKEN)
-    pictures = [next((folder.parent / "probe_images").glob(f"{number}_*.png")) for number in numbers]
-    circles = np.repeat(DIGIT_MARKS, DIGIT_TAKEN, axis=0)
-    return circled("DIGIT", folder / "blank.png", pictures, circles, ball_mm=4.0, mm_per_px=0.0517)
-
-
-def read_gelslim(folder: Path) -> SensorSet:
-    """Read siyuandong16/gelsight_heightmap_reconstruction, a GelSlim with dots; ball and scale as its code says."""
-    pictures = [folder / f"sample_{number}.jpg" for number in GELSLIM_MARKS]
-    circles = np.array(list(GELSLIM_MARKS.values()))
-    return circled("GelSlim", folder / "ref.jpg", pictures, circles, ball_mm=7.6, mm_per_px=0.10577)
-
-
 READERS: dict[str, Callable[[Path], SensorSet]] = {
     "presses.toml": read_own,
     "dataPack.npz": read_taxim,
-    "annotate.csv": read_fots,
-    "blank.png": read_digit,
-    "sample_8.jpg": read_gelslim,
 }
 
 

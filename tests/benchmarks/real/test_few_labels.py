@@ -26,7 +26,6 @@ from gelgap.benchmarks.real.few_labels import (
     few_label_runs,
     few_labels,
     profile_of,
-    rules_on_few_labels,
     train_on_few_labels,
 )
 from gelgap.benchmarks.real.sessions import (
@@ -36,6 +35,7 @@ from gelgap.benchmarks.real.sessions import (
     error_rows,
     frames_of_session,
     read_sessions,
+    rule_records,
 )
 from gelgap.cli.main import main
 
@@ -126,13 +126,12 @@ def test_a_training_that_stops_counts_with_the_mean_of_the_labels(
         raise adapt.TrainingDiverged("not finite")
 
     monkeypatch.setattr(adapt, "adapt", stops)
-    records = replace(study, out=tmp_path).run(
-        train_on_few_labels, few_label_runs(["8 frames"], [SCRATCH], [0]), RUNS
-    )
+    (run,) = few_label_runs(["8 frames"], [SCRATCH], [0])
+    records = replace(study, out=tmp_path).run(train_on_few_labels, [run], RUNS)
     assert list(records["problem"]) == ["not finite"]
-    rules = rules_on_few_labels(study, "8 frames", [0])
-    found = {row["source"]: row["MAE, N"] for row in error_rows(pd.concat([records, rules]), "source", {})}
-    assert found[SCRATCH] == pytest.approx(found[CONSTANT], abs=1e-4)
+    constant = rule_records([run | {"method": CONSTANT}], study.fold_of)
+    found = {row["method"]: row["MAE, N"] for row in error_rows(pd.concat([records, constant]), "method", {})}
+    assert found["no-transfer"] == pytest.approx(found[CONSTANT], abs=1e-4)
 
 
 def test_a_difference_is_paired_and_above_0_where_the_control_is_better():
