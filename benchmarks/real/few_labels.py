@@ -9,11 +9,25 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
+from gelgap.adapt import (
+    FeatureCollapse,
+    ForceModel,
+    Profile,
+    Stage1,
+    TrainingDiverged,
+    adapt,
+    console_progress,
+    fine_tune,
+    pretrain,
+    with_statistics_of,
+)
+from gelgap.adapt.data import steps_per_epoch
+from gelgap.adapt.few_labels import of_common_labels
+from gelgap.assets.checksums import file_sha256
 from gelgap.benchmarks.adaptation.study import grid, versions_line
 from gelgap.benchmarks.common import Results, Setting, result_table, write_json
 from gelgap.benchmarks.real.sessions import (
@@ -35,11 +49,13 @@ from gelgap.benchmarks.real.sessions import (
     read_sessions,
     rule_records,
 )
-from gelgap.domains import RANDOM_FACTORS
-
-if TYPE_CHECKING:
-    from gelgap.adapt import ForceModel, Profile
-    from gelgap.domains import LabelledFrames
+from gelgap.domains import (
+    RANDOM_FACTORS,
+    LabelledFrames,
+    PretrainingRanges,
+    pretraining_recipes,
+    with_labels,
+)
 
 RUNS = "few-labels.jsonl"
 SESSION = SESSIONS[1]
@@ -107,8 +123,6 @@ class FewLabelStudy(SessionStudy):
 
     def stated_of(self, run: Setting) -> Results:
         """Return what a record states of profile, range, steps, the session's forces, and of what a run starts from."""
-        from gelgap.assets.checksums import file_sha256
-
         session, checkpoint = read_sessions(self.data)[run["target"]], self.checkpoint_of(run["source"])
         start = None if checkpoint is None else file_sha256(checkpoint)
         data = FZ_RANGE_N, STEPS, key_of_session(session), start
@@ -137,8 +151,6 @@ def _changes(start: str) -> tuple[tuple[str, str | float], ...]:
 
 def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
     """Train on what a draw labels, and return the errors on what it tests; one that stops predicts the labels' mean."""
-    from gelgap.adapt import FeatureCollapse, TrainingDiverged
-
     labelled, known, tested = (frames_of_session(study.data, part) for part in study.fold_of(run))
     profile, checkpoint = profile_of(study, run, len(labelled)), study.checkpoint_of(run["source"])
     for part in (labelled, known, tested):
@@ -158,21 +170,16 @@ def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
 
 def trained(
     checkpoint: Path | None,
-    labelled: "LabelledFrames",
-    known: "LabelledFrames",
-    profile: "Profile",
+    labelled: LabelledFrames,
+    known: LabelledFrames,
+    profile: Profile,
     seed: int,
-) -> "ForceModel":
+) -> ForceModel:
     """Train a new network, or fine-tune that of a checkpoint as `gelgap finetune` does.
 
     A new one's batches are normalised together with unlabelled pictures, in the end by all of these; a pretrained one
     is normalised by the unlabelled pictures, before and after.
     """
-    from gelgap.adapt import ForceModel, Stage1, adapt, fine_tune, with_statistics_of
-    from gelgap.adapt.data import steps_per_epoch
-    from gelgap.adapt.few_labels import of_common_labels
-    from gelgap.domains import with_labels
-
     if checkpoint is None:
         untrained = Stage1(labelled, profile, seed).untrained()
         return with_statistics_of(adapt(untrained, labelled, known, _METHOD, profile, seed), known)
@@ -182,10 +189,8 @@ def trained(
     return fine_tune(model, few, steps=steps, learning_rate=profile.adapt_learning_rate, seed=seed)
 
 
-def profile_of(study: FewLabelStudy, run: Setting, labelled: int) -> "Profile":
+def profile_of(study: FewLabelStudy, run: Setting, labelled: int) -> Profile:
     """Return a run's profile with as many epochs as make the steps of every training."""
-    from gelgap.adapt.data import steps_per_epoch
-
     profile = study.profile_of(run)
     steps = QUICK_STEPS if study.is_quick else STEPS
     return profile.replace(adapt_epochs=math.ceil(steps / steps_per_epoch(labelled, profile.batch_size)))
@@ -196,9 +201,6 @@ def pretrain_once(study: FewLabelStudy, start: str) -> None:
     checkpoint = study.checkpoint_of(start)
     if checkpoint is None or checkpoint.is_file():
         return
-    from gelgap.adapt import Profile, console_progress, pretrain
-    from gelgap.domains import PretrainingRanges, pretraining_recipes
-
     ranges, profile = PretrainingRanges.default(), Profile.preset(study.profile)
     domains, frames = _DOMAINS, _FRAMES
     if study.is_quick:

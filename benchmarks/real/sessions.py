@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
@@ -19,10 +19,8 @@ from gelgap.benchmarks.adaptation.board import CEILING, METHODS, Changes, Group
 from gelgap.benchmarks.adaptation.study import Study, control_of, grid, versions_line
 from gelgap.benchmarks.common import Results, Setting, bootstrap, mean_of, result_table, write_json
 from gelgap.benchmarks.real.published_sets import converted_clone
+from gelgap.domains import LabelledFrames, Labels, force_classes, open_domain, with_labels
 from gelgap.domains.formats.convert import CONTACT_N
-
-if TYPE_CHECKING:
-    from gelgap.domains import LabelledFrames
 
 SESSIONS = ("2023-12-06", "2023-12-16")
 """The two sessions with objects in common."""
@@ -81,15 +79,13 @@ def _read(folder: Path) -> Session:
     return pd.DataFrame({"session": folder.name, **columns, "change": change})
 
 
-def frames_of_session(folder: Path, session: Session) -> "LabelledFrames":
+def frames_of_session(folder: Path, session: Session) -> LabelledFrames:
     """Return pictures of a session, whose folder of all sessions is given, with Fz as their only label."""
     return _in_contact(folder / session["session"].iloc[0]).take(session.index.to_numpy())
 
 
 @cache
-def _in_contact(folder: Path) -> "LabelledFrames":
-    from gelgap.domains import Labels, open_domain, with_labels
-
+def _in_contact(folder: Path) -> LabelledFrames:
     frames = open_domain(folder)
     pressed = frames.take(np.flatnonzero(-frames.columns["fz_n"] > CONTACT_N))
     return with_labels(pressed, Labels.of({"fz_n": FZ_RANGE_N}))
@@ -148,8 +144,6 @@ class FoldStudy(SessionStudy):
 
         The target's training labels are for the ceiling alone.
         """
-        from gelgap.domains import force_classes
-
         source, *target = (frames_of_session(self.data, own) for own in self.fold_of(run))
         return Fold(force_classes(source, CLASSES), *target)
 
@@ -231,7 +225,7 @@ def adapt_fold(study: FoldStudy, run: Setting) -> Results:
     }
 
 
-def errors_by_clip(predicted: np.ndarray, tested: "LabelledFrames") -> dict[str, float]:
+def errors_by_clip(predicted: np.ndarray, tested: LabelledFrames) -> dict[str, float]:
     """Return the MAE on each clip, N, of predictions (n, 1) of Fz, or of one for all."""
     return clip_means((predicted - tested.label_values)[:, 0], tested.columns["clip"].astype(str))
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gelgap.adapt import Profile
+from gelgap.adapt import Profile, TrainingDiverged
 from gelgap.adapt.data import steps_per_epoch
 from gelgap.benchmarks.common import read_records
 from gelgap.benchmarks.real import few_labels as study_of_few_labels
@@ -120,12 +120,10 @@ def test_a_start_is_where_training_begins(study: FewLabelStudy, session: Session
 def test_a_training_that_stops_counts_with_the_mean_of_the_labels(
     study: FewLabelStudy, session: Session, monkeypatch, tmp_path
 ):
-    from gelgap import adapt
-
     def stops(*_, **__):
-        raise adapt.TrainingDiverged("not finite")
+        raise TrainingDiverged("not finite")
 
-    monkeypatch.setattr(adapt, "adapt", stops)
+    monkeypatch.setattr(study_of_few_labels, "adapt", stops)
     (run,) = few_label_runs(["8 frames"], [SCRATCH], [0])
     records = replace(study, out=tmp_path).run(train_on_few_labels, [run], RUNS)
     assert list(records["problem"]) == ["not finite"]
