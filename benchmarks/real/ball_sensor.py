@@ -54,7 +54,6 @@ _MOST_STEP_PX = 5.0
 # The presses are deep; how deep, and where, the fit looks for in the pictures.
 _CONTACT_IN_RADII = 0.95
 _MARKS_OFF_PX = 10.0
-_LED_DISTANCE_MM, _LED_HEIGHT_MM = 40.0, 20.0
 _POINT_SPREAD_PX = 2.0
 _RANGES = {
     "description": "Balls of 4 to 8 mm pressed straight into gels with dots",
@@ -149,7 +148,10 @@ def fitted_sensor(frames: LabelledFrames, path: Path) -> Sensor:
         for number, picture, center in zip(chosen, pictures, centers, strict=True)
     ]
     reference = inpaint_telea(with_dots, dots_of(with_dots))
-    fit = calibrate_light(_start(azimuths), reference, listed, sphere_profiles, keep_camera=True)
+    start = start_sensor(SIZE_PX[0], azimuths, MM_PER_PX)
+    camera = start.camera.seen_from(FAR_MM, SIZE_PX).model_copy(update={"point_spread_px": _POINT_SPREAD_PX})
+    start = start.model_copy(update={"camera": camera})
+    fit = calibrate_light(start, reference, listed, sphere_profiles, keep_camera=True)
     save_calibration(replace(fit, sensor=fit.sensor.model_copy(update={"markers": DOTS})), path)
     unchanged, predicted = (
         np.median([getattr(press, kind)[0] for press in fit.held_out]) for kind in ("unchanged", "refined")
@@ -159,18 +161,6 @@ def fitted_sensor(frames: LabelledFrames, path: Path) -> Sensor:
         f"inside held-out contacts the unchanged reference has {unchanged:.1f} dB, the prediction {predicted:.1f} dB"
     )
     return Sensor.load(path)
-
-
-def _start(azimuths: np.ndarray) -> Sensor:
-    """Return a sensor that shows the view from afar, with a bar for each colour outside of it."""
-    sensor = start_sensor(SIZE_PX[0], azimuths, MM_PER_PX)
-    camera = sensor.camera.seen_from(FAR_MM, SIZE_PX).model_copy(update={"point_spread_px": _POINT_SPREAD_PX})
-    leds = []
-    for led in sensor.illumination.leds:
-        moved = _farther(led, _LED_DISTANCE_MM / np.hypot(*led.position_mm[:2]))
-        leds.append(moved.model_copy(update={"position_mm": (*moved.position_mm[:2], -_LED_HEIGHT_MM)}))
-    light = sensor.illumination.model_copy(update={"leds": tuple(leds)})
-    return sensor.model_copy(update={"camera": camera, "illumination": light})
 
 
 def _farther(led: Led, factor: float) -> Led:

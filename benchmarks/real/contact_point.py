@@ -310,8 +310,7 @@ def point_table(records: pd.DataFrame, presses: RealPresses) -> ResultTable:
     ordered, rows = records.sort_values("labels", kind="stable").assign(pair=records["draw"] // 2), []
     for (labels, method), own in ordered.groupby(["labels", "method"], sort=False):
         away_mm, centered_mm = (
-            clip_table(own, name, "pair").dropna(how="all").to_numpy()
-            for name in ("clip_mm", "clip_centered_mm")
+            clip_table(own, name, "pair").to_numpy() for name in ("clip_mm", "clip_centered_mm")
         )
         offset_mm = np.mean(own["offset_mm"].tolist(), axis=0)
         rows.append(

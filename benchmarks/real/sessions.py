@@ -246,7 +246,7 @@ def error_rows(
 ) -> list[dict[str, Any]]:
     """Return a row of a table for each method, or what else names records: its error, and how its control's differs.
 
-    A control is left out where its records are.
+    The difference is left out where the control has no records.
     """
     found = {
         name: clip_table(own, "clip_mae_n", "seed") for name, own in records.groupby(named_by, sort=False)
