@@ -89,7 +89,7 @@ _MEASURED = {
     ],
     "real": [
         ("sessions", "force from one session's light to another's, on real grasps", "real.sessions", ANEW),
-        ("networks", "the same with all methods of adaptation", "real.networks", EXTRA),
+        ("networks", "the same with all methods of adaptation", "real.sessions:networks", EXTRA),
         (
             "contact-point",
             "where a ball touches, from synthetic presses to real ones",

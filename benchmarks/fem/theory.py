@@ -1,4 +1,4 @@
-"""Closed forms of sphere contact: Hertz and Cattaneo–Mindlin (`gelgap.sim` has the bonded layer). Approximate checks.
+"""Closed forms of sphere contact: Hertz (`gelgap.sim` has the bonded layer). Approximate checks.
 
 Units are mm, N and MPa. Forces are magnitudes (positive under compression); the rest of gelgap counts
 compression as Fz < 0. Every argument may be an array; arguments broadcast.
@@ -28,26 +28,3 @@ def hertz_force_n(
     """
     plane_modulus = np.asarray(young_modulus_mpa) / (1 - np.asarray(poisson_ratio) ** 2)
     return 4 / 3 * plane_modulus * np.sqrt(indenter_radius_mm) * np.asarray(depth_mm) ** 1.5
-
-
-def full_slip_mm(
-    limit_n: ArrayLike, contact_radius_mm: ArrayLike, shear_modulus_mpa: ArrayLike, poisson_ratio: ArrayLike
-) -> Floats:
-    """Return the travel s* = 3 Q (2−ν) / (16 a G) at which a contact with the friction limit Q = μ P slips wholly, mm.
-
-    Johnson 1985, eq. 7.42, for one elastic body without rotation. Half-space, a ≪ R.
-    """
-    stiffness = 16 * np.asarray(contact_radius_mm) * shear_modulus_mpa / (3 * (2 - np.asarray(poisson_ratio)))
-    return np.asarray(limit_n) / stiffness
-
-
-def partial_slip_force_n(
-    limit_n: ArrayLike,
-    contact_radius_mm: ArrayLike,
-    shear_modulus_mpa: ArrayLike,
-    poisson_ratio: ArrayLike,
-    travel_mm: ArrayLike,
-) -> Floats:
-    """Return the tangential force Q (1 − (1 − s/s*)^1.5), N, and Q = μ P beyond full slip (Cattaneo–Mindlin)."""
-    full_mm = full_slip_mm(limit_n, contact_radius_mm, shear_modulus_mpa, poisson_ratio)
-    return np.asarray(limit_n) * (1 - np.clip(1 - np.asarray(travel_mm) / full_mm, 0, 1) ** 1.5)

@@ -1,18 +1,17 @@
 """The ball presses' sensor: where a press is seen in its pictures, its light, and synthetic presses in its view."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from gelgap.benchmarks.real.published_sets import MM_PER_PX, Presses
+from gelgap.benchmarks.real.published_sets import MM_PER_PX, SERIES
 from gelgap.domains import (
     DomainRecipe,
     LabelledFrames,
     Labels,
     PretrainingRanges,
-    generate_recipes,
     join_domains,
     open_domain,
     pretraining_recipes,
@@ -23,7 +22,6 @@ from gelgap.domains.calibration_presses import start_sensor
 from gelgap.render import (
     Camera,
     Led,
-    LightCalibration,
     Markers,
     PressPicture,
     Sensor,
@@ -40,10 +38,11 @@ DOTS = Markers(columns=13, rows=17, pitch_mm=2.0, diameter_mm=0.55, jitter_mm=0.
 """Dots as large and as far apart as in the pictures; the real ones end 3 mm from the view's edge."""
 FAR_MM = 500.0
 """Marks are places in the picture: a nearly parallel camera shows a contact where it is, however deep."""
-PRESSES = 24
-"""The light is fitted to as many."""
+FITTED_SERIES, FITTED_PRESSES = "calibration2", 24
+"""The light is fitted to as many presses of that series."""
 LABELS = Labels.of({"x_mm": (-VIEW_MM[0] / 2, VIEW_MM[0] / 2), "y_mm": (-VIEW_MM[1] / 2, VIEW_MM[1] / 2)})
 SYNTHETIC_PX = (120, 160)
+MM_PER_SYNTHETIC_PX = VIEW_MM[0] / SYNTHETIC_PX[0]
 _MARGIN = 0.05
 """Share of the width: the pad's rim changes, too, when the gel is pressed."""
 _BLUR = 0.025
@@ -55,7 +54,6 @@ _MOST_STEP_PX = 5.0
 # The presses are deep; how deep, and where, the fit looks for in the pictures.
 _CONTACT_IN_RADII = 0.95
 _MARKS_OFF_PX = 10.0
-_LED_DISTANCE_MM, _LED_HEIGHT_MM = 40.0, 20.0
 _POINT_SPREAD_PX = 2.0
 _RANGES = {
     "description": "Balls of 4 to 8 mm pressed straight into gels with dots",
@@ -121,23 +119,27 @@ def dots_of(picture: np.ndarray) -> np.ndarray:
     return cv2.dilate((hollow > _DOT_CONTRAST).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
 
 
-def fitted_sensor(presses: Presses, path: Path) -> LightCalibration:
-    """Fit the light to presses of a series, spread over it; their marks are not looked at. Write the sensor to `path`.
+def fitted_sensor(frames: LabelledFrames, path: Path) -> Sensor:
+    """Return the sensor of a file, or fit its light to pictures of ball presses and write it; no label is looked at.
 
     Raises
     ------
     ValueError
         If presses that the fit has not seen are predicted worse than by the unchanged reference.
     """
-    radius_px = _CONTACT_IN_RADII * presses.ball_radius_mm / MM_PER_PX
-    chosen = np.unique(np.linspace(0, len(presses.pictures) - 1, PRESSES).astype(int))
-    pictures = presses.pictures[chosen]
-    centers = np.array([level_point_px(picture, presses.reference, radius_px) for picture in pictures])
-    azimuths = light_azimuths(presses.reference, list(pictures), centers, np.full(len(chosen), radius_px))
+    if path.is_file():
+        return Sensor.load(path)
+    series = frames.take(np.flatnonzero(frames.columns["session"] == FITTED_SERIES))
+    ball_radius_mm, with_dots = SERIES[FITTED_SERIES][1], series.references_at()[series.reference_id[0]]
+    radius_px = _CONTACT_IN_RADII * ball_radius_mm / MM_PER_PX
+    chosen = np.unique(np.linspace(0, len(series) - 1, FITTED_PRESSES).astype(int))
+    pictures = [series.picture(number) for number in chosen]
+    centers = np.array([level_point_px(picture, with_dots, radius_px) for picture in pictures])
+    azimuths = light_azimuths(with_dots, pictures, centers, np.full(len(chosen), radius_px))
     listed = [
         PressPicture(
             inpaint_telea(picture, dots_of(picture)),
-            2 * presses.ball_radius_mm,
+            2 * ball_radius_mm,
             radius_px=radius_px,
             center_px=tuple(center),
             marks_off_px=_MARKS_OFF_PX,
@@ -145,33 +147,20 @@ def fitted_sensor(presses: Presses, path: Path) -> LightCalibration:
         )
         for number, picture, center in zip(chosen, pictures, centers, strict=True)
     ]
-    reference = inpaint_telea(presses.reference, dots_of(presses.reference))
-    fit = calibrate_light(_start(azimuths), reference, listed, sphere_profiles, keep_camera=True)
+    reference = inpaint_telea(with_dots, dots_of(with_dots))
+    start = start_sensor(SIZE_PX[0], azimuths, MM_PER_PX)
+    camera = start.camera.seen_from(FAR_MM, SIZE_PX).model_copy(update={"point_spread_px": _POINT_SPREAD_PX})
+    start = start.model_copy(update={"camera": camera})
+    fit = calibrate_light(start, reference, listed, sphere_profiles, keep_camera=True)
     save_calibration(replace(fit, sensor=fit.sensor.model_copy(update={"markers": DOTS})), path)
-    return fit
-
-
-def fit_quality(fit: LightCalibration) -> str:
-    """Return in a line what the fit leaves, and how it predicts presses that it has not seen."""
     unchanged, predicted = (
         np.median([getattr(press, kind)[0] for press in fit.held_out]) for kind in ("unchanged", "refined")
     )
-    return (
+    print(
         f"light fitted to {len(fit.names)} presses without their marks: {fit.rms_code_values:.1f} code values rms; "
         f"inside held-out contacts the unchanged reference has {unchanged:.1f} dB, the prediction {predicted:.1f} dB"
     )
-
-
-def _start(azimuths: np.ndarray) -> Sensor:
-    """Return a sensor that shows the view from afar, with a bar for each colour outside of it."""
-    sensor = start_sensor(SIZE_PX[0], azimuths, MM_PER_PX)
-    camera = sensor.camera.seen_from(FAR_MM, SIZE_PX).model_copy(update={"point_spread_px": _POINT_SPREAD_PX})
-    leds = []
-    for led in sensor.illumination.leds:
-        moved = _farther(led, _LED_DISTANCE_MM / np.hypot(*led.position_mm[:2]))
-        leds.append(moved.model_copy(update={"position_mm": (*moved.position_mm[:2], -_LED_HEIGHT_MM)}))
-    light = sensor.illumination.model_copy(update={"leds": tuple(leds)})
-    return sensor.model_copy(update={"camera": camera, "illumination": light})
+    return Sensor.load(path)
 
 
 def _farther(led: Led, factor: float) -> Led:
@@ -181,33 +170,20 @@ def _farther(led: Led, factor: float) -> Led:
     return led.model_copy(update={**larger, "position_mm": tuple(factor * side for side in led.position_mm)})
 
 
-@dataclass(frozen=True)
-class Amount:
-    """How many domains of how many frames, from how many gels × balls that are solved."""
-
-    domains: int
-    frames: int
-    presses: int
-
-
-def synthetic_presses(folder: Path, amount: Amount, fitted: Sensor | None) -> LabelledFrames:
-    """Return the frames, generated once, with the contact point as their label; in the light of `fitted` if given."""
-    recipes = press_recipes(amount, fitted)
-    generate_recipes(recipes, folder, scheduler="synchronous")
-    return contact_points([folder / recipe.name for recipe in recipes])
-
-
 def contact_points(folders: Sequence[Path]) -> LabelledFrames:
     """Return the frames of data sets, with the contact point as their label."""
     return with_labels(join_domains([open_domain(folder) for folder in folders]), LABELS)
 
 
-def press_recipes(amount: Amount, fitted: Sensor | None) -> tuple[DomainRecipe, ...]:
-    """Return the recipes; they differ in nothing but the light from those in another light."""
-    ranges = PretrainingRanges(
-        **{**PretrainingRanges.default().model_dump(), **_RANGES, "presses": amount.presses}
-    )
-    recipes = pretraining_recipes(amount.domains, amount.frames, ranges, size_px=SYNTHETIC_PX)
+def press_recipes(
+    domains: int, frames: int, presses: int, fitted: Sensor | None = None
+) -> tuple[DomainRecipe, ...]:
+    """Return domains of frames from so many gels × balls, in drawn light or that of a sensor.
+
+    They differ in nothing but the light from those in another light.
+    """
+    ranges = PretrainingRanges(**{**PretrainingRanges.default().model_dump(), **_RANGES, "presses": presses})
+    recipes = pretraining_recipes(domains, frames, ranges, size_px=SYNTHETIC_PX)
     return tuple(_on_the_ball_sensor(recipe, fitted) for recipe in recipes)
 
 

@@ -6,10 +6,8 @@ sees a window around what a press changes, and says how far from there the conta
 picture must tell a place to a hundredth of the view; in a window it is a tenth.
 """
 
-import contextlib
-import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,8 +25,6 @@ from gelgap.adapt import (
     train_source,
     with_statistics_of,
 )
-from gelgap.assets.checksums import parse_json, with_checksum, without_checksum
-from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks.adaptation.study import configuration_of
 from gelgap.benchmarks.common import (
     Results,
@@ -40,57 +36,60 @@ from gelgap.benchmarks.common import (
     write_json,
 )
 from gelgap.benchmarks.real.ball_sensor import (
+    MM_PER_SYNTHETIC_PX,
     SYNTHETIC_PX,
-    VIEW_MM,
-    Amount,
     center_of_change_px,
     contact_points,
-    fit_quality,
     fitted_sensor,
     level_point_px,
     press_recipes,
-    synthetic_presses,
 )
-from gelgap.benchmarks.real.published_sets import BALL_CLONE, LAYOUTS, MM_PER_PX, ball_presses
+from gelgap.benchmarks.real.published_sets import MM_PER_PX, converted_clone
 from gelgap.benchmarks.real.sessions import clip_means, clip_table
-from gelgap.domains import ArrayFrames, LabelledFrames, Labels, convert, with_labels
-from gelgap.render import Sensor
+from gelgap.domains import ArrayFrames, LabelledFrames, Labels, generate_recipes, with_labels
 
-NAME, RECORDS = "gelsight", "points.jsonl"
 DRAWN, CALIBRATED = "drawn", "calibrated"
 """The light of synthetic presses."""
 SCRATCH = "network from scratch"
 AS_TRAINED, STATISTICS, CORRECTED, TUNED = "as trained", "statistics", "affine correction", "fine-tuned"
-DRAWS = tuple(range(4))
-NO_LABELS, FEW = 0, (5, 20, 100)
+NO_LABELS, FEW = (0,), (5, 20, 100)
 WINDOW_PX = 64
 REACH_MM = 4.0
 """A contact point lies no farther from the window's centre, along x and along y."""
 _LIGHT = " light, "
-_MM_PER_PX = VIEW_MM[0] / SYNTHETIC_PX[0]
 _WINDOW_LABELS = Labels.of({"x_mm": (-REACH_MM, REACH_MM), "y_mm": (-REACH_MM, REACH_MM)})
 _CENTER = ("center_x_mm", "center_y_mm")
 _NO_CHANGE = 128
-_JITTER_MM = 1.5
-_COPIES = 2
+_COPIES, _JITTER_MM = 2, 1.5
 _LEVEL_RADIUS_PX = 16.0
 
 
-def windows_of(frames: LabelledFrames) -> LabelledFrames:
-    """Return a window around the centroid of each picture's change, labelled with the contact point from its centre."""
-    changes = list(_changes(frames))
-    return _windows(frames, changes, _centroids_mm(changes))
+def windows_of(frames: LabelledFrames, copies: int = 1, jitter_mm: float = 0.0) -> LabelledFrames:
+    """Return windows around the centroid of each picture's change, labelled with the contact point from their centre.
 
+    With copies, as many windows of each picture, put beside the centroid at random. They are cut at whole pixels;
+    beyond the picture nothing changes.
+    """
+    references = frames.references_at(SYNTHETIC_PX).astype(np.int16)
+    pairs = zip(frames.images(SYNTHETIC_PX), frames.reference_id, strict=True)
+    changes = [picture - references[reference] for picture, reference in pairs]
+    which, middle_px = np.tile(np.arange(len(frames)), copies), (np.array(SYNTHETIC_PX) - 1) / 2
+    beside_mm = np.random.default_rng(0).uniform(-jitter_mm, jitter_mm, (len(which), 2))
+    wanted_mm = (np.array([*map(center_of_change_px, changes)]) - middle_px)[which] * MM_PER_SYNTHETIC_PX
+    wanted_px = (wanted_mm + beside_mm) / MM_PER_SYNTHETIC_PX + middle_px
+    first_px = np.round(wanted_px - (WINDOW_PX - 1) / 2).astype(int)
+    centers_mm = (first_px + (WINDOW_PX - 1) / 2 - middle_px) * MM_PER_SYNTHETIC_PX
 
-def training_windows(frames: LabelledFrames) -> LabelledFrames:
-    """Return two windows of each synthetic press, put beside the centroid at random, that have the contact point."""
-    rng = np.random.default_rng(0)
-    pressed = frames.take(np.flatnonzero(frames.columns["depth_mm"] > 0))
-    changes = list(_changes(pressed))
-    centers_mm = np.tile(_centroids_mm(changes), (_COPIES, 1))
-    centers_mm = centers_mm + rng.uniform(-_JITTER_MM, _JITTER_MM, centers_mm.shape)
-    twice = pressed.take(np.tile(np.arange(len(pressed)), _COPIES))
-    return with_point(_windows(twice, changes * _COPIES, centers_mm))
+    margin, cut = (WINDOW_PX, WINDOW_PX), []
+    for press, (x, y) in zip(which, first_px + WINDOW_PX, strict=True):
+        padded = np.pad(changes[press], (margin, margin, (0, 0)))
+        cut.append(padded[y : y + WINDOW_PX, x : x + WINDOW_PX])
+    pictures = np.clip(_NO_CHANGE + np.array(cut), 0, 255).astype(np.uint8)
+    reference = np.full(pictures.shape[1:], _NO_CHANGE, np.uint8)
+    points_mm = np.stack([frames.columns[name][which] for name in _WINDOW_LABELS.names], axis=1)
+    names = (*_WINDOW_LABELS.names, *_CENTER)
+    columns = dict(zip(names, (*(points_mm - centers_mm).T, *centers_mm.T), strict=True))
+    return with_labels(ArrayFrames(frames.name, pictures, reference, None, **columns), _WINDOW_LABELS)
 
 
 def with_point(windows: LabelledFrames) -> LabelledFrames:
@@ -101,36 +100,6 @@ def with_point(windows: LabelledFrames) -> LabelledFrames:
 def centers_of(windows: LabelledFrames) -> np.ndarray:
     """Return the centres of windows (n, 2) from the middle of the view, mm."""
     return np.stack([windows.columns[name] for name in _CENTER], axis=1)
-
-
-def _changes(frames: LabelledFrames) -> Iterator[np.ndarray]:
-    """Yield each picture less its reference (h, w, 3)."""
-    references = frames.references_at(SYNTHETIC_PX).astype(np.int16)
-    for picture, reference in zip(frames.images(SYNTHETIC_PX), frames.reference_id, strict=True):
-        yield picture - references[reference]
-
-
-def _centroids_mm(changes: list[np.ndarray]) -> np.ndarray:
-    """Return the centroids (n, 2) from the middle of the view."""
-    found_px = np.array([center_of_change_px(change) for change in changes])
-    return (found_px - (np.array(SYNTHETIC_PX) - 1) / 2) * _MM_PER_PX
-
-
-def _windows(frames: LabelledFrames, changes: list[np.ndarray], centers_mm: np.ndarray) -> LabelledFrames:
-    """Cut windows at whole pixels; beyond the picture nothing changes."""
-    middle_px = centers_mm / _MM_PER_PX + (np.array(SYNTHETIC_PX) - 1) / 2
-    first_px = np.round(middle_px - (WINDOW_PX - 1) / 2).astype(int)
-    centers_mm = (first_px + (WINDOW_PX - 1) / 2 - (np.array(SYNTHETIC_PX) - 1) / 2) * _MM_PER_PX
-    margin, cut = (WINDOW_PX, WINDOW_PX), []
-    for change, (x, y) in zip(changes, first_px + WINDOW_PX, strict=True):
-        padded = np.pad(change, (margin, margin, (0, 0)))
-        cut.append(padded[y : y + WINDOW_PX, x : x + WINDOW_PX].copy())
-    points_mm = np.stack([frames.columns[name] for name in _WINDOW_LABELS.names], axis=1)
-    names = (*_WINDOW_LABELS.names, *_CENTER)
-    columns = dict(zip(names, (*(points_mm - centers_mm).T, *centers_mm.T), strict=True))
-    pictures = np.clip(_NO_CHANGE + np.array(cut), 0, 255).astype(np.uint8)
-    reference = np.full(pictures.shape[1:], _NO_CHANGE, np.uint8)
-    return with_labels(ArrayFrames(frames.name, pictures, reference, None, **columns), _WINDOW_LABELS)
 
 
 @dataclass(frozen=True)
@@ -178,21 +147,21 @@ class RealPresses:
         return np.random.default_rng([draw, count]).choice(pool, min(count, len(pool)), replace=False)
 
 
-PLAIN_METHODS: dict[str, tuple[tuple[int, ...], Callable[[RealPresses], np.ndarray]]] = {
+RULES: dict[str, tuple[tuple[int, ...], Callable[[RealPresses], np.ndarray]]] = {
     "constant mean": (FEW, lambda presses: np.empty((len(presses.frames), 0))),
-    "centroid of the change": ((NO_LABELS,), lambda presses: presses.center_of_change_mm),
+    "centroid of the change": (NO_LABELS, lambda presses: presses.center_of_change_mm),
     "centroid, linear regression": (FEW, lambda presses: presses.center_of_change_mm),
-    "point of no change": ((NO_LABELS,), lambda presses: presses.level_point_mm),
+    "point of no change": (NO_LABELS, lambda presses: presses.level_point_mm),
     "point of no change, linear regression": (FEW, lambda presses: presses.level_point_mm),
 }
 """Methods without a network: numbers of labels, and what a rule sees; marks are regressed on that, linearly."""
 
 
-def plain_points(presses: RealPresses, method: str, draw: int, labels: int) -> np.ndarray:
-    """Return where a method without a network says that the tested presses of a draw are, (n, 2) mm."""
+def ruled_points(presses: RealPresses, rule: str, draw: int, labels: int) -> np.ndarray:
+    """Return where a rule says that the tested presses of a draw are, (n, 2) mm."""
     _, tested = presses.halves(draw)
-    seen_mm = PLAIN_METHODS[method][1](presses)
-    if labels == NO_LABELS:
+    seen_mm = RULES[rule][1](presses)
+    if not labels:
         return seen_mm[tested]
     few, columns = presses.labelled(draw, labels), np.column_stack([np.ones(len(seen_mm)), seen_mm])
     return columns[tested] @ np.linalg.lstsq(columns[few], presses.frames.label_values[few], rcond=None)[0]
@@ -212,55 +181,53 @@ def point_profile(preset: str, epochs: int) -> Profile:
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is done: the network's profile, the synthetic presses, lights, draws, and numbers of labels."""
+    """How much is done: the profile, domains of frames from so many gels × balls, lights, draws, numbers of labels."""
 
     profile: Profile
-    amount: Amount
+    domains: int
+    frames: int
+    presses: int
     lights: tuple[str, ...]
-    draws: tuple[int, ...]
+    draws: range
     few: tuple[int, ...]
     steps_from_scratch: int
 
     def settings(self) -> list[Setting]:
         """Return all trials: a method with a number of labelled presses and a draw."""
-        plain = [
-            (name, count, draw)
+        counts = {rule: own for rule, (own, _) in RULES.items()}
+        for light in self.lights:
+            counts |= {f"{light}{_LIGHT}{way}": NO_LABELS for way in (AS_TRAINED, STATISTICS)}
+            counts |= {f"{light}{_LIGHT}{way}": FEW for way in (CORRECTED, TUNED)}
+        return [
+            {"method": method, "labels": labels, "draw": draw}
             for draw in self.draws
-            for name, (labels, _) in PLAIN_METHODS.items()
-            for count in (NO_LABELS, *self.few)
-            if count in labels
+            for method, own in {**counts, SCRATCH: FEW}.items()
+            for labels in own
+            if labels in (*NO_LABELS, *self.few)
         ]
-        ways = [(what, NO_LABELS) for what in (AS_TRAINED, STATISTICS)]
-        ways += [(what, count) for count in self.few for what in (CORRECTED, TUNED)]
-        methods = [(f"{light}{_LIGHT}{what}", count) for light in self.lights for what, count in ways]
-        methods += [(SCRATCH, count) for count in self.few]
-        networks = [(*method, draw) for draw in self.draws for method in methods]
-        return [dict(zip(("method", "labels", "draw"), one, strict=True)) for one in plain + networks]
 
 
-QUICK = Plan(point_profile("smoke", 2), Amount(2, 8, 1), (DRAWN,), DRAWS[:2], FEW[:1], 20)
-WHOLE = Plan(point_profile("cpu", 20), Amount(24, 64, 8), (DRAWN, CALIBRATED), DRAWS, FEW, 300)
+QUICK = Plan(point_profile("smoke", 2), 2, 8, 1, (DRAWN,), range(2), FEW[:1], 20)
+WHOLE = Plan(point_profile("cpu", 20), 24, 64, 8, (DRAWN, CALIBRATED), range(4), FEW, 300)
 
 
 class Trials:
-    """The trials of a plan; `folder` keeps what is finished, `clone` has the pictures that a light is fitted to."""
+    """The trials of a plan; `folder` keeps what is finished."""
 
-    def __init__(self, plan: Plan, presses: RealPresses, clone: Path, folder: Path):
-        self._plan, self._presses, self._clone, self._folder = plan, presses, clone, folder
+    def __init__(self, plan: Plan, presses: RealPresses, folder: Path):
+        self._plan, self._presses, self._folder = plan, presses, folder
         self._models: dict[tuple[str, int], ForceModel] = {}
 
     def records(self) -> pd.DataFrame:
         """Do the trials that have no record yet, and return the records of all."""
-        synthetic = [recipe.key for recipe in press_recipes(self._plan.amount, None)]
+        plan = self._plan
+        synthetic = [recipe.key for recipe in press_recipes(plan.domains, plan.frames, plan.presses)]
         marks = self._presses.frames.label_values.tolist()
-        steps = self._plan.steps_from_scratch
-        configuration = configuration_of(self._plan.profile, synthetic, steps, marks)
-        file = self._folder / RECORDS
-        name_settings(file)
+        configuration = configuration_of(plan.profile, synthetic, plan.steps_from_scratch, marks)
         return run_missing(
             self.measure,
-            self._plan.settings(),
-            file,
+            plan.settings(),
+            self._folder / "points.jsonl",
             workers=1,
             fixed=lambda setting: {"configuration": configuration},
             describe=lambda record: f"{np.mean(list(record['clip_mm'].values())):.3f} mm",
@@ -269,9 +236,9 @@ class Trials:
     def measure(self, trial: Setting) -> Results:
         """Do one trial; the time is that of learning from labels and of predicting."""
         method, labels, draw = trial["method"], trial["labels"], trial["draw"]
-        if method in PLAIN_METHODS:
+        if method in RULES:
             start = time.perf_counter()
-            points_mm = plain_points(self._presses, method, draw, labels)
+            points_mm = ruled_points(self._presses, method, draw, labels)
         else:
             windows = self._presses.windows.take(self._presses.halves(draw)[1])
             learn = self._way_to_learn(method, labels, draw)
@@ -287,41 +254,28 @@ class Trials:
         if method == SCRATCH:
             epochs = self._plan.steps_from_scratch // max(1, len(labelled) // profile.batch_size)
             return lambda: train_source(labelled, profile.replace(source_epochs=epochs), draw)
-        light, _, what = method.partition(_LIGHT)
+        light, _, way = method.partition(_LIGHT)
         model, pool = self._model(light, draw // 2), self._presses.halves(draw)[0]
         return {
             AS_TRAINED: lambda: model,
             STATISTICS: lambda: with_statistics_of(model, self._presses.windows.take(pool)),
             CORRECTED: lambda: affine_correction(model, labelled),
             TUNED: lambda: fine_tune(model, labelled),
-        }[what]
+        }[way]
 
     def _model(self, light: str, seed: int) -> ForceModel:
-        """Return the network that learnt on synthetic presses, trained once."""
+        """Return the network that learnt on synthetic presses, generated and trained once."""
         if (light, seed) not in self._models:
-            folder, fitted = self._folder / light, self._fitted() if light == CALIBRATED else None
-            windows = training_windows(synthetic_presses(folder, self._plan.amount, fitted))
-            self._models[light, seed] = Stage1(windows, self._plan.profile, seed, out=folder).model()[0]
+            plan, folder, fitted = self._plan, self._folder / light, None
+            if light == CALIBRATED:
+                fitted = fitted_sensor(self._presses.frames, self._folder / "ball-sensor.toml")
+            recipes = press_recipes(plan.domains, plan.frames, plan.presses, fitted)
+            generate_recipes(recipes, folder, scheduler="synchronous")
+            frames = contact_points([folder / recipe.name for recipe in recipes])
+            pressed = frames.take(np.flatnonzero(frames.columns["depth_mm"] > 0))
+            windows = with_point(windows_of(pressed, _COPIES, _JITTER_MM))
+            self._models[light, seed] = Stage1(windows, plan.profile, seed, out=folder).model()[0]
         return self._models[light, seed]
-
-    def _fitted(self) -> Sensor:
-        path = self._folder / "ball-sensor.toml"
-        if not path.is_file():
-            print(fit_quality(fitted_sensor(ball_presses(self._clone, "calibration2"), path)))
-        return Sensor.load(path)
-
-
-def name_settings(file: Path) -> None:
-    """Give records in which an earlier gelgap left settings among the results today's form."""
-    found = file.read_bytes().splitlines() if file.is_file() else []
-    lines = list(found)
-    for number, line in enumerate(lines):
-        with contextlib.suppress(ValueError, KeyError):
-            record = without_checksum(parse_json(line))
-            setting = {name: record.pop(name) for name in ("method", "labels", "draw")}
-            lines[number] = json.dumps(with_checksum({"job": setting, **record})).encode()
-    if lines != found:
-        write_whole(file, b"\n".join([*lines, b""]))
 
 
 def results_of(presses: RealPresses, draw: int, predicted_mm: np.ndarray, seconds: float) -> Results:
@@ -342,15 +296,11 @@ def results_of(presses: RealPresses, draw: int, predicted_mm: np.ndarray, second
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
     """Do the trials that have no record yet, print the table, and write `real-contact-point.json` to `out_dir`."""
-    clone, plan = data / NAME, QUICK if quick else WHOLE
+    plan = QUICK if quick else WHOLE
     folder = out_dir / "real" / "contact-point" / plan.profile.name
-    converted = out_dir / "real" / "balls"
-    if not clone.is_dir():
-        raise FileNotFoundError(f"{clone} is missing; get it: {BALL_CLONE} {clone}")
-    if not converted.is_dir():
-        convert(clone, LAYOUTS["ball-presses"], converted)
+    converted = converted_clone("ball-presses", data, out_dir)
     presses = RealPresses(contact_points([converted / "ball-presses"]))
-    table = point_table(Trials(plan, presses, clone, folder).records(), presses)
+    table = point_table(Trials(plan, presses, folder).records(), presses)
     table.show()
     write_json(out_dir / "real-contact-point.json", table)
 
@@ -360,8 +310,7 @@ def point_table(records: pd.DataFrame, presses: RealPresses) -> ResultTable:
     ordered, rows = records.sort_values("labels", kind="stable").assign(pair=records["draw"] // 2), []
     for (labels, method), own in ordered.groupby(["labels", "method"], sort=False):
         away_mm, centered_mm = (
-            clip_table(own, name, "pair").dropna(how="all").to_numpy()
-            for name in ("clip_mm", "clip_centered_mm")
+            clip_table(own, name, "pair").to_numpy() for name in ("clip_mm", "clip_centered_mm")
         )
         offset_mm = np.mean(own["offset_mm"].tolist(), axis=0)
         rows.append(

@@ -1,58 +1,72 @@
 """Few labels of a real session, from scratch and from what `gelgap pretrain` makes: does synthetic data pay?
 
 `randomisation` asks what matters in it: pretrained with one factor at a time undrawn. Whole clips are tested, and no
-picture of theirs is seen before. Learning rates are chosen for each start on the other session, whose clips are in no
-table.
+picture of theirs is seen before.
 """
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt import ResultTable
-from gelgap.adapt.result_table import cell
+from gelgap.adapt import (
+    FeatureCollapse,
+    ForceModel,
+    Profile,
+    Stage1,
+    TrainingDiverged,
+    adapt,
+    console_progress,
+    fine_tune,
+    pretrain,
+    with_statistics_of,
+)
+from gelgap.adapt.data import steps_per_epoch
+from gelgap.adapt.few_labels import of_common_labels
+from gelgap.assets.checksums import file_sha256
 from gelgap.benchmarks.adaptation.study import grid, versions_line
-from gelgap.benchmarks.common import RESAMPLES, Results, Setting, mean_of, result_table, write_json
+from gelgap.benchmarks.common import Results, Setting, result_table, write_json
 from gelgap.benchmarks.real.sessions import (
+    CONSTANT,
     FOLDS,
+    FORMATS,
     FZ_RANGE_N,
-    PLAIN_METHODS,
+    NOTE,
+    QUADRATIC,
     SESSIONS,
     Fold,
     Session,
     SessionStudy,
     clip_folds,
-    clip_table,
-    compare,
+    error_rows,
     errors_by_clip,
     frames_of_session,
     key_of_session,
-    plain_errors,
     read_sessions,
+    rule_records,
 )
-from gelgap.domains import RANDOM_FACTORS
-
-if TYPE_CHECKING:
-    from gelgap.adapt import ForceModel, Profile
-    from gelgap.domains import LabelledFrames
+from gelgap.domains import (
+    RANDOM_FACTORS,
+    LabelledFrames,
+    PretrainingRanges,
+    pretraining_recipes,
+    with_labels,
+)
 
 RUNS = "few-labels.jsonl"
-TUNED_ON, COMPARED_ON = SESSIONS
+SESSION = SESSIONS[1]
 SCRATCH, PRETRAINED, WITHOUT = "scratch", "pretrained", "without-"
 """What training starts from: nothing, a checkpoint of `gelgap pretrain`, or one for which a factor was not drawn."""
-RATES = {SCRATCH: (0.006, 0.02, 0.06, 0.2), PRETRAINED: (0.001, 0.002, 0.004, 0.008)}
-"""Candidates of the learning rates."""
+SCRATCH_RATE, PRETRAINED_RATE = 0.06, 0.004
+"""Learning rates, the best of four each on the other session, whose clips are in no table (commit 3683a5b)."""
 STEPS, QUICK_STEPS = 200, 5
 """Of every training, whatever it starts from and however much is labelled."""
-RATE = "adapt_learning_rate"
-"""The field of the profile that holds the learning rate of either start."""
-PLAIN = PLAIN_METHODS[:2]
+DRAWS = range(12)
+FACTOR_DRAWS = range(6)
 _METHOD = "no-transfer"
 _DOMAINS, _FRAMES = 60, 60
 _QUICK_DOMAINS, _QUICK_FRAMES, _QUICK_EPOCHS = 2, 12, 1
@@ -66,26 +80,17 @@ class Budget:
     frames: int = 0
     other_objects: bool = False
 
-    @property
-    def name(self) -> str:
-        """What it is in words."""
-        amount, what = (self.clips, "clip") if self.clips else (self.frames, "frame")
-        plural, others = "s" * (amount > 1), " of other objects" * self.other_objects
-        return f"{amount} {what}{plural}{others}"
+
+ONE_CLIP, SOME_FRAMES, OTHER_OBJECTS = "1 clip", "16 frames", "4 clips of other objects"
+BUDGETS = {
+    ONE_CLIP: Budget(clips=1),
+    **{f"{clips} clips": Budget(clips=clips) for clips in (2, 4, 8)},
+    **{f"{frames} frames": Budget(frames=frames) for frames in (4, 8, 16, 64)},
+    OTHER_OBJECTS: Budget(clips=4, other_objects=True),
+}
 
 
-ONE_CLIP, OTHER_OBJECTS = Budget(clips=1), Budget(clips=4, other_objects=True)
-BUDGETS = (
-    *(Budget(clips=clips) for clips in (1, 2, 4, 8)),
-    *(Budget(frames=frames) for frames in (4, 8, 16, 64)),
-    OTHER_OBJECTS,
-)
-TUNING_BUDGETS, TUNING_DRAWS = (ONE_CLIP, Budget(frames=16), OTHER_OBJECTS), range(2)
-DRAWS = range(12)
-FACTOR_BUDGETS, FACTOR_DRAWS = (Budget(frames=16), OTHER_OBJECTS), range(6)
-
-
-def few_labels(session: Session, budget: Budget, draw: int) -> tuple[Session, Session, Session]:
+def few_labels(session: Session, budget: Budget, draw: int) -> Fold:
     """Return the pictures that a draw labels, those that are known without labels, these among them, and the tested.
 
     A draw tests the clips of one fold, and three draws test each clip once; or all clips of one object, one after the
@@ -102,11 +107,15 @@ def few_labels(session: Session, budget: Budget, draw: int) -> tuple[Session, Se
         labelled = known.loc[np.sort(rng.permutation(known.index)[: budget.frames])]
     else:
         labelled = known[known["clip"].isin(rng.permutation(sorted(known["clip"].unique()))[: budget.clips])]
-    return labelled, known, session[is_tested]
+    return Fold(labelled, known, session[is_tested])
 
 
 class FewLabelStudy(SessionStudy):
     """Trainings on a few labels of a session, from a start: the source of a run; its data are a budget."""
+
+    def fold_of(self, run: Setting) -> Fold:
+        """Return what a run's draw labels, knows and tests; see `few_labels`."""
+        return few_labels(read_sessions(self.data)[run["target"]], BUDGETS[run["data"]], run["seed"])
 
     def checkpoint_of(self, start: str) -> Path | None:
         """Return the checkpoint of a start, None for the one from scratch."""
@@ -114,8 +123,6 @@ class FewLabelStudy(SessionStudy):
 
     def stated_of(self, run: Setting) -> Results:
         """Return what a record states of profile, range, steps, the session's forces, and of what a run starts from."""
-        from gelgap.assets.checksums import file_sha256
-
         session, checkpoint = read_sessions(self.data)[run["target"]], self.checkpoint_of(run["source"])
         start = None if checkpoint is None else file_sha256(checkpoint)
         data = FZ_RANGE_N, STEPS, key_of_session(session), start
@@ -125,29 +132,26 @@ class FewLabelStudy(SessionStudy):
         """Return that runs share no first stage."""
 
 
-def few_label_runs(
-    session: str, budgets: Iterable[Budget], rates: Mapping[str, Sequence[float]], draws: Iterable[int]
-) -> list[Setting]:
-    """Return the trainings of each start with each of its learning rates, one draw after the other."""
-    # The sensor has no markers that training could hide.
-    common = (("batch_statistics", "joint"), ("marker_hiding", 0.0))
+def few_label_runs(budgets: Iterable[str], starts: Iterable[str], draws: Iterable[int]) -> list[Setting]:
+    """Return the trainings from each start, one draw after the other."""
     return [
         run
         for draw in draws
         for budget in budgets
-        for start, own in rates.items()
-        for rate in own
-        for run in grid([(budget.name, (start, session))], [_METHOD], [draw], (*common, (RATE, rate)))
+        for start in starts
+        for run in grid([(budget, (start, SESSION))], [_METHOD], [draw], _changes(start))
     ]
+
+
+def _changes(start: str) -> tuple[tuple[str, str | float], ...]:
+    rate = SCRATCH_RATE if start == SCRATCH else PRETRAINED_RATE
+    # The sensor has no markers that training could hide.
+    return ("batch_statistics", "joint"), ("marker_hiding", 0.0), ("adapt_learning_rate", rate)
 
 
 def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
     """Train on what a draw labels, and return the errors on what it tests; one that stops predicts the labels' mean."""
-    from gelgap.adapt import FeatureCollapse, TrainingDiverged
-
-    budget = next(budget for budget in BUDGETS if budget.name == run["data"])
-    drawn = few_labels(read_sessions(study.data)[run["target"]], budget, run["seed"])
-    labelled, known, tested = (frames_of_session(study.data, part) for part in drawn)
+    labelled, known, tested = (frames_of_session(study.data, part) for part in study.fold_of(run))
     profile, checkpoint = profile_of(study, run, len(labelled)), study.checkpoint_of(run["source"])
     for part in (labelled, known, tested):
         part.images(profile.image_size_px)  # read before the clock starts
@@ -158,31 +162,24 @@ def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
         predicted, problem = labelled.label_values.mean(axis=0), str(trouble)
     return {
         "versions": versions_line(),
-        "control": None,
         "problem": problem,
         "clip_mae_n": errors_by_clip(predicted, tested),
-        "stage1_s": 0.0,
         "stage2_s": round(time.perf_counter() - start, 2),
     }
 
 
 def trained(
     checkpoint: Path | None,
-    labelled: "LabelledFrames",
-    known: "LabelledFrames",
-    profile: "Profile",
+    labelled: LabelledFrames,
+    known: LabelledFrames,
+    profile: Profile,
     seed: int,
-) -> "ForceModel":
+) -> ForceModel:
     """Train a new network, or fine-tune that of a checkpoint as `gelgap finetune` does.
 
     A new one's batches are normalised together with unlabelled pictures, in the end by all of these; a pretrained one
     is normalised by the unlabelled pictures, before and after.
     """
-    from gelgap.adapt import ForceModel, Stage1, adapt, fine_tune, with_statistics_of
-    from gelgap.adapt.data import steps_per_epoch
-    from gelgap.adapt.few_labels import of_common_labels
-    from gelgap.domains import with_labels
-
     if checkpoint is None:
         untrained = Stage1(labelled, profile, seed).untrained()
         return with_statistics_of(adapt(untrained, labelled, known, _METHOD, profile, seed), known)
@@ -192,23 +189,18 @@ def trained(
     return fine_tune(model, few, steps=steps, learning_rate=profile.adapt_learning_rate, seed=seed)
 
 
-def profile_of(study: FewLabelStudy, run: Setting, labelled: int) -> "Profile":
+def profile_of(study: FewLabelStudy, run: Setting, labelled: int) -> Profile:
     """Return a run's profile with as many epochs as make the steps of every training."""
-    from gelgap.adapt.data import steps_per_epoch
-
     profile = study.profile_of(run)
     steps = QUICK_STEPS if study.is_quick else STEPS
     return profile.replace(adapt_epochs=math.ceil(steps / steps_per_epoch(labelled, profile.batch_size)))
 
 
 def pretrain_once(study: FewLabelStudy, start: str) -> None:
-    """Generate the domains of a start and pretrain, unless the checkpoint is there."""
+    """Generate the domains of a start and pretrain, unless it needs no checkpoint or that is there."""
     checkpoint = study.checkpoint_of(start)
-    if checkpoint.is_file():
+    if checkpoint is None or checkpoint.is_file():
         return
-    from gelgap.adapt import Profile, console_progress, pretrain
-    from gelgap.domains import PretrainingRanges, pretraining_recipes
-
     ranges, profile = PretrainingRanges.default(), Profile.preset(study.profile)
     domains, frames = _DOMAINS, _FRAMES
     if study.is_quick:
@@ -222,151 +214,45 @@ def pretrain_once(study: FewLabelStudy, start: str) -> None:
         print(pretrain(folders, checkpoint.parent, profile, progress=progress), flush=True)
 
 
-def tune(study: FewLabelStudy, starts: Iterable[str]) -> pd.DataFrame:
-    """Train with every candidate of the learning rates, on the session that is in no table; return the records."""
-    rates, budgets, draws = {start: RATES[start] for start in starts}, TUNING_BUDGETS, TUNING_DRAWS
-    if study.is_quick:
-        rates, budgets, draws = {start: own[1:3] for start, own in rates.items()}, budgets[:1], draws[:1]
-    return study.run(train_on_few_labels, few_label_runs(TUNED_ON, budgets, rates, draws), RUNS)
-
-
-def compare_starts(
-    study: FewLabelStudy, budgets: Sequence[Budget], rates: Mapping[str, float], draws: Iterable[int]
-) -> tuple[pd.DataFrame, dict[Budget, "Errors"]]:
-    """Train each start with its learning rate, on the session that is compared; return records and errors."""
-    runs = few_label_runs(COMPARED_ON, budgets, {start: (rate,) for start, rate in rates.items()}, draws)
-    records, session = study.run(train_on_few_labels, runs, RUNS), read_sessions(study.data)[COMPARED_ON]
-    return records, {budget: errors_of(session, budget, records) for budget in budgets}
-
-
 def pretraining(quick: bool, out_dir: Path, data: Path) -> None:
-    """Pretrain, do the runs that have no record yet, print the tables, and write `real-pretraining.json`."""
-    study = FewLabelStudy.of(quick, out_dir, data, "pretraining-")
+    """Pretrain, do the runs that have no record yet, print the table, and write `real-pretraining.json`."""
     budgets, draws = ((ONE_CLIP, OTHER_OBJECTS), DRAWS[:2]) if quick else (BUDGETS, DRAWS)
-    pretrain_once(study, PRETRAINED)
-    tried = tune(study, RATES)
-    chosen = {start: mean_by_rate(tried)[start].idxmin() for start in RATES}
-    records, errors = compare_starts(study, budgets, chosen, draws)
-    tables = [comparison_table(errors, records), rate_table(tried)]
-    for table in tables:
-        table.show()
-    write_json(out_dir / "real-pretraining.json", tables)
+    study = FewLabelStudy.of(quick, out_dir, data, "pretraining-")
+    compare_starts(study, [SCRATCH, PRETRAINED], budgets, draws, out_dir / "real-pretraining.json")
 
 
 def randomisation(quick: bool, out_dir: Path, data: Path) -> None:
-    """Pretrain once for each factor, do the runs that have no record yet, print the table, and write it as JSON.
-
-    The learning rate is that which `pretraining` chooses for what is pretrained with all factors drawn.
-    """
-    study = FewLabelStudy.of(quick, out_dir, data, "pretraining-")
-    factors, budgets, draws = RANDOM_FACTORS, FACTOR_BUDGETS, FACTOR_DRAWS
+    """Pretrain once for each factor, do the runs that have no record yet, print the table, and write it as JSON."""
+    factors, budgets, draws = RANDOM_FACTORS, (SOME_FRAMES, OTHER_OBJECTS), FACTOR_DRAWS
     if quick:
         factors, budgets, draws = factors[:1], budgets[:1], draws[:1]
     starts = [PRETRAINED, *(f"{WITHOUT}{factor}" for factor in factors)]
+    study = FewLabelStudy.of(quick, out_dir, data, "pretraining-")
+    compare_starts(study, starts, budgets, draws, out_dir / "real-randomisation.json")
+
+
+def compare_starts(
+    study: FewLabelStudy, starts: Sequence[str], budgets: Iterable[str], draws: Sequence[int], path: Path
+) -> None:
+    """Train from each start with each budget, print errors beside those from the first start, and write the table."""
     for start in starts:
         pretrain_once(study, start)
-    rate = mean_by_rate(tune(study, [PRETRAINED]))[PRETRAINED].idxmin()
-    _, errors = compare_starts(study, budgets, dict.fromkeys(starts, rate), draws)
-    table = factor_table(errors, starts)
+    records = study.run(train_on_few_labels, few_label_runs(budgets, starts, draws), RUNS)
+    runs = few_label_runs(budgets, (CONSTANT, QUADRATIC), draws)
+    rules = rule_records(({**run, "method": run["source"]} for run in runs), study.fold_of)
+    rows = []
+    for budget, own in pd.concat([rules, records]).groupby("data", sort=False):
+        found = error_rows(own, "source", dict.fromkeys(starts, starts[0]))
+        rows += [{"labelled": budget, **row} for row in found]
+    table = result_table(
+        f"Few labels on real grasps, {SESSION}: MAE of Fz on clips that were not seen",
+        pd.DataFrame(rows).rename(columns={"source": "start"}),
+        f"{len(draws)} draw(s): {FOLDS} test each clip once, or one tests all clips of an object. Networks take "
+        f"{STEPS} steps, and see the pictures of all clips but the tested ones without labels, to normalise by: from "
+        "scratch in every batch, pretrained before the first one. Intervals: bootstrap over clips and draws; each "
+        f"start is one pretraining, and what another seed of it would change is not in them. {NOTE} "
+        f"{records['problem'].notna().sum()} of {len(records)} stopped and count with the constant's error.",
+        FORMATS,
+    )
     table.show()
-    write_json(out_dir / "real-randomisation.json", table)
-
-
-Errors = Mapping[str, np.ndarray]
-"""Errors with one budget by start or plain method, (clips, draws) in N, NaN where a draw does not test a clip."""
-
-
-def errors_of(session: Session, budget: Budget, records: pd.DataFrame) -> Errors:
-    """Return the errors of networks and plain methods on the clips that each draw tests."""
-    own = records[records["data"] == budget.name]
-    clips, draws = sorted(session["clip"].unique()), sorted(own["seed"].unique())
-    found = {
-        start: clip_table(runs, "clip_mae_n", "seed") for start, runs in own.groupby("source", sort=False)
-    }
-    folds = {}
-    for draw in draws:
-        labelled, _, tested = few_labels(session, budget, draw)
-        folds[draw] = [Fold(labelled, labelled, tested)]
-    found |= {name: plain_errors(predict, folds)[0] for name, _, predict in PLAIN}
-    return {name: table.reindex(index=clips, columns=draws).to_numpy() for name, table in found.items()}
-
-
-def relative_difference(own: np.ndarray, control: np.ndarray) -> tuple[float, tuple[float, float]]:
-    """Return by how much errors (clips, draws) differ from a control's, % of its mean, and the 95 % interval."""
-
-    def percent(one: np.ndarray, other: np.ndarray) -> float:
-        return float(100 * (mean_of(one) / mean_of(other) - 1))
-
-    return compare(percent, own, control, is_paired=True, resamples=RESAMPLES)
-
-
-def comparison_table(found: Mapping[Budget, Errors], records: pd.DataFrame) -> ResultTable:
-    """Each budget's errors, and the difference between the two starts."""
-    shown = (*(name for name, *_ in PLAIN), SCRATCH, PRETRAINED)
-    relative = {budget: relative_difference(own[PRETRAINED], own[SCRATCH]) for budget, own in found.items()}
-    rows = [
-        {
-            "labelled": budget.name,
-            **{name: float(mean_of(own[name])) for name in shown},
-            "difference": relative[budget][0],
-            "95 % interval": relative[budget][1],
-            "draws": own[SCRATCH].shape[1],
-        }
-        for budget, own in found.items()
-    ]
-    return result_table(
-        f"Few labels on real grasps, {COMPARED_ON}: MAE of Fz on clips that were not seen, N",
-        pd.DataFrame(rows),
-        "Difference: the pretrained network's error over that from scratch; intervals: bootstrap "
-        f"over clips and draws, paired. {FOLDS} draws test each clip once, or a draw tests all clips of one object. "
-        f"Both networks take {STEPS} steps, and see the pictures of all clips but the tested ones without labels, to "
-        "normalise by: from scratch in every batch, pretrained before the first one. A training took "
-        f"{records['stage2_s'].median():.1f} s. {records['problem'].notna().sum()} of {len(records)} stopped and count "
-        "with the constant's error.",
-        {"": "{:.2f}", "difference": "{:+.0f} %", "95 % interval": "{:+.0f}", "draws": "{:d}"},
-    )
-
-
-def mean_by_rate(tried: pd.DataFrame) -> pd.Series:
-    """Return the mean error over the runs of each start with each learning rate, N."""
-    error_n = tried.filter(like="clip_mae_n.").mean(axis=1)
-    return error_n.groupby(
-        [tried["source"], tried["changes"].map(lambda changes: dict(changes)[RATE])]
-    ).mean()
-
-
-def rate_table(tried: pd.DataFrame) -> ResultTable:
-    """The errors by which each start's learning rate was chosen."""
-    errors_n, rows = mean_by_rate(tried), []
-    for start in tried["source"].unique():
-        tested = ", ".join(f"{rate:g}: {error_n:.2f}" for rate, error_n in errors_n[start].items())
-        rows.append([start, tested, f"{errors_n[start].idxmin():g}"])
-    return ResultTable(
-        f"Learning rates, chosen on {TUNED_ON}: MAE of Fz, N",
-        ["start", "error at each rate", "chosen"],
-        rows,
-        f"Mean over {', '.join(tried['data'].unique())}, {tried['seed'].nunique()} draw(s) of each.",
-    )
-
-
-def factor_table(found: Mapping[Budget, Errors], starts: Sequence[str]) -> ResultTable:
-    """Each start's errors, and by how much they differ from those with all factors drawn."""
-    rows = [[start] for start in starts]
-    for errors_n in found.values():
-        for row, start in zip(rows, starts, strict=True):
-            row.append(cell(float(mean_of(errors_n[start])), "{:.2f}"))
-            if start == PRETRAINED:
-                row += [None, None]
-            else:
-                percent, interval = relative_difference(errors_n[start], errors_n[PRETRAINED])
-                row += [cell(percent, "{:+.0f} %"), cell(interval, "{:+.0f}")]
-    columns = [text for budget in found for text in (budget.name, "difference", "95 % interval")]
-    draws = next(iter(found.values()))[PRETRAINED].shape[1]
-    return ResultTable(
-        f"What is drawn for pretraining, {COMPARED_ON}: MAE of Fz on clips that were not seen, N",
-        ["pretrained", *columns],
-        rows,
-        "Differences: error over that with all factors drawn, above 0 where the factor helps; intervals: bootstrap "
-        f"over clips and draws, paired; {draws} draws. One pretraining each: what another seed of it would change is "
-        "not in them.",
-    )
+    write_json(path, table)

@@ -9,11 +9,11 @@ with `ball_position/*.txt`: x, y and a radius in pixels of the rectified picture
 own and are not used.
 """
 
+import logging
 import pickle
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from gelgap.domains import ConvertedClip
+from gelgap.domains import ConvertedClip, convert
 from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, read_picture, video_pictures
 from gelgap.domains.frames.folders import read_table
 
+LOG = logging.getLogger(__name__)
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"
 PICTURES_PER_S = 30.0
 GLITCH_N = -1.5
@@ -148,10 +149,7 @@ def read_pickled_array(path: Path) -> np.ndarray:
         if prod(shape) != len(values) or min(shape, default=0) < 0:
             raise ValueError(f"it states shape {shape} and {len(values)} values")
         return values.reshape(shape, order="F" if by_columns else "C").astype(float)
-    except (
-        *(pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError),
-        *(LookupError, OverflowError, RecursionError, MemoryError),
-    ) as error:
+    except Exception as error:  # a forged file can lead to any
         raise ValueError(
             f"{path} holds something else than an array of numbers, and is not read: {str(error)[:120]}"
         ) from None
@@ -161,76 +159,11 @@ SERIES = {"calibration": ("ball", 2.42), "calibration2": ("cal", 2.42), "calibra
 """Series of presses of one ball: the beginning of the pictures' names and the ball's radius, mm, by the folder."""
 
 
-@dataclass(frozen=True)
-class Presses:
-    """Rectified pictures (n, h, w, 3) in the order in which they were taken, and marked centres (n, 2) in px."""
+def _ball_presses(clone: Path, name: str, every: int) -> Selection:
+    """Select every n-th press that is marked right of one of `SERIES` of a clone of yanglh14/gelsight.
 
-    name: str
-    ball_radius_mm: float
-    pictures: np.ndarray
-    centers_px: np.ndarray
-
-    @property
-    def centers_mm(self) -> np.ndarray:
-        """Contact centres (n, 2) from the middle of the picture, x to the right and y down, mm."""
-        height, width = self.pictures.shape[1:3]
-        return (self.centers_px - np.array([width - 1, height - 1]) / 2) * MM_PER_PX
-
-    @cached_property
-    def reference(self) -> np.ndarray:
-        """The median of the pictures (h, w, 3), as a ball touches each place in few of them.
-
-        The repository's `bg-0.jpg` is the same file in all series: some 4 grey levels from the untouched parts of the
-        later two, of which this is 2 away.
-        """
-        return np.median(self.pictures, axis=0).round().astype(np.uint8)
-
-    def is_marked_right(self) -> np.ndarray:
-        """Return whether each press (n,) changes the picture more within the ball's radius of its mark than elsewhere.
-
-        The least of what is right, by eye, is 4.6 times as much; a mark in another place gives 0.9.
-        """
-        reference = self.reference.astype(np.int16)
-        rows, columns = np.indices(reference.shape[:2])
-        radius_px = self.ball_radius_mm / MM_PER_PX
-        right = []
-        for picture, (x, y) in zip(self.pictures, self.centers_px, strict=True):
-            change = np.abs(picture - reference).mean(axis=2)
-            near = np.hypot(columns - x, rows - y) < radius_px
-            right.append(change[near].mean() > _LEAST_CONTRAST * change[~near].mean())
-        return np.array(right)
-
-    def selected(self, every: int) -> Selection:
-        """Select every n-th press that is marked right; all series are one domain, as they are of one sensor.
-
-        A clip is twenty presses that were taken one after another, as they lie close together.
-        """
-        right = self.is_marked_right()
-        chosen = np.flatnonzero(right)[::every]
-        table = pd.DataFrame(self.centers_mm[chosen], chosen, ["x_mm", "y_mm"]).assign(
-            clip=[f"{self.name}-{press // _PRESSES_PER_CLIP:02d}" for press in chosen],
-            object=f"ball of {2 * self.ball_radius_mm:.2f} mm",
-        )
-        facts = ConvertedClip(
-            domain="ball-presses",
-            session=self.name,
-            name=self.name,
-            pictures=len(right),
-            in_contact=len(right),
-            dropped=int((~right).sum()),
-            written=len(chosen),
-            reference_rgb=mean_rgb(self.reference),
-        )
-        return Selection(facts, self.reference, lambda: self.pictures, table)
-
-
-def ball_presses(clone: Path, name: str) -> Presses:
-    """Read one of `SERIES` of a clone of yanglh14/gelsight.
-
-    Raises
-    ------
-    ValueError
-        If the folder is no such clone, or one of its files is not as it should be.
+    All series are one domain, as they are of one sensor.
+    A clip is twenty presses that were taken one after another, as they lie close together.
     """
     folder, (prefix, ball_radius_mm) = clone / "data" / name, SERIES[name]
     paths = sorted(folder.glob(f"{prefix}-*.jpg"), key=_number)
@@ -238,8 +171,45 @@ def ball_presses(clone: Path, name: str) -> Presses:
         raise ValueError(
             f"{clone} is no clone of yanglh14/gelsight: it has no {folder}; get one: {BALL_CLONE}"
         )
-    pictures = [rectified(read_picture(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths]
-    return Presses(name, ball_radius_mm, np.stack(pictures), np.array([_center_px(path) for path in paths]))
+    pictures = np.stack([rectified(read_picture(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths])
+    centers_px = np.array([_center_px(path) for path in paths])
+    # As a ball touches each place in few of them. The repository's `bg-0.jpg` is the same file in all series: some
+    # 4 grey levels from the untouched parts of the later two, of which this is 2 away.
+    reference = np.median(pictures, axis=0).round().astype(np.uint8)
+    right = _is_marked_right(pictures, reference, centers_px, ball_radius_mm / MM_PER_PX)
+    chosen = np.flatnonzero(right)[::every]
+    centers_mm = (centers_px - (np.array(_BALL_PX) - 1) / 2) * MM_PER_PX
+    table = pd.DataFrame(centers_mm[chosen], chosen, ["x_mm", "y_mm"]).assign(
+        clip=[f"{name}-{press // _PRESSES_PER_CLIP:02d}" for press in chosen],
+        object=f"ball of {2 * ball_radius_mm:.2f} mm",
+    )
+    facts = ConvertedClip(
+        domain="ball-presses",
+        session=name,
+        name=name,
+        pictures=len(right),
+        in_contact=len(right),
+        dropped=int((~right).sum()),
+        written=len(chosen),
+        reference_rgb=mean_rgb(reference),
+    )
+    return Selection(facts, reference, lambda: pictures, table)
+
+
+def _is_marked_right(
+    pictures: np.ndarray, reference: np.ndarray, centers_px: np.ndarray, radius_px: float
+) -> np.ndarray:
+    """Return whether each press (n,) changes the picture more within the ball's radius of its mark than elsewhere.
+
+    The least of what is right, by eye, is 4.6 times as much; a mark in another place gives 0.9.
+    """
+    rows, columns = np.indices(reference.shape[:2])
+    right = []
+    for picture, (x, y) in zip(pictures, centers_px, strict=True):
+        change = np.abs(picture - reference.astype(np.int16)).mean(axis=2)
+        near = np.hypot(columns - x, rows - y) < radius_px
+        right.append(change[near].mean() > _LEAST_CONTRAST * change[~near].mean())
+    return np.array(right)
 
 
 def _number(path: Path) -> tuple[int, str]:
@@ -260,6 +230,24 @@ def _center_px(picture: Path) -> tuple[float, float]:
 
 LAYOUTS: dict[str, Layout] = {
     "wedge": lambda clone, every: (clip.selected(every) for clip in _wedge_clips(clone)),
-    "ball-presses": lambda clone, every: (ball_presses(clone, name).selected(every) for name in SERIES),
+    "ball-presses": lambda clone, every: (_ball_presses(clone, name, every) for name in SERIES),
 }
 """What `gelgap.domains.convert` reads of a clone, by name."""
+
+
+def converted_clone(layout: str, data: Path, out_dir: Path) -> Path:
+    """Return the folder of the domains of a clone in the folder `data`, converted once and kept in `out_dir`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the clone is missing; the message has the line that gets it.
+    """
+    getting = {"wedge": WEDGE_CLONE, "ball-presses": BALL_CLONE}[layout]
+    clone, converted = data / getting.rpartition("/")[2], out_dir / "real" / layout
+    if not clone.is_dir():
+        raise FileNotFoundError(f"{clone} is missing; get it: {getting} {clone}")
+    if not converted.is_dir():
+        LOG.info("converting %s, once", clone)
+        convert(clone, LAYOUTS[layout], converted)
+    return converted

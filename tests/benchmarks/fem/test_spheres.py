@@ -8,8 +8,7 @@ import pytest
 
 from gelgap.assets import asset_path
 from gelgap.benchmarks.fem import theory
-from gelgap.benchmarks.fem.indentation import NeoHookean, SphereContact
-from gelgap.benchmarks.fem.spheres import Press, section_of_pad, solve_press
+from gelgap.benchmarks.fem.spheres import Pad, Press, solve_press, touched
 from gelgap.sim import bonded_layer_force_n
 
 REFERENCE_UNCERTAINTY = 0.003
@@ -42,18 +41,19 @@ def test_press_reproduces_independent_finite_elements(case, poisson_ratio, energ
         assert np.abs(u_r - rows["u_r_mm"]).max() < SURFACE_UNCERTAINTY_MM
 
 
-def test_tangent_is_the_derivative_of_the_forces_and_forces_of_the_energy():
-    presses = [Press(poisson_ratio=0.48, energy=energy, element_mm=1.0) for energy in ("isochoric", "stable")]
-    for pad in (section_of_pad(press, deepest_mm=0.5) for press in presses):
-        rng = np.random.default_rng(0)
-        u = 0.02 * rng.standard_normal(pad.size)
-        direction = rng.standard_normal(pad.size)
-        step = 1e-6
-        force, matrix = pad.assemble(u)
-        rise = (pad.energy_mj(u + step * direction) - pad.energy_mj(u - step * direction)) / (2 * step)
-        assert force @ direction == pytest.approx(rise, rel=1e-6)
-        change = (pad.assemble(u + step * direction)[0] - pad.assemble(u - step * direction)[0]) / (2 * step)
-        assert np.abs(matrix @ direction - change).max() < 1e-7 * np.abs(change).max()
+@pytest.mark.parametrize("energy", ["isochoric", "stable"])
+def test_the_stiffness_is_the_derivative_of_the_forces(energy):
+    pad = Pad(Press(poisson_ratio=0.48, energy=energy, element_mm=1.0), deepest_mm=0.5)
+    rng = np.random.default_rng(0)
+    u = 0.02 * rng.standard_normal(pad.size)
+    direction = rng.standard_normal(pad.size)
+    step = 1e-6
+    _, matrix = pad.assemble(u)
+    change = (pad.assemble(u + step * direction)[0] - pad.assemble(u - step * direction)[0]) / (2 * step)
+    assert np.abs(matrix @ direction - change).max() < 1e-7 * np.abs(change).max()
+    assert np.abs((matrix - matrix.T) @ direction).max() < 1e-12 * np.abs(change).max(), (
+        "forces have an energy"
+    )
 
 
 def test_shallow_press_meets_the_bonded_layer():
@@ -63,14 +63,12 @@ def test_shallow_press_meets_the_bonded_layer():
     assert state.contact_radius_mm == pytest.approx(theory.hertz_contact_radius_mm(1.5, 0.025), rel=0.1)
 
 
-def test_force_scales_with_the_modulus_and_energy_is_the_work_of_the_sphere():
-    depths = tuple(np.linspace(0.05, 0.3, 6))
-    soft, stiff = (solve_press(Press(young_modulus_mpa=e, element_mm=0.15), depths) for e in (0.01, 10.0))
+def test_force_scales_with_the_modulus():
+    soft, stiff = (
+        solve_press(Press(young_modulus_mpa=e, element_mm=0.15), (0.15, 0.3)) for e in (0.01, 10.0)
+    )
     for a, b in zip(soft, stiff, strict=True):
         assert b.force_n == pytest.approx(1000 * a.force_n, rel=1e-6)
-    forces = -np.array([0.0, *(state.force_n for state in soft)])
-    work = np.trapezoid(forces, np.array([0.0, *depths]))
-    assert soft[-1].energy_mj == pytest.approx(work, rel=0.03)
 
 
 def test_coulomb_friction_limits_the_shear():
@@ -89,29 +87,27 @@ def test_bad_input_names_the_field_and_the_range():
 
 
 def test_moduli_agree_with_each_other():
-    gel = NeoHookean(0.3, 0.45)
+    gel = Press(young_modulus_mpa=0.3, poisson_ratio=0.45)
     mu, k = gel.shear_modulus_mpa, gel.volumetric_modulus_mpa
     assert 9 * k * mu / (3 * k + mu) == pytest.approx(0.3)
 
 
 def test_contact_tangent_is_the_slope_of_sticking_and_slipping_forces():
-    pad = section_of_pad(Press(element_mm=0.2), deepest_mm=0.5)
+    press = Press(friction=0.3, element_mm=0.2)
+    pad = Pad(press, deepest_mm=0.5)
     rng = np.random.default_rng(1)
-    contact = SphereContact(1.5, friction=0.3, penalty=300.0, stick_stiffness=150.0)
     rest = pad.nodes[pad.surface]
-    u, direction = (0.02 * rng.normal(size=pad.size), rng.normal(size=pad.size))
-    displaced, direction = rest + u[pad.surface_dofs], direction[pad.surface_dofs]
-    sphere = np.array([0.0, -0.4])
-    from_centre = rest - sphere - [0, contact.radius_mm]
-    stick = from_centre + 0.2 * rng.normal(size=rest.shape) * rng.uniform(size=(len(rest), 1)) ** 4
+    displaced, direction = rest + 0.02 * rng.normal(size=rest.shape), rng.normal(size=rest.shape)
+    from_centre = rest - [0, press.indenter_radius_mm - 0.2]
+    stick = from_centre + 6 * rng.normal(size=rest.shape) * rng.uniform(size=(len(rest), 1)) ** 4
 
     def touch(step: float):
-        return contact.touch(displaced + step * direction, pad.surface_area_mm2, sphere, stick)
+        return touched(press, displaced + step * direction, pad.surface_area_mm2, 0.2, stick)
 
     now = touch(0.0)
     pushed = now.pressure_mpa > 0
     slides = np.linalg.norm(now.shear_mpa, axis=1) > 0.299 * now.pressure_mpa
     assert 0 < (pushed & slides).sum() < pushed.sum()
     slope = (touch(1e-7).force_n - touch(-1e-7).force_n) / 2e-7
-    expected = -np.einsum("nij,nj->ni", touch(0.0).tangent, direction)
+    expected = -np.einsum("nij,nj->ni", now.tangent, direction)
     assert np.abs(slope - expected).max() < 1e-5 * np.abs(expected).max()

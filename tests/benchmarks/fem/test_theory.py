@@ -22,13 +22,3 @@ def test_closed_forms_scale_with_the_modulus_and_broadcast():
     depth_mm = np.array([0.1, 0.2])
     soft, stiff = (bonded_layer_force_n(e, 1.5, 3.0, depth_mm) for e in (0.2, 0.8))
     np.testing.assert_allclose(stiff, 4 * soft)
-
-
-def test_partial_slip_has_mindlins_stiffness_and_coulombs_limit():
-    limit_n, contact_radius_mm, shear_modulus_mpa, nu = 0.01, 0.27, 0.1, 0.48
-    contact = (limit_n, contact_radius_mm, shear_modulus_mpa, nu)
-    small_mm = 1e-6
-    stiffness = theory.partial_slip_force_n(*contact, small_mm) / small_mm
-    assert stiffness == pytest.approx(8 * contact_radius_mm * shear_modulus_mpa / (2 - nu), rel=1e-3)
-    assert theory.partial_slip_force_n(*contact, 0.9 * theory.full_slip_mm(*contact)) < limit_n
-    assert theory.partial_slip_force_n(*contact, 1.0) == pytest.approx(limit_n)
