@@ -21,10 +21,11 @@ from gelgap.domains.domain import Domain
 from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import check_scheduler, run
-from gelgap.domains.generation.plan import force_notes, plan_generation, shard_bounds
+from gelgap.domains.generation.estimate import force_notes
+from gelgap.domains.generation.plan import plan_generation, shard_bounds
 from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, reference_png
-from gelgap.domains.recipe import DomainRecipe, differences, make_recipes
+from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, make_recipes
 from gelgap.sim import ContactPath, PosePath
 
 LOG = logging.getLogger(__name__)
@@ -140,18 +141,15 @@ def generate_recipes(
     ------
     ValueError
         If a domain's folder holds another configuration, two recipes have one name, a contact cannot be solved,
-        workers is below 1, or the scheduler is no address.
+        workers is below 1 or given for a cluster that is there, or the scheduler is no address.
     RuntimeError
         If another process writes to the folder, the disk is full, or the cluster is lost; finished shards are kept.
     """
     start = time.monotonic()
     out_dir, progress = Path(out_dir), progress or GenerationProgress()
     names = tuple(recipe.name for recipe in recipes)
-    check_scheduler(scheduler)
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers = {workers}: must be 1 or more")
-    if len(set(names)) < len(names):
-        raise ValueError(f"two domains have one name in {', '.join(names)}; give each its own")
+    check_named_once(names)
+    check_scheduler(scheduler, workers)
     LOG.info("planning %s", comma_list(names))
     plan = plan_generation(recipes)  # refuses contacts that cannot be solved before anything is written
     for note in force_notes(recipes):
@@ -163,7 +161,7 @@ def generate_recipes(
             writer.check(overwrite)
         for writer in writers.values():
             writer.prepare()
-        skipped = tuple(name for name in names if writers[name].complete)
+        skipped = tuple(name for name in names if writers[name].skipped)
         plan = plan.without({name: writer.finished for name, writer in writers.items()})
         solves, written, unrenderable = len(plan.solves), 0, 0
         progress.begin(solves, plan.frames)
@@ -175,15 +173,12 @@ def generate_recipes(
                 writer.write_reference()
             _check_space(out_dir, writers.values())
             LOG.info("starting workers")
-            local = plan.processes(workers) if scheduler is None else workers
-            for shard in run(plan, progress, scheduler, local):
+            for shard in run(plan, progress, scheduler, workers):
                 written += writers[shard.domain].write_shard(shard)
                 progress.written(shard.facts["frames"])
                 unrenderable += len(shard.unrenderable)
                 if shard.unrenderable:
                     log("not rendered", domain=shard.domain, frames=shard.unrenderable)
-            for writer in writers.values():
-                writer.finish()
         except BaseException as error:
             log("stopped", error=f"{type(error).__name__}: {error}")
             raise
@@ -212,7 +207,7 @@ class DomainWriter:
         self.recipe = recipe
         self.folder = DomainFolder(path)
         self.files: dict[str, Any] = {}
-        self.complete = False
+        self.skipped = False
         self.interpolation: dict[str, Any] | None = None
 
     @property
@@ -225,13 +220,12 @@ class DomainWriter:
         if overwrite or not self.folder.exists():
             return
         manifest = self.folder.read_manifest()
-        intact = {
-            name: entry for name, entry in manifest["files"].items() if not self.folder.problem(name, entry)
-        }
-        self.complete = manifest["complete"] and len(intact) == len(manifest["files"])
+        files, self.interpolation = manifest["files"], manifest.get("interpolation")
+        self.files = {name: entry for name, entry in files.items() if not self.folder.problem(name, entry)}
+        self.skipped = manifest["complete"] and len(self.files) == len(files)
         there, asked = manifest["configuration"], self.recipe.configuration()
         there["schema_version"], asked["schema_version"] = manifest["schema_version"], SCHEMA_VERSION
-        if not self.complete:
+        if not self.skipped:
             there["versions"], asked["versions"] = manifest["versions"], package_versions()
         changes = [
             f"{name}: {quoted(old)} there, {quoted(new)} asked for"
@@ -243,18 +237,17 @@ class DomainWriter:
                 f"{'; …' if len(changes) > 3 else ''}): use the same settings to resume it, --overwrite to "
                 "replace it, or another output folder"
             )
-        self.files, self.interpolation = intact, manifest.get("interpolation")
 
     def prepare(self) -> None:
         """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
         self.folder.keep_only({MANIFEST, *self.files})
-        if not self.complete:
+        if not self.skipped:
             shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
 
     def write_reference(self) -> None:
-        if not self.complete and REFERENCE not in self.files:
+        if REFERENCE not in self.files:
             self.files[REFERENCE] = self.folder.write_file(REFERENCE, reference_png(self.recipe))
             self._write_manifest()
 
@@ -265,16 +258,10 @@ class DomainWriter:
         self._write_manifest()
         return len(shard.data)
 
-    def finish(self) -> None:
-        if not self.complete:
-            self.complete = True
-            self._write_manifest()
-
     @property
     def bytes_left(self) -> int:
         """About how many bytes are still to be written: every frame takes as much as the reference picture."""
-        frames = self.recipe.frames - self.total("frames")
-        return 0 if self.complete else frames * self.files[REFERENCE]["bytes"]
+        return (self.recipe.frames - self.total("frames")) * self.files[REFERENCE]["bytes"]
 
     def total(self, count: str) -> int:
         """Return the sum of one count over all shards."""
@@ -282,12 +269,11 @@ class DomainWriter:
 
     def _write_manifest(self) -> None:
         recipe, shards = self.recipe, self.files.values()
-        complete = self.complete and len(self.finished) == len(shard_bounds(recipe.frames))
         lows, highs = ([e[name] for e in shards if e.get(name)] for name in ("force_min_n", "force_max_n"))
         manifest = {
             "schema_version": SCHEMA_VERSION,
             "domain": recipe.name,
-            "complete": complete,
+            "complete": len(self.files) == 1 + len(shard_bounds(recipe.frames)),
             "configuration": recipe.configuration(),
             "seed": recipe.seed,
             "frames": recipe.frames,

@@ -28,7 +28,7 @@ def test_a_solve_is_not_shared_by_workers_and_known_solves_take_no_time(monkeypa
     recipes = make_recipes(["mb0i0"], "smoke", **SMALL)
     few, many = (estimate(recipes, workers=workers) for workers in (2, 50))
     assert many.wall_s > 0.5 * few.wall_s
-    monkeypatch.setattr("gelgap.sim.has_solution", lambda key: True)
+    monkeypatch.setattr("gelgap.domains.generation.estimate.has_solution", lambda key: True)
     known = estimate(recipes, workers=2)
     assert known.solves_cached == known.solves
     assert known.wall_s < few.wall_s

@@ -9,8 +9,9 @@ import pytest
 from gelgap.domains import generate_recipes, make_recipes, open_domain, preset_recipes, split_frames
 from gelgap.domains.formats.domain_folder import REFERENCE
 from gelgap.domains.formats.shards import OPTIONAL
+from gelgap.domains.generation.estimate import estimate
 from gelgap.domains.generation.generate import DomainWriter
-from gelgap.domains.generation.plan import estimate, plan_generation
+from gelgap.domains.generation.plan import plan_generation
 from gelgap.sim import Cone, PosePath, Sphere
 
 PATH = PosePath.from_trajectories("two", [{"waypoints_mm": [(0.0, 0.0, 0.2), (0.0, 0.1, 0.2)]}])
