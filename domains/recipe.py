@@ -7,7 +7,7 @@ import itertools
 import logging
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -376,20 +376,14 @@ def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:
     ValueError
         If there is no such data set.
     """
-    values = load_preset("datasets", name)
-    return tuple(
-        recipe
-        for group in values["groups"]
-        for recipe in make_recipes(group["domains"], group["path"], **settings | _pressed_by(group))
-    )
-
-
-def _pressed_by(group: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a group that names its indenters."""
-    if "indenters" not in group:
-        return {}
-    first, *further = map(load_indenter, group["indenters"])
-    return {"indenter": first, "further_indenters": tuple(further), "columns": ("indenter",)}
+    recipes: list[DomainRecipe] = []
+    for group in load_preset("datasets", name)["groups"]:
+        pressed: dict[str, Any] = {}
+        if "indenters" in group:
+            first, *further = map(load_indenter, group["indenters"])
+            pressed = {"indenter": first, "further_indenters": tuple(further), "columns": ("indenter",)}
+        recipes += make_recipes(group["domains"], group["path"], **settings | pressed)
+    return tuple(recipes)
 
 
 class RecipeEntry(Settings):

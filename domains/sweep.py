@@ -134,7 +134,6 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
         If a factor's field does not exist or its value is out of range.
     """
     (base,) = make_recipes([sweep.base], sweep.path, **settings)
-    changes = {factor.field: factor.change for factor in sweep.factors}
     variants = [Variant(base, {})]
     for number, values in enumerate(sweep.points(), start=1):
         name = f"{sweep.name}-{number:03d}"
@@ -142,16 +141,15 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
         if base.inpainted_from:
             # The pictures with markers that are inpainted are this variant's own, with noise of their own.
             configuration["inpainted_from"] = f"{name}-with-markers"
+        drawn_as: dict[str, Value] = {}
         if sweep.variation is not None:
-            rng = np.random.default_rng([sweep.seed, number])
-            drawn = {
-                "illumination": vary_illumination(base.illumination, sweep.variation, rng),
-                "sensor": vary_sensor(base.sensor, sweep.variation, rng),
-            }
-            configuration |= {part: own.model_dump(mode="json") for part, own in drawn.items()}
-        for field, value in values.items():
-            _change(configuration, field.split("."), value, changes[field], field)
-        drawn_as = {"draw": number} if sweep.variation is not None else {}
+            rng, drawn_as = np.random.default_rng([sweep.seed, number]), {"draw": number}
+            light = vary_illumination(base.illumination, sweep.variation, rng)
+            configuration["illumination"] = light.model_dump(mode="json")
+            configuration["sensor"] = vary_sensor(base.sensor, sweep.variation, rng).model_dump(mode="json")
+        for factor in sweep.factors:
+            if factor.field in values:
+                _change(configuration, factor.field.split("."), factor, values[factor.field])
         recipe = DomainRecipe(**configuration)
         if base.sensor.flat_field:
             # Of a flat field, a configuration does not say where its file lies.
@@ -175,7 +173,7 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
     return path
 
 
-def _change(node: Any, steps: list[str], value: Value, change: str, field: str) -> None:
+def _change(node: Any, steps: Sequence[str], factor: Factor, value: Value) -> None:
     """Change the value at `steps` inside a configuration; `*` goes to all of a list or table."""
     head, *rest = steps
     parts = node if isinstance(node, dict) else dict(enumerate(node if isinstance(node, list) else ()))
@@ -183,19 +181,20 @@ def _change(node: Any, steps: list[str], value: Value, change: str, field: str) 
     if not chosen:
         known = ", ".join(parts) if isinstance(node, dict) else f"*, 0…{len(parts) - 1}"
         raise ValueError(
-            f"factor {field}: {head!r} does not exist; there is {known if parts else 'nothing inside it'}"
+            f"factor {factor.field}: {head!r} does not exist; there is {known if parts else 'nothing inside it'}"
         )
     for key in chosen:
+        old = node[key]
         if rest:
-            _change(node[key], rest, value, change, field)
-        elif change == "set":
+            _change(old, rest, factor, value)
+        elif factor.change == "set":
             node[key] = value
-        elif any(isinstance(n, bool) or not isinstance(n, int | float) for n in (node[key], value)):
+        elif any(isinstance(n, bool) or not isinstance(n, int | float) for n in (old, value)):
             raise ValueError(
-                f"factor {field}: cannot {change} {node[key]!r} by {value!r}; both must be numbers"
+                f"factor {factor.field}: cannot {factor.change} {old!r} by {value!r}; both must be numbers"
             )
         else:
-            node[key] = node[key] * value if change == "scale" else node[key] + value
+            node[key] = old * value if factor.change == "scale" else old + value
 
 
 @dataclass(frozen=True)

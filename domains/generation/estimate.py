@@ -12,7 +12,7 @@ from gelgap.domains.generation.cluster import check_scheduler
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation
 from gelgap.domains.generation.shard import picture_cells
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.sim import MembraneState, Solve, Symmetry, expected_force_n, grid_axes, has_solution
+from gelgap.sim import MembraneState, expected_force_n, grid_axes, has_solution
 
 LOG = logging.getLogger(__name__)
 # Seconds of a core of a server of 2023: the start of a process, a frame.
@@ -24,49 +24,48 @@ _ROOM_FOR_FORCE = 1.5
 
 @dataclass(frozen=True)
 class Estimate:
-    """The size of a plan; `contacts` is what would be solved if nothing were shared.
+    """The size of a plan, and what it takes.
 
     `wall_s` is the time on an idle machine whose cores are like a server's of 2023. `exact` is the estimate of the same
     domains with each pose solved, None where they are so anyway.
     """
 
-    domains: tuple[str, ...]
-    frames: int
-    shards: int
-    contacts: int
-    solves: int
+    plan: GenerationPlan
+    workers: int
     solves_cached: int
     wall_s: float
     disk_bytes: float
-    workers: int
-    indenters: list[str]
-    notes: list[str]
     exact: "Estimate | None" = None
+
+    @property
+    def frames(self) -> int:
+        return self.plan.frames
+
+    @property
+    def solves(self) -> int:
+        return len(self.plan.solves)
 
     @property
     def wall(self) -> str:
         return f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
 
     def __str__(self) -> str:
-        kilobytes = self.disk_bytes / self.frames / 1e3
-        by_itself = []
+        recipes, frame_kb = self.plan.recipes, self.disk_bytes / self.frames / 1e3
+        lines = [
+            f"domains  {comma_list([recipe.name for recipe in recipes])}",
+            f"frames   {self.frames} in {self.plan.shards} shards",
+            f"solves   {self.solves}, of which {self.solves_cached} are already known",
+            f"time     about {self.wall} with {self.workers} workers",
+            f"disk     about {self.disk_bytes / 1e6:.0f} MB ({frame_kb:.1f} kB per frame)",
+        ]
         if self.exact:
-            by_itself = [
+            lines.append(
                 "library  poses are interpolated, at most two solves more where its error is too large; each solved "
                 f"by itself (--exact): {self.exact.solves} solves, about {self.exact.wall}"
-            ]
-        return "\n".join(
-            [
-                f"domains  {comma_list(self.domains)}",
-                f"frames   {self.frames} in {self.shards} shards",
-                f"solves   {self.solves} for {self.contacts} contacts, {self.solves_cached} already known",
-                *by_itself,
-                f"time     about {self.wall} with {self.workers} workers",
-                f"disk     about {self.disk_bytes / 1e6:.0f} MB ({kilobytes:.1f} kB per frame)",
-                *(f"indenter {line}" for line in self.indenters),
-                *(f"note     {note}" for note in self.notes),
-            ]
-        )
+            )
+        lines += [f"indenter {line}" for line in _by_indenter(self.plan)]
+        lines += [f"note     {note}" for note in force_notes(recipes)]
+        return "\n".join(lines)
 
 
 def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Estimate:
@@ -81,56 +80,31 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     LOG.info("planning and rendering a sample frame of %s", comma_list([recipe.name for recipe in recipes]))
     plan = plan_generation(recipes)
     processes = plan.processes(workers)
-    shards = sum(len(batch.recipes) for batch in plan.batches)
     solve_s = [solve.expected_core_s for key, solve in plan.solves.items() if not has_solution(key)]
     pixels = max(recipe.size_px[0] * recipe.size_px[1] for recipe in recipes)
     # One solve is not shared; frames are shared as shards.
     solving_s = max(sum(solve_s) / processes, *solve_s, 0.0)
-    rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, shards or 1)
+    rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, plan.shards)
     (sample,) = picture_cells(recipes[:1], 0, _dent())
     frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
-    contacts = {
-        (recipe.elastomer, indenter, pose)
-        for recipe in recipes
-        for indenter in recipe.indenters
-        for pose in recipe.solved_path().poses
-        if pose.depth_mm > 0
-    }
     exact = [recipe.model_copy(update={"interpolated": False}) for recipe in recipes]
     return Estimate(
-        domains=tuple(recipe.name for recipe in recipes),
-        frames=plan.frames,
-        shards=shards,
-        contacts=len(contacts),
-        solves=len(plan.solves),
+        plan,
+        processes,
         solves_cached=len(plan.solves) - len(solve_s),
         wall_s=_START_S + solving_s + rendering_s,
         disk_bytes=frame_bytes * plan.frames,
-        workers=processes,
-        indenters=_by_indenter(plan),
-        notes=force_notes(recipes),
         exact=estimate(exact, workers) if any(recipe.interpolated for recipe in recipes) else None,
     )
 
 
 def _by_indenter(plan: GenerationPlan) -> list[str]:
-    """Return what the solves of each indenter take and share."""
-    shared = {
-        Symmetry.REVOLUTION: "all directions share solves",
-        Symmetry.MIRROR: "only mirrored directions share solves",
-        Symmetry.NONE: "no directions share solves",
-    }
-    by_kind: dict[tuple[str, str], list[Solve]] = {}
+    """Return what the solves of each indenter take."""
+    by_label: dict[str, list[float]] = {}
     for solve in plan.solves.values():
-        indenter = solve.problem.indenter
-        kind = indenter.label, shared[indenter.symmetry]
-        if solve.problem.turns_deg:
-            kind = f"{indenter.label}, turning", "what turns shares solves only where it all is the same"
-        by_kind.setdefault(kind, []).append(solve)
-    return [
-        f"{label}: {len(own)} solves, {sum(solve.expected_core_s for solve in own):.0f} s of a core; {shares}"
-        for (label, shares), own in by_kind.items()
-    ]
+        turns = ", turning" if solve.problem.turns_deg else ""
+        by_label.setdefault(solve.problem.indenter.label + turns, []).append(solve.expected_core_s)
+    return [f"{label}: {len(own)} solves, {sum(own):.0f} s of a core" for label, own in by_label.items()]
 
 
 def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:

@@ -57,33 +57,34 @@ class GenerationReport:
 
     def __str__(self) -> str:
         rate = self.frames_written / self.wall_s if self.wall_s else 0.0
-        told = (
+        lines = [
             f"{comma_list(self.domains)}: {self.frames} frames in {self.out_dir}; now written {self.frames_written} "
             f"frames, {self.bytes_written / 1e6:.1f} MB, {self.solves} solves in {self.wall_s:.1f} s "
             f"({rate:.1f} frames/s)"
-        )
+        ]
         if self.skipped:
-            told += f"\nalready finished: {comma_list(self.skipped)}"
+            lines.append(f"already finished: {comma_list(self.skipped)}")
         if self.unconverged:
-            told += f"\n{self.unconverged} frames did not converge: written without a picture"
+            lines.append(f"{self.unconverged} frames did not converge: written without a picture")
         if self.unrenderable:
-            told += (
+            lines[-1] += (
                 f", {self.unrenderable} of them now because they could not be rendered ({RUN_LOG} says why)"
             )
         if self.outside_range:
-            told += (
-                f"\n{self.outside_range} frames have a force outside the declared range; training will refuse them: "
+            lines.append(
+                f"{self.outside_range} frames have a force outside the declared range; training will refuse them: "
                 "declare a wider range (--force-range, or force_range_n) or change the gel"
             )
         for name, errors in self.interpolation.items():
-            told += f"\n{name}: " + (
-                "poses interpolated from {solves} solves; on {held_out_poses} held-out poses, each solved by itself, "
-                "force off by {force_rms_percent:.1f} % rms, membrane by {membrane_rms_um:.1f} µm, picture by "
+            told = (
+                "{}: poses interpolated from {solves} solves; on {held_out_poses} held-out poses, each solved by "
+                "itself, force off by {force_rms_percent:.1f} % rms, membrane by {membrane_rms_um:.1f} µm, picture by "
                 "{picture_rms_codes:.1f} of 255"
-            ).format(**errors)
+            ).format(name, **errors)
             if not errors["within_bounds"]:
                 told += ": more than a library promises (2 %, 4 µm); --exact solves each pose"
-        return told
+            lines.append(told)
+        return "\n".join(lines)
 
 
 def generate(
@@ -101,13 +102,9 @@ def generate(
 
     See `make_recipes` for the settings (quality, seed, …), `generate_recipes` for what is resumed, refused and raised.
     """
+    recipes = make_recipes(domains, path, **settings)
     return generate_recipes(
-        make_recipes(domains, path, **settings),
-        out_dir,
-        scheduler=scheduler,
-        workers=workers,
-        overwrite=overwrite,
-        progress=progress,
+        recipes, out_dir, scheduler=scheduler, workers=workers, overwrite=overwrite, progress=progress
     )
 
 
@@ -159,8 +156,6 @@ def generate_recipes(
         # Nothing is changed on disk unless all folders are free or resumable.
         for writer in writers.values():
             writer.check(overwrite)
-        for writer in writers.values():
-            writer.prepare()
         skipped = tuple(name for name in names if writers[name].skipped)
         plan = plan.without({name: writer.finished for name, writer in writers.items()})
         solves, written, unrenderable = len(plan.solves), 0, 0
@@ -170,7 +165,7 @@ def generate_recipes(
         try:
             LOG.info("rendering the reference pictures")
             for writer in writers.values():
-                writer.write_reference()
+                writer.prepare()
             _check_space(out_dir, writers.values())
             LOG.info("starting workers")
             for shard in run(plan, progress, scheduler, workers):
@@ -239,14 +234,12 @@ class DomainWriter:
             )
 
     def prepare(self) -> None:
-        """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
+        """Make the folder ready, with its reference: remove what is replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
         self.folder.keep_only({MANIFEST, *self.files})
         if not self.skipped:
             shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
-
-    def write_reference(self) -> None:
         if REFERENCE not in self.files:
             self.files[REFERENCE] = self.folder.write_file(REFERENCE, reference_png(self.recipe))
             self._write_manifest()

@@ -131,6 +131,10 @@ class GenerationPlan:
         """Labelled pictures that will be written."""
         return sum(len(batch) * len(batch.recipes) for batch in self.batches)
 
+    @property
+    def shards(self) -> int:
+        return sum(len(batch.recipes) for batch in self.batches)
+
     def processes(self, wanted: int | None) -> int:
         """Return how many local processes share the work, by default one per core; none of them without any."""
         return min(wanted or len(os.sched_getaffinity(0)), max(len(self.solves), len(self.batches), 1))

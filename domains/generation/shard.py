@@ -6,6 +6,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from gelgap.domains.domain import random_stream
 from gelgap.domains.formats.pictures import encode_png, without_markers
@@ -214,14 +215,13 @@ def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]
 
 def trajectories(poses: Sequence[Pose]) -> list[tuple[int, int]]:
     """Return (trajectory, step) of each frame: the path's, or the travel at one point, depth and direction."""
-    numbers: dict[tuple, int] = {}
-    steps: dict[int, int] = {}
-    found = []
-    for pose in poses:
-        travel = (pose.point_id, pose.depth_mm, pose.angle_deg if pose.radius_mm else -1.0)
-        if pose.trajectory is not None:
-            travel = ("trajectory", pose.trajectory)
-        number = numbers.setdefault(travel, len(numbers))
-        steps[number] = steps.get(number, -1) + 1
-        found.append((number, steps[number]))
-    return found
+    travels = pd.Series(
+        [
+            (pose.point_id, pose.depth_mm, pose.angle_deg if pose.radius_mm else -1.0)
+            if pose.trajectory is None
+            else ("trajectory", pose.trajectory)
+            for pose in poses
+        ]
+    )
+    groups = travels.groupby(travels, sort=False)
+    return list(zip(groups.ngroup(), groups.cumcount(), strict=True))
