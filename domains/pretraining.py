@@ -250,8 +250,11 @@ class Draws:
         leds = illumination.leds
         exposure = sensor.camera.exposure * self.at("brightness", rng.random())
         camera = Camera(**{**sensor.camera.model_dump(), "exposure": exposure})
-        colours = [leds[k].model_dump(include={"spectrum", "drive"}) for k in rng.permutation(len(leds))]
-        swapped = [type(led)(**{**led.model_dump(), **own}) for led, own in zip(leds, colours, strict=True)]
+        colours = [
+            {name: getattr(leds[k], name) for name in ("spectrum", "drive")}
+            for k in rng.permutation(len(leds))
+        ]
+        swapped = [led.model_copy(update=own) for led, own in zip(leds, colours, strict=True)]
         return (
             sensor.model_copy(update={"camera": camera}),
             illumination.model_copy(update={"leds": tuple(swapped)}),

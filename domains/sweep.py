@@ -18,7 +18,6 @@ from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
 from gelgap.render import Variation, vary_illumination, vary_sensor
 
-SWEEP_FILE = "sweep.json"
 Value = float | int | str | bool | None
 
 
@@ -98,23 +97,19 @@ class Sweep(Settings):
         if not self.factors:
             yield from ({} for _ in range(self.samples))
             return
-        match self.method:
-            case "grid":
-                for values in product(*(factor.values for factor in self.factors)):
-                    yield dict(zip((factor.field for factor in self.factors), values, strict=True))
-            case "one-at-a-time":
-                for factor in self.factors:
-                    for value in factor.values:
-                        yield {factor.field: value}
-            case "latin-hypercube":
-                from scipy.stats.qmc import LatinHypercube
+        if self.method == "one-at-a-time":
+            yield from ({factor.field: value} for factor in self.factors for value in factor.values)
+            return
+        if self.method == "grid":
+            rows = product(*(factor.values for factor in self.factors))
+        else:
+            from scipy.stats.qmc import LatinHypercube, scale
 
-                unit = LatinHypercube(len(self.factors), rng=self.seed).random(self.samples)
-                for row in unit.tolist():
-                    yield {
-                        factor.field: round(factor.range[0] + share * (factor.range[1] - factor.range[0]), 9)
-                        for factor, share in zip(self.factors, row, strict=True)
-                    }
+            unit = LatinHypercube(len(self.factors), rng=self.seed).random(self.samples)
+            table = scale(unit, *zip(*(factor.range for factor in self.factors), strict=True))
+            rows = ([round(value, 9) for value in row] for row in table.tolist())
+        for row in rows:
+            yield dict(zip((factor.field for factor in self.factors), row, strict=True))
 
 
 @dataclass(frozen=True)
@@ -166,10 +161,8 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
         variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
         for variant in variants
     }
-    content = with_checksum({"base": base.name, "domains": table})
-    text = json.dumps(content, indent=1, ensure_ascii=False)
-    path = Path(out_dir) / SWEEP_FILE
-    write_whole(path, text.encode())
+    path, content = Path(out_dir) / "sweep.json", with_checksum({"base": base.name, "domains": table})
+    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False).encode())
     return path
 
 
@@ -237,16 +230,13 @@ def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
     one, other, notes = source.elastomer, target.elastomer, []
     if one.young_modulus_mpa != other.young_modulus_mpa:
         ratio = other.young_modulus_mpa / one.young_modulus_mpa
-        mounts = {one.mount_stiffness_n_per_mm, other.mount_stiffness_n_per_mm}
-        notes.append(
+        note = (
             f"modulus {one.young_modulus_mpa:g} and {other.young_modulus_mpa:g} MPa: the same dent takes × {ratio:.3g} "
             f"the force on {target.name}"
-            + (
-                ""
-                if mounts == {None}
-                else "; how far the rig yields only makes its dents shallower or deeper"
-            )
         )
+        if {one.mount_stiffness_n_per_mm, other.mount_stiffness_n_per_mm} != {None}:
+            note += "; how far the rig yields only makes its dents shallower or deeper"
+        notes.append(note)
     if (one.thickness_mm, one.poisson_ratio) != (other.thickness_mm, other.poisson_ratio):
         notes.append(
             f"thickness {one.thickness_mm:g} and {other.thickness_mm:g} mm, Poisson's ratio {one.poisson_ratio:g} and "

@@ -38,33 +38,25 @@ class Estimate:
     exact: "Estimate | None" = None
 
     @property
-    def frames(self) -> int:
-        return self.plan.frames
-
-    @property
-    def solves(self) -> int:
-        return len(self.plan.solves)
-
-    @property
     def wall(self) -> str:
         return f"{self.wall_s:.0f} s" if self.wall_s < 90 else f"{self.wall_s / 60:.0f} min"
 
     def __str__(self) -> str:
-        recipes, frame_kb = self.plan.recipes, self.disk_bytes / self.frames / 1e3
+        plan, frame_kb = self.plan, self.disk_bytes / self.plan.frames / 1e3
         lines = [
-            f"domains  {comma_list([recipe.name for recipe in recipes])}",
-            f"frames   {self.frames} in {self.plan.shards} shards",
-            f"solves   {self.solves}, of which {self.solves_cached} are already known",
+            f"domains  {comma_list([recipe.name for recipe in plan.recipes])}",
+            f"frames   {plan.frames} in {plan.shards} shards",
+            f"solves   {len(plan.solves)}, of which {self.solves_cached} are already known",
             f"time     about {self.wall} with {self.workers} workers",
             f"disk     about {self.disk_bytes / 1e6:.0f} MB ({frame_kb:.1f} kB per frame)",
         ]
         if self.exact:
             lines.append(
                 "library  poses are interpolated, at most two solves more where its error is too large; each solved "
-                f"by itself (--exact): {self.exact.solves} solves, about {self.exact.wall}"
+                f"by itself (--exact): {len(self.exact.plan.solves)} solves, about {self.exact.wall}"
             )
-        lines += [f"indenter {line}" for line in _by_indenter(self.plan)]
-        lines += [f"note     {note}" for note in force_notes(recipes)]
+        lines += [f"indenter {line}" for line in _by_indenter(plan)]
+        lines += [f"note     {note}" for note in force_notes(plan.recipes)]
         return "\n".join(lines)
 
 

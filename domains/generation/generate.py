@@ -6,7 +6,7 @@ import logging
 import platform
 import shutil
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -22,7 +22,7 @@ from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFold
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import check_scheduler, run
 from gelgap.domains.generation.estimate import force_notes
-from gelgap.domains.generation.plan import plan_generation, shard_bounds
+from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
 from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, reference_png
 from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, make_recipes
@@ -166,7 +166,7 @@ def generate_recipes(
             LOG.info("rendering the reference pictures")
             for writer in writers.values():
                 writer.prepare()
-            _check_space(out_dir, writers.values())
+            _check_space(out_dir, plan, writers)
             LOG.info("starting workers")
             for shard in run(plan, progress, scheduler, workers):
                 written += writers[shard.domain].write_shard(shard)
@@ -251,11 +251,6 @@ class DomainWriter:
         self._write_manifest()
         return len(shard.data)
 
-    @property
-    def bytes_left(self) -> int:
-        """About how many bytes are still to be written: every frame takes as much as the reference picture."""
-        return (self.recipe.frames - self.total("frames")) * self.files[REFERENCE]["bytes"]
-
     def total(self, count: str) -> int:
         """Return the sum of one count over all shards."""
         return sum(entry.get(count, 0) for entry in self.files.values())
@@ -266,7 +261,7 @@ class DomainWriter:
         manifest = {
             "schema_version": SCHEMA_VERSION,
             "domain": recipe.name,
-            "complete": len(self.files) == 1 + len(shard_bounds(recipe.frames)),
+            "complete": len(self.files) == 1 + len(shard_starts(recipe.frames)),
             "configuration": recipe.configuration(),
             "seed": recipe.seed,
             "frames": recipe.frames,
@@ -284,9 +279,11 @@ class DomainWriter:
         self.folder.write_manifest(manifest)
 
 
-def _check_space(out_dir: Path, writers: Iterable[DomainWriter]) -> None:
-    """Raise RuntimeError, before anything is solved, if the disk has no room for the frames."""
-    needed, free = sum(writer.bytes_left for writer in writers), shutil.disk_usage(out_dir).free
+def _check_space(out_dir: Path, plan: GenerationPlan, writers: Mapping[str, DomainWriter]) -> None:
+    """Raise RuntimeError, before anything is solved, if the disk has no room: a frame takes what its reference does."""
+    frames = ((len(batch), recipe.name) for batch in plan.batches for recipe in batch.recipes)
+    needed = sum(number * writers[name].files[REFERENCE]["bytes"] for number, name in frames)
+    free = shutil.disk_usage(out_dir).free
     if needed > free:
         raise RuntimeError(
             f"about {needed / 1e6:.0f} MB are needed in {out_dir}, and {free / 1e6:.0f} MB are free; make room, "

@@ -83,31 +83,25 @@ class Contacts:
 
 @dataclass(frozen=True)
 class FrameBatch:
-    """The frames start…stop of every domain that shows these same contacts: one task, one shard per domain.
+    """Some frames, from `start` on, of every domain that shows these same contacts: one task, one shard per domain.
 
-    `contacts` are those of these frames, counted from `start`; `solve_keys` name the solves and the library that they
-    follow from.
+    `solve_keys` name the solves and the library that the contacts follow from.
     """
 
     recipes: tuple[DomainRecipe, ...]
-    number: int
+    shard: str
     start: int
-    stop: int
     contacts: Contacts = field(repr=False)
     solve_keys: tuple[str, ...]
 
     @property
-    def shard(self) -> str:
-        return shard_name(self.number)
-
-    @property
     def key(self) -> str:
         """A hash of what the batch makes."""
-        content = [[recipe.key for recipe in self.recipes], self.start, self.stop, list(self.solve_keys)]
+        content = [[recipe.key for recipe in self.recipes], self.start, len(self), list(self.solve_keys)]
         return sha256(canonical_json(content))
 
     def __len__(self) -> int:
-        return self.stop - self.start
+        return len(self.contacts.poses)
 
 
 @dataclass(frozen=True)
@@ -151,9 +145,9 @@ class GenerationPlan:
         return replace(self, sources=sources, batches=tuple(batches))
 
 
-def shard_bounds(frames: int) -> list[tuple[int, int]]:
-    """Return the first frame of each shard of a domain, and the one after its last."""
-    return [(start, min(start + FRAMES_PER_SHARD, frames)) for start in range(0, frames, FRAMES_PER_SHARD)]
+def shard_starts(frames: int) -> range:
+    """Return the first frame of each shard of a domain."""
+    return range(0, frames, FRAMES_PER_SHARD)
 
 
 def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
@@ -180,9 +174,9 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
             plan = joined([plan_solves(elastomer, indenter, *poses) for indenter in indenters])
             contacts = Contacts(plan.poses, plan)
         sources |= contacts.sources
-        for number, (start, stop) in enumerate(shard_bounds(len(contacts.poses))):
-            serving = {contacts.source_key(frame) for frame in range(start, stop)}
+        for number, start in enumerate(shard_starts(len(contacts.poses))):
+            part = contacts.part(start, start + FRAMES_PER_SHARD)
+            serving = {part.source_key(index) for index in range(len(part.poses))}
             keys = tuple(key for key in contacts.sources if key in serving)
-            part = contacts.part(start, stop)
-            batches.append(FrameBatch(tuple(members), number, start, stop, part, keys))
+            batches.append(FrameBatch(tuple(members), shard_name(number), start, part, keys))
     return GenerationPlan(tuple(recipes), sources, tuple(batches))

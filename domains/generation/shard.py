@@ -10,17 +10,18 @@ import pandas as pd
 
 from gelgap.domains.domain import random_stream
 from gelgap.domains.formats.pictures import encode_png, without_markers
-from gelgap.domains.formats.shards import LABELS, OPTIONAL, Contact, View, encode_shard, picture_cell
+from gelgap.domains.formats.shards import LABELS, OPTIONAL, Column, Contact, View, encode_shard, picture_cell
 from gelgap.domains.frames.splits import PARTS, draw_parts
 from gelgap.domains.generation.plan import FrameBatch
 from gelgap.domains.library import PoseLibrary
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.render import Illumination, MembraneRenderer, Sensor, view_half_extent_mm
+from gelgap.render import MembraneRenderer, view_half_extent_mm
 from gelgap.sim import MembraneState, Pose, traction_map
 
 Row = dict[str, Any]
 # One renderer holds the light of the undeformed membrane, some 0.2 MB for three LEDs.
 KEPT_RENDERERS = 32
+_renderer = lru_cache(maxsize=KEPT_RENDERERS)(MembraneRenderer)
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def _add_rows(groups: Sequence[Sequence[ShardRows]], batch: FrameBatch, solution
     """
     contacts, first = batch.contacts, [members[0].recipe for members in groups]
     extents = [view_half_extent_mm(recipe.sensor.camera, recipe.size_px) for recipe in first]
-    for place, frame in enumerate(range(batch.start, batch.stop)):
+    for place, frame in enumerate(range(batch.start, batch.start + len(batch))):
         source = solutions.get(contacts.source_key(place))
         states = {extent: contacts.state(place, source, extent) for extent in set(extents)}
         for members, extent in zip(groups, extents, strict=True):
@@ -145,16 +146,15 @@ def picture_cells(
         rng=random_stream(first.seed, first.picture_name, "sensor noise", frame),
         frame_name=f"frame {frame} of {first.name}",
     )
-    return [
-        {"image": picture_cell(_as_shown(recipe, picture))}
-        | {
-            column.name: column.cell(view)
-            for name in recipe.columns
-            for column in OPTIONAL[name]
-            if column.cell
-        }
-        for recipe in recipes
-    ]
+    cells = []
+    for recipe in recipes:
+        optional = {column.name: column.cell(view) for column in _optional(recipe) if column.cell}
+        cells.append({"image": picture_cell(_as_shown(recipe, picture))} | optional)
+    return cells
+
+
+def _optional(recipe: DomainRecipe) -> list[Column]:
+    return [column for name in recipe.columns for column in OPTIONAL[name]]
 
 
 def reference_png(recipe: DomainRecipe) -> bytes:
@@ -169,13 +169,6 @@ def renderer_of(recipe: DomainRecipe) -> MembraneRenderer:
     return _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
 
 
-@lru_cache(maxsize=KEPT_RENDERERS)
-def _renderer(
-    sensor: Sensor, illumination: Illumination, size_px: tuple[int, int], quality: str
-) -> MembraneRenderer:
-    return MembraneRenderer(sensor, illumination, size_px, quality)
-
-
 def _shows_markers(recipe: DomainRecipe) -> bool:
     return recipe.markers or recipe.inpainted_from is not None
 
@@ -188,8 +181,7 @@ def _as_shown(recipe: DomainRecipe, picture: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=8)
 def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]:
     """Return what makes the label columns of one frame; what does not depend on the frame is found once."""
-    optional = (column for name in recipe.columns for column in OPTIONAL[name])
-    columns = (*LABELS, *(column for column in optional if column.value))
+    columns = (*LABELS, *(column for column in _optional(recipe) if column.value))
     poses, travels = recipe.commanded_poses(), trajectories(recipe.path.poses)
     split = draw_parts(recipe.frames, recipe.seed)
     last_travel = max(number for number, _ in travels) + 1
