@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, PositiveFloat
 
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
@@ -26,9 +26,6 @@ from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
 RANDOM_FACTORS = ("gel", "sphere", "light", "camera", "blur", "noise", "markers")
 """What is drawn, and can be left out to see what it matters."""
 
-Share = Annotated[float, Field(ge=0, le=1)]
-_Positive = Annotated[float, Field(gt=0)]
-
 
 def _rises(interval: Interval) -> Interval:
     if interval[1] < interval[0]:
@@ -37,7 +34,7 @@ def _rises(interval: Interval) -> Interval:
 
 
 RisingInterval = Annotated[Interval, AfterValidator(_rises)]
-PositiveInterval = Annotated[tuple[_Positive, _Positive], AfterValidator(_rises)]
+PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_rises)]
 # Contacts are interior wherever they lie in view, so that all of a press share its solves.
 _PAD_MM = (80.0, 80.0)
 # Contact points lie within this share of the view.
@@ -79,7 +76,7 @@ class PretrainingRanges(Settings):
     point_spread_px: RisingInterval
     full_well_electrons: PositiveInterval
     read_noise_electrons: PositiveInterval
-    with_markers: Share = Field(description="share of the domains whose gel has dots")
+    with_markers: float = Field(ge=0, le=1, description="share of the domains whose gel has dots")
     marker_pitch_mm: PositiveInterval
     force_range_n: tuple[Interval, Interval, Interval] = Field(description="declared by every domain")
 

@@ -43,7 +43,6 @@ from gelgap.sim import (
 LOG = logging.getLogger(__name__)
 Interval = tuple[float, float]
 Side = Annotated[int, Field(ge=16, le=4096)]
-ContactSampling = Literal["paired", "independent"]
 
 INPAINTED_IN_THE_PAPER = ("wmb0i0",)
 """The domains that the paper made by inpainting the markers of the domain with markers."""
@@ -54,11 +53,13 @@ _RESOLUTION_MM = 1e-3
 class AcquisitionError(Settings):
     """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
 
-    point_offset_mm: float = Field(0.0, ge=0, le=1, description="offset of all points, along x and along y")
-    depth_zero_mm: float = Field(0.0, ge=0, le=0.5, description="error of the depth where contact begins")
-    tilt_deg: float = Field(0.0, ge=0, le=3, description="of the pad about x and about y")
-    force_noise_n: float = Field(0.0, ge=0, le=1, description="of the force sensor, per frame and axis")
-    force_bias_n: float = Field(0.0, ge=0, le=1, description="of the force sensor, along each axis")
+    point_offset_mm: float = Field(default=0.0, ge=0, le=1, description="of all points, along x and y")
+    depth_zero_mm: float = Field(default=0.0, ge=0, le=0.5, description="where contact begins")
+    tilt_deg: float = Field(default=0.0, ge=0, le=3, description="of the pad about x and y")
+    force_noise_n: float = Field(
+        default=0.0, ge=0, le=1, description="of the force sensor, per frame and axis"
+    )
+    force_bias_n: float = Field(default=0.0, ge=0, le=1, description="of the force sensor, along each axis")
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ class DomainRecipe(Settings):
     render_quality: Literal["draft", "standard", "fine"] = "standard"
     columns: tuple[OptionalColumn, ...] = Field(default=(), description="optional columns")
     seed: int = Field(default=0, ge=0, description="seed of sensor noise, splits and acquisition errors")
-    contacts: ContactSampling = Field(
+    contacts: Literal["paired", "independent"] = Field(
         default="paired", description="the same poses in every domain, or poses of its own"
     )
     acquisition: AcquisitionError = AcquisitionError()
@@ -357,8 +358,7 @@ def own_recipe(
     ValueError
         If the name is not one for a folder or means a domain of presets, or for a bad value.
     """
-    meant = next((domain for domain in known_domains() if domain.name == name), None)
-    if meant is not None and meant.illumination != OWN_LIGHT:
+    if any(domain.name == name and domain.illumination != OWN_LIGHT for domain in known_domains()):
         raise ValueError(
             f"name = {name!r}: means a domain of presets; choose another, for example {name}-own"
         )

@@ -195,7 +195,7 @@ class PressStream(IterableDataset):
                 "press": press,
                 "look": number,
                 "tries": tries,
-                "sphere_diameter_mm": library.plan.indenter.diameter_mm,
+                "sphere_diameter_mm": self._draws.press(press).indenter.diameter_mm,
                 "contact_radius_mm": state.contact_radius_mm,
             }
             for told, names in ((gel, _OF_GEL), (pose, _OF_POSE), (state.diagnostics, _OF_ERROR)):

@@ -1,7 +1,7 @@
 """Sweeps: domains that differ from a base domain in chosen factors, and how far any two domains are apart."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -100,6 +100,7 @@ class Sweep(Settings):
         if self.method == "one-at-a-time":
             yield from ({factor.field: value} for factor in self.factors for value in factor.values)
             return
+        rows: Iterable[Sequence[Value]]
         if self.method == "grid":
             rows = product(*(factor.values for factor in self.factors))
         else:
@@ -107,7 +108,7 @@ class Sweep(Settings):
 
             unit = LatinHypercube(len(self.factors), rng=self.seed).random(self.samples)
             table = scale(unit, *zip(*(factor.range for factor in self.factors), strict=True))
-            rows = ([round(value, 9) for value in row] for row in table.tolist())
+            rows = [[round(value, 9) for value in row] for row in table.tolist()]
         for row in rows:
             yield dict(zip((factor.field for factor in self.factors), row, strict=True))
 

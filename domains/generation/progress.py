@@ -19,7 +19,8 @@ class GenerationProgress:
     def __init__(self, stream: TextIO | None = None, bars: Any = None) -> None:
         self._stream, self._bars = stream, bars
         self._start = self._told_at = time.monotonic()
-        self._done, self._total = Counter(), {"solves": 0, "frames": 0}
+        self._done: Counter[str] = Counter()
+        self._total = {"solves": 0, "frames": 0}
         self._tasks = {name: bars.add_task(name, total=None, left="") for name in self._total if bars}
 
     def begin(self, solves: int, frames: int) -> None:
