@@ -104,7 +104,7 @@ def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:
     beyond = []
     for recipe in recipes:
         deepest_mm = max(pose.depth_mm for pose in recipe.path.poses)
-        force_n = expected_force_n(recipe.elastomer, recipe.indenter, deepest_mm)
+        force_n = expected_force_n(recipe.elastomer, recipe.indenter, deepest_mm) if deepest_mm else 0.0
         if force_n > -recipe.force_range_n[2][0]:
             beyond.append((force_n, recipe))
     if not beyond:
