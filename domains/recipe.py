@@ -56,9 +56,7 @@ class AcquisitionError(Settings):
     point_offset_mm: float = Field(default=0.0, ge=0, le=1, description="of all points, along x and y")
     depth_zero_mm: float = Field(default=0.0, ge=0, le=0.5, description="where contact begins")
     tilt_deg: float = Field(default=0.0, ge=0, le=3, description="of the pad about x and y")
-    force_noise_n: float = Field(
-        default=0.0, ge=0, le=1, description="of the force sensor, per frame and axis"
-    )
+    force_noise_n: float = Field(default=0.0, ge=0, le=1, description="of the force sensor, along each axis")
     force_bias_n: float = Field(default=0.0, ge=0, le=1, description="of the force sensor, along each axis")
 
 
@@ -422,8 +420,7 @@ def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ..
         If it is not valid TOML, a field is unknown or missing, a value is out of range, or two domains share a name.
     """
     with named_in_errors(file):
-        values = read_with_path(file)
-        content = RecipeFile(**values)
+        content = RecipeFile(**read_with_path(file))
         check_named_once(entry.name for entry in content.domains)
         return tuple(
             own_recipe(

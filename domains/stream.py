@@ -142,12 +142,11 @@ class PressStream(IterableDataset):
         """Return the library of poses of a gel and sphere; `.plan.checked` would tell its error on held-out poses."""
         if press not in self._libraries:
             plan = self.plan(press)
-            left = [solve for solve in plan.solved.solves if not has_solution(solve.key)]
-            if left:
-                about_s = sum(solve.expected_core_s for solve in left)
+            left_s = [solve.expected_core_s for solve in plan.solved.solves if not has_solution(solve.key)]
+            if left_s:
                 LOG.warning(
                     "gel and sphere %d of %d are solved first, once: %d solves, about %.0f s of a core",
-                    *(press + 1, self.ranges.presses, len(left), about_s),
+                    *(press + 1, self.ranges.presses, len(left_s), sum(left_s)),
                 )
             # Workers that wait for the same library begin with different solves of it.
             solves, info = plan.solved.solves, get_worker_info()
