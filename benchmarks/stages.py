@@ -26,8 +26,8 @@ from gelgap.domains import (
 )
 from gelgap.domains.formats.pictures import encode_png, without_markers
 from gelgap.domains.formats.shards import encode_shard
-from gelgap.domains.generation.plan import GenerationPlan
-from gelgap.domains.generation.shard import FrameBatch, render_batch
+from gelgap.domains.generation.plan import FrameBatch, GenerationPlan
+from gelgap.domains.generation.shard import render_batch
 from gelgap.render import MembraneRenderer, imaging
 from gelgap.render.surface import Membrane, shared_surface
 from gelgap.sim import ContactPath, SolvePlan, load_solution

@@ -137,7 +137,7 @@ def core_hours_alone(recipes: Sequence[DomainRecipe]) -> tuple[float, float]:
             ways = np.array([(0.0, 0.0, -pose.depth_mm), (pose.radius_mm, 0.0, 0.0)])
             solving_s += step_s * sum(problem.quality.load_steps(way) for way in ways if way.any())
         batch = plan_generation([recipe]).batches[0]
-        sample = replace(batch, stop=min(batch.stop, batch.start + SAMPLE_FRAMES))
+        sample = replace(batch, contacts=batch.contacts.part(0, SAMPLE_FRAMES))
         rendering_s += len(recipe.path.poses) * processor_s(rendering(sample), 3) / len(sample)
     return solving_s / 3600, rendering_s / 3600
 

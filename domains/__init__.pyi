@@ -41,11 +41,11 @@ from .frames.stored import GeneratedDomain as GeneratedDomain
 from .frames.stored import StoredFrames as StoredFrames
 from .frames.stored import clear_picture_cache as clear_picture_cache
 from .generation.cluster import dask_client as dask_client
+from .generation.estimate import estimate as estimate
 from .generation.generate import GenerationReport as GenerationReport
 from .generation.generate import generate as generate
 from .generation.generate import generate_recipes as generate_recipes
 from .generation.generate import package_versions as package_versions
-from .generation.plan import estimate as estimate
 from .generation.plan import plan_generation as plan_generation
 from .generation.progress import GenerationProgress as GenerationProgress
 from .generation.progress import shown_progress as shown_progress

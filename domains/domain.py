@@ -18,7 +18,7 @@ OWN_LIGHT = "own"
 Purpose = Literal["sensor noise", "reference noise", "acquisition", "force noise", "contacts", "split"]
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Domain:
     """An elastomer × an illumination × markers, by the names of their presets; illumination `own` is the sensor's."""
 
@@ -57,12 +57,8 @@ class Domain:
 
 def known_domains() -> tuple[Domain, ...]:
     """Return every domain that the presets can make."""
-    return tuple(
-        Domain(elastomer, illumination, markers)
-        for elastomer, illumination, markers in product(
-            list_presets("elastomers"), (*list_presets("illuminations"), OWN_LIGHT), (True, False)
-        )
-    )
+    lights = (*list_presets("illuminations"), OWN_LIGHT)
+    return tuple(Domain(*parts) for parts in product(list_presets("elastomers"), lights, (True, False)))
 
 
 def random_stream(seed: int, domain: str, purpose: Purpose, frame: int = 0) -> np.random.Generator:

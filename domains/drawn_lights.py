@@ -1,7 +1,7 @@
 """A domain in several drawn lights, like that of a picture without contact: to train for a light nobody measured."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
@@ -68,29 +68,21 @@ def in_drawn_lights(
     """
     kinds = kinds or [Illumination.preset(name) for name in KINDS]
     numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
-    shares = list(_shares(recipe))
-    return tuple(
-        recipe.model_copy(
-            update={
-                "name": f"{recipe.name}-{place}",
-                "path": share,
-                "illumination": drawn_illumination(number, kinds),
-                "inpainted_from": None,
-            }
-        )
-        for place, (share, number) in enumerate(zip(shares, numbers, strict=False), start=1)
-    )
-
-
-def _shares(recipe: DomainRecipe) -> Iterator[PosePath]:
-    """Yield the contacts of each light: all of some contact points, and a reference without contact."""
-    points = list(dict.fromkeys(pose.point_id for pose in recipe.path.poses if pose.depth_mm > 0))
-    for place in range(min(LIGHTS, len(points))):
+    path, recipes = recipe.path, []
+    points = list(dict.fromkeys(pose.point_id for pose in path.poses if pose.depth_mm > 0))
+    for place, number in enumerate(numbers[: len(points)]):
         own = set(points[place::LIGHTS])
-        poses = tuple(pose for pose in recipe.path.poses if pose.point_id in own)
+        poses = tuple(pose for pose in path.poses if pose.point_id in own)
         if poses[0].depth_mm > 0:
-            poses = (recipe.path.poses[0], *poses)
-        yield PosePath(f"{recipe.path.name}-{place + 1}", poses)
+            poses = (path.poses[0], *poses)  # the reference without contact
+        parts = {
+            "name": f"{recipe.name}-{place + 1}",
+            "path": PosePath(f"{path.name}-{place + 1}", poses),
+            "illumination": drawn_illumination(number, kinds),
+            "inpainted_from": None,
+        }
+        recipes.append(recipe.model_copy(update=parts))
+    return tuple(recipes)
 
 
 def _nearest(

@@ -10,10 +10,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, PositiveFloat
 
 from gelgap.assets import asset_path
 from gelgap.assets.settings import Settings
@@ -23,12 +23,8 @@ from gelgap.domains.recipe import DomainRecipe, Interval
 from gelgap.render import Camera, Illumination, Markers, Sensor, Variation, vary_illumination, vary_sensor
 from gelgap.sim import Elastomer, Pose, PosePath, QualityName, Sphere
 
-RandomFactor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
-RANDOM_FACTORS: tuple[str, ...] = get_args(RandomFactor)
+RANDOM_FACTORS = ("gel", "sphere", "light", "camera", "blur", "noise", "markers")
 """What is drawn, and can be left out to see what it matters."""
-
-Share = Annotated[float, Field(ge=0, le=1)]
-_Positive = Annotated[float, Field(gt=0)]
 
 
 def _rises(interval: Interval) -> Interval:
@@ -38,7 +34,7 @@ def _rises(interval: Interval) -> Interval:
 
 
 RisingInterval = Annotated[Interval, AfterValidator(_rises)]
-PositiveInterval = Annotated[tuple[_Positive, _Positive], AfterValidator(_rises)]
+PositiveInterval = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_rises)]
 # Contacts are interior wherever they lie in view, so that all of a press share its solves.
 _PAD_MM = (80.0, 80.0)
 # Contact points lie within this share of the view.
@@ -50,12 +46,7 @@ _LOGARITHMIC = {
     *("young_modulus_mpa", "friction", "sphere_diameter_mm"),
     *("full_well_electrons", "read_noise_electrons"),
 }
-_QUICK = {
-    "presses": 1,
-    "depths": 1,
-    "sphere_diameter_mm": (3.0, 3.0),
-    "deepest_by_thickness": (0.05, 0.05),
-}
+_QUICK = {"presses": 1, "depths": 1, "sphere_diameter_mm": (3.0, 3.0), "deepest_by_thickness": (0.05, 0.05)}
 
 
 class PretrainingRanges(Settings):
@@ -85,7 +76,7 @@ class PretrainingRanges(Settings):
     point_spread_px: RisingInterval
     full_well_electrons: PositiveInterval
     read_noise_electrons: PositiveInterval
-    with_markers: Share = Field(description="share of the domains whose gel has dots")
+    with_markers: float = Field(ge=0, le=1, description="share of the domains whose gel has dots")
     marker_pitch_mm: PositiveInterval
     force_range_n: tuple[Interval, Interval, Interval] = Field(description="declared by every domain")
 
@@ -115,11 +106,6 @@ class PretrainingRanges(Settings):
         """Return these ranges with one shallow press of a small sphere: to see that all works, not to learn."""
         return type(self)(**{**self.model_dump(), **_QUICK})
 
-    @property
-    def contacts(self) -> int:
-        """How many contacts of a press differ in more than place and direction."""
-        return 2 * self.depths
-
 
 def pretraining_recipes(
     domains: int,
@@ -144,18 +130,19 @@ def pretraining_recipes(
         of its press.
     """
     ranges = ranges or PretrainingRanges.default()
-    draws = Draws.of(ranges, seed, without)
+    draws = Draws(ranges, seed, frozenset(without))
     if domains < 1:
         raise ValueError(f"domains = {domains}: must be 1 or more")
-    if frames_per_domain <= ranges.contacts:
+    # Pressed straight and dragged.
+    contacts = 2 * ranges.depths
+    if frames_per_domain <= contacts:
         raise ValueError(
-            f"frames_per_domain = {frames_per_domain}: must be {ranges.contacts + 1} or more, a reference and "
-            f"{ranges.contacts} contacts at {ranges.depths} depths"
+            f"frames_per_domain = {frames_per_domain}: must be {contacts + 1} or more, a reference and {contacts} "
+            f"contacts at {ranges.depths} depths"
         )
-    presses = [draws.press(number) for number in range(min(ranges.presses, domains))]
     recipes = []
     for number in range(domains):
-        name, press = f"pretraining-{number:04d}", presses[number % len(presses)]
+        name, press = f"pretraining-{number:04d}", draws.press(number % ranges.presses)
         sensor, illumination, markers = draws.seen_by(number)
         (modulus_mpa,) = draws.values("gel", "modulus", number, "young_modulus_mpa")
         poses = draws.poses(number, press, frames_per_domain, sensor.camera.footprint_mm(size_px))
@@ -177,8 +164,7 @@ def pretraining_recipes(
     return tuple(recipes)
 
 
-@dataclass(frozen=True)
-class _Press:
+class Press(NamedTuple):
     """A gel, whose modulus is open, a sphere, and how it is pressed: (depth, travel) in mm."""
 
     gel: dict[str, Any]
@@ -197,12 +183,9 @@ class Draws:
     seed: int
     without: frozenset[str]
 
-    @classmethod
-    def of(cls, ranges: PretrainingRanges, seed: int, without: Collection[str]) -> Self:
-        """Return the draws of a seed, or raise ValueError if a factor to leave out is unknown."""
-        if unknown := sorted(set(without) - set(RANDOM_FACTORS)):
+    def __post_init__(self) -> None:
+        if unknown := sorted(self.without - set(RANDOM_FACTORS)):
             raise ValueError(f"without = {unknown[0]!r}: known are {', '.join(RANDOM_FACTORS)}")
-        return cls(ranges, seed, frozenset(without))
 
     def stream(self, what: str, number: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence([self.seed, word(what), number]))
@@ -219,7 +202,7 @@ class Draws:
         low, high = getattr(self.ranges, field)
         return low * (high / low) ** share if field in _LOGARITHMIC else low + share * (high - low)
 
-    def press(self, number: int) -> _Press:
+    def press(self, number: int) -> Press:
         ratio, friction, thickness_mm = self.values(
             "gel", "gel of a press", number, "poisson_ratio", "friction", "thickness_mm"
         )
@@ -238,7 +221,7 @@ class Draws:
         shares = np.sqrt(np.arange(1, self.ranges.depths + 1) / self.ranges.depths)
         parts = (0.0, self.at("travel_by_depth", travel))
         depths_mm = np.round(deepest_mm * shares, 3).tolist()
-        return _Press(
+        return Press(
             gel, sphere, tuple((depth, round(part * depth, 3)) for depth in depths_mm for part in parts)
         )
 
@@ -264,8 +247,11 @@ class Draws:
         leds = illumination.leds
         exposure = sensor.camera.exposure * self.at("brightness", rng.random())
         camera = Camera(**{**sensor.camera.model_dump(), "exposure": exposure})
-        colours = [leds[k].model_dump(include={"spectrum", "drive"}) for k in rng.permutation(len(leds))]
-        swapped = [type(led)(**{**led.model_dump(), **own}) for led, own in zip(leds, colours, strict=True)]
+        colours = [
+            {name: getattr(leds[k], name) for name in ("spectrum", "drive")}
+            for k in rng.permutation(len(leds))
+        ]
+        swapped = [led.model_copy(update=own) for led, own in zip(leds, colours, strict=True)]
         return (
             sensor.model_copy(update={"camera": camera}),
             illumination.model_copy(update={"leds": tuple(swapped)}),
@@ -294,9 +280,7 @@ class Draws:
         diameter_mm = round(_DOTS_BY_PITCH * pitch_mm, 3)
         return Markers(columns=across, rows=across, pitch_mm=pitch_mm, diameter_mm=diameter_mm)
 
-    def poses(
-        self, number: int, press: _Press, frames: int, view_mm: tuple[float, float]
-    ) -> tuple[Pose, ...]:
+    def poses(self, number: int, press: Press, frames: int, view_mm: tuple[float, float]) -> tuple[Pose, ...]:
         """Return a reference and contacts at drawn places in drawn directions: each contact of the press, and again."""
         rng, contacts = self.stream("contacts", number), len(press.contacts_mm)
         rounds = -(-(frames - 1) // contacts)

@@ -6,7 +6,8 @@ Acquisition errors, off by default, are those of a misplaced rig and an inaccura
 import itertools
 import logging
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,6 +24,7 @@ from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import (
+    DEPTHS_PER_DESCENT,
     AnyIndenter,
     ContactPath,
     DrawnPath,
@@ -32,6 +34,7 @@ from gelgap.sim import (
     PosePath,
     QualityName,
     Sphere,
+    Symmetry,
     load_indenter,
     load_path,
     path_on_gel,
@@ -40,7 +43,6 @@ from gelgap.sim import (
 LOG = logging.getLogger(__name__)
 Interval = tuple[float, float]
 Side = Annotated[int, Field(ge=16, le=4096)]
-ContactSampling = Literal["paired", "independent"]
 
 INPAINTED_IN_THE_PAPER = ("wmb0i0",)
 """The domains that the paper made by inpainting the markers of the domain with markers."""
@@ -51,27 +53,11 @@ _RESOLUTION_MM = 1e-3
 class AcquisitionError(Settings):
     """Standard deviations of a rig's errors, each drawn once per domain (force noise: once per frame)."""
 
-    point_offset_mm: float = Field(
-        default=0.0, ge=0, le=1, description="offset of all contact points along x and along y, mm, 0 to 1"
-    )
-    depth_zero_mm: float = Field(
-        default=0.0,
-        ge=0,
-        le=0.5,
-        description="error of the depth at which contact is taken to begin, mm, 0 to 0.5",
-    )
-    tilt_deg: float = Field(
-        default=0.0,
-        ge=0,
-        le=3,
-        description="tilt of the pad about x and y, degrees, 0 to 3: depth changes with the point",
-    )
-    force_noise_n: float = Field(
-        default=0.0, ge=0, le=1, description="noise of the force sensor per frame and axis, N, 0 to 1"
-    )
-    force_bias_n: float = Field(
-        default=0.0, ge=0, le=1, description="bias of the force sensor along each axis, N, 0 to 1"
-    )
+    point_offset_mm: float = Field(default=0.0, ge=0, le=1, description="of all points, along x and y")
+    depth_zero_mm: float = Field(default=0.0, ge=0, le=0.5, description="where contact begins")
+    tilt_deg: float = Field(default=0.0, ge=0, le=3, description="of the pad about x and y")
+    force_noise_n: float = Field(default=0.0, ge=0, le=1, description="of the force sensor, along each axis")
+    force_bias_n: float = Field(default=0.0, ge=0, le=1, description="of the force sensor, along each axis")
 
 
 @dataclass(frozen=True)
@@ -82,6 +68,11 @@ class DrawnErrors:
     depth_zero_mm: float
     tilt_deg: tuple[float, float]
     force_bias_n: tuple[float, float, float]
+
+    @property
+    def displace(self) -> bool:
+        """Whether contacts are others than those that are commanded."""
+        return any((*self.point_offset_mm, self.depth_zero_mm, *self.tilt_deg))
 
     def actual(self, pose: Pose) -> Pose:
         """Return the contact that happens when this pose is commanded."""
@@ -95,17 +86,6 @@ class DrawnErrors:
             point_x_mm=_rounded(pose.point_x_mm + self.point_offset_mm[0]),
             point_y_mm=_rounded(pose.point_y_mm + self.point_offset_mm[1]),
         )
-
-
-def draw_errors(error: AcquisitionError, seed: int, domain: str) -> DrawnErrors:
-    """Draw a domain's errors: the same (seed, domain) always gives the same."""
-    unit = [float(value) for value in random_stream(seed, domain, "acquisition").standard_normal(8)]
-    return DrawnErrors(
-        point_offset_mm=(error.point_offset_mm * unit[0], error.point_offset_mm * unit[1]),
-        depth_zero_mm=error.depth_zero_mm * unit[2],
-        tilt_deg=(error.tilt_deg * unit[3], error.tilt_deg * unit[4]),
-        force_bias_n=tuple(error.force_bias_n * value for value in unit[5:]),
-    )
 
 
 def independent_poses(path: ContactPath, seed: int, domain: str) -> tuple[Pose, ...]:
@@ -178,7 +158,7 @@ class DomainRecipe(Settings):
     render_quality: Literal["draft", "standard", "fine"] = "standard"
     columns: tuple[OptionalColumn, ...] = Field(default=(), description="optional columns")
     seed: int = Field(default=0, ge=0, description="seed of sensor noise, splits and acquisition errors")
-    contacts: ContactSampling = Field(
+    contacts: Literal["paired", "independent"] = Field(
         default="paired", description="the same poses in every domain, or poses of its own"
     )
     acquisition: AcquisitionError = AcquisitionError()
@@ -227,39 +207,35 @@ class DomainRecipe(Settings):
         return independent_poses(self.path, self.seed, self.picture_name)
 
     def drawn_errors(self) -> DrawnErrors:
-        return draw_errors(self.acquisition, self.seed, self.picture_name)
+        """Draw the domain's errors: the same seed and domain always give the same."""
+        error = self.acquisition
+        unit = random_stream(self.seed, self.picture_name, "acquisition").standard_normal(8).tolist()
+        return DrawnErrors(
+            point_offset_mm=(error.point_offset_mm * unit[0], error.point_offset_mm * unit[1]),
+            depth_zero_mm=error.depth_zero_mm * unit[2],
+            tilt_deg=(error.tilt_deg * unit[3], error.tilt_deg * unit[4]),
+            force_bias_n=tuple(error.force_bias_n * value for value in unit[5:]),
+        )
 
     def solved_path(self) -> ContactPath | PosePath:
         """Return the contacts of each indenter that really happen."""
-        errors = self.drawn_errors()
-        off = not any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg))
-        if off and self.contacts == "paired":
-            return self.path
-        commanded = self.commanded_poses()
-        return PosePath(
-            self.path.name, commanded if off else tuple(errors.actual(pose) for pose in commanded)
-        )
+        errors, poses = self.drawn_errors(), self.commanded_poses()
+        if errors.displace:
+            poses = tuple(errors.actual(pose) for pose in poses)
+        return self.path if poses is self.path.poses else PosePath(self.path.name, poses)
 
+    def suits_a_library(self) -> bool:
+        """Return whether a library of poses serves the path, and takes fewer solves than its depths do.
 
-def _suits_a_library(
-    path: ContactPath | PosePath,
-    columns: Sequence[str],
-    indenter: AnyIndenter | None = None,
-    further_indenters: Sequence[AnyIndenter] = (),
-    **_: Any,
-) -> bool:
-    """Return whether a library of poses serves a path, and takes fewer solves than its depths do.
+        It serves one indenter whose directions are alike, and has membranes, forces and torques but no tractions.
+        """
+        from gelgap.domains.library import MOST_SOLVES
 
-    It serves one indenter whose directions are alike, and has membranes, forces and torques but no tractions.
-    """
-    from gelgap.domains.library import MOST_SOLVES
-    from gelgap.sim import DEPTHS_PER_DESCENT, Symmetry
-
-    revolution = (indenter or Sphere()).symmetry is Symmetry.REVOLUTION
-    if further_indenters or "traction" in columns or not revolution:
-        return False
-    depths = {pose.depth_mm for pose in path.poses if pose.depth_mm > 0 and pose.trajectory is None}
-    return len(depths) > DEPTHS_PER_DESCENT * MOST_SOLVES
+        revolution = self.indenter.symmetry is Symmetry.REVOLUTION
+        if self.further_indenters or "traction" in self.columns or not revolution:
+            return False
+        depths = {pose.depth_mm for pose in self.path.poses if pose.depth_mm > 0 and pose.trajectory is None}
+        return len(depths) > DEPTHS_PER_DESCENT * MOST_SOLVES
 
 
 def differences(one: Any, other: Any, field: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -307,7 +283,7 @@ def make_recipes(
         Solve each pose; by default a path of more depths than a library takes, as a random one, is interpolated
         (`gelgap.domains.PoseLibrary`).
     settings
-        Further fields of `DomainRecipe`: seed, quality, size_px, contacts, acquisition, ….
+        Fields of `DomainRecipe`: seed, quality, size_px, contacts, acquisition, …; also in place of what names say.
 
     Raises
     ------
@@ -317,46 +293,49 @@ def make_recipes(
     parsed = [Domain.parse(str(domain)) for domain in domains]
     if not parsed:
         raise ValueError("no domain was named; name at least one, for example mb0i0")
-    if len(set(parsed)) < len(parsed):
-        raise ValueError(f"a domain is named twice in {', '.join(map(str, parsed))}; name each once")
-    contact_path = load_path(path) if isinstance(path, str) else path
-    columns = tuple(sorted(columns))
-    seen_through = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
+    check_named_once(domain.name for domain in parsed)
+    path = load_path(path) if isinstance(path, str) else path
+    sensor = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
     recipes = []
     for domain in parsed:
-        own_light = domain.illumination == OWN_LIGHT
-        light = seen_through.illumination if own_light else Illumination.preset(domain.illumination)
-        if light is None:
-            raise ValueError(
-                f"domain {domain.name}: sensor {seen_through.name!r} has no LEDs of its own; give it an "
-                "[illumination], choose another sensor, or name an illumination preset"
-            )
-        elastomer = Elastomer.preset(domain.elastomer)
-        own_path = _on_gel(contact_path, elastomer, settings)
-        recipe = DomainRecipe(
-            name=domain.name,
-            elastomer=elastomer,
-            path=own_path,
-            sensor=seen_through,
-            illumination=light,
-            markers=domain.markers,
-            inpainted_from=domain.name.removeprefix("w") if domain.name in inpainted else None,
-            columns=columns,
-            **{"interpolated": not exact and _suits_a_library(own_path, columns, **settings), **settings},
-        )
+        fields: dict[str, Any] = {
+            "name": domain.name,
+            "markers": domain.markers,
+            "inpainted_from": domain.name.removeprefix("w") if domain.name in inpainted else None,
+            "columns": tuple(sorted(columns)),
+            **settings,
+        }
+        fields.setdefault("elastomer", Elastomer.preset(domain.elastomer))
+        if "illumination" not in fields:
+            fields["illumination"] = _illumination(domain, sensor)
+        contacts = path
+        if isinstance(path, ForcePath):
+            # Depths that give a force are each gel's and indenter's own.
+            LOG.info("solving the descent that gives the depths of the path's forces")
+            pressed = fields["elastomer"], fields.get("indenter", Sphere()), fields.get("quality", "standard")
+            contacts = path_on_gel(path, *pressed)
+        recipe = DomainRecipe(path=contacts, sensor=sensor, **fields)
+        if not exact and "interpolated" not in fields:
+            recipe = recipe.model_copy(update={"interpolated": recipe.suits_a_library()})
         recipes.append(recipe)
     return tuple(recipes)
 
 
-def _on_gel(
-    path: ContactPath | PosePath | ForcePath, elastomer: Elastomer, settings: dict[str, Any]
-) -> ContactPath | PosePath:
-    """Return a path of forces as depths, which are each gel's and indenter's own; other paths as they are."""
-    if not isinstance(path, ForcePath):
-        return path
-    LOG.info("solving the descent that gives the depths of the path's forces")
-    indenter, quality = settings.get("indenter", Sphere()), settings.get("quality", "standard")
-    return path_on_gel(path, elastomer, indenter, quality)
+def _illumination(domain: Domain, sensor: Sensor) -> Illumination:
+    if domain.illumination != OWN_LIGHT:
+        return Illumination.preset(domain.illumination)
+    if sensor.illumination is None:
+        raise ValueError(
+            f"domain {domain.name}: sensor {sensor.name!r} has no LEDs of its own; give it an [illumination], choose "
+            "another sensor, or name an illumination preset"
+        )
+    return sensor.illumination
+
+
+def check_named_once(names: Iterable[str]) -> None:
+    """Raise ValueError if two domains have one name."""
+    if twice := [name for name, times in Counter(names).items() if times > 1]:
+        raise ValueError(f"a domain is named twice: {twice[0]}; name each once")
 
 
 def own_recipe(
@@ -377,17 +356,14 @@ def own_recipe(
     ValueError
         If the name is not one for a folder or means a domain of presets, or for a bad value.
     """
-    meant = next((domain for domain in known_domains() if domain.name == name), None)
-    if meant is not None and meant.illumination != OWN_LIGHT:
+    if any(domain.name == name and domain.illumination != OWN_LIGHT for domain in known_domains()):
         raise ValueError(
             f"name = {name!r}: means a domain of presets; choose another, for example {name}-own"
         )
-    gel = elastomer or Elastomer.preset(Domain.parse(str(base)).elastomer)
-    path = _on_gel(load_path(path) if isinstance(path, str) else path, gel, settings)
-    (recipe,) = make_recipes([base], path, **settings)
-    own = {"elastomer": elastomer, "illumination": illumination}
-    given = {part: value for part, value in own.items() if value is not None}
-    return DomainRecipe(**{**dict(recipe), "inpainted_from": None, **given, "name": name})
+    own = {"name": name, "elastomer": elastomer, "illumination": illumination}
+    settings |= {field: value for field, value in own.items() if value is not None}
+    (recipe,) = make_recipes([base], path, **settings | {"inpainted": ()})
+    return recipe
 
 
 def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:
@@ -398,20 +374,14 @@ def preset_recipes(name: str, **settings: Any) -> tuple[DomainRecipe, ...]:
     ValueError
         If there is no such data set.
     """
-    values = load_preset("datasets", name)
-    return tuple(
-        recipe
-        for group in values["groups"]
-        for recipe in make_recipes(group["domains"], group["path"], **settings | _pressed_by(group))
-    )
-
-
-def _pressed_by(group: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a group that names its indenters."""
-    if "indenters" not in group:
-        return {}
-    first, *further = map(load_indenter, group["indenters"])
-    return {"indenter": first, "further_indenters": tuple(further), "columns": ("indenter",)}
+    recipes: list[DomainRecipe] = []
+    for group in load_preset("datasets", name)["groups"]:
+        pressed: dict[str, Any] = {}
+        if "indenters" in group:
+            first, *further = map(load_indenter, group["indenters"])
+            pressed = {"indenter": first, "further_indenters": tuple(further), "columns": ("indenter",)}
+        recipes += make_recipes(group["domains"], group["path"], **settings | pressed)
+    return tuple(recipes)
 
 
 class RecipeEntry(Settings):
@@ -450,11 +420,8 @@ def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ..
         If it is not valid TOML, a field is unknown or missing, a value is out of range, or two domains share a name.
     """
     with named_in_errors(file):
-        values = read_with_path(file)
-        content = RecipeFile(**values)
-        names = [entry.name for entry in content.domains]
-        if len(set(names)) < len(names):
-            raise ValueError(f"a domain is named twice in {', '.join(names)}; name each once")
+        content = RecipeFile(**read_with_path(file))
+        check_named_once(entry.name for entry in content.domains)
         return tuple(
             own_recipe(
                 entry.name,

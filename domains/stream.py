@@ -3,10 +3,10 @@
 import logging
 import math
 from collections.abc import Collection, Iterator
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -31,6 +31,10 @@ _SHALLOWEST = 0.15
 _DEPTHS = 4
 _UNTOUCHED = 1 / 32
 _MOST_TRIES = 16
+# What a sample tells of what was drawn.
+_OF_GEL = ("young_modulus_mpa", "poisson_ratio", "friction", "thickness_mm")
+_OF_POSE = ("depth_mm", "shear_x_mm", "shear_y_mm", "point_x_mm", "point_y_mm")
+_OF_ERROR = ("fz_error_n", "shear_error_n")
 
 
 class PressSample(NamedTuple):
@@ -53,6 +57,13 @@ class _Look(NamedTuple):
     renderer: MembraneRenderer
     markers: bool
     reference: np.ndarray
+
+
+@lru_cache(_KEPT_LOOKS)
+def _look(draws: Draws, number: int, size_px: tuple[int, int], quality: QualityName) -> _Look:
+    sensor, illumination, markers = draws.seen_by(number)
+    renderer = MembraneRenderer(sensor, illumination, size_px, quality)
+    return _Look(renderer, markers, renderer.reference(markers, draws.stream("reference of a look", number)))
 
 
 class PressStream(IterableDataset):
@@ -99,19 +110,11 @@ class PressStream(IterableDataset):
             raise ValueError(f"start = {start}, stop = {stop}: samples are counted from 0, in rising order")
         if batch_size < 1:
             raise ValueError(f"batch_size = {batch_size}: must be 1 or more")
-        self.ranges, self.seed, self.size_px, self.quality = (
-            ranges or PretrainingRanges.default(),
-            seed,
-            size_px,
-            quality,
-        )
+        self.ranges = ranges or PretrainingRanges.default()
+        self.seed, self.size_px, self.quality = seed, size_px, quality
         self.start, self.stop, self.batch_size = start, stop, batch_size
-        self._draws = Draws.of(self.ranges, seed, without)
+        self._draws = Draws(self.ranges, seed, frozenset(without))
         self._libraries: dict[int, PoseLibrary] = {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        """A worker gets the libraries that are there, and makes its own renderers."""
-        return {name: value for name, value in vars(self).items() if name != "_look"}
 
     def __iter__(self) -> Iterator[PressSample]:
         info = get_worker_info()
@@ -139,12 +142,11 @@ class PressStream(IterableDataset):
         """Return the library of poses of a gel and sphere; `.plan.checked` would tell its error on held-out poses."""
         if press not in self._libraries:
             plan = self.plan(press)
-            left = [solve for solve in plan.solved.solves if not has_solution(solve.key)]
-            if left:
-                about_s = sum(solve.expected_core_s for solve in left)
+            left_s = [solve.expected_core_s for solve in plan.solved.solves if not has_solution(solve.key)]
+            if left_s:
                 LOG.warning(
                     "gel and sphere %d of %d are solved first, once: %d solves, about %.0f s of a core",
-                    *(press + 1, self.ranges.presses, len(left), about_s),
+                    *(press + 1, self.ranges.presses, len(left_s), sum(left_s)),
                 )
             # Workers that wait for the same library begin with different solves of it.
             solves, info = plan.solved.solves, get_worker_info()
@@ -173,7 +175,7 @@ class PressStream(IterableDataset):
         opened = min(1 + index // _SAMPLES_PER_PRESS, self.ranges.presses)
         press = int(rng.integers(opened))
         number = index // _SPAN * _LOOKS_PER_SPAN + int(rng.integers(_LOOKS_PER_SPAN))
-        look, library = self._look(number), self.library(press)
+        look, library = _look(self._draws, number, self.size_px, self.quality), self.library(press)
         (modulus,) = self._draws.values("gel", "modulus of a sample", index, "young_modulus_mpa")
         gel = library.plan.elastomer.model_copy(update={"young_modulus_mpa": modulus})
         lattice, why = look.renderer.lattice, None
@@ -192,48 +194,29 @@ class PressStream(IterableDataset):
                 "press": press,
                 "look": number,
                 "tries": tries,
-                "young_modulus_mpa": gel.young_modulus_mpa,
-                "poisson_ratio": gel.poisson_ratio,
-                "friction": gel.friction,
-                "thickness_mm": gel.thickness_mm,
                 "sphere_diameter_mm": self._draws.press(press).indenter.diameter_mm,
                 "contact_radius_mm": state.contact_radius_mm,
-                "fz_error_n": state.diagnostics.fz_error_n,
-                "shear_error_n": state.diagnostics.shear_error_n,
-            } | {
-                name: getattr(pose, name)
-                for name in ("depth_mm", "shear_x_mm", "shear_y_mm", "point_x_mm", "point_y_mm")
             }
+            for told, names in ((gel, _OF_GEL), (pose, _OF_POSE), (state.diagnostics, _OF_ERROR)):
+                draw |= {name: getattr(told, name) for name in names}
             numbers = {name: float(value) for name, value in draw.items()}
             return PressSample(index, picture, look.reference, state.force_n.astype(np.float32), numbers)
         raise RuntimeError(f"sample {index}: {_MOST_TRIES} drawn contacts cannot be seen; the last: {why}")
 
     def _pose(self, rng: np.random.Generator, ranges: PoseRanges, look: _Look) -> Pose:
         untouched, depth, travel, angle, x, y = rng.random(6).tolist()
-        width_mm, height_mm = look.renderer.sensor.camera.footprint_mm(self.size_px)
-        point = {"point_x_mm": (2 * x - 1) * width_mm / 2, "point_y_mm": (2 * y - 1) * height_mm / 2}
-        point = {name: SHARE_OF_VIEW * value for name, value in point.items()}
+        view_mm = look.renderer.sensor.camera.footprint_mm(self.size_px)
+        point_mm = [
+            SHARE_OF_VIEW * ((2 * share - 1) * side / 2) for share, side in zip((x, y), view_mm, strict=True)
+        ]
         if untouched < _UNTOUCHED:
-            return Pose(depth_mm=0.0, **point)
+            return Pose(0.0, 0.0, 0.0, *point_mm)
         # Force grows about as the square of the depth.
         low, high = ranges.shallowest_mm, ranges.deepest_mm
         depth_mm = math.sqrt(low**2 + depth * (high**2 - low**2))
         travel_mm = self._draws.at("travel_by_depth", travel) * depth_mm
-        way = {"shear_x_mm": math.cos(2 * math.pi * angle), "shear_y_mm": math.sin(2 * math.pi * angle)}
-        return Pose(depth_mm=depth_mm, **{name: travel_mm * part for name, part in way.items()}, **point)
-
-    @cached_property
-    def _look(self) -> Any:
-        """The function from a look's number to the look; it keeps the last ones."""
-
-        @lru_cache(_KEPT_LOOKS)
-        def look(number: int) -> _Look:
-            sensor, illumination, markers = self._draws.seen_by(number)
-            renderer = MembraneRenderer(sensor, illumination, self.size_px, self.quality)
-            rng = self._draws.stream("reference of a look", number)
-            return _Look(renderer, markers, renderer.reference(markers, rng))
-
-        return look
+        turn = 2 * math.pi * angle
+        return Pose(depth_mm, travel_mm * math.cos(turn), travel_mm * math.sin(turn), *point_mm)
 
     def frames(self, start: int, stop: int) -> LabelledFrames:
         """Return samples start…stop as labelled frames in memory, without those of forces outside the declared range.

@@ -1,7 +1,7 @@
 """Sweeps: domains that differ from a base domain in chosen factors, and how far any two domains are apart."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -18,7 +18,6 @@ from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
 from gelgap.render import Variation, vary_illumination, vary_sensor
 
-SWEEP_FILE = "sweep.json"
 Value = float | int | str | bool | None
 
 
@@ -98,23 +97,20 @@ class Sweep(Settings):
         if not self.factors:
             yield from ({} for _ in range(self.samples))
             return
-        match self.method:
-            case "grid":
-                for values in product(*(factor.values for factor in self.factors)):
-                    yield dict(zip((factor.field for factor in self.factors), values, strict=True))
-            case "one-at-a-time":
-                for factor in self.factors:
-                    for value in factor.values:
-                        yield {factor.field: value}
-            case "latin-hypercube":
-                from scipy.stats.qmc import LatinHypercube
+        if self.method == "one-at-a-time":
+            yield from ({factor.field: value} for factor in self.factors for value in factor.values)
+            return
+        rows: Iterable[Sequence[Value]]
+        if self.method == "grid":
+            rows = product(*(factor.values for factor in self.factors))
+        else:
+            from scipy.stats.qmc import LatinHypercube, scale
 
-                unit = LatinHypercube(len(self.factors), rng=self.seed).random(self.samples)
-                for row in unit.tolist():
-                    yield {
-                        factor.field: round(factor.range[0] + share * (factor.range[1] - factor.range[0]), 9)
-                        for factor, share in zip(self.factors, row, strict=True)
-                    }
+            unit = LatinHypercube(len(self.factors), rng=self.seed).random(self.samples)
+            table = scale(unit, *zip(*(factor.range for factor in self.factors), strict=True))
+            rows = [[round(value, 9) for value in row] for row in table.tolist()]
+        for row in rows:
+            yield dict(zip((factor.field for factor in self.factors), row, strict=True))
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,6 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
         If a factor's field does not exist or its value is out of range.
     """
     (base,) = make_recipes([sweep.base], sweep.path, **settings)
-    changes = {factor.field: factor.change for factor in sweep.factors}
     variants = [Variant(base, {})]
     for number, values in enumerate(sweep.points(), start=1):
         name = f"{sweep.name}-{number:03d}"
@@ -142,16 +137,15 @@ def sweep_variants(sweep: Sweep, **settings: Any) -> tuple[Variant, ...]:
         if base.inpainted_from:
             # The pictures with markers that are inpainted are this variant's own, with noise of their own.
             configuration["inpainted_from"] = f"{name}-with-markers"
+        drawn_as: dict[str, Value] = {}
         if sweep.variation is not None:
-            rng = np.random.default_rng([sweep.seed, number])
-            drawn = {
-                "illumination": vary_illumination(base.illumination, sweep.variation, rng),
-                "sensor": vary_sensor(base.sensor, sweep.variation, rng),
-            }
-            configuration |= {part: own.model_dump(mode="json") for part, own in drawn.items()}
-        for field, value in values.items():
-            _change(configuration, field.split("."), value, changes[field], field)
-        drawn_as = {"draw": number} if sweep.variation is not None else {}
+            rng, drawn_as = np.random.default_rng([sweep.seed, number]), {"draw": number}
+            light = vary_illumination(base.illumination, sweep.variation, rng)
+            configuration["illumination"] = light.model_dump(mode="json")
+            configuration["sensor"] = vary_sensor(base.sensor, sweep.variation, rng).model_dump(mode="json")
+        for factor in sweep.factors:
+            if factor.field in values:
+                _change(configuration, factor.field.split("."), factor, values[factor.field])
         recipe = DomainRecipe(**configuration)
         if base.sensor.flat_field:
             # Of a flat field, a configuration does not say where its file lies.
@@ -168,14 +162,12 @@ def write_sweep(variants: Sequence[Variant], out_dir: Path | str) -> Path:
         variant.recipe.name: {"factors": variant.values, "gap": asdict(domain_gap(base, variant.recipe))}
         for variant in variants
     }
-    content = with_checksum({"base": base.name, "domains": table})
-    text = json.dumps(content, indent=1, ensure_ascii=False)
-    path = Path(out_dir) / SWEEP_FILE
-    write_whole(path, text.encode())
+    path, content = Path(out_dir) / "sweep.json", with_checksum({"base": base.name, "domains": table})
+    write_whole(path, json.dumps(content, indent=1, ensure_ascii=False).encode())
     return path
 
 
-def _change(node: Any, steps: list[str], value: Value, change: str, field: str) -> None:
+def _change(node: Any, steps: Sequence[str], factor: Factor, value: Value) -> None:
     """Change the value at `steps` inside a configuration; `*` goes to all of a list or table."""
     head, *rest = steps
     parts = node if isinstance(node, dict) else dict(enumerate(node if isinstance(node, list) else ()))
@@ -183,19 +175,20 @@ def _change(node: Any, steps: list[str], value: Value, change: str, field: str) 
     if not chosen:
         known = ", ".join(parts) if isinstance(node, dict) else f"*, 0…{len(parts) - 1}"
         raise ValueError(
-            f"factor {field}: {head!r} does not exist; there is {known if parts else 'nothing inside it'}"
+            f"factor {factor.field}: {head!r} does not exist; there is {known if parts else 'nothing inside it'}"
         )
     for key in chosen:
+        old = node[key]
         if rest:
-            _change(node[key], rest, value, change, field)
-        elif change == "set":
+            _change(old, rest, factor, value)
+        elif factor.change == "set":
             node[key] = value
-        elif any(isinstance(n, bool) or not isinstance(n, int | float) for n in (node[key], value)):
+        elif any(isinstance(n, bool) or not isinstance(n, int | float) for n in (old, value)):
             raise ValueError(
-                f"factor {field}: cannot {change} {node[key]!r} by {value!r}; both must be numbers"
+                f"factor {factor.field}: cannot {factor.change} {old!r} by {value!r}; both must be numbers"
             )
         else:
-            node[key] = node[key] * value if change == "scale" else node[key] + value
+            node[key] = old * value if factor.change == "scale" else old + value
 
 
 @dataclass(frozen=True)
@@ -238,16 +231,13 @@ def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
     one, other, notes = source.elastomer, target.elastomer, []
     if one.young_modulus_mpa != other.young_modulus_mpa:
         ratio = other.young_modulus_mpa / one.young_modulus_mpa
-        mounts = {one.mount_stiffness_n_per_mm, other.mount_stiffness_n_per_mm}
-        notes.append(
+        note = (
             f"modulus {one.young_modulus_mpa:g} and {other.young_modulus_mpa:g} MPa: the same dent takes × {ratio:.3g} "
             f"the force on {target.name}"
-            + (
-                ""
-                if mounts == {None}
-                else "; how far the rig yields only makes its dents shallower or deeper"
-            )
         )
+        if {one.mount_stiffness_n_per_mm, other.mount_stiffness_n_per_mm} != {None}:
+            note += "; how far the rig yields only makes its dents shallower or deeper"
+        notes.append(note)
     if (one.thickness_mm, one.poisson_ratio) != (other.thickness_mm, other.poisson_ratio):
         notes.append(
             f"thickness {one.thickness_mm:g} and {other.thickness_mm:g} mm, Poisson's ratio {one.poisson_ratio:g} and "

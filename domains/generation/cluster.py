@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from gelgap.assets.locks import defer_signals
 from gelgap.assets.names import quoted
-from gelgap.domains.generation.plan import GenerationPlan
+from gelgap.domains.generation.plan import FrameBatch, GenerationPlan
 from gelgap.domains.generation.progress import GenerationProgress
-from gelgap.domains.generation.shard import FrameBatch, Shard, render_batch
+from gelgap.domains.generation.shard import Shard, render_batch
+from gelgap.domains.library import LibraryPlan
+from gelgap.sim import Solve
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -29,13 +31,20 @@ LOCAL_TIMEOUT_S = 120
 _ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^\s/]+:\d{1,5}/?|inproc://\S+")
 
 
-def check_scheduler(scheduler: str | None) -> None:
-    """Raise ValueError unless this is None (a local cluster), `synchronous`, or an address with a port."""
+def check_scheduler(scheduler: str | None, workers: int | None = None) -> None:
+    """Raise ValueError for what is neither None (a local cluster), `synchronous` nor an address with a port.
+
+    A number of workers is that of the local cluster.
+    """
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers = {workers}: must be 1 or more")
     if scheduler not in (None, SYNCHRONOUS) and not _ADDRESS.fullmatch(scheduler):
         raise ValueError(
             f"scheduler {quoted(scheduler)} must be {SYNCHRONOUS} (this process) or the address of a Dask scheduler "
             "such as tcp://host:8786"
         )
+    if scheduler not in (None, SYNCHRONOUS) and workers is not None:
+        raise ValueError(f"workers = {workers}: the cluster at {scheduler} has its own; leave workers out")
 
 
 def run(
@@ -50,30 +59,31 @@ def run(
     if scheduler == SYNCHRONOUS:
         yield from _run_in_process(plan, progress)
         return
+    if scheduler is None:
+        workers = plan.processes(workers)
     with dask_client(scheduler, workers) as client:
         yield from _run_on_cluster(plan, progress, client)
 
 
 def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Iterator[Shard]:
     """Run a plan batch by batch; a solution is dropped after the last batch that needs it."""
-    waiting = Counter(key for batch in plan.batches for key in batch.solve_keys)
-    solutions: dict[str, Any] = {}
+    needed = Counter(key for batch in plan.batches for key in batch.solve_keys)
+    made: dict[str, Any] = {}
 
-    def solved(key: str) -> Any:
-        solution = plan.solves[key].run()
+    def make(source: Solve | LibraryPlan) -> Any:
+        if isinstance(source, LibraryPlan):
+            return source.checked({solve.key: make(solve) for solve in source.solves})
+        solution = source.run()
         progress.solved()
         return solution
 
     for batch in plan.batches:
         for key in batch.solve_keys:
-            if key in plan.libraries and key not in solutions:
-                library = plan.libraries[key]
-                solutions[key] = library.checked({solve.key: solved(solve.key) for solve in library.solves})
-            elif key not in solutions:
-                solutions[key] = solved(key)
-        yield from render_batch(batch, {key: solutions[key] for key in batch.solve_keys})
-        waiting.subtract(batch.solve_keys)
-        solutions = {key: solution for key, solution in solutions.items() if waiting[key]}
+            if key not in made:
+                made[key] = make(plan.sources[key])
+        yield from render_batch(batch, {key: made[key] for key in batch.solve_keys})
+        needed.subtract(batch.solve_keys)
+        made = {key: solution for key, solution in made.items() if needed[key]}
 
 
 def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: "Client") -> Iterator[Shard]:
@@ -83,34 +93,26 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
     from distributed.scheduler import KilledWorker
 
     try:
-        solving = {
-            key: client.submit(solve.run, key=f"solve-{key}", pure=True) for key, solve in plan.solves.items()
+        made = {key: client.submit(solve.run, key=f"solve-{key}") for key, solve in plan.solves.items()}
+        solving = list(made.values())
+        made |= {
+            key: client.submit(source.checked, {one.key: made[one.key] for one in source.solves}, key=key)
+            for key, source in plan.sources.items()
+            if isinstance(source, LibraryPlan)
         }
-        libraries = {
-            key: client.submit(
-                library.checked,
-                {solve.key: solving[solve.key] for solve in library.solves},
-                key=key,
-                pure=True,
-            )
-            for key, library in plan.libraries.items()
-        }
-        sources = solving | libraries
         rendering = [
             client.submit(
                 _render_in_worker,
                 batch,
-                {key: sources[key] for key in batch.solve_keys},
+                {key: made[key] for key in batch.solve_keys},
                 key=f"frames-{batch.key}",
-                pure=True,
             )
             for batch in plan.batches
         ]
-        solves = {future.key for future in solving.values()}
+        solves = {future.key for future in solving}
+        waiting = as_completed([*solving, *rendering], loop=client.loop)
         # Only batches are results: a solution stays where it was made, until no batch needs it.
-        waiting = as_completed([*solving.values(), *rendering], loop=client.loop)
-        for known in (solving, libraries, sources, rendering):
-            known.clear()
+        del made, solving, rendering
         for future in waiting:
             if future.key in solves:
                 if future.status == "error":
@@ -150,18 +152,15 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
     RuntimeError
         If nothing answers at the address, or a local cluster does not start in time.
     ValueError
-        If a number of workers is given for a cluster that is already there.
+        If this is no address, or a number of workers is given for a cluster that is already there.
     """
     import dask
     from distributed import Client, LocalCluster
 
     # Dask reports every lost connection in many lines; what matters is raised as one error.
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    check_scheduler(scheduler, workers)
     if scheduler is not None:
-        if workers is not None:
-            raise ValueError(
-                f"workers = {workers}: the cluster at {scheduler} has its own; leave workers out"
-            )
         try:
             client = Client(scheduler, timeout=CONNECTION_TIMEOUT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:

@@ -6,7 +6,7 @@ import logging
 import platform
 import shutil
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -21,10 +21,11 @@ from gelgap.domains.domain import Domain
 from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import check_scheduler, run
-from gelgap.domains.generation.plan import force_notes, plan_generation, shard_bounds
+from gelgap.domains.generation.estimate import force_notes
+from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
 from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, reference_png
-from gelgap.domains.recipe import DomainRecipe, differences, make_recipes
+from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, make_recipes
 from gelgap.sim import ContactPath, PosePath
 
 LOG = logging.getLogger(__name__)
@@ -56,33 +57,34 @@ class GenerationReport:
 
     def __str__(self) -> str:
         rate = self.frames_written / self.wall_s if self.wall_s else 0.0
-        told = (
+        lines = [
             f"{comma_list(self.domains)}: {self.frames} frames in {self.out_dir}; now written {self.frames_written} "
             f"frames, {self.bytes_written / 1e6:.1f} MB, {self.solves} solves in {self.wall_s:.1f} s "
             f"({rate:.1f} frames/s)"
-        )
+        ]
         if self.skipped:
-            told += f"\nalready finished: {comma_list(self.skipped)}"
+            lines.append(f"already finished: {comma_list(self.skipped)}")
         if self.unconverged:
-            told += f"\n{self.unconverged} frames did not converge: written without a picture"
+            lines.append(f"{self.unconverged} frames did not converge: written without a picture")
         if self.unrenderable:
-            told += (
+            lines[-1] += (
                 f", {self.unrenderable} of them now because they could not be rendered ({RUN_LOG} says why)"
             )
         if self.outside_range:
-            told += (
-                f"\n{self.outside_range} frames have a force outside the declared range; training will refuse them: "
+            lines.append(
+                f"{self.outside_range} frames have a force outside the declared range; training will refuse them: "
                 "declare a wider range (--force-range, or force_range_n) or change the gel"
             )
         for name, errors in self.interpolation.items():
-            told += f"\n{name}: " + (
-                "poses interpolated from {solves} solves; on {held_out_poses} held-out poses, each solved by itself, "
-                "force off by {force_rms_percent:.1f} % rms, membrane by {membrane_rms_um:.1f} µm, picture by "
+            told = (
+                "{}: poses interpolated from {solves} solves; on {held_out_poses} held-out poses, each solved by "
+                "itself, force off by {force_rms_percent:.1f} % rms, membrane by {membrane_rms_um:.1f} µm, picture by "
                 "{picture_rms_codes:.1f} of 255"
-            ).format(**errors)
+            ).format(name, **errors)
             if not errors["within_bounds"]:
                 told += ": more than a library promises (2 %, 4 µm); --exact solves each pose"
-        return told
+            lines.append(told)
+        return "\n".join(lines)
 
 
 def generate(
@@ -100,13 +102,9 @@ def generate(
 
     See `make_recipes` for the settings (quality, seed, …), `generate_recipes` for what is resumed, refused and raised.
     """
+    recipes = make_recipes(domains, path, **settings)
     return generate_recipes(
-        make_recipes(domains, path, **settings),
-        out_dir,
-        scheduler=scheduler,
-        workers=workers,
-        overwrite=overwrite,
-        progress=progress,
+        recipes, out_dir, scheduler=scheduler, workers=workers, overwrite=overwrite, progress=progress
     )
 
 
@@ -140,18 +138,15 @@ def generate_recipes(
     ------
     ValueError
         If a domain's folder holds another configuration, two recipes have one name, a contact cannot be solved,
-        workers is below 1, or the scheduler is no address.
+        workers is below 1 or given for a cluster that is there, or the scheduler is no address.
     RuntimeError
         If another process writes to the folder, the disk is full, or the cluster is lost; finished shards are kept.
     """
     start = time.monotonic()
     out_dir, progress = Path(out_dir), progress or GenerationProgress()
     names = tuple(recipe.name for recipe in recipes)
-    check_scheduler(scheduler)
-    if workers is not None and workers < 1:
-        raise ValueError(f"workers = {workers}: must be 1 or more")
-    if len(set(names)) < len(names):
-        raise ValueError(f"two domains have one name in {', '.join(names)}; give each its own")
+    check_named_once(names)
+    check_scheduler(scheduler, workers)
     LOG.info("planning %s", comma_list(names))
     plan = plan_generation(recipes)  # refuses contacts that cannot be solved before anything is written
     for note in force_notes(recipes):
@@ -161,9 +156,7 @@ def generate_recipes(
         # Nothing is changed on disk unless all folders are free or resumable.
         for writer in writers.values():
             writer.check(overwrite)
-        for writer in writers.values():
-            writer.prepare()
-        skipped = tuple(name for name in names if writers[name].complete)
+        skipped = tuple(name for name in names if writers[name].skipped)
         plan = plan.without({name: writer.finished for name, writer in writers.items()})
         solves, written, unrenderable = len(plan.solves), 0, 0
         progress.begin(solves, plan.frames)
@@ -172,18 +165,15 @@ def generate_recipes(
         try:
             LOG.info("rendering the reference pictures")
             for writer in writers.values():
-                writer.write_reference()
-            _check_space(out_dir, writers.values())
+                writer.prepare()
+            _check_space(out_dir, plan, writers)
             LOG.info("starting workers")
-            local = plan.processes(workers) if scheduler is None else workers
-            for shard in run(plan, progress, scheduler, local):
+            for shard in run(plan, progress, scheduler, workers):
                 written += writers[shard.domain].write_shard(shard)
                 progress.written(shard.facts["frames"])
                 unrenderable += len(shard.unrenderable)
                 if shard.unrenderable:
                     log("not rendered", domain=shard.domain, frames=shard.unrenderable)
-            for writer in writers.values():
-                writer.finish()
         except BaseException as error:
             log("stopped", error=f"{type(error).__name__}: {error}")
             raise
@@ -212,7 +202,7 @@ class DomainWriter:
         self.recipe = recipe
         self.folder = DomainFolder(path)
         self.files: dict[str, Any] = {}
-        self.complete = False
+        self.skipped = False
         self.interpolation: dict[str, Any] | None = None
 
     @property
@@ -225,13 +215,12 @@ class DomainWriter:
         if overwrite or not self.folder.exists():
             return
         manifest = self.folder.read_manifest()
-        intact = {
-            name: entry for name, entry in manifest["files"].items() if not self.folder.problem(name, entry)
-        }
-        self.complete = manifest["complete"] and len(intact) == len(manifest["files"])
+        files, self.interpolation = manifest["files"], manifest.get("interpolation")
+        self.files = {name: entry for name, entry in files.items() if not self.folder.problem(name, entry)}
+        self.skipped = manifest["complete"] and len(self.files) == len(files)
         there, asked = manifest["configuration"], self.recipe.configuration()
         there["schema_version"], asked["schema_version"] = manifest["schema_version"], SCHEMA_VERSION
-        if not self.complete:
+        if not self.skipped:
             there["versions"], asked["versions"] = manifest["versions"], package_versions()
         changes = [
             f"{name}: {quoted(old)} there, {quoted(new)} asked for"
@@ -243,18 +232,15 @@ class DomainWriter:
                 f"{'; …' if len(changes) > 3 else ''}): use the same settings to resume it, --overwrite to "
                 "replace it, or another output folder"
             )
-        self.files, self.interpolation = intact, manifest.get("interpolation")
 
     def prepare(self) -> None:
-        """Make the folder ready: remove what is to be replaced, and leftovers of an interrupted run."""
+        """Make the folder ready, with its reference: remove what is replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
         self.folder.keep_only({MANIFEST, *self.files})
-        if not self.complete:
+        if not self.skipped:
             shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
-
-    def write_reference(self) -> None:
-        if not self.complete and REFERENCE not in self.files:
+        if REFERENCE not in self.files:
             self.files[REFERENCE] = self.folder.write_file(REFERENCE, reference_png(self.recipe))
             self._write_manifest()
 
@@ -265,29 +251,17 @@ class DomainWriter:
         self._write_manifest()
         return len(shard.data)
 
-    def finish(self) -> None:
-        if not self.complete:
-            self.complete = True
-            self._write_manifest()
-
-    @property
-    def bytes_left(self) -> int:
-        """About how many bytes are still to be written: every frame takes as much as the reference picture."""
-        frames = self.recipe.frames - self.total("frames")
-        return 0 if self.complete else frames * self.files[REFERENCE]["bytes"]
-
     def total(self, count: str) -> int:
         """Return the sum of one count over all shards."""
         return sum(entry.get(count, 0) for entry in self.files.values())
 
     def _write_manifest(self) -> None:
         recipe, shards = self.recipe, self.files.values()
-        complete = self.complete and len(self.finished) == len(shard_bounds(recipe.frames))
         lows, highs = ([e[name] for e in shards if e.get(name)] for name in ("force_min_n", "force_max_n"))
         manifest = {
             "schema_version": SCHEMA_VERSION,
             "domain": recipe.name,
-            "complete": complete,
+            "complete": len(self.files) == 1 + len(shard_starts(recipe.frames)),
             "configuration": recipe.configuration(),
             "seed": recipe.seed,
             "frames": recipe.frames,
@@ -305,9 +279,11 @@ class DomainWriter:
         self.folder.write_manifest(manifest)
 
 
-def _check_space(out_dir: Path, writers: Iterable[DomainWriter]) -> None:
-    """Raise RuntimeError, before anything is solved, if the disk has no room for the frames."""
-    needed, free = sum(writer.bytes_left for writer in writers), shutil.disk_usage(out_dir).free
+def _check_space(out_dir: Path, plan: GenerationPlan, writers: Mapping[str, DomainWriter]) -> None:
+    """Raise RuntimeError, before anything is solved, if the disk has no room: a frame takes what its reference does."""
+    frames = ((len(batch), recipe.name) for batch in plan.batches for recipe in batch.recipes)
+    needed = sum(number * writers[name].files[REFERENCE]["bytes"] for number, name in frames)
+    free = shutil.disk_usage(out_dir).free
     if needed > free:
         raise RuntimeError(
             f"about {needed / 1e6:.0f} MB are needed in {out_dir}, and {free / 1e6:.0f} MB are free; make room, "

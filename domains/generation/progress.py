@@ -3,6 +3,7 @@
 import contextlib
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any, TextIO
 
@@ -18,32 +19,30 @@ class GenerationProgress:
     def __init__(self, stream: TextIO | None = None, bars: Any = None) -> None:
         self._stream, self._bars = stream, bars
         self._start = self._told_at = time.monotonic()
-        self.counts = {"solves": (0, 0), "frames": (0, 0)}
-        self._tasks = {name: bars.add_task(name, total=None, left="") for name in self.counts if bars}
+        self._done: Counter[str] = Counter()
+        self._total = {"solves": 0, "frames": 0}
+        self._tasks = {name: bars.add_task(name, total=None, left="") for name in self._total if bars}
 
     def begin(self, solves: int, frames: int) -> None:
         """Say how many solves and frames are to be done."""
         self._start = time.monotonic()
-        self.counts = {"solves": (0, solves), "frames": (0, frames)}
+        self._done, self._total = Counter(), {"solves": solves, "frames": frames}
         self._show(first=True)
 
     def solved(self) -> None:
         """Say that one more solve is done."""
-        self._count("solves", 1)
+        self._done["solves"] += 1
+        self._show()
 
     def written(self, frames: int) -> None:
         """Say that this many more frames are on disk."""
-        self._count("frames", frames)
-
-    def _count(self, what: str, more: int) -> None:
-        done, total = self.counts[what]
-        self.counts[what] = (done + more, total)
+        self._done["frames"] += frames
         self._show()
 
     @property
     def left(self) -> str:
         """How long the rest takes at the pace of the frames that are written; nothing before one is."""
-        done, total = self.counts["frames"]
+        done, total = self._done["frames"], self._total["frames"]
         left_s = (time.monotonic() - self._start) * (total - done) / done if done else 0.0
         if left_s < 1:
             return ""
@@ -51,14 +50,13 @@ class GenerationProgress:
 
     def _show(self, first: bool = False) -> None:
         for name, task in self._tasks.items():
-            done, total = self.counts[name]
             if first:
-                self._bars.reset(task, total=total)
-            self._bars.update(task, completed=done, left=self.left if name == "frames" else "")
-        now, complete = time.monotonic(), all(done == total for done, total in self.counts.values())
+                self._bars.reset(task, total=self._total[name])
+            self._bars.update(task, completed=self._done[name], left=self.left if name == "frames" else "")
+        now, complete = time.monotonic(), all(self._done[name] == self._total[name] for name in self._total)
         if self._stream and (first or complete or now - self._told_at >= _SECONDS_BETWEEN_LINES):
             self._told_at = now
-            told = ", ".join(f"{done}/{total} {name}" for name, (done, total) in self.counts.items())
+            told = ", ".join(f"{self._done[name]}/{total} {name}" for name, total in self._total.items())
             left = f"; {self.left}" if self.left else ""
             when = "to do" if first else f"{now - self._start:6.0f} s"
             print(f"{when}: {told}{left}", file=self._stream, flush=True)

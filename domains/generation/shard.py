@@ -1,64 +1,27 @@
 """From contacts to shards: what a worker does with a batch of frames. Imports neither torch nor colour-science."""
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.domains.domain import random_stream
-from gelgap.domains.formats.domain_folder import shard_name
 from gelgap.domains.formats.pictures import encode_png, without_markers
-from gelgap.domains.formats.shards import (
-    LABELS,
-    OPTIONAL,
-    Contact,
-    View,
-    encode_shard,
-    picture_cell,
-)
+from gelgap.domains.formats.shards import LABELS, OPTIONAL, Column, Contact, View, encode_shard, picture_cell
 from gelgap.domains.frames.splits import PARTS, draw_parts
+from gelgap.domains.generation.plan import FrameBatch
+from gelgap.domains.library import PoseLibrary
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.render import Illumination, Sensor, view_half_extent_mm
-
-if TYPE_CHECKING:
-    from gelgap.domains.generation.contacts import LibraryPoses
-    from gelgap.render import MembraneRenderer
-    from gelgap.sim import MembraneState, Pose, SolvePlan
+from gelgap.render import MembraneRenderer, view_half_extent_mm
+from gelgap.sim import MembraneState, Pose, traction_map
 
 Row = dict[str, Any]
 # One renderer holds the light of the undeformed membrane, some 0.2 MB for three LEDs.
 KEPT_RENDERERS = 32
-
-
-@dataclass(frozen=True)
-class FrameBatch:
-    """The frames start…stop of every domain that shows these same contacts: one task, one shard per domain.
-
-    `contacts` says which solve serves each of these frames, counted from `start`, or which library of poses.
-    """
-
-    recipes: tuple[DomainRecipe, ...]
-    number: int
-    start: int
-    stop: int
-    contacts: "SolvePlan | LibraryPoses" = field(repr=False)
-    solve_keys: tuple[str, ...]
-
-    @property
-    def shard(self) -> str:
-        return shard_name(self.number)
-
-    @property
-    def key(self) -> str:
-        """A hash of what the batch makes."""
-        content = [[recipe.key for recipe in self.recipes], self.start, self.stop, list(self.solve_keys)]
-        return sha256(canonical_json(content))
-
-    def __len__(self) -> int:
-        return self.stop - self.start
+_renderer = lru_cache(maxsize=KEPT_RENDERERS)(MembraneRenderer)
 
 
 @dataclass(frozen=True)
@@ -76,6 +39,37 @@ class Shard:
     interpolation: dict[str, Any] | None = None
 
 
+class ShardRows:
+    """The rows of one domain's shard while they are made; `refused` says by frame why there is no picture."""
+
+    def __init__(self, recipe: DomainRecipe):
+        self.recipe = recipe
+        self.label_cells = _label_cells_of(recipe)
+        self.rows: list[Row] = []
+        self.refused: dict[int, str] = {}
+
+    def shard(self, file: str, interpolation: dict[str, Any] | None) -> Shard:
+        """Return the rows as a shard, or raise RuntimeError if most of several frames cannot be rendered."""
+        if len(self.refused) > max(len(self.rows) / 2, 1):
+            frame, reason = next(iter(self.refused.items()))
+            raise RuntimeError(
+                f"domain {self.recipe.name}: {len(self.refused)} of {len(self.rows)} frames cannot be rendered; "
+                f"frame {frame}: {reason}"
+            )
+        forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in self.rows if row["converged"]])
+        forces = forces.reshape(-1, 3)
+        low, high = np.array(self.recipe.force_range_n).T
+        facts = {
+            "frames": len(self.rows),
+            "unconverged": len(self.rows) - len(forces),
+            "force_min_n": forces.min(axis=0).tolist() if len(forces) else None,
+            "force_max_n": forces.max(axis=0).tolist() if len(forces) else None,
+            "outside_range": int(((forces < low) | (forces > high)).any(axis=1).sum()),
+        }
+        data = encode_shard(self.rows, self.recipe.columns)
+        return Shard(self.recipe.name, file, data, facts, self.refused, interpolation)
+
+
 def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     """Render a batch's frames in the light of each of its domains, and encode one shard per domain.
 
@@ -83,81 +77,66 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     whatever goes wrong, is flagged as not converged; if that happens to most of several frames, something else is
     wrong: a RuntimeError.
     """
-    groups = group_by_picture(batch.recipes)
-    shards: dict[int, Shard] = {}
+    shards = [ShardRows(recipe) for recipe in batch.recipes]
+    alike: dict[Hashable, list[ShardRows]] = {}
+    for own in shards:
+        alike.setdefault(_rendering(own.recipe), []).append(own)
+    groups = list(alike.values())
     # Contacts are the inner loop as long as the renderers of the outer one are kept.
     for start in range(0, len(groups), KEPT_RENDERERS):
-        shards |= _shards_of_groups(groups[start : start + KEPT_RENDERERS], batch, solutions)
-    libraries = (source for source in solutions.values() if hasattr(source, "errors"))
-    interpolation = next((library.errors for library in libraries if library.held_out is not None), None)
-    return [replace(shards[index], interpolation=interpolation) for index in range(len(batch.recipes))]
+        _add_rows(groups[start : start + KEPT_RENDERERS], batch, solutions)
+    libraries = (source for source in solutions.values() if isinstance(source, PoseLibrary))
+    errors = next((library.errors for library in libraries if library.held_out is not None), None)
+    return [own.shard(batch.shard, errors) for own in shards]
 
 
-def group_by_picture(recipes: Sequence[DomainRecipe]) -> list[list[int]]:
-    """Return the indices of the recipes in groups whose pictures are one rendering, inpainted or not."""
-    groups: dict[Hashable, list[int]] = {}
-    for index, recipe in enumerate(recipes):
-        light = (recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
-        rendering = (recipe.picture_name, recipe.seed, _shows_markers(recipe), *light)
-        groups.setdefault(rendering, []).append(index)
-    return list(groups.values())
+def _add_rows(groups: Sequence[Sequence[ShardRows]], batch: FrameBatch, solutions: dict[str, Any]) -> None:
+    """Add every frame's row to shards in groups that share their pictures.
 
-
-def _shards_of_groups(
-    groups: Sequence[Sequence[int]], batch: FrameBatch, solutions: dict[str, Any]
-) -> Iterator[tuple[int, Shard]]:
-    """Yield (recipe, shard). Contact by contact, so that a membrane is rastered once for all lights that fall on it.
-
-    Cameras with the same extent of view share their membranes, whose grid it decides.
+    Contact by contact, so that a membrane is rastered once for all lights that fall on it. Cameras with the same extent
+    of view share their membranes, whose grid it decides.
     """
-    from gelgap.sim import traction_map
-
-    recipes, physics = batch.recipes, batch.contacts
-    rows: dict[int, list[Row]] = {index: [] for members in groups for index in members}
-    label_cells = {index: _label_cells_of(recipes[index]) for index in rows}
-    unrenderable: list[dict[int, str]] = [{} for _ in groups]
-    cameras = [(recipes[members[0]].sensor.camera, recipes[members[0]].size_px) for members in groups]
-    extents = [view_half_extent_mm(*camera) for camera in cameras]
-    for place, frame in enumerate(range(batch.start, batch.stop)):
-        solution = solutions.get(physics.solve_key(place))
-        states = {extent: physics.state(place, solution, extent) for extent in set(extents)}
-        for members, refused, extent in zip(groups, unrenderable, extents, strict=True):
-            own, state = [recipes[index] for index in members], states[extent]
-            cells: list[Row] = [{"image": None, "converged": False} for _ in own]
+    contacts, first = batch.contacts, [members[0].recipe for members in groups]
+    extents = [view_half_extent_mm(recipe.sensor.camera, recipe.size_px) for recipe in first]
+    for place, frame in enumerate(range(batch.start, batch.start + len(batch))):
+        source = solutions.get(contacts.source_key(place))
+        states = {extent: contacts.state(place, source, extent) for extent in set(extents)}
+        for members, extent in zip(groups, extents, strict=True):
+            recipes, state = [own.recipe for own in members], states[extent]
+            cells: list[Row] = [{"image": None, "converged": False} for _ in members]
+            reason = None
             if state.converged:
                 try:
                     coarse_n = None
-                    if any("traction" in recipe.columns for recipe in own):
-                        coarse_n = traction_map(physics, place, solution, state).coarse_n(
-                            half_extent_mm=extent
-                        )
-                    cells = picture_cells(own, frame, state, coarse_n)
+                    if any("traction" in recipe.columns for recipe in recipes):
+                        traction = traction_map(contacts.own, place, source, state)
+                        coarse_n = traction.coarse_n(half_extent_mm=extent)
+                    cells = picture_cells(recipes, frame, state, coarse_n)
                 except (MemoryError, OSError):
                     raise  # the machine's trouble, not this frame's
                 except Exception as error:
                     # Only a sentence of our own speaks for itself.
                     is_ours = isinstance(error, ValueError)
-                    refused[frame] = str(error) if is_ours else f"{type(error).__name__}: {error}"
-            for index, own_cells in zip(members, cells, strict=True):
-                rows[index].append(label_cells[index](frame, state) | own_cells)
-    for members, refused in zip(groups, unrenderable, strict=True):
-        if len(refused) > max(len(batch) / 2, 1):
-            frame, reason = next(iter(refused.items()))
-            raise RuntimeError(
-                f"domain {recipes[members[0]].name}: {len(refused)} of {len(batch)} frames cannot be rendered; "
-                f"frame {frame}: {reason}"
-            )
-        for index in members:
-            yield index, _shard(recipes[index], batch.shard, rows[index], refused)
+                    reason = str(error) if is_ours else f"{type(error).__name__}: {error}"
+            for own, own_cells in zip(members, cells, strict=True):
+                own.rows.append(own.label_cells(frame, state) | own_cells)
+                if reason is not None:
+                    own.refused[frame] = reason
+
+
+def _rendering(recipe: DomainRecipe) -> Hashable:
+    """Return what the pictures of a domain depend on besides its contacts, inpainted or not."""
+    light = (recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
+    return recipe.picture_name, recipe.seed, _shows_markers(recipe), *light
 
 
 def picture_cells(
     recipes: Sequence[DomainRecipe],
     frame: int,
-    state: "MembraneState",
+    state: MembraneState,
     coarse_n: np.ndarray | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the picture columns of one contact for recipes that are one group of `group_by_picture`, rendered once."""
+    """Return the picture columns of one contact for recipes that share their pictures, rendered once."""
     first = recipes[0]
     renderer = renderer_of(first)
     view = View(renderer, first.sensor, state, coarse_n)
@@ -167,16 +146,15 @@ def picture_cells(
         rng=random_stream(first.seed, first.picture_name, "sensor noise", frame),
         frame_name=f"frame {frame} of {first.name}",
     )
-    return [
-        {"image": picture_cell(_as_shown(recipe, picture))}
-        | {
-            column.name: column.cell(view)
-            for name in recipe.columns
-            for column in OPTIONAL[name]
-            if column.cell
-        }
-        for recipe in recipes
-    ]
+    cells = []
+    for recipe in recipes:
+        optional = {column.name: column.cell(view) for column in _optional(recipe) if column.cell}
+        cells.append({"image": picture_cell(_as_shown(recipe, picture))} | optional)
+    return cells
+
+
+def _optional(recipe: DomainRecipe) -> list[Column]:
+    return [column for name in recipe.columns for column in OPTIONAL[name]]
 
 
 def reference_png(recipe: DomainRecipe) -> bytes:
@@ -186,18 +164,9 @@ def reference_png(recipe: DomainRecipe) -> bytes:
     return encode_png(_as_shown(recipe, renderer.reference(markers=_shows_markers(recipe), rng=rng)))
 
 
-def renderer_of(recipe: DomainRecipe) -> "MembraneRenderer":
+def renderer_of(recipe: DomainRecipe) -> MembraneRenderer:
     """Return what renders the pictures of a domain; it is kept for other domains of the same light and camera."""
     return _renderer(recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
-
-
-@lru_cache(maxsize=KEPT_RENDERERS)
-def _renderer(
-    sensor: Sensor, illumination: Illumination, size_px: tuple[int, int], quality: str
-) -> "MembraneRenderer":
-    from gelgap.render import MembraneRenderer
-
-    return MembraneRenderer(sensor, illumination, size_px, quality)
 
 
 def _shows_markers(recipe: DomainRecipe) -> bool:
@@ -210,16 +179,15 @@ def _as_shown(recipe: DomainRecipe, picture: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def _label_cells_of(recipe: DomainRecipe) -> "Callable[[int, MembraneState], Row]":
+def _label_cells_of(recipe: DomainRecipe) -> Callable[[int, MembraneState], Row]:
     """Return what makes the label columns of one frame; what does not depend on the frame is found once."""
-    optional = (column for name in recipe.columns for column in OPTIONAL[name])
-    columns = (*LABELS, *(column for column in optional if column.value))
+    columns = (*LABELS, *(column for column in _optional(recipe) if column.value))
     poses, travels = recipe.commanded_poses(), trajectories(recipe.path.poses)
     split = draw_parts(recipe.frames, recipe.seed)
     last_travel = max(number for number, _ in travels) + 1
     bias_n, noise_n = recipe.drawn_errors().force_bias_n, recipe.acquisition.force_noise_n
 
-    def cells(frame: int, state: "MembraneState") -> Row:
+    def cells(frame: int, state: MembraneState) -> Row:
         force_n = np.asarray(state.force_n, float) + bias_n
         if noise_n:
             rng = random_stream(recipe.seed, recipe.picture_name, "force noise", frame)
@@ -237,30 +205,15 @@ def _label_cells_of(recipe: DomainRecipe) -> "Callable[[int, MembraneState], Row
     return cells
 
 
-def trajectories(poses: "Sequence[Pose]") -> list[tuple[int, int]]:
+def trajectories(poses: Sequence[Pose]) -> list[tuple[int, int]]:
     """Return (trajectory, step) of each frame: the path's, or the travel at one point, depth and direction."""
-    numbers: dict[tuple, int] = {}
-    steps: dict[int, int] = {}
-    found = []
-    for pose in poses:
-        travel = (pose.point_id, pose.depth_mm, pose.angle_deg if pose.radius_mm else -1.0)
-        if pose.trajectory is not None:
-            travel = ("trajectory", pose.trajectory)
-        number = numbers.setdefault(travel, len(numbers))
-        steps[number] = steps.get(number, -1) + 1
-        found.append((number, steps[number]))
-    return found
-
-
-def _shard(recipe: DomainRecipe, file: str, rows: list[Row], unrenderable: dict[int, str]) -> Shard:
-    forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in rows if row["converged"]])
-    forces = forces.reshape(-1, 3)
-    low, high = np.array(recipe.force_range_n).T
-    facts = {
-        "frames": len(rows),
-        "unconverged": len(rows) - len(forces),
-        "force_min_n": forces.min(axis=0).tolist() if len(forces) else None,
-        "force_max_n": forces.max(axis=0).tolist() if len(forces) else None,
-        "outside_range": int(((forces < low) | (forces > high)).any(axis=1).sum()),
-    }
-    return Shard(recipe.name, file, encode_shard(rows, recipe.columns), facts, unrenderable)
+    travels = pd.Series(
+        [
+            (pose.point_id, pose.depth_mm, pose.angle_deg if pose.radius_mm else -1.0)
+            if pose.trajectory is None
+            else ("trajectory", pose.trajectory)
+            for pose in poses
+        ]
+    )
+    groups = travels.groupby(travels, sort=False)
+    return list(zip(groups.ngroup(), groups.cumcount(), strict=True))

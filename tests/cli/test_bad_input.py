@@ -150,7 +150,7 @@ WORK = {
     "domains.generation.generate": "run",
     "domains.formats.export": "_paper",
     "domains.formats.convert": "Clip.selected",
-    "domains.generation.plan": "picture_cells",
+    "domains.generation.estimate": "picture_cells",
     "adapt.runs": "Stage1.model",
     "adapt.trainer": "Trainer.train",
     "adapt.report": "load_runs",

@@ -6,7 +6,7 @@ import pytest
 from gelgap.domains.frames.folders import open_domain
 from gelgap.domains.frames.splits import paired_contacts
 from gelgap.domains.generation.shard import trajectories
-from gelgap.domains.recipe import AcquisitionError, draw_errors, make_recipes
+from gelgap.domains.recipe import AcquisitionError, make_recipes
 from gelgap.sim import ContactPath
 
 
@@ -21,13 +21,14 @@ def test_nothing_is_drawn_by_default():
 
 
 def test_errors_are_drawn_once_a_domain_and_repeat_with_the_seed():
-    error = AcquisitionError(point_offset_mm=0.1, depth_zero_mm=0.02, force_bias_n=0.05)
-    assert draw_errors(error, 3, "mb0i0") == draw_errors(error, 3, "mb0i0")
-    assert draw_errors(error, 3, "mb0i0") != draw_errors(error, 3, "mb1i0")
-    assert draw_errors(error, 4, "mb0i0") != draw_errors(error, 3, "mb0i0")
-    assert (
-        draw_errors(AcquisitionError(), 3, "mb0i0").actual(recipe().path.poses[5]) == recipe().path.poses[5]
-    )
+    def drawn(name: str, seed: int):
+        error = AcquisitionError(point_offset_mm=0.1, depth_zero_mm=0.02, force_bias_n=0.05)
+        return recipe(name, acquisition=error, seed=seed).drawn_errors()
+
+    assert drawn("mb0i0", 3) == drawn("mb0i0", 3)
+    assert drawn("mb0i0", 3) != drawn("mb1i0", 3)
+    assert drawn("mb0i0", 4) != drawn("mb0i0", 3)
+    assert recipe().drawn_errors().actual(recipe().path.poses[5]) == recipe().path.poses[5]
 
 
 def test_the_rig_records_what_it_commanded_and_does_something_else():

@@ -59,6 +59,7 @@ def test_a_cluster_at_an_address_makes_the_same_bytes_and_workers_stay_light(
 def test_the_number_of_workers_is_the_clusters_own(scheduler: str, make, tmp_path: Path):
     with pytest.raises(ValueError, match="has its own; leave workers out"):
         make(tmp_path, scheduler=scheduler, workers=3)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_scheduler_that_is_no_address_is_refused_before_anything_is_written(make, tmp_path: Path):

@@ -1,7 +1,7 @@
 import pytest
 
 from gelgap.domains.domain import Domain, known_domains
-from gelgap.domains.recipe import make_recipes, preset_recipes
+from gelgap.domains.recipe import make_recipes, own_recipe, preset_recipes
 from gelgap.render import Sensor
 
 
@@ -36,6 +36,7 @@ def test_own_is_the_light_of_the_sensors_own_file():
     assert recipe.illumination == Sensor.preset("digit-like").illumination
     with pytest.raises(ValueError, match="'paper' has no LEDs of its own"):
         make_recipes(["mb0own"], "smoke")
+    assert own_recipe("lit", "smoke", base="mb0own", illumination=recipe.illumination).markers
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from gelgap.assets.locks import sole_use
 from gelgap.domains.formats.domain_folder import DomainFolder
 from gelgap.domains.frames.folders import open_domain
 from gelgap.domains.frames.splits import split_frames
-from gelgap.domains.generation.generate import generate_recipes
+from gelgap.domains.generation.generate import generate, generate_recipes
 from gelgap.render import MembraneRenderer, Sensor
-from gelgap.sim import SolvePlan
+from gelgap.sim import Pose, PosePath, SolvePlan
 
 pytestmark = pytest.mark.usefixtures("small_shards")
 
@@ -80,6 +80,14 @@ def test_damage_is_found_and_repaired_to_the_same_bytes(make, copy: Path, finish
     assert not DomainFolder(folder).damages()
 
 
+def test_a_path_without_contact_needs_no_solve(tmp_path: Path):
+    path = PosePath("rest", (Pose(0.0, contact_class=0), Pose(0.0, point_x_mm=1.0, point_id=1)))
+    quick = {"scheduler": "synchronous", "render_quality": "draft", "size_px": (80, 60)}
+    report = generate(["mb0i0"], path, tmp_path, **quick)
+    assert (report.solves, report.frames_written) == (0, 2)
+    assert not open_domain(tmp_path / "mb0i0").force_n.any()
+
+
 def test_a_finished_domain_is_skipped(make, copy: Path):
     report = make(copy)
     assert report.skipped == ("mb0i0",)
@@ -126,7 +134,7 @@ def test_an_interrupted_run_keeps_what_it_finished(
     rendered = cluster.render_batch
 
     def fails_at_the_third(batch, *rest):
-        if batch.number == 2:
+        if batch.shard == "frames-00002.parquet":
             raise KeyboardInterrupt
         return rendered(batch, *rest)
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges, estimate, library, make_recipes, open_domain
-from gelgap.domains.generation.contacts import LibraryPoses
 from gelgap.domains.generation.generate import generate_recipes
+from gelgap.domains.generation.plan import Contacts
 from gelgap.sim import Elastomer, Pose, PosePath, Sphere, solve_pose
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
@@ -125,13 +125,13 @@ def random_path() -> PosePath:
 def test_generation_serves_a_random_path_from_a_library(tmp_path: Path, random_path: PosePath) -> None:
     recipes = make_recipes(["mb0i0"], random_path, **SMALL)
     said = estimate(recipes)
-    assert said.solves <= library.MOST_SOLVES < said.exact.solves == 10
+    assert len(said.plan.solves) <= library.MOST_SOLVES < len(said.exact.plan.solves) == 10
     assert "--exact" in str(said)
     report = generate_recipes(recipes, tmp_path, scheduler="synchronous")
     manifest = json.loads((tmp_path / "mb0i0" / "manifest.json").read_text())
     assert manifest["configuration"]["interpolated"]
     assert manifest["interpolation"] == report.interpolation["mb0i0"]
-    assert manifest["interpolation"]["solves"] == report.solves == said.solves
+    assert manifest["interpolation"]["solves"] == report.solves == len(said.plan.solves)
     assert "held-out poses" in str(report)
     frames = open_domain(tmp_path / "mb0i0")
     depths = np.array([pose.depth_mm for pose in random_path.poses])
@@ -159,6 +159,6 @@ def test_exact_solves_each_pose_and_its_configuration_is_as_before(random_path: 
 def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -> None:
     at_the_edge = replace(random_path.poses[1], point_x_mm=11.0)
     path = PosePath("edge", (*random_path.poses, at_the_edge))
-    contacts = LibraryPoses.of(GEL, Sphere(), path, "draft")
-    assert contacts.solve_key(1) == contacts.library.key
-    assert contacts.solve_key(len(path.poses) - 1) == contacts.own.solves[0].key
+    contacts = Contacts.interpolated(GEL, Sphere(), path, "draft")
+    assert contacts.source_key(1) == contacts.library.key
+    assert contacts.source_key(len(path.poses) - 1) == contacts.own.solves[0].key

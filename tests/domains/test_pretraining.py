@@ -36,7 +36,7 @@ def test_contacts_are_those_of_the_press_within_view():
     for recipe in pretraining_recipes(4, 20, RANGES):
         first, *poses = recipe.path.poses
         assert (first.depth_mm, first.contact_class) == (0.0, 0)
-        assert len({(pose.depth_mm, pose.radius_mm) for pose in poses}) == RANGES.contacts
+        assert len({(pose.depth_mm, pose.radius_mm) for pose in poses}) == 2 * RANGES.depths
         half_mm = np.array(recipe.sensor.camera.footprint_mm(recipe.size_px)) / 2
         assert all((np.abs([pose.point_x_mm, pose.point_y_mm]) < half_mm).all() for pose in poses)
         low, high = RANGES.sphere_diameter_mm
