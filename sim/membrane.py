@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelgap.assets.array_file import read_arrays
 from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.scene import CanonicalFrame, Pose
+from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ _OPTIONAL = ("contact", "force_n", "torque_n_mm", "contact_radius_mm", "converge
 # refuses the same.
 FOLDED_AREA = 0.05
 
+# A grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
+_COVERED_RADII = 1.5
 # Points of the membrane this near the indenter touch it.
 _TOUCHING_GAP_MM = 0.004
 # The gel bulges beside the indenter and can touch it this far outside of what it cuts.
@@ -84,6 +86,12 @@ class MembraneState:
         """Where the grid's points are on the deformed membrane, (ny, nx, 3)."""
         return self.rest_mm + self.displacement_mm
 
+    @classmethod
+    def untouched(cls, x_mm: Floats, y_mm: Floats) -> Self:
+        """Return the undeformed membrane, without contact, on a grid's axes."""
+        shape = (len(y_mm), len(x_mm))
+        return cls(x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3))
+
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
         arrays = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
@@ -134,12 +142,19 @@ class MembraneState:
         return cls(**arrays, contact_radius_mm=float(radius_mm), converged=bool(converged))
 
 
-def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> MembraneState:
-    """Return the undeformed membrane, without contact, on the grid of `grid_axes`."""
-    x_mm, y_mm = grid_axes(half_extent_mm)
-    shape = (len(y_mm), len(x_mm))
-    return MembraneState(
-        x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
+def covered_extent_mm(
+    elastomer: Elastomer, indenter: Indenter, pose: Pose, half_extent_mm: tuple[float, float]
+) -> tuple[float, float]:
+    """Return how far from the sensor's centre, along x and y, a grid reaches that covers a contact.
+
+    That is at least `half_extent_mm`, but no further than the pad if that is larger than the grid by default.
+    """
+    reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
+    wanted_x, wanted_y = half_extent_mm
+    size_x, size_y = elastomer.pad_size_mm
+    return (
+        min(max(wanted_x, abs(pose.point_x_mm) + reach_mm), size_x / 2),
+        min(max(wanted_y, abs(pose.point_y_mm) + reach_mm), size_y / 2),
     )
 
 
@@ -172,7 +187,7 @@ class SolvedPose:
     @classmethod
     def untouched(cls) -> Self:
         """Return the membrane without contact."""
-        state = flat_state()
+        state = MembraneState.untouched(*grid_axes())
         return cls(state, np.zeros(state.contact.shape, np.float32), np.zeros(3))
 
 
@@ -192,15 +207,21 @@ def placed_surface(
     rest, places = places_around(half_extent_mm, pose, frame, table)
     displacement = table.at(places)
     origin = indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
-    contact = _press_onto(indenter, rest, displacement, origin)
+    contact = press_onto(indenter, rest, displacement, origin)
     turned = (displacement.reshape(-1, 3) @ frame.to_sensor_3d.T).reshape(displacement.shape)
     return turned.astype(np.float32), contact, places
 
 
-def _press_onto(
-    indenter: Indenter, rest_mm: Floats, displacement_mm: Floats, origin_mm: Floats
+def press_onto(
+    indenter: Indenter,
+    rest_mm: Floats,
+    displacement_mm: NDArray[np.floating],
+    origin_mm: Floats,
 ) -> NDArray[np.bool_]:
-    """Move points (..., 3) that touch the indenter onto its surface, in place; return which do (...)."""
+    """Move points that touch the indenter, whose origin is at `origin_mm` (3,), onto its surface; return which do (…).
+
+    Their `displacement_mm` (…, 3) from `rest_mm` (…, 2) on the plane is changed in place; it has to be contiguous.
+    """
     depth_mm = min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm)
     reach_mm = indenter.penetration_radius_mm(max(depth_mm, 0.0)) + _BULGE_MM
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
