@@ -58,8 +58,8 @@ _STICKING_TRAVELS, _SLIDING_TRAVELS = 4, 4
 # Where a drag is held out, between the travels that are solved: halves of their numbers.
 _HELD_OUT_TRAVELS = (0.0, 1.5, 3.5, 5.5, 7.5)
 _SLIDES_FROM = 1.5
-# By Hertz, at depth d: force as d^1.5, contact radius as d^0.5, torque as both; the indenter's way is d itself.
-_GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "indenter_mm": 1.0, "errors": 0.0}
+# By Hertz, at depth d: force as d^1.5, contact radius as d^0.5, torque as both. A mount gives way as the force grows.
+_GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "mount_mm": 1.5, "errors": 0.0}
 _WITHOUT_EDGES = {"pad_size_mm": (100.0, 100.0)}
 
 
@@ -251,10 +251,12 @@ class PoseLibrary:
     @classmethod
     def of(cls, plan: LibraryPlan, solved: SolvePlan, solutions: Mapping[str, Solution]) -> "PoseLibrary":
         """Return the library of the poses of a solve plan."""
-        found = [
-            equilibrium(solutions[solved.solves[own.solve].key], own) | {"depth_mm": pose.depth_mm}
-            for pose, own in zip(solved.poses, solved.placements, strict=True)
-        ]
+        found = []
+        for pose, own in zip(solved.poses, solved.placements, strict=True):
+            fields = equilibrium(solutions[solved.solves[own.solve].key], own) | {"depth_mm": pose.depth_mm}
+            # How far a mount has given way, along the drag: none where the drive is rigid.
+            fields["mount_mm"] = fields.pop("indenter_mm") - [pose.radius_mm, 0.0, -pose.depth_mm]
+            found.append(fields)
         found.sort(key=lambda fields: fields["depth_mm"])
         rows = max(len(fields["displacement_mm"]) for fields in found)
         depths_mm = np.unique([fields["depth_mm"] for fields in found])
@@ -306,7 +308,7 @@ class PoseLibrary:
         from_point_mm = np.stack(
             np.meshgrid(axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm), axis=-1
         )
-        origin_mm = near.vector("indenter_mm") + np.array([0.0, 0.0, indenter.origin_height_mm])
+        origin_mm = near.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, from_point_mm, displacement_mm, origin_mm)
         folded = is_folded(*axes_mm, displacement_mm)
         modulus, errors = elastomer.mujoco_moduli.young_modulus_mpa, near.value("errors")
@@ -344,7 +346,7 @@ class PoseLibrary:
         near = _Neighbours(self, pose)
         pressure_mpa = near.field(self.pressure_mpa, (state.x_mm, state.y_mm))[..., 0].clip(min=0.0)
         modulus = np.float32(elastomer.mujoco_moduli.young_modulus_mpa)
-        return SolvedPose(state, modulus * pressure_mpa, near.vector("indenter_mm"))
+        return SolvedPose(state, modulus * pressure_mpa, near.indenter_mm)
 
     def errors_of(self, plan: SolvePlan, solutions: Mapping[str, Solution]) -> "pd.DataFrame":
         """Return how far off the library is on a plan's poses, a row for each: force, membrane and picture.
@@ -456,6 +458,12 @@ class _Neighbours:
         """Return such a vector (3,) in the sensor's axes."""
         cosine, sine = math.cos(self._angle), math.sin(self._angle)
         return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]]) @ self.value(name)
+
+    @property
+    def indenter_mm(self) -> Floats:
+        """How far (3,) the indenter has come, in the sensor's axes."""
+        pose = self._pose
+        return np.array([pose.shear_x_mm, pose.shear_y_mm, -pose.depth_mm]) + self.vector("mount_mm")
 
     def flags(self, name: str) -> NDArray[np.bool_]:
         """Return what is so of each of the equilibria that have weight."""

@@ -33,7 +33,7 @@ def dents() -> PoseLibrary:
         "force_n": np.stack([5 * share, 0 * share, -10 * press], axis=-1),
         "torque_n_mm": np.zeros((*travels.shape, 3)),
         "contact_radius_mm": press,
-        "indenter_mm": np.stack([travels / depths[:, None], 0 * share, -press], axis=-1),
+        "mount_mm": np.zeros((*travels.shape, 3)),
         "errors": np.zeros((*travels.shape, 4)),
         "converged": np.ones(travels.shape, bool),
         "coarse": np.zeros(travels.shape, bool),
