@@ -336,13 +336,15 @@ class PoseLibrary:
             ),
         )
 
-    def pose(
-        self, elastomer: Elastomer, pose: Pose, axes_mm: tuple[Floats, Floats] | None = None
-    ) -> SolvedPose:
-        """Return a pose's `state`, the pressure on it, and where the indenter is."""
-        state = self.state(elastomer, pose, axes_mm=axes_mm)
+    def pose(self, elastomer: Elastomer, pose: Pose) -> SolvedPose:
+        """Return a pose with the pressure on its membrane and the indenter's place, on the grid of `grid_axes`.
+
+        Unlike for `state`, the contact point may be near the pad's edge, which is left out.
+        """
+        gel = elastomer.model_copy(update=_WITHOUT_EDGES)
+        state = self.state(gel, pose, axes_mm=grid_axes())
         if pose.depth_mm == 0:
-            return SolvedPose(state, np.zeros(state.contact.shape, np.float32), np.zeros(3))
+            return SolvedPose.untouched()
         near = _Neighbours(self, pose)
         pressure_mpa = near.field(self.pressure_mpa, (state.x_mm, state.y_mm))[..., 0].clip(min=0.0)
         modulus = np.float32(elastomer.mujoco_moduli.young_modulus_mpa)

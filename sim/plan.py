@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,8 @@ from gelgap.sim.membrane import (
     covered_extent_mm,
     grid_axes,
     is_folded,
-    placed_surface,
-    places_around,
     polar_table,
+    press_onto,
     pressure_table,
 )
 from gelgap.sim.path import ContactPath, PosePath
@@ -146,8 +145,10 @@ class SolvePlan:
             return MembraneState.untouched(*axes_mm)
         record, ratio = solution.records[placement.record], self.modulus_ratio(solution)
         table, radius_mm = _table_and_radius(solution, placement.record)
-        on_indenter = pose, placement.frame, indenter, table, record.indenter_mm
-        displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
+        rest_mm, displacement_mm = table.around(pose, placement.frame, extent_mm)
+        origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+        contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
+        displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
         folded = is_folded(*axes_mm, displacement_mm)
         return MembraneState(
             *axes_mm,
@@ -184,28 +185,23 @@ def _table_and_radius(solution: Solution, record_index: int) -> tuple[PolarTable
     return polar_table(solution, record), contact_radius_mm(solution, record)
 
 
-def equilibrium(solution: Solution, placement: Placement) -> dict[str, np.ndarray]:
+def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
     """Return one solved pose as polar tables and numbers for a modulus of 1 MPa, as libraries of poses hold it."""
     record = solution.records[placement.record]
     per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
     radius_mm = contact_radius_mm(solution, record)
     found = diagnose(solution.problem, record, radius_mm, per_mpa, folded=False)
-    errors = (
-        found.fz_error_n,
-        found.shear_error_n,
-        found.contact_radius_error_mm,
-        found.membrane_error_mm,
-    )
+    force_errors_n = found.fz_error_n, found.shear_error_n
     return {
         "displacement_mm": polar_table(solution, record).values,
         "pressure_mpa": pressure_table(solution, record).values * np.float32(per_mpa),
         "indenter_mm": record.indenter_mm,
         "force_n": record.force_n * per_mpa,
         "torque_n_mm": record.torque_n_mm * per_mpa,
-        "contact_radius_mm": np.array(radius_mm),
-        "converged": np.array(record.converged),
-        "coarse": np.array(found.coarse),
-        "errors": np.array(errors),
+        "contact_radius_mm": radius_mm,
+        "converged": record.converged,
+        "coarse": found.coarse,
+        "errors": (*force_errors_n, found.contact_radius_error_mm, found.membrane_error_mm),
     }
 
 
@@ -217,8 +213,8 @@ def solved_pose(plan: SolvePlan, pose_index: int, solution: Solution | None) -> 
     state, record = plan.state(pose_index, solution), solution.records[placement.record]
     table = pressure_table(solution, record)
     half_extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
-    _, places = places_around(half_extent_mm, plan.poses[pose_index], placement.frame, table)
-    pressure = table.at(places)[..., 0] * plan.modulus_ratio(solution)
+    _, pressure = table.around(plan.poses[pose_index], placement.frame, half_extent_mm)
+    pressure = pressure[..., 0] * plan.modulus_ratio(solution)
     return SolvedPose(state, pressure.astype(np.float32), placement.frame.on_sensor(record.indenter_mm))
 
 

@@ -9,11 +9,10 @@ from functools import lru_cache
 
 from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import Elastomer, Pose, QualityName, SolvedPose, Sphere, grid_axes, is_interior
+from gelgap.sim import Elastomer, Pose, QualityName, SolvedPose, Sphere, is_interior
 from gelgap.view.pictures import Light, Picture, PictureMaker
 
 SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6
-_WITHOUT_EDGES = {"pad_size_mm": (100.0, 100.0)}
 # One fewer than elsewhere: the page waits for it.
 _DEPTHS = 4
 # Libraries, and poses solved by themselves, that are kept: some MB each.
@@ -202,8 +201,7 @@ class LiveModel:
             said = "until this gel is solved: the one before, its force scaled by Young's modulus"
         else:
             return SolvedPose.untouched(), "no contact is shown until this gel is solved", False
-        without_edges = configuration.elastomer.model_copy(update=_WITHOUT_EDGES)
-        return self._last_library.pose(without_edges, configuration.pose, grid_axes()), said, False
+        return self._last_library.pose(configuration.elastomer, configuration.pose), said, False
 
 
 def _keep(kept: dict, key: object, value: object) -> None:
