@@ -383,27 +383,25 @@ class PoseLibrary:
     def errors(self) -> dict[str, Any]:
         """What the manifest says of it: solves, held-out poses, and the errors on them as rms and largest."""
         table = self.held_out[self.held_out["converged"]]
+        force_rms, membrane_rms_um = _rms(table["force_share"]), _rms(table["membrane_um"])
+        within_bounds = force_rms <= FORCE_BOUND and membrane_rms_um <= MEMBRANE_BOUND_UM
         return {
             "solves": self.solves,
             "depths_mm": self.depths_mm.tolist(),
             "held_out_poses": len(table),
             "held_out_folded": len(self.held_out) - len(table),
-            "force_rms_percent": 100 * _rms(table["force_share"]),
+            "force_rms_percent": 100 * force_rms,
             "force_largest_percent": 100 * float(table["force_share"].max()),
-            "membrane_rms_um": _rms(table["membrane_um"]),
+            "membrane_rms_um": membrane_rms_um,
             "membrane_largest_um": float(table["membrane_um"].max()),
             "picture_rms_codes": _rms(table["picture_codes"]),
-            "within_bounds": self.holds,
+            "within_bounds": len(table) > 0 and within_bounds,
         }
 
-    @cached_property
+    @property
     def holds(self) -> bool:
         """Whether the errors on held-out poses are within the bounds; so they are if none was held out."""
-        if self.held_out is None:
-            return True
-        table = self.held_out[self.held_out["converged"]]
-        within_um = _rms(table["membrane_um"]) <= MEMBRANE_BOUND_UM
-        return len(table) > 0 and within_um and _rms(table["force_share"]) <= FORCE_BOUND
+        return self.held_out is None or self.errors["within_bounds"]
 
 
 def _rms(values: Any) -> float:
@@ -416,8 +414,7 @@ def _paper_sensor() -> MembraneRenderer:
 
 
 def _picture(state: MembraneState) -> Floats:
-    picture = _paper_sensor().picture(state.x_mm, state.y_mm, state.displacement_mm)
-    return picture.astype(float)
+    return _paper_sensor().picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
 
 
 class _Neighbours:
@@ -434,7 +431,8 @@ class _Neighbours:
         places = np.arange(library.displacement_mm.shape[1], dtype=float)
         place = library.plan.place_of(pose.depth_mm, pose.radius_mm)
         self._travels, self._by_travel = _weights(places, place)
-        self._angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
+        angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
+        self._cosine, self._sine = math.cos(angle), math.sin(angle)
 
     def field(self, tables: NDArray[np.float32], axes_mm: tuple[Floats, Floats]) -> NDArray[np.float32]:
         """Return what tables (depths, travels, …) say on a grid, (ny, nx, channels)."""
@@ -446,8 +444,7 @@ class _Neighbours:
                     table += np.float32(weights[i, j]) * tables[depth, travel]
         x_mm, y_mm = axes_mm[0] - self._pose.point_x_mm, axes_mm[1] - self._pose.point_y_mm
         found = np.empty((len(y_mm), len(x_mm), table.shape[-1]), np.float32)
-        radius_mm, cosine, sine = self._library.radius_mm, math.cos(self._angle), math.sin(self._angle)
-        _place(table, radius_mm, x_mm, y_mm, cosine, sine, found)
+        _place(table, self._library.radius_mm, x_mm, y_mm, self._cosine, self._sine, found)
         return found
 
     def value(self, name: str) -> Any:
@@ -458,8 +455,8 @@ class _Neighbours:
 
     def vector(self, name: str) -> Floats:
         """Return such a vector (3,) in the sensor's axes."""
-        cosine, sine = math.cos(self._angle), math.sin(self._angle)
-        return np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]]) @ self.value(name)
+        turn = [[self._cosine, -self._sine, 0], [self._sine, self._cosine, 0], [0, 0, 1]]
+        return np.array(turn) @ self.value(name)
 
     @property
     def indenter_mm(self) -> Floats:

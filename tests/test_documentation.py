@@ -180,7 +180,7 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     },
     "gelgap benchmark view --quick": {
         "benchmarks.view.QUICK_REPEATS": lambda real: 1,
-        "domains.library._DEPTHS": lambda real: 2,
+        "view.state._DEPTHS": lambda real: 2,
         "domains.library._STICKING_TRAVELS": lambda real: 1,
         "domains.library._SLIDING_TRAVELS": lambda real: 1,
     },
