@@ -151,9 +151,8 @@ class LibraryPlan:
         if farthest_mm == 0:
             return np.zeros(1)
         sticking = np.linspace(0.0, slides_mm, _STICKING_TRAVELS + 1)
-        return np.concatenate(
-            [sticking, np.linspace(slides_mm, farthest_mm, _SLIDING_TRAVELS + 1)[1:]]
-        ).round(6)
+        sliding = np.linspace(slides_mm, farthest_mm, _SLIDING_TRAVELS + 1)
+        return np.concatenate([sticking, sliding[1:]]).round(6)
 
     def place_of(self, depth_mm: float, travel_mm: float) -> float:
         """Return where a travel lies among those solved at its depth: 0 for the first, 1 for the next."""
@@ -305,9 +304,8 @@ class PoseLibrary:
             return MembraneState.untouched(*axes_mm)
         near = _Neighbours(self, pose)
         displacement_mm = near.field(self.displacement_mm, axes_mm)
-        from_point_mm = np.stack(
-            np.meshgrid(axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm), axis=-1
-        )
+        x_mm, y_mm = axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm
+        from_point_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1)
         origin_mm = near.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
         contact = press_onto(indenter, from_point_mm, displacement_mm, origin_mm)
         folded = is_folded(*axes_mm, displacement_mm)
@@ -341,8 +339,7 @@ class PoseLibrary:
 
         Unlike for `state`, the contact point may be near the pad's edge, which is left out.
         """
-        gel = elastomer.model_copy(update=_WITHOUT_EDGES)
-        state = self.state(gel, pose, axes_mm=grid_axes())
+        state = self.state(elastomer.model_copy(update=_WITHOUT_EDGES), pose, axes_mm=grid_axes())
         if pose.depth_mm == 0:
             return SolvedPose.untouched()
         near = _Neighbours(self, pose)
@@ -501,8 +498,7 @@ def _place(table, radius_mm, x_mm, y_mm, cosine, sine, out):
             along, across = cosine * x_mm[i] + sine * y_mm[j], cosine * y_mm[j] - sine * x_mm[i]
             distance = min(math.sqrt(along * along + across * across), radius_mm[rows - 1] - 1e-6)
             low = min(int(distance * fine), rows - 2)
-            if distance > radius_mm[low + 1] or distance < radius_mm[low]:
-                # Beyond the evenly spaced rows.
+            if distance > radius_mm[low + 1] or distance < radius_mm[low]:  # beyond the evenly spaced rows
                 low, high = 0, rows - 1
                 while high - low > 1:
                     middle = (low + high) // 2

@@ -110,8 +110,7 @@ class TactileSensor:
             the pad's edge. The sensor stays as it was.
         """
         place_mm = np.asarray(point_mm, float) + np.asarray(shear_mm, float)
-        before_mm = self._anchor_mm
-        anchor_mm = np.array(point_mm, float) if before_mm is None else before_mm
+        anchor_mm = np.array(point_mm, float) if self._anchor_mm is None else self._anchor_mm
         drag_mm, flags = place_mm - anchor_mm, []
         length_mm = math.hypot(*drag_mm)
         shallowest_mm = self.library.depths_mm[0]
