@@ -2,7 +2,7 @@
 
 Times are of one thread at 320×240 and standard quality: processor time, and wall time beside it. The picture's error is
 its root mean square difference, in code values, to one rendered anew; where the knob moves the contact, to one of the
-same pose solved by itself, at draft like the path.
+same pose solved by itself, at draft like the library.
 """
 
 import time
@@ -16,14 +16,14 @@ import pandas as pd
 
 from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.render import Illumination, MembraneRenderer, RgbSpectrum, Sensor
-from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, SolvedPath, plan_path, solve_pose
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, solve_pose
 from gelgap.view.pictures import SIZE_PX
-from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
+from gelgap.view.state import Configuration, LiveModel, Shown
 
 REPEATS, QUICK_REPEATS = 50, 5
 TARGET_MS = 50.0
 GEL = "e04"
-# Between the poses of the path in depth and travel, where interpolation is worst.
+# Between the solved poses in depth and travel.
 BETWEEN = Pose(depth_mm=0.5, shear_x_mm=0.3, point_x_mm=0.4, point_y_mm=-0.3)
 MOVES = ("contact point", "depth", "travel", "direction")
 Turn = Callable[[Configuration, int], Configuration]
@@ -73,12 +73,12 @@ def run(quick: bool, out_dir: Path) -> None:
     """Print the latencies beside what the same costs without the live model; write JSON to `out_dir`."""
     repeats, gel = QUICK_REPEATS if quick else REPEATS, Elastomer.preset(GEL)
     start = Configuration(gel, Sensor.preset("paper"), Illumination.preset("i0"), BETWEEN)
-    plan = plan_path(gel, start.indenter)
-    path = SolvedPath.from_solutions(plan, {solve.key: solve.run() for solve in plan.solves})
+    plan = start.library.plan
+    library = plan.build({solve.key: solve.run() for solve in plan.solved.solves})
 
     def model() -> LiveModel:
         new = LiveModel()
-        new.add_path(PathRequest(gel, start.indenter), path)
+        new.add_library(start.library, library)
         return new
 
     # The pose that is solved by itself costs the most, and the error of interpolation is there.
@@ -87,7 +87,10 @@ def run(quick: bool, out_dir: Path) -> None:
     )
     rows = [latency(change, turn, model(), start, solved, repeats) for change, turn in turns().items()]
     anew_ms = float(np.median([timed(lambda: model().show(start))[0] for _ in range(min(repeats, 10))]))
-    for change, ms in (("all anew, path solved", anew_ms), ("the pose solved at draft", solve_ms + anew_ms)):
+    for change, ms in (
+        ("all anew, library solved", anew_ms),
+        ("the pose solved at draft", solve_ms + anew_ms),
+    ):
         costs = {"median ms": ms, "worst ms": ms, "wall median ms": "", "picture rms": 0.0, "force %": 0.0}
         rows.append({"change": change, **costs})
     show(

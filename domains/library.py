@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numba
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from gelgap.assets.checksums import canonical_json, sha256
@@ -31,15 +30,21 @@ from gelgap.sim import (
     PosePath,
     Solution,
     Solve,
+    SolvedPose,
     SolvePlan,
+    covered_extent_mm,
     equilibrium,
     grid_axes,
     is_folded,
     is_interior,
     joined,
     plan_solves,
+    press_onto,
     table_radius_mm,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 LOG = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
@@ -53,13 +58,9 @@ _STICKING_TRAVELS, _SLIDING_TRAVELS = 4, 4
 # Where a drag is held out, between the travels that are solved: halves of their numbers.
 _HELD_OUT_TRAVELS = (0.0, 1.5, 3.5, 5.5, 7.5)
 _SLIDES_FROM = 1.5
-# By Hertz, at depth d: force as d^1.5, contact radius as d^0.5, torque as both; the indenter's way is d itself.
-_GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "indenter_mm": 1.0, "errors": 0.0}
+# By Hertz, at depth d: force as d^1.5, contact radius as d^0.5, torque as both. A mount gives way as the force grows.
+_GROWTH = {"force_n": 1.5, "torque_n_mm": 2.0, "contact_radius_mm": 0.5, "mount_mm": 1.5, "errors": 0.0}
 _WITHOUT_EDGES = {"pad_size_mm": (100.0, 100.0)}
-# Points of the membrane this near the indenter touch it, as in `gelgap.sim`; they are looked for this far outside of
-# what the indenter cuts.
-_TOUCHING_GAP_MM = 0.004
-_BULGE_MM = 0.5
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,8 @@ class PoseRanges:
             raise ValueError(
                 "twist_deg and roll_deg: a library has no poses that turn; solve this one by itself"
             )
-        if pose.radius_mm > self.farthest_mm(pose.depth_mm) + 1e-6 and pose.depth_mm > 0:
-            farthest_mm = self.farthest_mm(pose.depth_mm)
+        farthest_mm = self.farthest_mm(pose.depth_mm)
+        if pose.radius_mm > farthest_mm + 1e-6 and pose.depth_mm > 0:
             raise ValueError(
                 f"shear = {pose.radius_mm:g} mm: at a depth of {pose.depth_mm:g} mm the library ends at "
                 f"{farthest_mm:g} mm"
@@ -150,9 +151,8 @@ class LibraryPlan:
         if farthest_mm == 0:
             return np.zeros(1)
         sticking = np.linspace(0.0, slides_mm, _STICKING_TRAVELS + 1)
-        return np.concatenate(
-            [sticking, np.linspace(slides_mm, farthest_mm, _SLIDING_TRAVELS + 1)[1:]]
-        ).round(6)
+        sliding = np.linspace(slides_mm, farthest_mm, _SLIDING_TRAVELS + 1)
+        return np.concatenate([sticking, sliding[1:]]).round(6)
 
     def place_of(self, depth_mm: float, travel_mm: float) -> float:
         """Return where a travel lies among those solved at its depth: 0 for the first, 1 for the next."""
@@ -199,6 +199,8 @@ class LibraryPlan:
         more solves, in this process: the depth between, and a held-out depth in the deeper half. No more than
         `MOST_SOLVES` are made.
         """
+        import pandas as pd
+
         plans = dict(zip(pairwise(self.depths_mm), self.held_out, strict=True))
         solutions = {solve.key: solutions[solve.key] for solve in self.solves}
         added: list[SolvePlan] = [self.solved]
@@ -231,50 +233,51 @@ def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
 class PoseLibrary:
     """Equilibria at some depths and travels, for a modulus of 1 MPa; any pose in its ranges follows by interpolation.
 
-    Arrays begin with (depths, travels). `displacement_mm` holds polar tables around the contact point, whose rows lie
-    at `radius_mm`; `numbers` values or vectors by name. `held_out` has a row for each pose that was held out, None if
-    none was; `solves` counts all that were needed.
+    Arrays begin with (depths, travels). `displacement_mm` and `pressure_mpa` hold polar tables around the contact
+    point, whose rows lie at `radius_mm`; `numbers` values or vectors by name. `held_out` has a row for each pose that
+    was held out, None if none was; `solves` counts all that were needed.
     """
 
     plan: LibraryPlan
     depths_mm: Floats
     radius_mm: Floats
     displacement_mm: NDArray[np.float32]
+    pressure_mpa: NDArray[np.float32]
     numbers: dict[str, np.ndarray]
-    held_out: pd.DataFrame | None = field(default=None, repr=False)
+    held_out: "pd.DataFrame | None" = field(default=None, repr=False)
     solves: int = 0
 
     @classmethod
     def of(cls, plan: LibraryPlan, solved: SolvePlan, solutions: Mapping[str, Solution]) -> "PoseLibrary":
         """Return the library of the poses of a solve plan."""
-        found = [
-            equilibrium(solutions[solved.solves[own.solve].key], own) | {"depth_mm": pose.depth_mm}
-            for pose, own in zip(solved.poses, solved.placements, strict=True)
-        ]
+        found = []
+        for pose, own in zip(solved.poses, solved.placements, strict=True):
+            fields = equilibrium(solutions[solved.solves[own.solve].key], own) | {"depth_mm": pose.depth_mm}
+            # How far a mount has given way, along the drag: none where the drive is rigid.
+            fields["mount_mm"] = fields.pop("indenter_mm") - [pose.radius_mm, 0.0, -pose.depth_mm]
+            found.append(fields)
         found.sort(key=lambda fields: fields["depth_mm"])
         rows = max(len(fields["displacement_mm"]) for fields in found)
         depths_mm = np.unique([fields["depth_mm"] for fields in found])
-        # Beyond its last row a table holds its rim.
-        tables = [
-            np.pad(one, ((0, rows - len(one)), (0, 0), (0, 0)), mode="edge")
-            for one in (fields["displacement_mm"] for fields in found)
-        ]
         grid = len(depths_mm), len(found) // len(depths_mm)
-        numbers = {
-            name: np.reshape([fields[name] for fields in found], (*grid, *np.shape(found[0][name])))
-            for name in (*_GROWTH, "converged", "coarse")
-        }
+        stacked = {}
+        for name in found[0]:
+            column = [np.asarray(fields[name]) for fields in found]
+            if column[0].ndim == 3:  # beyond its last row a table holds its rim
+                column = [np.pad(one, ((0, rows - len(one)), (0, 0), (0, 0)), "edge") for one in column]
+            stacked[name] = np.reshape(column, (*grid, *column[0].shape))
+        numbers = {name: stacked[name] for name in ("converged", "coarse")}
         for name, power in _GROWTH.items():
-            values = numbers[name]
-            numbers[name] = values / depths_mm.reshape(-1, *(1,) * (values.ndim - 1)) ** power
-        table = np.reshape(tables, (*grid, *tables[0].shape)).astype(np.float32)
-        return cls(plan, depths_mm, table_radius_mm(np.arange(rows, dtype=float)), table, numbers)
+            depth = depths_mm.reshape(-1, *(1,) * (stacked[name].ndim - 1))
+            numbers[name] = stacked[name] / depth**power
+        tables = stacked["displacement_mm"], stacked["pressure_mpa"]
+        return cls(plan, depths_mm, table_radius_mm(np.arange(rows, dtype=float)), *tables, numbers)
 
     def state(
         self,
         elastomer: Elastomer,
         pose: Pose,
-        half_extent_mm: tuple[float, float] | None = None,
+        half_extent_mm: tuple[float, float] = (0.0, 0.0),
         axes_mm: tuple[Floats, Floats] | None = None,
     ) -> MembraneState:
         """Return the membrane of a pose, the forces those of the elastomer's modulus.
@@ -294,101 +297,64 @@ class PoseLibrary:
                 f"contact point ({pose.point_x_mm:g}, {pose.point_y_mm:g}) mm: a library serves points that the pad's "
                 "edges are too far from to matter; solve this pose by itself"
             )
+        indenter = self.plan.indenter
         if axes_mm is None:
-            reach_mm = pose.radius_mm + 1.5 * self.plan.indenter.penetration_radius_mm(pose.depth_mm)
-            point_mm, size_mm = (pose.point_x_mm, pose.point_y_mm), elastomer.pad_size_mm
-            wanted_mm = half_extent_mm or (0.0, 0.0)
-            axes_mm = grid_axes(
-                tuple(
-                    min(max(w, abs(p) + reach_mm), s / 2)
-                    for w, p, s in zip(wanted_mm, point_mm, size_mm, strict=True)
-                )
-            )
+            axes_mm = grid_axes(covered_extent_mm(elastomer, indenter, pose, half_extent_mm))
         if pose.depth_mm == 0:
-            shape = len(axes_mm[1]), len(axes_mm[0])
-            untouched = np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
-            return MembraneState(*axes_mm, *untouched)
-        depths, by_depth = _weights(
-            np.concatenate([[0.0], np.sqrt(self.depths_mm)]), math.sqrt(pose.depth_mm)
-        )
-        places = np.arange(self.displacement_mm.shape[1], dtype=float)
-        travels, by_travel = _weights(places, self.plan.place_of(pose.depth_mm, pose.radius_mm))
-        # Node 0 is the undeformed membrane: a zero table, and the shallowest press's numbers at its growth with depth.
-        loaded, own = depths > 0, np.maximum(depths - 1, 0)
-        table = _combined(self.displacement_mm, own[loaded], travels, np.outer(by_depth[loaded], by_travel))
-        both = np.ix_(own, travels)
-        of = {
-            name: pose.depth_mm**power
-            * np.tensordot(np.outer(by_depth, by_travel), self.numbers[name][both], 2)
-            for name, power in _GROWTH.items()
-        }
-        modulus = elastomer.mujoco_moduli.young_modulus_mpa
-        angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
-        turn = np.array(
-            [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
-        )
+            return MembraneState.untouched(*axes_mm)
+        near = _Neighbours(self, pose)
+        displacement_mm = near.field(self.displacement_mm, axes_mm)
         x_mm, y_mm = axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm
-        displacement_mm = np.empty((len(y_mm), len(x_mm), 3), np.float32)
-        _place(table, self.radius_mm, x_mm, y_mm, math.cos(angle), math.sin(angle), displacement_mm)
-        contact = self._press_onto(pose, turn @ of["indenter_mm"], x_mm, y_mm, displacement_mm)
-        around = np.ix_(own[np.abs(by_depth) > 1e-9], travels[np.abs(by_travel) > 1e-9])
-        force_n, folded = modulus * (turn @ of["force_n"]), is_folded(*axes_mm, displacement_mm)
+        from_point_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1)
+        origin_mm = near.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+        contact = press_onto(indenter, from_point_mm, displacement_mm, origin_mm)
+        folded = is_folded(*axes_mm, displacement_mm)
+        modulus, errors = elastomer.mujoco_moduli.young_modulus_mpa, near.value("errors")
+        force_n = modulus * near.vector("force_n")
+        # Estimates of the mesh's errors with those that were measured, unless none was held out.
+        off_n, off_mm = 0.0, 0.0
+        if self.held_out is not None:
+            off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
+            off_mm = self.errors["membrane_rms_um"] / 1000
         return MembraneState(
             *axes_mm,
             displacement_mm,
             contact,
             force_n=force_n,
-            torque_n_mm=modulus * (turn @ of["torque_n_mm"]),
-            contact_radius_mm=float(of["contact_radius_mm"]),
-            converged=bool(self.numbers["converged"][around].all()) and not folded,
-            diagnostics=self._diagnostics(
-                modulus * of["errors"][:2], of["errors"][2:], force_n, around, folded
+            torque_n_mm=modulus * near.vector("torque_n_mm"),
+            contact_radius_mm=float(near.value("contact_radius_mm")),
+            converged=bool(near.flags("converged").all()) and not folded,
+            diagnostics=Diagnostics(
+                fz_error_n=math.hypot(modulus * errors[0], off_n),
+                shear_error_n=math.hypot(modulus * errors[1], off_n),
+                contact_radius_error_mm=float(errors[2]),
+                membrane_error_mm=math.hypot(errors[3], off_mm),
+                coarse=bool(near.flags("coarse").any()),
+                folded=folded,
             ),
         )
 
-    def _press_onto(
-        self, pose: Pose, way_mm: Floats, x_mm: Floats, y_mm: Floats, displacement_mm: NDArray[np.float32]
-    ) -> NDArray[np.bool_]:
-        """Move points that touch the indenter onto its surface, in place; return which do (ny, nx)."""
-        indenter = self.plan.indenter
-        contact = np.zeros(displacement_mm.shape[:2], dtype=bool)
-        deep_mm = min(1.2 * pose.depth_mm, indenter.deepest_mm)
-        reach_mm = indenter.penetration_radius_mm(deep_mm) + pose.radius_mm + _BULGE_MM
-        columns, rows = (slice(*np.searchsorted(axis, (-reach_mm, reach_mm))) for axis in (x_mm, y_mm))
-        near = displacement_mm[rows, columns]
-        from_origin = np.empty(near.shape)
-        from_origin[..., 0] = x_mm[columns] - way_mm[0]
-        from_origin[..., 1] = y_mm[rows, None] - way_mm[1]
-        from_origin[..., 2] = -way_mm[2] - indenter.origin_height_mm
-        nearest = indenter.project(from_origin + near)
-        touches = nearest.distance_mm < _TOUCHING_GAP_MM
-        near[touches] = (nearest.points_mm - from_origin)[touches]
-        contact[rows, columns] = touches
-        return contact
+    def pose(self, elastomer: Elastomer, pose: Pose) -> SolvedPose:
+        """Return a pose with the pressure on its membrane and the indenter's place, on the grid of `grid_axes`.
 
-    def _diagnostics(
-        self, mesh_n: Floats, mesh_mm: Floats, force_n: Floats, around: tuple, folded: bool
-    ) -> Diagnostics:
-        """Return the estimates of the mesh's errors with those that were measured, unless none was held out."""
-        off_n, off_mm = 0.0, 0.0
-        if self.held_out is not None:
-            off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
-            off_mm = self.errors["membrane_rms_um"] / 1000
-        return Diagnostics(
-            fz_error_n=math.hypot(mesh_n[0], off_n),
-            shear_error_n=math.hypot(mesh_n[1], off_n),
-            contact_radius_error_mm=float(mesh_mm[0]),
-            membrane_error_mm=math.hypot(mesh_mm[1], off_mm),
-            coarse=bool(self.numbers["coarse"][around].any()),
-            folded=folded,
-        )
+        Unlike for `state`, the contact point may be near the pad's edge, which is left out.
+        """
+        state = self.state(elastomer.model_copy(update=_WITHOUT_EDGES), pose, axes_mm=grid_axes())
+        if pose.depth_mm == 0:
+            return SolvedPose.untouched()
+        near = _Neighbours(self, pose)
+        pressure_mpa = near.field(self.pressure_mpa, (state.x_mm, state.y_mm))[..., 0].clip(min=0.0)
+        modulus = np.float32(elastomer.mujoco_moduli.young_modulus_mpa)
+        return SolvedPose(state, modulus * pressure_mpa, near.indenter_mm)
 
-    def errors_of(self, plan: SolvePlan, solutions: Mapping[str, Solution]) -> pd.DataFrame:
+    def errors_of(self, plan: SolvePlan, solutions: Mapping[str, Solution]) -> "pd.DataFrame":
         """Return how far off the library is on a plan's poses, a row for each: force, membrane and picture.
 
         The membrane's error is rms within four contact radii, the picture's in code values of 255, of the paper's
         sensor in the light i0.
         """
+        import pandas as pd
+
         gel, rows = plan.elastomer, []
         for index, (pose, own) in enumerate(zip(plan.poses, plan.placements, strict=True)):
             exact = plan.state(index, solutions[plan.solves[own.solve].key])
@@ -414,27 +380,25 @@ class PoseLibrary:
     def errors(self) -> dict[str, Any]:
         """What the manifest says of it: solves, held-out poses, and the errors on them as rms and largest."""
         table = self.held_out[self.held_out["converged"]]
+        force_rms, membrane_rms_um = _rms(table["force_share"]), _rms(table["membrane_um"])
+        within_bounds = force_rms <= FORCE_BOUND and membrane_rms_um <= MEMBRANE_BOUND_UM
         return {
             "solves": self.solves,
             "depths_mm": self.depths_mm.tolist(),
             "held_out_poses": len(table),
             "held_out_folded": len(self.held_out) - len(table),
-            "force_rms_percent": 100 * _rms(table["force_share"]),
+            "force_rms_percent": 100 * force_rms,
             "force_largest_percent": 100 * float(table["force_share"].max()),
-            "membrane_rms_um": _rms(table["membrane_um"]),
+            "membrane_rms_um": membrane_rms_um,
             "membrane_largest_um": float(table["membrane_um"].max()),
             "picture_rms_codes": _rms(table["picture_codes"]),
-            "within_bounds": self.holds,
+            "within_bounds": len(table) > 0 and within_bounds,
         }
 
-    @cached_property
+    @property
     def holds(self) -> bool:
         """Whether the errors on held-out poses are within the bounds; so they are if none was held out."""
-        if self.held_out is None:
-            return True
-        table = self.held_out[self.held_out["converged"]]
-        within_um = _rms(table["membrane_um"]) <= MEMBRANE_BOUND_UM
-        return len(table) > 0 and within_um and _rms(table["force_share"]) <= FORCE_BOUND
+        return self.held_out is None or self.errors["within_bounds"]
 
 
 def _rms(values: Any) -> float:
@@ -447,8 +411,60 @@ def _paper_sensor() -> MembraneRenderer:
 
 
 def _picture(state: MembraneState) -> Floats:
-    picture = _paper_sensor().picture(state.x_mm, state.y_mm, state.displacement_mm)
-    return picture.astype(float)
+    return _paper_sensor().picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
+
+
+class _Neighbours:
+    """The equilibria of a library that a pose is interpolated from: the nearest depths and travels, and their weights.
+
+    Depth 0, the undeformed membrane, has a table of zeros, and numbers as Hertz has the shallowest press's grow.
+    """
+
+    def __init__(self, library: PoseLibrary, pose: Pose) -> None:
+        self._library, self._pose = library, pose
+        depths = np.concatenate([[0.0], np.sqrt(library.depths_mm)])
+        above, self._by_depth = _weights(depths, math.sqrt(pose.depth_mm))
+        self._touching, self._depths = above > 0, np.maximum(above - 1, 0)
+        places = np.arange(library.displacement_mm.shape[1], dtype=float)
+        place = library.plan.place_of(pose.depth_mm, pose.radius_mm)
+        self._travels, self._by_travel = _weights(places, place)
+        angle = math.atan2(pose.shear_y_mm, pose.shear_x_mm)
+        self._cosine, self._sine = math.cos(angle), math.sin(angle)
+
+    def field(self, tables: NDArray[np.float32], axes_mm: tuple[Floats, Floats]) -> NDArray[np.float32]:
+        """Return what tables (depths, travels, …) say on a grid, (ny, nx, channels)."""
+        weights = np.outer(self._by_depth[self._touching], self._by_travel)
+        table = np.zeros(tables.shape[2:], np.float32)
+        for i, depth in enumerate(self._depths[self._touching]):
+            for j, travel in enumerate(self._travels):
+                if abs(weights[i, j]) > 1e-9:
+                    table += np.float32(weights[i, j]) * tables[depth, travel]
+        x_mm, y_mm = axes_mm[0] - self._pose.point_x_mm, axes_mm[1] - self._pose.point_y_mm
+        found = np.empty((len(y_mm), len(x_mm), table.shape[-1]), np.float32)
+        _place(table, self._library.radius_mm, x_mm, y_mm, self._cosine, self._sine, found)
+        return found
+
+    def value(self, name: str) -> Any:
+        """Return a number of `_GROWTH`, in the axes of a drag along x."""
+        values = self._library.numbers[name][np.ix_(self._depths, self._travels)]
+        weights = np.outer(self._by_depth, self._by_travel)
+        return self._pose.depth_mm ** _GROWTH[name] * np.tensordot(weights, values, 2)
+
+    def vector(self, name: str) -> Floats:
+        """Return such a vector (3,) in the sensor's axes."""
+        turn = [[self._cosine, -self._sine, 0], [self._sine, self._cosine, 0], [0, 0, 1]]
+        return np.array(turn) @ self.value(name)
+
+    @property
+    def indenter_mm(self) -> Floats:
+        """How far (3,) the indenter has come, in the sensor's axes."""
+        pose = self._pose
+        return np.array([pose.shear_x_mm, pose.shear_y_mm, -pose.depth_mm]) + self.vector("mount_mm")
+
+    def flags(self, name: str) -> NDArray[np.bool_]:
+        """Return what is so of each of the equilibria that have weight."""
+        depths, travels = np.abs(self._by_depth) > 1e-9, np.abs(self._by_travel) > 1e-9
+        return self._library.numbers[name][np.ix_(self._depths[depths], self._travels[travels])]
 
 
 def _weights(nodes: Floats, value: float) -> tuple[NDArray[np.intp], Floats]:
@@ -469,30 +485,20 @@ def _weights(nodes: Floats, value: float) -> tuple[NDArray[np.intp], Floats]:
     return near, weights[near]
 
 
-def _combined(
-    tables: NDArray[np.float32], depths: NDArray[np.intp], travels: NDArray[np.intp], weights: Floats
-) -> NDArray[np.float32]:
-    """Return the weighted sum of tables (depths, travels, ...)."""
-    table = np.zeros(tables.shape[2:], np.float32)
-    for i, depth in enumerate(depths):
-        for j, travel in enumerate(travels):
-            if abs(weights[i, j]) > 1e-9:
-                table += np.float32(weights[i, j]) * tables[depth, travel]
-    return table
-
-
 @numba.njit(cache=True, error_model="numpy", fastmath=True)
 def _place(table, radius_mm, x_mm, y_mm, cosine, sine, out):
-    """Fill (ny, nx, 3) with a table's field around the origin, its axis turned; linear in radius and angle."""
-    rows, columns, _ = table.shape
+    """Fill (ny, nx, channels) with a table around the origin, its axis turned; linear in radius and angle.
+
+    Three channels are a vector, which is turned as well.
+    """
+    rows, columns, channels = table.shape
     fine = 1 / (radius_mm[1] - radius_mm[0])
     for j in range(len(y_mm)):
         for i in range(len(x_mm)):
             along, across = cosine * x_mm[i] + sine * y_mm[j], cosine * y_mm[j] - sine * x_mm[i]
             distance = min(math.sqrt(along * along + across * across), radius_mm[rows - 1] - 1e-6)
             low = min(int(distance * fine), rows - 2)
-            if distance > radius_mm[low + 1] or distance < radius_mm[low]:
-                # Beyond the evenly spaced rows.
+            if distance > radius_mm[low + 1] or distance < radius_mm[low]:  # beyond the evenly spaced rows
                 low, high = 0, rows - 1
                 while high - low > 1:
                     middle = (low + high) // 2
@@ -506,13 +512,14 @@ def _place(table, radius_mm, x_mm, y_mm, cosine, sine, out):
             on_share = place - left
             a, b = (1 - out_share) * (1 - on_share), (1 - out_share) * on_share
             c, d = out_share * (1 - on_share), out_share * on_share
-            for k in range(3):
+            for k in range(channels):
                 out[j, i, k] = (
                     a * table[low, left, k]
                     + b * table[low, left + 1, k]
                     + c * table[low + 1, left, k]
                     + d * table[low + 1, left + 1, k]
                 )
-            u, v = out[j, i, 0], out[j, i, 1]
-            v = v if across > 0 else (-v if across < 0 else 0.0)
-            out[j, i, 0], out[j, i, 1] = cosine * u - sine * v, sine * u + cosine * v
+            if channels == 3:
+                u, v = out[j, i, 0], out[j, i, 1]
+                v = v if across > 0 else (-v if across < 0 else 0.0)
+                out[j, i, 0], out[j, i, 1] = cosine * u - sine * v, sine * u + cosine * v

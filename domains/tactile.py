@@ -110,13 +110,12 @@ class TactileSensor:
             the pad's edge. The sensor stays as it was.
         """
         place_mm = np.asarray(point_mm, float) + np.asarray(shear_mm, float)
-        before_mm = self._anchor_mm
-        anchor_mm = np.array(point_mm, float) if before_mm is None else before_mm
+        anchor_mm = np.array(point_mm, float) if self._anchor_mm is None else self._anchor_mm
         drag_mm, flags = place_mm - anchor_mm, []
         length_mm = math.hypot(*drag_mm)
+        shallowest_mm = self.library.depths_mm[0]
         reaches_mm = float(np.interp(depth_mm, self.library.depths_mm, self._slides_from_mm))
-        if depth_mm < self.library.depths_mm[0]:
-            reaches_mm *= depth_mm / self.library.depths_mm[0]
+        reaches_mm *= min(depth_mm / shallowest_mm, 1.0)
         if depth_mm > 0 and length_mm > reaches_mm:
             flags.append("slides")
             drag_mm = drag_mm * (reaches_mm / length_mm)
@@ -127,16 +126,14 @@ class TactileSensor:
         self._anchor_mm = anchor_mm if depth_mm > 0 else None
         found = state.diagnostics
         told = {
-            "extrapolated": 0 < depth_mm < self.library.depths_mm[0],
+            "extrapolated": 0 < depth_mm < shallowest_mm,
             "coarse": found.coarse,
             "folded": found.folded,
             "not converged": not state.converged and not found.folded,
         }
         flags += [word for word, applies in told.items() if applies]
-        picture = None
-        if not found.folded:
-            membrane = state.x_mm, state.y_mm, state.displacement_mm
-            picture = self.renderer.picture(*membrane, self.markers, self._rng)
+        membrane = state.x_mm, state.y_mm, state.displacement_mm
+        picture = None if found.folded else self.renderer.picture(*membrane, self.markers, self._rng)
         return Reading(picture, state.force_n, np.array(found.force_error_n), state, tuple(flags))
 
 

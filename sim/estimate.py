@@ -94,7 +94,7 @@ def diagnose(
     """Return a record's diagnostics with estimates; forces and energy are `modulus_ratio` times the solved gel's."""
     causes = causes_of_error(problem, record, contact_radius_mm)
     share = np.sqrt(np.array(_VARIANCE_PER_CAUSE) @ causes**2)
-    of = dict(zip(ERRORS, share.tolist(), strict=True))
+    fz, shear, radius, membrane = share.tolist()
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     found = asdict(record.diagnostics)
     found["elastic_energy_mj"] *= modulus_ratio
@@ -102,11 +102,11 @@ def diagnose(
         found["sticking_fraction"] = 0.0
     return Diagnostics(
         **found,
-        fz_error_n=of["Fz"] * force_n,
-        shear_error_n=of["shear"] * force_n,
-        contact_radius_error_mm=of["radius"] * contact_radius_mm,
-        membrane_error_mm=of["membrane"] * abs(float(record.indenter_mm[2])),
-        coarse=max(of["Fz"], of["shear"]) > LARGEST_ESTIMATE[problem.quality.name],
+        fz_error_n=fz * force_n,
+        shear_error_n=shear * force_n,
+        contact_radius_error_mm=radius * contact_radius_mm,
+        membrane_error_mm=membrane * abs(float(record.indenter_mm[2])),
+        coarse=max(fz, shear) > LARGEST_ESTIMATE[problem.quality.name],
         folded=folded,
     )
 

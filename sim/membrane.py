@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gelgap.assets.array_file import read_arrays
 from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.scene import CanonicalFrame, Pose
+from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ _OPTIONAL = ("contact", "force_n", "torque_n_mm", "contact_radius_mm", "converge
 # refuses the same.
 FOLDED_AREA = 0.05
 
+# A grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
+_COVERED_RADII = 1.5
 # Points of the membrane this near the indenter touch it.
 _TOUCHING_GAP_MM = 0.004
 # The gel bulges beside the indenter and can touch it this far outside of what it cuts.
@@ -84,6 +86,12 @@ class MembraneState:
         """Where the grid's points are on the deformed membrane, (ny, nx, 3)."""
         return self.rest_mm + self.displacement_mm
 
+    @classmethod
+    def untouched(cls, x_mm: Floats, y_mm: Floats) -> Self:
+        """Return the undeformed membrane, without contact, on a grid's axes."""
+        shape = (len(y_mm), len(x_mm))
+        return cls(x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3))
+
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
         arrays = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
@@ -134,12 +142,19 @@ class MembraneState:
         return cls(**arrays, contact_radius_mm=float(radius_mm), converged=bool(converged))
 
 
-def flat_state(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> MembraneState:
-    """Return the undeformed membrane, without contact, on the grid of `grid_axes`."""
-    x_mm, y_mm = grid_axes(half_extent_mm)
-    shape = (len(y_mm), len(x_mm))
-    return MembraneState(
-        x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3)
+def covered_extent_mm(
+    elastomer: Elastomer, indenter: Indenter, pose: Pose, half_extent_mm: tuple[float, float]
+) -> tuple[float, float]:
+    """Return how far from the sensor's centre, along x and y, a grid reaches that covers a contact.
+
+    That is at least `half_extent_mm`, but no further than the pad if that is larger than the grid by default.
+    """
+    reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
+    wanted_x, wanted_y = half_extent_mm
+    size_x, size_y = elastomer.pad_size_mm
+    return (
+        min(max(wanted_x, abs(pose.point_x_mm) + reach_mm), size_x / 2),
+        min(max(wanted_y, abs(pose.point_y_mm) + reach_mm), size_y / 2),
     )
 
 
@@ -172,35 +187,20 @@ class SolvedPose:
     @classmethod
     def untouched(cls) -> Self:
         """Return the membrane without contact."""
-        state = flat_state()
+        state = MembraneState.untouched(*grid_axes())
         return cls(state, np.zeros(state.contact.shape, np.float32), np.zeros(3))
 
 
-def placed_surface(
-    pose: Pose,
-    frame: CanonicalFrame,
+def press_onto(
     indenter: Indenter,
-    table: "PolarTable",
-    indenter_mm: Floats,
-    half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], "PolarPlaces"]:
-    """Return a table's membrane at a pose's point; what touches the indenter at `indenter_mm` (3,) lies on it.
-
-    In the sensor's frame, on the rest grid of `grid_axes`: the displacement (ny, nx, 3) in mm, whether each point
-    touches the indenter (ny, nx), and the grid's places in the polar tables of the contact.
-    """
-    rest, places = places_around(half_extent_mm, pose, frame, table)
-    displacement = table.at(places)
-    origin = indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
-    contact = _press_onto(indenter, rest, displacement, origin)
-    turned = (displacement.reshape(-1, 3) @ frame.to_sensor_3d.T).reshape(displacement.shape)
-    return turned.astype(np.float32), contact, places
-
-
-def _press_onto(
-    indenter: Indenter, rest_mm: Floats, displacement_mm: Floats, origin_mm: Floats
+    rest_mm: Floats,
+    displacement_mm: NDArray[np.floating],
+    origin_mm: Floats,
 ) -> NDArray[np.bool_]:
-    """Move points (..., 3) that touch the indenter onto its surface, in place; return which do (...)."""
+    """Move points that touch the indenter, whose origin is at `origin_mm` (3,), onto its surface; return which do (…).
+
+    Their `displacement_mm` (…, 3) from `rest_mm` (…, 2) on the plane is changed in place; it has to be contiguous.
+    """
     depth_mm = min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm)
     reach_mm = indenter.penetration_radius_mm(max(depth_mm, 0.0)) + _BULGE_MM
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
@@ -215,29 +215,6 @@ def _press_onto(
     return contact.reshape(displacement_mm.shape[:-1])
 
 
-def places_around(
-    half_extent_mm: tuple[float, float], pose: Pose, frame: CanonicalFrame, table: "PolarTable"
-) -> tuple[Floats, "PolarPlaces"]:
-    """Return the sensor's grid around a pose's point, in the contact's frame, and its places in polar tables."""
-    turn = tuple(frame.to_sensor.ravel().tolist())
-    point_mm, shape = (pose.point_x_mm, pose.point_y_mm), table.values.shape[:2]
-    return _kept_places(half_extent_mm, point_mm, turn, shape, table.symmetric)
-
-
-# Poses that follow one another often differ in depth alone.
-@lru_cache(maxsize=16)
-def _kept_places(
-    half_extent_mm: tuple[float, float],
-    point_mm: tuple[float, float],
-    turn: tuple[float, ...],
-    shape: tuple[int, ...],
-    symmetric: bool,
-) -> tuple[Floats, "PolarPlaces"]:
-    x_mm, y_mm = grid_axes(half_extent_mm)
-    rest = np.stack(np.meshgrid(x_mm - point_mm[0], y_mm - point_mm[1]), axis=-1) @ np.reshape(turn, (2, 2))
-    return rest, PolarPlaces.of(rest, shape, symmetric)
-
-
 @dataclass(frozen=True)
 class PolarTable:
     """A field of the membrane tabulated over material radius and angle around the contact point.
@@ -249,47 +226,52 @@ class PolarTable:
     values: NDArray[np.float32]
     symmetric: bool
 
-    def at(self, places: "PolarPlaces") -> Floats:
-        """Interpolate linearly at places that are those of tables of this shape and symmetry."""
-        channels = self.values.shape[2]
-        value = places.weights @ self.values.reshape(-1, channels).astype(float)
-        value = value.reshape(*places.side.shape, channels)
+    def around(
+        self, pose: Pose, frame: CanonicalFrame, half_extent_mm: tuple[float, float]
+    ) -> tuple[Floats, Floats]:
+        """Return the grid of `grid_axes` from a pose's point (ny, nx, 2), and the field there, (ny, nx, channels).
+
+        Both in the contact's frame. It is interpolated linearly, and beyond the table its rim holds.
+        """
+        rows, columns, channels = self.values.shape
+        turn, point_mm = tuple(frame.to_sensor.ravel().tolist()), (pose.point_x_mm, pose.point_y_mm)
+        rest, weights, side = _places_around(half_extent_mm, point_mm, turn, (rows, columns), self.symmetric)
+        field = weights @ self.values.reshape(-1, channels).astype(float)
+        field = field.reshape(*side.shape, channels)
         if self.symmetric and channels == 3:
-            value[..., 1] *= places.side
-        return value
+            field[..., 1] *= side
+        return rest, field
 
 
-@dataclass(frozen=True)
-class PolarPlaces:
-    """Where points (...) around the contact point lie in tables of one shape; beyond a table its rim holds.
+# Poses that follow one another often differ in depth alone.
+@lru_cache(maxsize=16)
+def _places_around(
+    half_extent_mm: tuple[float, float],
+    point_mm: tuple[float, float],
+    turn: tuple[float, ...],
+    shape: tuple[int, int],
+    symmetric: bool,
+) -> tuple[Floats, "csr_array", Floats]:
+    """Return the grid around a point (ny, nx, 2), the share of each entry of such a table at each, and y's sign."""
+    from scipy.sparse import csr_array
 
-    `weights` (points, entries) are the shares of the table's entries in the value at each point, `side` (...) is the
-    sign of y.
-    """
-
-    weights: "csr_array"
-    side: Floats
-
-    @classmethod
-    def of(cls, rest_mm: Floats, shape: tuple[int, ...], symmetric: bool) -> "PolarPlaces":
-        """Find points (..., 2) in tables of this shape and symmetry."""
-        from scipy.sparse import csr_array
-
-        rows, columns = shape[:2]
-        x_mm, y_mm = rest_mm[..., 0], rest_mm[..., 1]
-        row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
-        angle = np.arctan2(y_mm, x_mm)
-        column = np.abs(angle) / np.pi if symmetric else (angle / (2 * np.pi)) % 1.0
-        column = np.clip(column * (columns - 1), 0, columns - 1 - 1e-6)
-        i, j = row.astype(np.int32), column.astype(np.int32)
-        outwards, onwards = row - i, column - j
-        corner = i * columns + j
-        entries = np.stack([corner, corner + 1, corner + columns, corner + columns + 1], -1)
-        inner, outer = (1 - outwards) * (1 - onwards), outwards * (1 - onwards)
-        shares = np.stack([inner, (1 - outwards) * onwards, outer, outwards * onwards], -1)
-        first = np.arange(0, entries.size + 1, 4, dtype=np.int32)
-        weights = csr_array((shares.ravel(), entries.ravel(), first), shape=(corner.size, rows * columns))
-        return cls(weights, np.sign(y_mm))
+    x_mm, y_mm = grid_axes(half_extent_mm)
+    rest = np.stack(np.meshgrid(x_mm - point_mm[0], y_mm - point_mm[1]), axis=-1) @ np.reshape(turn, (2, 2))
+    x_mm, y_mm = rest[..., 0], rest[..., 1]
+    rows, columns = shape
+    row = np.clip(_row(np.hypot(x_mm, y_mm)), 0, rows - 1 - 1e-6)
+    angle = np.arctan2(y_mm, x_mm)
+    column = np.abs(angle) / np.pi if symmetric else (angle / (2 * np.pi)) % 1.0
+    column = np.clip(column * (columns - 1), 0, columns - 1 - 1e-6)
+    i, j = row.astype(np.int32), column.astype(np.int32)
+    outwards, onwards = row - i, column - j
+    corner = i * columns + j
+    entries = np.stack([corner, corner + 1, corner + columns, corner + columns + 1], -1)
+    inner, outer = (1 - outwards) * (1 - onwards), outwards * (1 - onwards)
+    shares = np.stack([inner, (1 - outwards) * onwards, outer, outwards * onwards], -1)
+    first = np.arange(0, entries.size + 1, 4, dtype=np.int32)
+    weights = csr_array((shares.ravel(), entries.ravel(), first), shape=(corner.size, rows * columns))
+    return rest, weights, np.sign(y_mm)
 
 
 def polar_table(solution: Solution, record: Record) -> PolarTable:

@@ -3,12 +3,10 @@
 import logging
 import math
 import time
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,12 +20,11 @@ from gelgap.sim.membrane import (
     PolarTable,
     SolvedPose,
     contact_radius_mm,
-    flat_state,
+    covered_extent_mm,
     grid_axes,
     is_folded,
-    placed_surface,
-    places_around,
     polar_table,
+    press_onto,
     pressure_table,
 )
 from gelgap.sim.path import ContactPath, PosePath
@@ -40,8 +37,6 @@ LOG = logging.getLogger(__name__)
 # the smallest at most.
 DEPTHS_PER_DESCENT = 3
 _WIDEST_TO_NARROWEST = 2.7
-# A membrane's grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
-_COVERED_RADII = 1.5
 # Seconds of a core per load step on a mesh of 3000 vertices, on a server of 2023; more where friction slides. An
 # iteration on n vertices takes about n^1.5. Ordering such a mesh and compiling its model takes time as well.
 _SECONDS_PER_STEP = 0.26
@@ -107,16 +102,6 @@ class Solve:
         return newton.solve(problem, tell)
 
 
-def known_pace() -> SimpleNamespace:
-    """Return how long solves take. Deprecated: use `Solve.expected_core_s`; no record of past solves is kept."""
-    message = "known_pace and measured_pace are deprecated: use Solve.expected_core_s"
-    warnings.warn(message, DeprecationWarning, stacklevel=2)
-    return SimpleNamespace(slowness=None, solve_s=lambda problem: Solve(problem).expected_core_s)
-
-
-measured_pace = known_pace
-
-
 @dataclass(frozen=True)
 class Placement:
     """How a pose follows from a solve: by which of its records, seen from which frame."""
@@ -154,19 +139,16 @@ class SolvePlan:
         """
         pose, placement = self.poses[pose_index], self.placements[pose_index]
         indenter = self.indenter if placement is None else solution.problem.body_at(placement.record)
-        reach_mm = pose.radius_mm + _COVERED_RADII * indenter.penetration_radius_mm(pose.depth_mm)
-        point_mm = pose.point_x_mm, pose.point_y_mm
-        extent_mm = tuple(
-            min(max(wanted, abs(point) + reach_mm), size / 2)
-            for wanted, point, size in zip(half_extent_mm, point_mm, self.elastomer.pad_size_mm, strict=True)
-        )
+        extent_mm = covered_extent_mm(self.elastomer, indenter, pose, half_extent_mm)
+        axes_mm = grid_axes(extent_mm)
         if placement is None:
-            return flat_state(extent_mm)
+            return MembraneState.untouched(*axes_mm)
         record, ratio = solution.records[placement.record], self.modulus_ratio(solution)
         table, radius_mm = _table_and_radius(solution, placement.record)
-        on_indenter = pose, placement.frame, indenter, table, record.indenter_mm
-        displacement_mm, contact, _ = placed_surface(*on_indenter, extent_mm)
-        axes_mm = grid_axes(extent_mm)
+        rest_mm, displacement_mm = table.around(pose, placement.frame, extent_mm)
+        origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+        contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
+        displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
         folded = is_folded(*axes_mm, displacement_mm)
         return MembraneState(
             *axes_mm,
@@ -203,6 +185,26 @@ def _table_and_radius(solution: Solution, record_index: int) -> tuple[PolarTable
     return polar_table(solution, record), contact_radius_mm(solution, record)
 
 
+def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
+    """Return one solved pose as polar tables and numbers for a modulus of 1 MPa, as libraries of poses hold it."""
+    record = solution.records[placement.record]
+    per_mpa = 1 / solution.problem.moduli.young_modulus_mpa
+    radius_mm = contact_radius_mm(solution, record)
+    found = diagnose(solution.problem, record, radius_mm, per_mpa, folded=False)
+    force_errors_n = found.fz_error_n, found.shear_error_n
+    return {
+        "displacement_mm": polar_table(solution, record).values,
+        "pressure_mpa": pressure_table(solution, record).values * np.float32(per_mpa),
+        "indenter_mm": record.indenter_mm,
+        "force_n": record.force_n * per_mpa,
+        "torque_n_mm": record.torque_n_mm * per_mpa,
+        "contact_radius_mm": radius_mm,
+        "converged": record.converged,
+        "coarse": found.coarse,
+        "errors": (*force_errors_n, found.contact_radius_error_mm, found.membrane_error_mm),
+    }
+
+
 def solved_pose(plan: SolvePlan, pose_index: int, solution: Solution | None) -> SolvedPose:
     """Return `plan.state` of a pose with pressure and indenter."""
     placement = plan.placements[pose_index]
@@ -211,8 +213,8 @@ def solved_pose(plan: SolvePlan, pose_index: int, solution: Solution | None) -> 
     state, record = plan.state(pose_index, solution), solution.records[placement.record]
     table = pressure_table(solution, record)
     half_extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
-    _, places = places_around(half_extent_mm, plan.poses[pose_index], placement.frame, table)
-    pressure = table.at(places)[..., 0] * plan.modulus_ratio(solution)
+    _, pressure = table.around(plan.poses[pose_index], placement.frame, half_extent_mm)
+    pressure = pressure[..., 0] * plan.modulus_ratio(solution)
     return SolvedPose(state, pressure.astype(np.float32), placement.frame.on_sensor(record.indenter_mm))
 
 

@@ -258,6 +258,10 @@ class CanonicalFrame:
         """Return a vector (3,) of this frame, such as a force, in the sensor's."""
         return self.to_sensor_3d @ vector
 
+    def field_on_sensor(self, field: Floats) -> Floats:
+        """Return a field (…, 3) of vectors of this frame in the sensor's."""
+        return (field.reshape(-1, 3) @ self.to_sensor_3d.T).reshape(field.shape)
+
     def torque_on_sensor(self, torque: Floats) -> Floats:
         """Return a torque (3,) of this frame in the sensor's: a reflection turns it round."""
         return np.linalg.det(self.to_sensor).round() * self.on_sensor(torque) + 0.0

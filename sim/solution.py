@@ -23,11 +23,20 @@ _SUFFIX = ".solution"
 # the problem as JSON, others stack the records' fields. With another number in the mark, older files count as damaged.
 _MARK = b"gelgap solution 1\n"
 _PROBLEM = TypeAdapter(ContactProblem)
-_STACKED = ("displacement_mm", "normal_force_n", "indenter_mm", "force_n", "converged")
+# The arrays of all records, in the file's order, and a record's shape in each, with the number of vertices for −1.
+_STACKED = {
+    "displacement_mm": (-1, 3),
+    "normal_force_n": (-1,),
+    "indenter_mm": (3,),
+    "force_n": (3,),
+    "converged": (),
+    "contact_force_n": (-1, 3),
+    "torque_n_mm": (3,),
+}
 # A vertex sticks if its friction is below this share of Coulomb's bound.
 _STICKING_SHARE = 0.99
 # What files of earlier versions lack: they are read, with NaN for it, and solved again where they are needed.
-_LATER = ("contact_force_n", "torque_n_mm")
+_LATER = {"contact_force_n": "displacement_mm", "torque_n_mm": "force_n"}  # and what is of the same shape
 
 
 @dataclass(frozen=True)
@@ -120,10 +129,7 @@ class Solution:
 def solution_bytes(solution: Solution) -> bytes:
     """Return a solution as the bytes of a file."""
     problem = _PROBLEM.dump_json(solution.problem)
-    stacked = {
-        name: np.stack([getattr(record, name) for record in solution.records])
-        for name in (*_STACKED, *_LATER)
-    }
+    stacked = {name: np.stack([getattr(record, name) for record in solution.records]) for name in _STACKED}
     diagnostics = np.array([astuple(record.diagnostics) for record in solution.records], dtype=np.float64)
     buffer = io.BytesIO()
     np.savez(
@@ -146,39 +152,26 @@ def solution_from_bytes(data: bytes) -> Solution | None:
     try:
         arrays = read_arrays(content)
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
-        for name, like in zip(_LATER, ("displacement_mm", "force_n"), strict=True):
+        for name, like in _LATER.items():
             arrays.setdefault(name, np.full_like(arrays[like], np.nan))
         _check_shapes(arrays, len(problem.waypoints_mm))
     except (ValueError, KeyError):
         return None
     kinds = [type(field.default) for field in fields(SolveDiagnostics)]
-    names = [name for name in (*_STACKED, *_LATER) if name != "converged"]
-    columns = zip(*(arrays[name] for name in (*names, "converged", "diagnostics")), strict=True)
-    records = tuple(
-        Record(
-            **dict(zip(names, values, strict=True)),
-            converged=bool(converged),
-            diagnostics=SolveDiagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True))),
-        )
-        for *values, converged, row in columns
-    )
-    return Solution(problem, arrays["rest_mm"], records)
+    records = []
+    for index, row in enumerate(arrays["diagnostics"]):
+        of_record = {name: arrays[name][index] for name in _STACKED}
+        of_record["converged"] = bool(of_record["converged"])
+        found = SolveDiagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True)))
+        records.append(Record(**of_record, diagnostics=found))
+    return Solution(problem, arrays["rest_mm"], tuple(records))
 
 
 def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
     """Raise ValueError if arrays do not belong together; KeyError if one is missing."""
     vertices = len(arrays["rest_mm"])
-    shapes = {
-        "rest_mm": (vertices, 2),
-        "displacement_mm": (n, vertices, 3),
-        "normal_force_n": (n, vertices),
-        "indenter_mm": (n, 3),
-        "force_n": (n, 3),
-        "contact_force_n": (n, vertices, 3),
-        "torque_n_mm": (n, 3),
-        "converged": (n,),
-        "diagnostics": (n, len(fields(SolveDiagnostics))),
-    }
+    shapes = {name: (n, *(vertices if k < 0 else k for k in shape)) for name, shape in _STACKED.items()}
+    shapes |= {"rest_mm": (vertices, 2), "diagnostics": (n, len(fields(SolveDiagnostics)))}
     for name, shape in shapes.items():
         if arrays[name].shape != shape or arrays[name].dtype.kind not in "bf":
             raise ValueError(f"{name} has another shape or type")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.sim.indenter import Floats
-from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, places_around, traction_table
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, traction_table
 from gelgap.sim.plan import SolvePlan, plan_visit
 from gelgap.sim.scene import Elastomer, Pose
 from gelgap.sim.shapes import AnyIndenter
@@ -112,9 +112,8 @@ def traction_map(
         return Traction(state, point_mm, np.zeros_like(places), area_mm2, 0.0)
     table = traction_table(solution, solution.records[placement.record])
     extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
-    _, in_table = places_around(extent_mm, pose, placement.frame, table)
-    found = table.at(in_table) * plan.modulus_ratio(solution)
-    found = (found.reshape(-1, 3) @ placement.frame.to_sensor_3d.T).reshape(places.shape)
+    _, found = table.around(pose, placement.frame, extent_mm)
+    found = placement.frame.field_on_sensor(found * plan.modulus_ratio(solution))
     return _balanced(Traction(state, point_mm, found, area_mm2, 0.0))
 
 

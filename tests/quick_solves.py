@@ -26,7 +26,7 @@ def coarsen(patch: pytest.MonkeyPatch) -> None:
     for name in ("draft", "standard"):
         patch.setitem(QUALITIES, name, replace(draft, name=name, **meshes))
     # Names of solves that are known by now are those of other meshes.
-    patch.setattr(state, "_path_keys", lru_cache(state._path_keys.__wrapped__))
+    patch.setattr(state, "_library_keys", lru_cache(state._library_keys.__wrapped__))
 
 
 def shrink_libraries(patch: pytest.MonkeyPatch) -> None:

@@ -156,7 +156,7 @@ class Controls:
         with self._lock:
             try:
                 wanted = changed()
-                wanted.path_keys()
+                wanted.library_keys()
             except ValueError as error:
                 self._on_problem(str(error))
                 return

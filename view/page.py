@@ -17,7 +17,7 @@ from gelgap.view.panels import ComparePanel, DataPanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
 from gelgap.view.scene3d import Scene3d
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
-from gelgap.view.state import Configuration, LiveModel, PathRequest, Shown
+from gelgap.view.state import Configuration, LibraryRequest, LiveModel, Shown
 
 _PICTURES_WIDTH_PX = 360
 _KNOBS_WIDTH_PX = 330
@@ -34,7 +34,7 @@ def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -
     Raises
     ------
     ValueError
-        If the gel is too thin for a path, the port is taken, or the host is not this machine's.
+        If the gel is too thin for a library, the port is taken, or the host is not this machine's.
     """
     return Page(start, host, port)
 
@@ -52,7 +52,7 @@ class Page:
         port: int,
         make_solver: Callable[[Callable[[Answer], None]], Solver] = Solver,
     ) -> None:
-        start.path_keys()
+        start.library_keys()
         self._server = _start_server(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         self.shown: Shown | None = None
@@ -62,7 +62,7 @@ class Page:
         self._tasks: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._lock = threading.Lock()
         self._wanted: Configuration | None = None
-        self._failed: PathRequest | None = None
+        self._failed: LibraryRequest | None = None
         self._build(start)
         self._want(start)
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -135,7 +135,7 @@ class Page:
     def _show(self, configuration: Configuration) -> None:
         request = self._model.lacks(configuration)
         if request is not None and request != self._failed:
-            self._readout.say("solving the path of this gel …")
+            self._readout.say("solving this gel …")
             self._solver.request(request)
         shown = self.shown = self._model.show(configuration)
         reference = self._model.pictures.reference(configuration.light, configuration.markers)
@@ -157,12 +157,12 @@ class Page:
             case Failed(request=request, reason=reason):
                 self._readout.show_progress(1, 1)
                 self._readout.say(f"the solve failed: {reason}", bad=True)
-                self._failed = request if isinstance(request, PathRequest) else None
+                self._failed = request if isinstance(request, LibraryRequest) else None
             case Solved(request=request, result=result):
                 self._readout.show_progress(1, 1)
                 self._readout.say("")
-                if isinstance(request, PathRequest):
-                    self._model.add_path(request, result)
+                if isinstance(request, LibraryRequest):
+                    self._model.add_library(request, result)
                 else:
                     self._model.add_pose(request, result)
                 self._want(self._wanted or self.controls.wanted)

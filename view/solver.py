@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from gelgap.sim import SolvedPath, SolvedPose, plan_path, plan_visit, solved_pose
-from gelgap.view.state import PathRequest, PoseRequest
+from gelgap.domains import PoseLibrary
+from gelgap.sim import SolvedPose, plan_visit, solved_pose
+from gelgap.view.state import LibraryRequest, PoseRequest
 
-Request = PathRequest | PoseRequest
+Request = LibraryRequest | PoseRequest
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Solved:
     """The result of a request."""
 
     request: Request
-    result: SolvedPath | SolvedPose
+    result: PoseLibrary | SolvedPose
 
 
 @dataclass(frozen=True)
@@ -127,11 +128,12 @@ def answer_to(request: Request, connection: Connection) -> Answer:
         If another request has come.
     """
     try:
-        if isinstance(request, PathRequest):
-            plan = plan_path(request.elastomer, request.indenter)
+        if isinstance(request, LibraryRequest):
+            solves = request.plan.solved.solves
         else:
             plan = plan_visit(request.elastomer, request.indenter, (request.pose,), request.quality)
-        total = sum(solve.problem.load_steps for solve in plan.solves)
+            solves = plan.solves
+        total = sum(solve.problem.load_steps for solve in solves)
         solutions, before = {}, 0
 
         def tell(done: int, _: int) -> None:
@@ -139,11 +141,11 @@ def answer_to(request: Request, connection: Connection) -> Answer:
                 raise Superseded
             connection.send(Progress(request, before + done, total))
 
-        for solve in plan.solves:
+        for solve in solves:
             solutions[solve.key] = solve.run(tell)
             before += solve.problem.load_steps
-        if isinstance(request, PathRequest):
-            return Solved(request, SolvedPath.from_solutions(plan, solutions))
+        if isinstance(request, LibraryRequest):
+            return Solved(request, request.plan.build(solutions))
         return Solved(request, solved_pose(plan, 0, next(iter(solutions.values()), None)))
     except Superseded:
         raise

@@ -7,32 +7,29 @@ from dataclasses import dataclass, field
 from enum import Flag, auto
 from functools import lru_cache
 
+from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import (
-    PATH_DEPTHS_MM,
-    PATH_TRAVELS_MM,
-    Elastomer,
-    Pose,
-    QualityName,
-    SolvedPath,
-    SolvedPose,
-    Sphere,
-    is_interior,
-    plan_path,
-)
+from gelgap.sim import Elastomer, Pose, QualityName, SolvedPose, Sphere, is_interior
 from gelgap.view.pictures import Light, Picture, PictureMaker
 
-DEEPEST_MM, FARTHEST_MM = PATH_DEPTHS_MM[-1], PATH_TRAVELS_MM[-1]
-# Paths, and poses solved by themselves, that are kept: some MB each.
+SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6
+# One fewer than elsewhere: the page waits for it.
+_DEPTHS = 4
+# Libraries, and poses solved by themselves, that are kept: some MB each.
 _KEPT_SOLUTIONS = 16
 
 
 @dataclass(frozen=True)
-class PathRequest:
-    """The path of a gel, from which all its poses are interpolated."""
+class LibraryRequest:
+    """The library of poses of a gel, from which all its poses are interpolated."""
 
     elastomer: Elastomer
     indenter: Sphere
+
+    @property
+    def plan(self) -> LibraryPlan:
+        ranges = PoseRanges(SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM)
+        return LibraryPlan(self.elastomer, self.indenter, ranges, depths=_DEPTHS)
 
 
 @dataclass(frozen=True)
@@ -62,8 +59,8 @@ class Configuration:
     quality: QualityName = "standard"
 
     @property
-    def path(self) -> PathRequest:
-        return PathRequest(self.elastomer, self.indenter)
+    def library(self) -> LibraryRequest:
+        return LibraryRequest(self.elastomer, self.indenter)
 
     @property
     def exact_pose(self) -> PoseRequest:
@@ -73,20 +70,20 @@ class Configuration:
     def light(self) -> Light:
         return Light(self.sensor, self.illumination, self.quality)
 
-    def path_keys(self) -> tuple[str, ...]:
-        """Return the names of the solves that its path is made of; gels with the same ones share the path.
+    def library_keys(self) -> tuple[str, ...]:
+        """Return the names of the solves that its library is made of; gels with the same ones share the library.
 
         Raises
         ------
         ValueError
-            If the gel is too thin for the path.
+            If the gel is too thin for the library.
         """
-        return _path_keys(self.path)
+        return _library_keys(self.library)
 
 
 @lru_cache(maxsize=256)
-def _path_keys(path: PathRequest) -> tuple[str, ...]:
-    return tuple(solve.key for solve in plan_path(path.elastomer, path.indenter).solves)
+def _library_keys(request: LibraryRequest) -> tuple[str, ...]:
+    return tuple(solve.key for solve in request.plan.solved.solves)
 
 
 class Work(Flag):
@@ -105,7 +102,7 @@ ALL_WORK = Work.FORCE | Work.PICTURE | Work.LIGHT | Work.MEMBRANE | Work.SOLVE
 
 def needed_work(old: Configuration, new: Configuration) -> Work:
     """Return the work that leads from what is shown of one configuration to another."""
-    if old.path_keys() != new.path_keys():
+    if old.library_keys() != new.library_keys():
         return ALL_WORK
     work = Work.NOTHING
     if old.elastomer != new.elastomer:
@@ -137,22 +134,22 @@ class Shown:
 
 
 class LiveModel:
-    """Shows configurations from solved paths and poses that are added to it; call it from one thread only."""
+    """Shows configurations from libraries and poses that are added to it; call it from one thread only."""
 
     def __init__(self) -> None:
         self.pictures = PictureMaker()
-        self._paths: dict[tuple[str, ...], SolvedPath] = {}
-        self._last_path: SolvedPath | None = None
+        self._libraries: dict[tuple[str, ...], PoseLibrary] = {}
+        self._last_library: PoseLibrary | None = None
         self._exact: dict[PoseRequest, SolvedPose] = {}
         self._shown: Shown | None = None
 
-    def lacks(self, configuration: Configuration) -> PathRequest | None:
-        """Return the path that has to be solved for a configuration; None if it is there."""
-        return None if configuration.path_keys() in self._paths else configuration.path
+    def lacks(self, configuration: Configuration) -> LibraryRequest | None:
+        """Return the library that has to be solved for a configuration; None if it is there."""
+        return None if configuration.library_keys() in self._libraries else configuration.library
 
-    def add_path(self, request: PathRequest, path: SolvedPath) -> None:
-        """Take in the path of a gel, and of all gels that share it."""
-        _keep(self._paths, _path_keys(request), path)
+    def add_library(self, request: LibraryRequest, library: PoseLibrary) -> None:
+        """Take in the library of a gel, and of all gels that share it."""
+        _keep(self._libraries, _library_keys(request), library)
         self._shown = None
 
     def add_pose(self, request: PoseRequest, solved: SolvedPose) -> None:
@@ -161,12 +158,12 @@ class LiveModel:
         self._shown = None
 
     def show(self, configuration: Configuration) -> Shown:
-        """Return what is seen; where its own path is not there yet, by the path of the gel before.
+        """Return what is seen; where its own library is not there yet, by the one of the gel before.
 
         Raises
         ------
         ValueError
-            If the pose is off the path, or its membrane is folded.
+            If the library does not reach the pose, or its membrane is folded.
         """
         before = self._shown
         stages_ms: dict[str, float] = {}
@@ -194,18 +191,17 @@ class LiveModel:
         request = configuration.exact_pose
         if request in self._exact:
             return self._exact[request], f"this pose, solved at {configuration.quality}", True
-        elastomer, pose = configuration.elastomer, configuration.pose
-        path = self._paths.get(configuration.path_keys())
-        if path is not None:
-            self._last_path = path
-            said = "interpolated between the poses of a path solved at draft"
-            if not is_interior(elastomer, pose):
+        library = self._libraries.get(configuration.library_keys())
+        if library is not None:
+            self._last_library = library
+            said = "interpolated between poses solved at draft"
+            if not is_interior(configuration.elastomer, configuration.pose):
                 said += "; the pad's edge, which is near, is left out"
-            return path.pose(elastomer, pose), said, False
-        if self._last_path is not None:
+        elif self._last_library is not None:
             said = "until this gel is solved: the one before, its force scaled by Young's modulus"
-            return self._last_path.pose(elastomer, pose), said, False
-        return SolvedPose.untouched(), "no contact is shown until this gel is solved", False
+        else:
+            return SolvedPose.untouched(), "no contact is shown until this gel is solved", False
+        return self._last_library.pose(configuration.elastomer, configuration.pose), said, False
 
 
 def _keep(kept: dict, key: object, value: object) -> None:

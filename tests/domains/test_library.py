@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges, estimate, library, make_recipes, open_domain
 from gelgap.domains.generation.generate import generate_recipes
 from gelgap.domains.generation.plan import Contacts
-from gelgap.sim import Elastomer, Pose, PosePath, Sphere, solve_pose
+from gelgap.sim import Elastomer, Pose, PosePath, Sphere, solve_in_full, solve_pose
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 RANGES = PoseRanges(0.05, 0.1, travel_mm=0.06)
@@ -87,6 +87,26 @@ def test_force_is_that_of_the_modulus(checked: PoseLibrary) -> None:
         checked.state(stiff, pose).force_n, 3 * checked.state(GEL, pose).force_n, rtol=1e-6
     )
     assert LibraryPlan(stiff, Sphere(), RANGES).key == checked.plan.key
+
+
+def test_a_pose_has_its_pressure_and_the_indenters_place(checked: PoseLibrary) -> None:
+    pose = Pose(depth_mm=0.08, shear_y_mm=0.03, point_x_mm=1.0)
+    exact, served = solve_in_full(GEL, Sphere(), pose, "draft"), checked.pose(GEL, pose)
+    np.testing.assert_allclose(served.indenter_mm, exact.indenter_mm, atol=1e-9)
+    assert served.pressure_mpa.max() == pytest.approx(exact.pressure_mpa.max(), rel=0.1)
+    assert served.pressure_mpa.min() == 0
+    assert served.pressure_mpa.sum() == pytest.approx(exact.pressure_mpa.sum(), rel=0.1)
+    untouched = checked.pose(GEL, Pose(depth_mm=0.0))
+    assert not untouched.pressure_mpa.any()
+    assert not untouched.state.displacement_mm.any()
+
+
+def test_an_equilibrium_that_did_not_converge_flags_the_poses_around_it(checked: PoseLibrary) -> None:
+    flags = checked.numbers["converged"].copy()
+    flags[-1, 0] = False
+    doubtful = replace(checked, numbers=checked.numbers | {"converged": flags})
+    assert not doubtful.state(GEL, Pose(depth_mm=0.1)).converged
+    assert doubtful.state(GEL, Pose(depth_mm=checked.depths_mm[0])).converged
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.sim.indenter import Sphere
-from gelgap.sim.membrane import MembraneState, contact_radius_mm, flat_state, grid_axes
+from gelgap.sim.membrane import MembraneState, contact_radius_mm, grid_axes
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Elastomer, Scene, Sharing
 from gelgap.sim.solution import Record, Solution, SolveDiagnostics
@@ -28,7 +28,7 @@ def test_the_grid_reaches_as_far_as_it_must_on_the_same_points() -> None:
 
 
 def test_a_saved_state_comes_back(tmp_path: Path) -> None:
-    flat = flat_state()
+    flat = MembraneState.untouched(*grid_axes())
     displacement = np.random.default_rng(0).normal(size=flat.displacement_mm.shape).astype(np.float32)
     state = MembraneState(
         flat.x_mm, flat.y_mm, displacement, displacement[..., 0] > 1, np.array([0.1, 0.2, -1.0]), 0.7, False
@@ -41,7 +41,7 @@ def test_a_saved_state_comes_back(tmp_path: Path) -> None:
 
 
 def test_a_saved_state_has_the_documented_keys(tmp_path: Path) -> None:
-    flat_state().save(tmp_path / "state.npz")
+    MembraneState.untouched(*grid_axes()).save(tmp_path / "state.npz")
     with np.load(tmp_path / "state.npz") as file:
         assert {"x_mm", "y_mm", "displacement_mm", "contact", "force_n"} <= set(file)
 

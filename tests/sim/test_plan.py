@@ -10,7 +10,7 @@ import pytest
 from gelgap.sim.indenter import Sphere
 from gelgap.sim.newton import solve
 from gelgap.sim.path import ContactPath, PosePath
-from gelgap.sim.plan import SolvePlan, known_pace, measured_pace, plan_solves, plan_visit
+from gelgap.sim.plan import SolvePlan, plan_solves
 from gelgap.sim.scene import Elastomer, Pose, Sharing
 from gelgap.sim.solution import cache_use, clear_cache, load_solution, store_solution
 
@@ -184,13 +184,6 @@ def test_progress_goes_from_none_to_all_without_going_back(cache: Path) -> None:
     assert told[0] == (0, steps)
     assert told[-1] == (steps, steps)
     assert [done for done, _ in told] == sorted(done for done, _ in told)
-
-
-def test_names_of_the_former_time_estimate_still_answer() -> None:
-    (solve,) = plan_visit(GEL, Sphere(), (Pose(depth_mm=0.2),), "draft").solves
-    for former in (known_pace, measured_pace):
-        with pytest.warns(DeprecationWarning, match="Solve.expected_core_s"):
-            assert former().solve_s(solve.problem) == solve.expected_core_s
 
 
 def _store_concurrently(solution) -> None:

@@ -1,49 +1,44 @@
-"""A path in closed form, so that the live model is tested without a solver."""
+"""A library in closed form, so that the live model is tested without a solver."""
 
 import numpy as np
 import pytest
 
+from gelgap.domains import PoseLibrary
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import PATH_DEPTHS_MM, PATH_TRAVELS_MM, Elastomer, SolvedPath, Sphere
+from gelgap.sim import Elastomer, Sphere
 from gelgap.sim.membrane import _SECTORS, table_radius_mm
 from gelgap.view import Configuration, LiveModel
-from gelgap.view.state import PathRequest
+from gelgap.view.state import LibraryRequest
 
-ROWS = 90
+RADIUS_MM = table_radius_mm(np.arange(90.0))
 
 
 def _dent(depth_mm: float, travel_mm: float) -> np.ndarray:
     """Return the polar table of a smooth dent that is dragged along x."""
-    radius = table_radius_mm(np.arange(ROWS))
-    bell = np.exp(-((radius / 1.2) ** 2))[:, None] * np.ones(_SECTORS + 1)
+    bell = np.exp(-((RADIUS_MM / 1.2) ** 2))[:, None] * np.ones(_SECTORS + 1)
     return np.stack([0.5 * travel_mm * bell, 0 * bell, -depth_mm * bell], axis=-1).astype(np.float32)
 
 
 @pytest.fixture(scope="session")
-def dent_path() -> SolvedPath:
-    """Forces are −10 d^1.5 N along z per MPa and half the travel along x."""
-    depths, travels = np.array([0.0, *PATH_DEPTHS_MM]), np.array(PATH_TRAVELS_MM)
-    shape = (len(depths), len(travels))
-    force = np.zeros((*shape, 3))
-    force[..., 0] = 0.5 * travels * (depths > 0)[:, None]
-    force[..., 2] = -10 * depths[:, None] ** 1.5
-    indenter = np.zeros((*shape, 3))
-    indenter[..., 0], indenter[..., 2] = travels, -depths[:, None]
-    displacement = np.stack([[_dent(depth, travel) for travel in travels] for depth in depths])
-    return SolvedPath(
-        Sphere(),
-        depths,
-        travels,
-        displacement,
-        -displacement[..., 2:],
-        indenter,
-        force,
-        np.zeros_like(force),
-        np.sqrt(depths)[:, None] * np.ones(shape),
-        np.ones(shape, bool),
-        np.zeros(shape, bool),
-        np.zeros((*shape, 4)),
+def dents() -> PoseLibrary:
+    """Forces are −10 d^1.5 N along z per MPa, and half of that along x at the farthest travel."""
+    plan = LibraryRequest(Elastomer.preset("e04"), Sphere()).plan
+    depths = np.array(plan.depths_mm)
+    travels = np.array([plan.travels_mm(depth) for depth in depths])
+    displacement = np.array(
+        [[_dent(depth, travel) for travel in row] for depth, row in zip(depths, travels, strict=True)]
     )
+    share, press = travels / travels[0, -1], np.ones_like(travels)
+    numbers = {
+        "force_n": np.stack([5 * share, 0 * share, -10 * press], axis=-1),
+        "torque_n_mm": np.zeros((*travels.shape, 3)),
+        "contact_radius_mm": press,
+        "mount_mm": np.zeros((*travels.shape, 3)),
+        "errors": np.zeros((*travels.shape, 4)),
+        "converged": np.ones(travels.shape, bool),
+        "coarse": np.zeros(travels.shape, bool),
+    }
+    return PoseLibrary(plan, depths, RADIUS_MM, displacement, -displacement[..., 2:], numbers)
 
 
 @pytest.fixture(scope="session")
@@ -52,7 +47,7 @@ def start() -> Configuration:
 
 
 @pytest.fixture
-def model(dent_path: SolvedPath, start: Configuration) -> LiveModel:
+def model(dents: PoseLibrary, start: Configuration) -> LiveModel:
     model = LiveModel()
-    model.add_path(PathRequest(start.elastomer, start.indenter), dent_path)
+    model.add_library(start.library, dents)
     return model

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
+from gelgap.domains import PoseLibrary
 from gelgap.render import Camera
-from gelgap.sim import Elastomer, Pose, SolvedPath, SolvedPose, Sphere
+from gelgap.sim import Elastomer, Pose, SolvedPose, Sphere
 from gelgap.view import save_mesh
 from gelgap.view.meshes import coloured_mesh, membrane_mesh
 
 
 @pytest.fixture(scope="module")
-def solved(dent_path: SolvedPath) -> SolvedPose:
-    return dent_path.pose(Elastomer.preset("e04"), Pose(depth_mm=0.6, shear_x_mm=0.2))
+def solved(dents: PoseLibrary) -> SolvedPose:
+    return dents.pose(Elastomer.preset("e04"), Pose(depth_mm=0.6, shear_x_mm=0.2))
 
 
 PICTURE = np.zeros((240, 320, 3), np.uint8)

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from loaded_file import load_file
 
-from gelgap.sim import Pose, SolvedPath, SolvedPose
+from gelgap.domains import PoseLibrary
+from gelgap.sim import Pose, SolvedPose
 from gelgap.view import Configuration
 from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
-from gelgap.view.state import PathRequest
+from gelgap.view.state import LibraryRequest
 
 pytest.importorskip("viser")
 PICTURES = load_file(Path(__file__).parents[2] / "scripts" / "guide_pictures.py")
@@ -27,10 +28,10 @@ needs_browser = pytest.mark.skipif(
 
 
 class FakeSolver:
-    """Answers at once: with a path in closed form, or with a failure while `reason` is given."""
+    """Answers at once: with a library in closed form, or with a failure while `reason` is given."""
 
-    def __init__(self, on_answer: Callable[[Answer], None], path: SolvedPath) -> None:
-        self._on_answer, self._path = on_answer, path
+    def __init__(self, on_answer: Callable[[Answer], None], library: PoseLibrary) -> None:
+        self._on_answer, self._library = on_answer, library
         self.requests: queue.Queue[Request] = queue.Queue()
         self.reason = ""
 
@@ -40,7 +41,7 @@ class FakeSolver:
         if self.reason:
             self._on_answer(Failed(request, self.reason))
             return
-        result = self._path if isinstance(request, PathRequest) else SolvedPose.untouched()
+        result = self._library if isinstance(request, LibraryRequest) else SolvedPose.untouched()
         self._on_answer(Solved(request, result))
 
     def close(self) -> None:
@@ -48,10 +49,10 @@ class FakeSolver:
 
 
 @pytest.fixture
-def page(start: Configuration, dent_path: SolvedPath) -> Iterator[Any]:
+def page(start: Configuration, dents: PoseLibrary) -> Iterator[Any]:
     from gelgap.view.page import Page
 
-    page = Page(start, "127.0.0.1", 0, lambda on_answer: FakeSolver(on_answer, dent_path))
+    page = Page(start, "127.0.0.1", 0, lambda on_answer: FakeSolver(on_answer, dents))
     yield page
     page.close()
 

@@ -8,7 +8,7 @@ import pytest
 
 from gelgap.sim import Elastomer, Pose, SolvedPose, Sphere
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver, Superseded, answer_to
-from gelgap.view.state import PathRequest, PoseRequest
+from gelgap.view.state import LibraryRequest, PoseRequest
 
 GEL = Elastomer.preset("e04")
 UNTOUCHED = PoseRequest(GEL, Sphere(), Pose(depth_mm=0.0), "draft")
@@ -49,7 +49,7 @@ def test_a_pose_is_solved_with_progress() -> None:
 
 def test_a_newer_request_ends_a_solve() -> None:
     with pytest.raises(Superseded):
-        answer_to(PathRequest(GEL, Sphere()), Line(newer=True))
+        answer_to(LibraryRequest(GEL, Sphere()), Line(newer=True))
 
 
 def test_what_fails_is_an_answer() -> None:
@@ -67,7 +67,7 @@ def test_a_process_that_dies_is_reported_and_replaced() -> None:
         answer = answers.get(timeout=PATIENCE_S)
         assert isinstance(answer, Solved)
         assert isinstance(answer.result, SolvedPose)
-        solving.request(PathRequest(GEL, Sphere()))
+        solving.request(LibraryRequest(GEL, Sphere()))
         os.kill(solving._process.pid, signal.SIGKILL)
         found = answers.get(timeout=PATIENCE_S)
         while isinstance(found, Progress):
@@ -84,7 +84,7 @@ def test_only_the_newest_request_is_answered() -> None:
     answers: queue.Queue[Answer] = queue.Queue()
     solving = Solver(answers.put)
     try:
-        solving.request(PathRequest(GEL, Sphere()))
+        solving.request(LibraryRequest(GEL, Sphere()))
         solving.request(UNTOUCHED)
         answer = answers.get(timeout=PATIENCE_S)
         assert answer.request == UNTOUCHED

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelgap.domains import PoseLibrary
 from gelgap.render import Illumination, MembraneRenderer, Sensor
-from gelgap.sim import Elastomer, Pose, SolvedPath, SolvedPose
+from gelgap.sim import Elastomer, Pose, SolvedPose
 from gelgap.view import Configuration, LiveModel
 from gelgap.view.pictures import SIZE_PX
 from gelgap.view.state import ALL_WORK, Work, needed_work
@@ -77,8 +78,8 @@ def test_modulus_scales_the_force_and_keeps_the_picture(model: LiveModel, start:
     assert after.picture is before.picture
 
 
-def test_a_gel_without_a_path_says_so_and_shows_the_one_before(
-    model: LiveModel, start: Configuration, dent_path: SolvedPath
+def test_a_gel_without_a_library_says_so_and_shows_the_one_before(
+    model: LiveModel, start: Configuration, dents: PoseLibrary
 ) -> None:
     other = CHANGES["friction"][0](start)
     model.show(start)
@@ -87,7 +88,7 @@ def test_a_gel_without_a_path_says_so_and_shows_the_one_before(
     assert shown.solved.state.force_n[2] < 0
     request = model.lacks(other)
     assert request.elastomer == other.elastomer
-    model.add_path(request, dent_path)
+    model.add_library(request, dents)
     assert model.lacks(other) is None
     assert "interpolated" in model.show(other).source
 
@@ -119,8 +120,8 @@ def test_the_edge_of_the_pad_is_not_passed_over_in_silence(model: LiveModel, sta
     assert "edge" in model.show(replace(start, pose=Pose(depth_mm=0.5, point_x_mm=5.0))).source
 
 
-def test_a_pose_off_the_path_is_refused(model: LiveModel, start: Configuration) -> None:
-    with pytest.raises(ValueError, match=r"depth_mm = 1\.2: the path ends at 1 mm"):
+def test_a_pose_beyond_the_library_is_refused(model: LiveModel, start: Configuration) -> None:
+    with pytest.raises(ValueError, match=r"depth_mm = 1\.2: the library ends at 1 mm"):
         model.show(replace(start, pose=Pose(depth_mm=1.2)))
 
 
