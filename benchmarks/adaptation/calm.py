@@ -45,7 +45,7 @@ def measure(study: Study) -> None:
         for rounding in (0, 1)
         for run in grid(cases, methods, [seed], changes)
     ]
-    study.generate_roles(runs)
+    study.generate_for(runs)
     study.run(calm_run, runs, FILE)
 
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,11 +41,13 @@ CLOSED = 1.1
 
 def measure(study: Study) -> None:
     """Do the missing runs on the nine groups, then those on single gaps, by default of five seeds."""
-    study.generate_sets("paired")
-    seeds, nine = study.seeds or SEEDS, [("paired", group) for group in board.GROUPS]
-    study.run(label_run, grid(nine, METHODS, seeds), RECORD)
-    own, recipes = study.within("gaps", PROFILE), unseen_gaps().values()
-    if time.time() < own.stop:
+    seeds = study.seeds or SEEDS
+    nine = grid([("paired", group) for group in board.GROUPS], METHODS, seeds)
+    study.generate_for(nine)
+    study.run(label_run, nine, RECORD)
+    if time.time() < study.stop:
+        folder, recipes = study.out / "gaps", unseen_gaps().values()
+        own = replace(study, data=folder / "data", out=folder / "runs", profile=PROFILE)
         own.generate(list(recipes))
         cases = [("paired", (BASE, recipe.name)) for recipe in recipes]
         own.run(label_run, grid(cases, METHODS, seeds, board.AT_RANDOM), RECORD)

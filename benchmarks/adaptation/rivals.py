@@ -89,7 +89,7 @@ def measure_crossed(study: Study) -> None:
 
 def _measure(study: Study, runs: list[Setting], file: str) -> None:
     ceilings = ceiling_grid(runs)
-    study.generate_roles([*ceilings, *runs])
+    study.generate_for([*ceilings, *runs])
     study.run(adapt_run, runs, file)
     study.run(adapt_run, ceilings, RUNS)
 

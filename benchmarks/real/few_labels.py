@@ -121,9 +121,6 @@ class FewLabelStudy(SessionStudy):
         data = FZ_RANGE_N, STEPS, key_of_session(session), start
         return self.stated(self.profile_of(run), run["method"], *data)
 
-    def stage1_of(self, run: Setting) -> None:
-        """Return that runs share no first stage."""
-
 
 def few_label_runs(
     session: str, budgets: Iterable[Budget], rates: Mapping[str, Sequence[float]], draws: Iterable[int]
