@@ -4,6 +4,7 @@ A run is a setting: a method on a group of a data set with a seed. `adapt_run` t
 record. A study is a grid of settings, a file of records, and tables that are queries on them: a `Part`.
 """
 
+import datetime
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -230,6 +231,7 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
     """
     from gelgap.adapt import find_method
+    from gelgap.adapt.methods.registry import method_code
     from gelgap.adapt.runs import run_method
 
     frames = study.frames_of(run)
@@ -237,6 +239,8 @@ def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None
     done, model = run_method(frames, stage1, run["method"])
     results = {
         "versions": versions_line(),
+        "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+        "code_sha256": method_code(run["method"]),
         "control": control_of(run["method"]),
         "problem": done.problem,
         "mae_n": short(done.target_test.mae_n),
