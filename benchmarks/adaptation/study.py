@@ -189,7 +189,7 @@ class Study:
             "settings": settings,
         }
 
-    def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
+    def stage1(self, run: Setting, source_train: "LabelledFrames", weights: Path | None = None) -> "Stage1":
         """Return the first stage of a run; all methods of a group, split and seed share it: one trains, others wait."""
         from gelgap.adapt import Stage1
 
@@ -198,7 +198,7 @@ class Study:
                 with key_lock(self.checkpoint.parent, self.checkpoint.name):
                     return super().model()
 
-        return SharedStage1(source_train, self.profile_of(run), run["seed"], out=self.out)
+        return SharedStage1(source_train, self.profile_of(run), run["seed"], weights, self.out)
 
 
 def configuration_of(profile: "Profile", *data: Any) -> str:
@@ -224,18 +224,21 @@ def adapt_run(study: Study, run: Setting) -> Results:
     return trained(study, run)[2]
 
 
-def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None, Results]":
+def trained(
+    study: Study, run: Setting, weights: Path | None = None
+) -> "tuple[SplitFrames, ForceModel | None, Results]":
     """Train both stages of a run; return its frames, its model, and errors on the target's test frames, by axis.
 
-    A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
-    with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
+    Stage 1 starts from weights, if there are some. A run that stopped with a problem (its features collapsed, or its
+    losses were not finite) has no model, and counts with the errors of the source's mean force. `stage1_s` is 0 where
+    another run had trained the checkpoint.
     """
     from gelgap.adapt import find_method
     from gelgap.adapt.methods.registry import method_code
     from gelgap.adapt.runs import run_method
 
     frames = study.frames_of(run)
-    stage1 = study.stage1(run, frames.source_train)
+    stage1 = study.stage1(run, frames.source_train, weights)
     done, model = run_method(frames, stage1, run["method"])
     results = {
         "versions": versions_line(),
