@@ -79,14 +79,19 @@ def headline_grid(
 ) -> list[Setting]:
     """Return all runs: a seed is complete, ceilings first, before the next one begins; shifted labels are last."""
     seeds, groups = list(seeds), list(groups or (*GROUPS, *LIGHT_GROUPS))
-    targets = dict.fromkeys(target for _, target in groups)
     own = [method for method in methods or board.METHODS if method != CEILING]
     main = [method for method in methods or (*board.MAIN_METHODS, "label-shift") if method != CEILING]
     found = []
     for seed in seeds:
-        found += grid([(designs.DATA, (target, target)) for target in targets], [PLAIN], [seed])
-        found += grid([(designs.DATA, group) for group in groups], own, [seed])
+        runs = grid([(designs.DATA, group) for group in groups], own, [seed])
+        found += [*ceilings_of(runs), *runs]
     return found + grid([(board.LABEL_SHIFT, group) for group in groups], main, seeds)
+
+
+def ceilings_of(runs: list[Setting]) -> list[Setting]:
+    """Return the ceilings of the targets of runs: training on themselves, on the profile's own input."""
+    targets = dict.fromkeys((run["target"], run["seed"]) for run in runs)
+    return [run for name, seed in targets for run in grid([(designs.DATA, (name, name))], [PLAIN], [seed])]
 
 
 def load_headline(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
@@ -206,11 +211,6 @@ def halves(errors: pd.DataFrame) -> str:
     return (
         f"Order of methods in two halves of the seeds: Kendall's τ = {kendalltau(*of_halves).statistic:.2f}."
     )
-
-
-def constant_mean(runs: pd.DataFrame) -> pd.Series:
-    """Return the error of predicting the source's mean force by group, N, mean over methods and seeds."""
-    return runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
 
 
 def tables(folder: Path) -> list[ResultTable]:
@@ -349,29 +349,16 @@ def control_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resu
 def group_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
     """The main methods group by group, beside rules and the ceiling."""
     errors = counted(runs)
-    shown = [method for method in errors if method in (*RULES, *board.MAIN_METHODS)]
-    means = by_group(errors[shown])
-    frame = errors[shown].groupby(level="group", sort=False).agg(mean_and_deviation).astype(object)
-    frame.loc["mean"] = means.mean(skipna=False)
-    names = {group: group for group in means.index}
-    if PLAIN in means:
-        worse = means.index[means[PLAIN] > constant_mean(runs)[means.index]]
-        names |= {group: f"{group} †" for group in worse}
-    note = "no ceiling was found."
+    errors = errors[[method for method in errors if method in (*RULES, *board.MAIN_METHODS)]]
+    frame = errors.groupby(level="group", sort=False).agg(mean_and_deviation).astype(object)
+    frame.loc["mean"] = by_group(errors).mean(skipna=False)
     if len(ceilings):
         own = ceilings["error_n"].groupby(level="target").mean()
-        targets = frame.index.str.partition(" → ").get_level_values(2)
-        frame["ceiling"] = own.reindex(targets).to_numpy()
-        names |= {
-            group: f"{names[group]} *"
-            for group, target in zip(frame.index, targets, strict=True)
-            if target and target not in usable(ceilings)
-        }
-        note = f"* The ceiling's R² is below {LEAST_R2:g} on an axis, so that no headroom is counted."
+        frame["ceiling"] = [own.get(group.partition(" → ")[2]) for group in frame.index]
     return result_table(
         f"Group by group, {data} contacts: mean MAE on the target's test frames, N",
-        frame.rename(names).rename_axis("group"),
-        f"± standard deviation over {_seeds(runs)}. † {PLAIN} is worse than the source's mean force always. {note}",
+        frame,
+        f"± standard deviation over {_seeds(runs)}.",
         {"": "{:.3f}"},
     )
 
@@ -409,7 +396,7 @@ def plot_groups(runs: pd.DataFrame) -> "Figure":
     deviations = errors[shown].groupby(level="group", sort=False).std().fillna(0.0)
     means.plot.bar(ax=axes, yerr=deviations, width=0.8, rot=0, legend=False, fontsize=8, xlabel="")
     place = np.arange(len(means))
-    level = constant_mean(runs)[means.index]
+    level = runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()[means.index]
     axes.hlines(level, place - 0.4, place + 0.4, "k", "dotted", label=CONSTANT)
     axes.set_xticklabels([group.replace(" → ", "\n→ ") for group in means.index])
     axes.set_ylabel("target MAE, N")

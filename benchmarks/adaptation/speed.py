@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gelgap.adapt import Profile
     from gelgap.domains import ArrayFrames
 
-PLAIN, STAGE_1, MIXED = "plain PyTorch, source regression", "stage 1", "stage 1, mixed colours"
+PLAIN, STAGE_1 = "plain PyTorch, source regression", "stage 1"
 STAGE_2 = "stage 2, "
 BASE = "supervised"
 """Two regressions: a step through both domains whose loss costs nothing."""
@@ -34,7 +34,7 @@ def measure(study: Study) -> None:
 
     methods, count, repeats = QUICK if study.is_quick else (METHODS, FRAMES, REPEATS)
     profile = Profile.preset(study.profile)
-    loops = [PLAIN, STAGE_1, *([MIXED] if profile.colour_mixing else []), *map(STAGE_2.__add__, methods)]
+    loops = [PLAIN, STAGE_1, *map(STAGE_2.__add__, methods)]
     grid = [{"loop": loop, "turn": turn} for turn in range(repeats) for loop in loops]
     time_one = partial(time_loop, random_frames(profile, count), profile)
     time_one(grid[0])  # warm up
@@ -48,16 +48,18 @@ def time_loop(frames: "ArrayFrames", profile: "Profile", setting: Setting) -> Re
     from gelgap.adapt.trainer import untrained
 
     loop = setting["loop"]
-    short = profile.replace(source_epochs=EPOCHS, adapt_epochs=EPOCHS, transfer_warmup=0.0, transfer_ramp=0.0)
+    profile = profile.replace(
+        **{"source_epochs": EPOCHS, "adapt_epochs": EPOCHS, "colour_mixing": 0.0},
+        **{"transfer_weight": 1e-6, "transfer_warmup": 0.0, "transfer_ramp": 0.0},
+    )
     started = time.process_time()
     if loop == PLAIN:
         history = list(plain_loop(frames, profile))
     elif loop.startswith(STAGE_2):
-        short = short.replace(transfer_weight=1e-6)
-        start = untrained(frames, short, 0)
-        history = adapt(start, frames, frames, loop.removeprefix(STAGE_2), short).history
+        method = loop.removeprefix(STAGE_2)
+        history = adapt(untrained(frames, profile, 0), frames, frames, method, profile).history
     else:
-        history = train_source(frames, short if loop == MIXED else short.replace(colour_mixing=0.0)).history
+        history = train_source(frames, profile).history
     processor_s, epochs = time.process_time() - started, pd.DataFrame(history)
     return {
         "step_ms": 1e3 * epochs["wall_s"].median() / (len(frames) // profile.batch_size),

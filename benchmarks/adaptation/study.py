@@ -67,11 +67,11 @@ class Study:
     data: Path
     out: Path
     profile: str
-    seeds: tuple[int, ...] | None = None
+    seeds: tuple[int, ...] = ()
     workers: int | None = None
     stop: float = math.inf
-    methods: tuple[str, ...] | None = None
-    groups: tuple[board.Group, ...] | None = None
+    methods: tuple[str, ...] = ()
+    groups: tuple[board.Group, ...] = ()
 
     @classmethod
     def at(cls, folder: Path, **limits: Any) -> "Study":
@@ -87,7 +87,7 @@ class Study:
         """Return the names of the chosen methods, if any; classes of one's own are known by theirs from now on."""
         from gelgap.adapt.methods.registry import use_method
 
-        return tuple(map(use_method, self.methods or ()))
+        return tuple(map(use_method, self.methods))
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
         """Generate what is missing of some domains of a data set, if there are any."""

@@ -157,10 +157,6 @@ def test_a_ceiling_that_is_none_is_left_out(tmp_path):
     verdicts = {row[0]: row[-1] for row in ceiling_table(own).cells}
     assert verdicts["wmb2i2"] == "NO"
     assert verdicts["mb0i0"] == "yes"
-    marked = {row[0] for row in group_table(load_headline(folder), designs.DATA, own).cells}
-    assert {name for name in marked if name.endswith(" *")} == {
-        name + " *" for name in ("wmb0i0 → wmb2i2", "wmb1i1 → wmb2i2", "mb0i0 → wmb2i2")
-    }
 
 
 def test_rules_are_rows_of_every_table(tmp_path):
@@ -210,16 +206,6 @@ def test_methods_are_compared_on_what_all_have_finished(tmp_path):
     assert errors["source-only"].iloc[0] == pytest.approx(0.3)
     assert "17 of 18" in method_table(runs, "paired", NO_CEILINGS).note
     assert list(errors.columns) == ["source-only", "dsan", "supervised"]
-
-
-def test_groups_in_which_source_only_is_worse_than_the_constant_mean_are_marked(tmp_path):
-    found = changed(
-        records({"source-only": 0.3, "dsan": 0.15}, seeds=1),
-        lambda run: (run["source"], run["target"], run["method"]) == (*GROUPS[2], "source-only"),
-        mae_n=(0.5,) * 3,
-    )
-    table = group_table(load_headline(write_benchmark(tmp_path, found), "paired"), "paired", NO_CEILINGS)
-    assert [row[0].endswith(" †") for row in table.rows] == [i == 2 for i in range(10)]
 
 
 def test_all_tables_of_two_data_sets(tmp_path):
