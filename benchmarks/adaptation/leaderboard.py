@@ -27,6 +27,7 @@ OWN = "trained-on-target"
 """The name of the ceilings among the methods."""
 _BAD_INPUT = 2
 _PLACE = ["source", "target", "seed"]
+_SETTING = "settings."
 _AGREE_N = 1e-3
 
 
@@ -75,6 +76,8 @@ def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
     KeyError, TypeError, FileNotFoundError
         If they lack something, or the board's data do.
     """
+    if runs.duplicated(_PLACE).any():
+        raise ValueError("has a run twice")
     rows = []
     for run in runs.to_dict("records"):
         where = f"{run['source']} → {run['target']}, seed {run['seed']}"
@@ -103,13 +106,10 @@ def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
                 f"{found.mean_mae_n:.4f} N"
             )
         constant = evaluate_constant_mean(frames.source_train, test)
-        own = [
-            f"{name[9:]} = {run[name]}"
-            for name in run
-            if name.startswith("settings.") and run[name] == run[name]
-        ]
+        own = {name.removeprefix(_SETTING): run[name] for name in run if name.startswith(_SETTING)}
+        own = ", ".join(f"{name} = {value}" for name, value in own.items() if pd.notna(value))
         computed = {"mae_n": found.mae_n, "r2": found.r2, "constant_mean_n": constant.mae_n}
-        rows.append(run | computed | {"own_settings": ", ".join(own) or None, "when": run.get("when")})
+        rows.append(run | computed | {"own_settings": own or None, "when": run.get("when")})
     return with_errors(pd.DataFrame(rows))
 
 

@@ -120,6 +120,14 @@ def test_what_does_not_hold_is_not_ranked(study, folder, change, reason):
     assert [row[0] for row in table.cells] == ["adabn", "source-only"]
 
 
+def test_a_run_that_stands_twice_is_not_ranked(study, folder):
+    runs = [(setting | {"copy": copy}, results) for copy in (0, 1) for setting, results in mine(study)]
+    write_runs(folder / "Bob.jsonl", runs)
+    (table,), refused = ranked(folder, study)
+    assert refused == {"Bob.jsonl: mine.Mine on disjoint contacts": "has a run twice"}
+    assert len(table.rows) == 2
+
+
 def test_predictions_that_are_gone_are_not_ranked(study, folder):
     shutil.rmtree(folder / "Ada")
     assert ranked(folder, study) == ([], {})
