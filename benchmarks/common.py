@@ -8,6 +8,7 @@ import contextlib
 import dataclasses
 import hashlib
 import io
+import itertools
 import json
 import math
 import multiprocessing
@@ -16,10 +17,11 @@ import statistics
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -50,7 +52,6 @@ def run_missing(
     workers: int | None = None,
     tasks_per_worker: int | None = None,
     fixed: Callable[[Setting], Results] = lambda setting: {},
-    shared: Callable[[Setting], str | None] = lambda setting: None,
     describe: Callable[[Results], str] = lambda record: "",
     stop: float = math.inf,
 ) -> "pd.DataFrame":
@@ -70,9 +71,6 @@ def run_missing(
         After how many settings a fresh process takes the place of a worker, even of a single one; None: never.
     fixed
         What a record of a setting states besides its results, such as a hash of the data.
-    shared
-        Name of what a setting needs that the first one of that name makes for all of them, such as a checkpoint: the
-        others wait until that one has finished. None: nothing.
     describe
         What the line that is printed for each new record says of it.
     stop
@@ -100,7 +98,7 @@ def run_missing(
     if workers == 1 and tasks_per_worker is None:
         done = ((key, _measured(*measure, key, todo[key])) for key in todo if time.time() < stop)
     else:
-        done = _on_workers(measure, todo, shared, workers or cores, tasks_per_worker, stop)
+        done = _on_workers(measure, todo, workers or cores, tasks_per_worker, stop)
     with contextlib.closing(done):
         for number, (key, results) in enumerate(done, 1):
             record = {_JOB: wanted[key], **stated[key], **results}
@@ -142,37 +140,31 @@ def _measured(
 def _on_workers(
     measure: Sequence[Any],
     todo: dict[str, Setting],
-    shared: Callable[[Setting], str | None],
     workers: int,
     tasks_per_worker: int | None,
     stop: float,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield results as worker processes find them; a setting waits while another one makes what both need."""
-    needs = {key: shared(setting) for key, setting in todo.items()}
-    made: set[str | None] = {None}
-    running: dict[Future, str] = {}
-    environment = dict(os.environ)
-    with ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_end_with_parent,
-        max_tasks_per_child=tasks_per_worker,
-    ) as pool:
+    """Yield results as worker processes find them."""
+    waiting, running = iter(todo.items()), {}
+    with (
+        patch.dict(os.environ, ONE_THREAD),
+        ProcessPoolExecutor(
+            workers,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_end_with_parent,
+            max_tasks_per_child=tasks_per_worker,
+        ) as pool,
+    ):
         try:
-            os.environ.update(ONE_THREAD)
             while True:
-                in_the_making = {needs[key] for key in running.values()} - made
-                for key in list(todo):
-                    if len(running) < workers and needs[key] not in in_the_making and time.time() < stop:
-                        with defer_signals():
-                            running[pool.submit(_measured, *measure, key, todo.pop(key))] = key
-                        in_the_making |= {needs[key]} - made
+                free = workers - len(running) if time.time() < stop else 0
+                for key, setting in itertools.islice(waiting, free):
+                    with defer_signals():
+                        running[pool.submit(_measured, *measure, key, setting)] = key
                 if not running:
                     return
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    key = running.pop(future)
-                    yield key, future.result()
-                    made.add(needs[key])
+                    yield running.pop(future), future.result()
         except BrokenProcessPool as error:
             raise RuntimeError(
                 "a worker process died, perhaps for want of memory: start fewer; finished measurements are kept, run "
@@ -185,9 +177,6 @@ def _on_workers(
             for process in processes:
                 process.kill()
             raise
-        finally:
-            os.environ.clear()
-            os.environ.update(environment)
 
 
 def _end_with_parent() -> None:
@@ -293,20 +282,41 @@ def write_json(path: Path, results: Any) -> None:
     write_whole(path, (json.dumps(results, indent=1, default=_plain) + "\n").encode())
 
 
-def bootstrap(values: np.ndarray) -> tuple[float, float]:
-    """Return the 95 % percentile interval of the mean over cases of the means over seeds (cases, seeds), NaN: no run.
+def drawn_means(values: np.ndarray, clusters: Sequence[object] | None = None) -> np.ndarray:
+    """Return bootstrap means (RESAMPLES, …) of values (…, cases, seeds), NaN: no run; the same in every call.
 
-    Cases and seeds are drawn with replacement, independently of each other: a seed gives all cases their split and
-    their initial weights, so that its runs are drawn together. The interval is NaN for one case, or where a case has no
-    run.
+    A mean is that over cases of the means over seeds. Cases and seeds are drawn with replacement, independently of each
+    other: a seed gives all cases their split and their initial weights, so that its runs are drawn together. So are
+    cases of one cluster, if there are clusters.
     """
-    cases, seeds = values.shape
-    if cases < 2 or not (~np.isnan(values)).any(axis=1).all():
-        return math.nan, math.nan
+    cases, seeds = values.shape[-2:]
+    clusters = list(range(cases) if clusters is None else clusters)
+    known = list(dict.fromkeys(clusters))
     rng = np.random.default_rng(0)
-    rows = rng.integers(cases, size=(RESAMPLES, cases, 1))
-    columns = rng.integers(seeds, size=(RESAMPLES, 1, seeds))
-    low, high = np.nanpercentile(mean_of(mean_of(values[rows, columns], axis=-1), axis=-1), [2.5, 97.5])
+    drawn = [rng.integers(number, size=(RESAMPLES, number)) for number in (len(known), seeds)]
+    of_clusters, of_seeds = (np.stack([np.bincount(row, minlength=len(row)) for row in own]) for own in drawn)
+    of_cases = of_clusters[:, [known.index(cluster) for cluster in clusters]]
+    there = ~np.isnan(values)
+    with np.errstate(invalid="ignore"):
+        of_case = np.einsum("rs,...cs->r...c", of_seeds, np.where(there, values, 0.0))
+        of_case /= np.einsum("rs,...cs->r...c", of_seeds, there)
+        there = ~np.isnan(of_case)
+        total = np.einsum("rc,r...c->r...", of_cases, np.where(there, of_case, 0.0))
+        return total / np.einsum("rc,r...c->r...", of_cases, there)
+
+
+def bootstrap(values: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of values (cases, seeds); NaN for one case, or where a case has no run."""
+    if len(values) < 2 or not (~np.isnan(values)).any(axis=1).all():
+        return math.nan, math.nan
+    return interval(drawn_means(values))
+
+
+def interval(draws: np.ndarray) -> tuple[float, float]:
+    """Return the 95 % percentile interval of draws (RESAMPLES,), NaN left out; NaN if all are."""
+    if np.isnan(draws).all():
+        return math.nan, math.nan
+    low, high = np.nanpercentile(draws, [2.5, 97.5])
     return float(low), float(high)
 
 

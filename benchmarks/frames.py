@@ -1,8 +1,8 @@
 """Frames at will: poses from a library beside their own solves, a stream's rate, and a sensor in a loop."""
 
 import os
-import resource
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from unittest.mock import patch
 
@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from gelgap.benchmarks.common import processor_s, rms, show, write_json
-from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges, PressStream, PretrainingRanges, TactileSensor
-from gelgap.sim import Elastomer, Pose, PosePath, SolvePlan, Sphere, load_path, plan_solves, solve_poses
+from gelgap.domains import LibraryPlan, PoseRanges, PressStream, PretrainingRanges, TactileSensor
+from gelgap.sim import Elastomer, Pose, PosePath, Sphere, plan_solves
 
 GEL, CONTACTS = "b0", 500
 PATH = {
@@ -23,7 +23,7 @@ PATH = {
 }
 FRAMES = (200, 1000)
 """How many are taken from the stream, and steps made: in the quick form, and else."""
-SIZES_PX = ((160, 120), (320, 240))
+SIZE_PX = (320, 240)
 AIMS = "aims: at most 8 solves, 2 % and 4 µm rms; 60 frames/s a core at 320×240; a step in 15 ms"
 
 
@@ -38,13 +38,12 @@ def run(quick: bool, out_dir: Path) -> None:
     with patch.dict(os.environ, GELGAP_CACHE=str(cache)):
         for old in cache.glob("*.solution"):
             old.unlink()
-        library, before_after = library_and_own_solves(quality, own)
-        show(f"{CONTACTS} random contacts on {GEL} at {quality}, seconds of a core", before_after, AIMS)
-        show("The library on poses of that path, each solved by itself", errors := path_errors(library, own))
+        solves, errors = library_and_own_solves(quality, own)
+        show(f"{CONTACTS} random contacts on {GEL} at {quality}, seconds of a core", solves, AIMS)
+        show("The library on poses that are solved by themselves", errors)
         show("A stream of presses at draft", rates := stream_rates(frames, workers))
         show("A sensor in a loop, 320×240, draft", steps := step_latency(frames))
-        show("Its force on loops, beside solved trajectories, % of the largest force", loops := loop_errors())
-    tables = {"solves": before_after, "errors": errors, "stream": rates, "step": steps, "loops": loops}
+    tables = {"solves": solves, "errors": errors, "stream": rates, "step": steps}
     write_json(out_dir / "frames.json", tables)
 
 
@@ -52,85 +51,68 @@ def random_path() -> PosePath:
     return PosePath.random("random500", number=CONTACTS, **PATH)
 
 
-def seen_along_x(number: int) -> list[Pose]:
-    """Return the first contacts of the path from their contact points, each along its drag."""
-    return [Pose(depth_mm=p.depth_mm, shear_x_mm=p.radius_mm) for p in random_path().poses[1 : number + 1]]
+def library_and_own_solves(quality: str, own: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return solves and time of a path's library and of its poses by themselves, and the library's errors.
 
-
-def own_plan(gel: Elastomer, pose: Pose, quality: str) -> SolvePlan:
-    return plan_solves(gel, Sphere(), PosePath("own", (pose,)), quality)
-
-
-def library_and_own_solves(quality: str, own: int) -> tuple[PoseLibrary, pd.DataFrame]:
-    """Return the library of the path, and solves and time of it beside those of the poses by themselves.
-
-    The time of the latter is extrapolated by load steps from the poses that are solved.
+    The time of all poses is extrapolated by load steps from the first ones, each seen from its contact point, along its
+    drag. Errors are those on these, and on the poses that the library holds out.
     """
     gel, path = Elastomer.preset(GEL), random_path()
     plan = LibraryPlan(gel, Sphere(), PoseRanges.of(path.poses), quality)
-    made: list[PoseLibrary] = []
-
-    def build() -> None:
-        made.append(plan.checked({solve.key: solve.run() for solve in plan.solves}))
-
-    library_s = processor_s(build)
-    alone = [solve for pose in seen_along_x(own) for solve in own_plan(gel, pose, quality).solves]
-    sample_s = processor_s(lambda: [solve.run() for solve in alone])
-    step_s = sample_s / sum(solve.problem.load_steps for solve in alone)
+    start = time.process_time()
+    library = plan.checked({solve.key: solve.run() for solve in plan.solves})
+    library_s = time.process_time() - start
+    seen = [Pose(depth_mm=p.depth_mm, shear_x_mm=p.radius_mm) for p in path.poses[1 : own + 1]]
+    alone = [plan_solves(gel, Sphere(), PosePath("own", (pose,)), quality) for pose in seen]
+    sample_s = processor_s(lambda: [solve.run() for one in alone for solve in one.solves])
     whole = plan_solves(gel, Sphere(), path, quality)
-    steps = sum(solve.problem.load_steps for solve in whole.solves)
-    rows = [
-        ("each pose solved (--exact)", len(whole.solves), steps, steps * step_s),
-        ("library", made[0].solves, sum(s.problem.load_steps for s in plan.solves), library_s),
+    step_s = sample_s / load_steps([solve for one in alone for solve in one.solves])
+    solves = [
+        ("each pose solved (--exact)", len(whole.solves), steps := load_steps(whole.solves), steps * step_s),
+        ("library", library.solves, load_steps(plan.solves), library_s),
     ]
-    return made[0], pd.DataFrame(rows, columns=["way", "solves", "load steps", "s"])
-
-
-def path_errors(library: PoseLibrary, own: int) -> pd.DataFrame:
-    """Return the library's errors on its held-out poses, and on the first poses of the path."""
-    gel, quality = library.plan.elastomer, library.plan.quality
-    plans = [own_plan(gel, pose, quality) for pose in seen_along_x(own)]
-    rows = [library.errors_of(plan, {solve.key: solve.run() for solve in plan.solves}) for plan in plans]
-    table = pd.concat(rows, ignore_index=True)
-    found = {"held out": library.held_out, "of the path": table}
-    return pd.DataFrame(
-        [
-            {
-                "poses": name,
-                "number": len(of),
-                "force rms %": 100 * rms(of["force_share"]),
-                "largest %": 100 * of["force_share"].max(),
-                "membrane rms µm": rms(of["membrane_um"]),
-                "largest µm": of["membrane_um"].max(),
-                "picture rms of 255": rms(of["picture_codes"]),
-            }
-            for name, of in ((name, of[of["converged"]]) for name, of in found.items())
-        ]
+    of_path = [library.errors_of(one, {solve.key: solve.run() for solve in one.solves}) for one in alone]
+    found = pd.concat({"held out": library.held_out, "of the path": pd.concat(of_path)})
+    of_kind = found[found["converged"].astype(bool)].groupby(level=0)
+    errors = pd.DataFrame(
+        {
+            "number": of_kind.size(),
+            "force rms %": 100 * of_kind["force_share"].agg(rms),
+            "largest %": 100 * of_kind["force_share"].max(),
+            "membrane rms µm": of_kind["membrane_um"].agg(rms),
+            "largest µm": of_kind["membrane_um"].max(),
+            "picture rms of 255": of_kind["picture_codes"].agg(rms),
+        }
     )
+    columns = ["way", "solves", "load steps", "s"]
+    return pd.DataFrame(solves, columns=columns), errors.rename_axis("poses").reset_index()
+
+
+def load_steps(solves: Sequence) -> int:
+    return sum(solve.problem.load_steps for solve in solves)
 
 
 def stream_rates(frames: int, workers: tuple[int, ...]) -> pd.DataFrame:
-    """Return frames per second by size and workers, once solved, and the time of the first, nothing cached."""
+    """Return frames per second by workers, once solved, and the time of the first frame, nothing cached."""
     ranges = PretrainingRanges.default().model_copy(update={"presses": 1})
-    rows = []
-    for size_px in SIZES_PX:
-        stream = PressStream(ranges, size_px=size_px, stop=frames, batch_size=20)
-        started = time.perf_counter()
-        stream.sample(0)
-        first_s = time.perf_counter() - started
-        for number in workers:
-            batches = iter(stream.loader(number))
-            # The first batches are those during which workers start, import and compile.
-            for _ in range(max(number, 1)):
-                next(batches)
-            started, own_s = time.perf_counter(), time.process_time()
-            rest = sum(len(batch.number) for batch in batches)
-            wall_s, own_s = time.perf_counter() - started, time.process_time() - own_s
-            row = {"size": "{}×{}".format(*size_px), "workers": number, "frames/s": rest / wall_s}
-            row["frames/s of a free core"] = rest / own_s if number == 0 else np.nan
-            row["first frame s"] = first_s if number == workers[0] else np.nan
-            row["peak MiB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            rows.append(row)
+    stream = PressStream(ranges, size_px=SIZE_PX, stop=frames, batch_size=20)
+    first_s, rows = processor_s(lambda: stream.sample(0), clock=time.perf_counter), []
+    for number in workers:
+        batches = iter(stream.loader(number))
+        # The first batches are those during which workers start, import and compile.
+        for _ in range(max(number, 1)):
+            next(batches)
+        started, own_s = time.perf_counter(), time.process_time()
+        rest = sum(len(batch.number) for batch in batches)
+        wall_s, own_s = time.perf_counter() - started, time.process_time() - own_s
+        rows.append(
+            {
+                "workers": number,
+                "frames/s": rest / wall_s,
+                "frames/s of a free core": np.nan if number else rest / own_s,
+                "first frame s": np.nan if number else first_s,
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -139,32 +121,8 @@ def step_latency(steps: int) -> pd.DataFrame:
     sensor, times = TactileSensor(GEL), []
     for k in range(steps):
         place = 0.4 + 0.2 * np.sin(0.1 * k), (0.1 * np.sin(0.13 * k), 0.1 * np.cos(0.07 * k))
-        started = time.process_time()
-        sensor.step(*place)
-        times.append(1e3 * (time.process_time() - started))
+        times.append(1e3 * processor_s(lambda place=place: sensor.step(*place)))
     times = times[5:]
     return pd.DataFrame(
         [{"steps": len(times), "median ms": np.median(times), "95 % ms": np.percentile(times, 95)}]
     )
-
-
-def loop_errors() -> pd.DataFrame:
-    """Return how far the sensor's force is off along trajectories that are solved as such: friction's whole memory."""
-    gel, rows = Elastomer.preset(GEL), []
-    sensor = TactileSensor(gel)
-    loops: dict[int, list[Pose]] = {}
-    for pose in load_path("loops").poses:
-        if pose.trajectory is not None:
-            loops.setdefault(pose.trajectory, []).append(pose)
-    there_and_back = [(0.0, 0.5), (0.2, 0.5), (0.4, 0.5), (0.2, 0.5), (0.0, 0.5), (-0.2, 0.5)]
-    loops[len(loops)] = [Pose(depth_mm=depth, shear_x_mm=x) for x, depth in there_and_back]
-    for number, poses in loops.items():
-        sensor.reset()
-        solved = solve_poses(gel, Sphere(), poses, "draft")
-        largest = max(np.linalg.norm(state.force_n) for state in solved)
-        for step, (pose, state) in enumerate(zip(poses, solved, strict=True)):
-            point = pose.point_x_mm, pose.point_y_mm
-            reading = sensor.step(pose.depth_mm, (pose.shear_x_mm, pose.shear_y_mm), point)
-            off = 100 * (reading.force_n - state.force_n) / largest
-            rows.append((number, step, np.hypot(*off[:2]), abs(off[2]), " ".join(reading.flags)))
-    return pd.DataFrame(rows, columns=["loop", "step", "shear %", "Fz %", "flags"])

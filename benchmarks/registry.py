@@ -72,9 +72,9 @@ _MEASURED = {
     ],
     "view": [(None, "from a knob of gelgap view to the picture", "view", ANEW)],
     "throughput": [
-        ("generation", "time to generate and to read domains", "throughput"),
+        ("generation", "time to generate and to read domains", "throughput", ANEW),
         ("frames", "random contacts from a library, a stream, a sensor in a loop", "frames", EXTRA, ANEW),
-        ("stages", "where the time of a data set goes, and how it scales", "stages", EXTRA, ANEW),
+        ("stages", "where the time of a data set goes", "throughput:stages", EXTRA, ANEW),
     ],
     "adaptation": [
         ("augmentations", "augmentations, chosen on the tuning groups", "adaptation.choice:AUGMENT", LONG),

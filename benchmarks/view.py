@@ -1,20 +1,21 @@
 """From a knob of `gelgap view` to the new picture: time by kind of change, and how far off what is shown is.
 
-Times are of one thread at 320×240 and standard quality: processor time, and wall time beside it. The picture's error is
-its root mean square difference, in code values, to one rendered anew; where the knob moves the contact, to one of the
-same pose solved by itself, at draft like the library.
+Times are processor times of one thread at 320×240 and standard quality. The picture's error is its root mean square
+difference, in code values, to one rendered anew; where the knob moves the contact, to one of the same pose solved by
+itself, at draft like the library.
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from gelgap.benchmarks.common import rms, show, write_json
+from gelgap.benchmarks.common import processor_s, rms, show, write_json
 from gelgap.render import Illumination, MembraneRenderer, RgbSpectrum, Sensor
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, solve_pose
 from gelgap.view.pictures import SIZE_PX
@@ -26,46 +27,44 @@ GEL = "e04"
 # Between the solved poses in depth and travel.
 BETWEEN = Pose(depth_mm=0.5, shear_x_mm=0.3, point_x_mm=0.4, point_y_mm=-0.3)
 MOVES = ("contact point", "depth", "travel", "direction")
-Turn = Callable[[Configuration, int], Configuration]
 
 
-def turns() -> dict[str, Turn]:
+def turns(start: Configuration) -> dict[str, Callable[[int], Configuration]]:
     """Return the kinds of change: the configuration after the k-th turn of a knob."""
+    first, *others = start.illumination.leds
+    sensors = [Sensor.preset(name) for name in ("paper", "gelsight-mini-like")]
+    at = start.pose
 
-    def led(start: Configuration, **values: Any) -> Configuration:
-        first, *others = start.illumination.leds
+    def led(**values: Any) -> Configuration:
         leds = (first.model_copy(update=values), *others)
         return replace(start, illumination=start.illumination.model_copy(update={"leds": leds}))
 
-    def pose(start: Configuration, **moves: float) -> Configuration:
+    def pose(**moves: float) -> Configuration:
         return replace(start, pose=replace(start.pose, **moves))
 
-    def sensor(start: Configuration, k: int) -> Configuration:
-        chosen = Sensor.preset(("paper", "gelsight-mini-like")[k % 2])
+    def modulus(value_mpa: float) -> Configuration:
+        return replace(
+            start, elastomer=Elastomer(**{**dict(start.elastomer), "young_modulus_mpa": value_mpa})
+        )
+
+    def sensor(chosen: Sensor) -> Configuration:
         return replace(start, sensor=chosen, illumination=chosen.illumination or start.illumination)
 
-    def modulus(start: Configuration, k: int) -> Configuration:
-        values = dict(start.elastomer) | {"young_modulus_mpa": 0.4 + 0.01 * k}
-        return replace(start, elastomer=Elastomer(**values))
-
-    at = BETWEEN
     return {
-        "LED: drive": lambda start, k: led(start, drive=5.5 + 0.1 * k),
-        "LED: colour": lambda start, k: led(start, spectrum=RgbSpectrum(rgb=(1.0, 0.01 * k, 0.0))),
-        "LED: place": lambda start, k: led(start, position_mm=(-11.0 + 0.05 * k, 0.0, -3.0)),
-        "illumination": lambda start, k: replace(start, illumination=Illumination.preset(f"i{k % 5}")),
-        "markers": lambda start, k: replace(start, markers=k % 2 == 0),
-        "noise": lambda start, k: replace(start, noise=k % 2 == 1),
-        "sensor": sensor,
-        "Young's modulus": modulus,
-        "contact point": lambda start, k: pose(
-            start, point_x_mm=at.point_x_mm + 0.02 * k, point_y_mm=at.point_y_mm + 0.01 * k
+        "LED: drive": lambda k: led(drive=5.5 + 0.1 * k),
+        "LED: colour": lambda k: led(spectrum=RgbSpectrum(rgb=(1.0, 0.01 * k, 0.0))),
+        "LED: place": lambda k: led(position_mm=(-11.0 + 0.05 * k, 0.0, -3.0)),
+        "illumination": lambda k: replace(start, illumination=Illumination.preset(f"i{k % 5}")),
+        "markers": lambda k: replace(start, markers=k % 2 == 0),
+        "noise": lambda k: replace(start, noise=k % 2 == 1),
+        "sensor": lambda k: sensor(sensors[k % 2]),
+        "Young's modulus": lambda k: modulus(0.4 + 0.01 * k),
+        "contact point": lambda k: pose(
+            point_x_mm=at.point_x_mm + 0.02 * k, point_y_mm=at.point_y_mm + 0.01 * k
         ),
-        "depth": lambda start, k: pose(start, depth_mm=at.depth_mm - 0.005 * k),
-        "travel": lambda start, k: pose(start, shear_x_mm=at.shear_x_mm - 0.005 * k),
-        "direction": lambda start, k: pose(
-            start, shear_x_mm=0.3 * np.cos(0.1 * k), shear_y_mm=0.3 * np.sin(0.1 * k)
-        ),
+        "depth": lambda k: pose(depth_mm=at.depth_mm - 0.005 * k),
+        "travel": lambda k: pose(shear_x_mm=at.shear_x_mm - 0.005 * k),
+        "direction": lambda k: pose(shear_x_mm=0.3 * np.cos(0.1 * k), shear_y_mm=0.3 * np.sin(0.1 * k)),
     }
 
 
@@ -82,17 +81,16 @@ def run(quick: bool, out_dir: Path) -> None:
         return new
 
     # The pose that is solved by itself costs the most, and the error of interpolation is there.
-    solve_ms, _, solved = timed(
-        lambda: solve_pose(gel, start.indenter, BETWEEN, "draft", Sharing(cache=False))
-    )
-    rows = [latency(change, turn, model(), start, solved, repeats) for change, turn in turns().items()]
-    anew_ms = float(np.median([timed(lambda: model().show(start))[0] for _ in range(min(repeats, 10))]))
+    begun = time.thread_time()
+    solved = solve_pose(gel, start.indenter, BETWEEN, "draft", Sharing(cache=False))
+    solve_ms = 1e3 * (time.thread_time() - begun)
+    rows = [latency(change, turn, model(), solved, repeats) for change, turn in turns(start).items()]
+    anew_ms = np.median([thread_ms(partial(model().show, start)) for _ in range(min(repeats, 10))])
     for change, ms in (
         ("all anew, library solved", anew_ms),
         ("the pose solved at draft", solve_ms + anew_ms),
     ):
-        costs = {"median ms": ms, "worst ms": ms, "wall median ms": "", "picture rms": 0.0, "force %": 0.0}
-        rows.append({"change": change, **costs})
+        rows.append({"change": change, "median ms": ms, "worst ms": ms, "picture rms": 0.0, "force %": 0.0})
     show(
         f"From a knob to the picture, 320×240, standard, one thread, {repeats} turns of each knob",
         table := pd.DataFrame(rows),
@@ -102,33 +100,31 @@ def run(quick: bool, out_dir: Path) -> None:
     write_json(out_dir / "view.json", table)
 
 
+def thread_ms(work: Callable[[], object]) -> float:
+    return 1e3 * processor_s(work, clock=time.thread_time)
+
+
 def latency(
-    change: str, turn: Turn, model: LiveModel, start: Configuration, solved: MembraneState, repeats: int
-) -> dict:
+    change: str,
+    turn: Callable[[int], Configuration],
+    model: LiveModel,
+    solved: MembraneState,
+    repeats: int,
+) -> dict[str, Any]:
     """Return how long a kind of change takes on a model that has shown the start, and how far off what it shows is."""
-    model.show(turn(start, 0))
-    processor, wall, shown = zip(
-        *(timed(lambda k=k: model.show(turn(start, k))) for k in range(1, repeats + 1)), strict=True
-    )
-    back = model.show(turn(start, 0))
-    moves = change in MOVES and turn(start, 0).pose == start.pose
+    model.show(turn(0))
+    times = [thread_ms(partial(model.show, turn(k))) for k in range(1, repeats + 1)]
+    last, back = model.show(turn(repeats)), model.show(turn(0))
+    moves = change in MOVES and turn(0).pose == BETWEEN
     error = picture_rms(back, solved if moves else back.solved.state)
     force_n = back.solved.state.force_n if moves else solved.force_n
     return {
         "change": change,
-        "median ms": float(np.median(processor)),
-        "worst ms": max(processor),
-        "wall median ms": float(np.median(wall)),
-        "picture rms": max(error, picture_rms(shown[-1], shown[-1].solved.state)),
+        "median ms": float(np.median(times)),
+        "worst ms": max(times),
+        "picture rms": max(error, picture_rms(last, last.solved.state)),
         "force %": 100 * float(np.linalg.norm(force_n - solved.force_n) / np.linalg.norm(solved.force_n)),
     }
-
-
-def timed(work: Callable[[], object]) -> tuple[float, float, object]:
-    """Return processor ms of this thread, wall ms, and the outcome of some work."""
-    processor, wall = time.thread_time(), time.perf_counter()
-    outcome = work()
-    return 1e3 * (time.thread_time() - processor), 1e3 * (time.perf_counter() - wall), outcome
 
 
 def picture_rms(shown: Shown, state: MembraneState) -> float:

@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -159,23 +158,17 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     },
     "gelgap benchmark throughput --quick": {
         "benchmarks.throughput.recipes_of": smallest_recipes,
-        "benchmarks.throughput.run_missing": measured_in_this_process,
         "benchmarks.throughput.processor_s": lambda real: lambda work, repeats=0: real(work),
     },
     "gelgap benchmark throughput --what stages --quick": {
-        "benchmarks.stages.POINTS": lambda real: {"small": (1, 1), "large": (2, 1)},
-        "benchmarks.stages.REPEATS": lambda real: 1,
-        "benchmarks.stages.preset_recipes": smallest_recipes,
-        "benchmarks.stages.generate_recipes": lambda real: (
-            lambda recipes, out, workers: real(recipes, out, scheduler="synchronous")
-        ),
+        "benchmarks.throughput.REPEATS": lambda real: 1,
+        "benchmarks.throughput.preset_recipes": smallest_recipes,
     },
     "gelgap benchmark throughput --what frames --quick": {
         "benchmarks.frames.random_path": few_shallow_contacts,
-        "benchmarks.frames.load_path": lambda real: lambda name: SimpleNamespace(poses=()),
-        "benchmarks.frames.SIZES_PX": lambda real: ((48, 36),),
+        "benchmarks.frames.SIZE_PX": lambda real: (48, 36),
         "benchmarks.frames.FRAMES": lambda real: (25, real[1]),
-        "benchmarks.frames.seen_along_x": lambda real: lambda number: real(1),
+        "benchmarks.frames.library_and_own_solves": lambda real: lambda quality, own: real(quality, 1),
         "benchmarks.frames.stream_rates": lambda real: lambda frames, workers: real(frames, (0,)),
     },
     "gelgap benchmark view --quick": {

@@ -23,7 +23,6 @@ from gelgap.adapt import (
 )
 from gelgap.adapt.network import load_imagenet_weights
 from gelgap.assets import asset_path
-from gelgap.benchmarks.adaptation.study import read_results, write_results
 from gelgap.benchmarks.common import read_records, run_missing
 from gelgap.domains import Sweep, generate, open_domain
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
@@ -150,8 +149,6 @@ def _records(folder: Path) -> None:
     runs = [{"method": "dsan", "seed": seed} for seed in range(8)]
     run_missing(lambda run: {"mae_n": (0.1, 0.2, 0.3)}, runs, folder / "runs.jsonl", workers=1)
     run_missing(lambda run: {"curve": KEPT}, runs[:1], folder / "curves.jsonl", workers=1)
-    oracles = {"pose_n": (0.1, 0.1, 0.2), "geometry_n": (0.2, 0.2, 0.3)}
-    write_results(folder / "results.json", {"mb0i0 → wmb1i1": oracles})
 
 
 @dataclass(frozen=True)
@@ -231,10 +228,6 @@ KINDS: dict[str, FileKind] = {
     "records": FileKind("records/runs.jsonl", read_rows),
     "array of a record": FileKind(
         "records/curves/*.npz", lambda file: read_rows(file.parents[1] / "curves.jsonl")
-    ),
-    "results": FileKind(
-        "records/results.json",
-        lambda file: repr(read_results(file, dict[str, dict[str, tuple[float, float, float]]])),
     ),
     "picture": FileKind("pictures/3.png", lambda file: read_frames(file.parent)),
     "published picture": FileKind(

@@ -1,53 +1,50 @@
 """One part of the adaptation benchmark in pieces: `python -m gelgap.benchmarks.adaptation groups --minutes 4`."""
 
-import argparse
 import math
 import signal
+import sys
 import time
 from pathlib import Path
+from typing import Annotated, Literal
 
-from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS, Group
+import tyro
+
+from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS
 from gelgap.benchmarks.adaptation.study import BOARD, Study
 from gelgap.benchmarks.registry import parts_of
 
 _BAD_INPUT, _INTERRUPTED = 2, 130
+PARTS = {entry.part: entry for entry in parts_of("adaptation")}
+KNOWN = {f"{source}:{target}": (source, target) for source, target in (*GROUPS, *LIGHT_GROUPS)}
 
 
-def group_of(text: str) -> Group:
-    """Return the group of a text such as wmb0i0:wmb0i1."""
-    source, _, target = text.partition(":")
-    if text not in {":".join(group) for group in (*GROUPS, *LIGHT_GROUPS)}:
-        known = ", ".join(":".join(group) for group in (*GROUPS, *LIGHT_GROUPS))
-        raise argparse.ArgumentTypeError(f"{text!r} is no group of the board; known: {known}")
-    return source, target
+def run(
+    part: Annotated[Literal[*PARTS], tyro.conf.Positional],
+    seeds: tuple[int, ...] = (),
+    methods: tuple[str, ...] = (),
+    groups: tuple[Literal[*KNOWN], ...] = (),
+    workers: int | None = None,
+    minutes: float = math.inf,
+    out: Path = Path("benchmark-results/adaptation") / BOARD,
+) -> None:
+    """Do the missing runs of a part within a time limit, for some seeds or methods; the next call continues.
+
+    Args:
+        part: What is measured.
+        seeds: By default the part's own.
+        methods: Names, or your own as module:Class or file.py:Class; by default the part's own.
+        groups: SOURCE:TARGET; by default the part's own.
+        workers: Processes; by default one per core.
+        minutes: Begin no run after this time.
+        out: Folder of the records, named after the profile; its data lie beside it.
+    """
+    chosen = {"seeds": seeds, "methods": methods, "groups": tuple(KNOWN[name] for name in groups)}
+    study = Study.at(out, workers=workers, stop=time.time() + 60 * minutes, **chosen)
+    PARTS[part].load().carry_out(study)
 
 
 def main() -> None:
-    """Do the missing runs of a part within a time limit, for some seeds or methods; the next call continues."""
-    parts = {entry.part: entry for entry in parts_of("adaptation")}
-    parser = argparse.ArgumentParser(prog="python -m gelgap.benchmarks.adaptation", description=main.__doc__)
-    parser.add_argument("part", choices=list(parts))
-    parser.add_argument("--seeds", type=int, nargs="+", help="default: the part's own")
-    parser.add_argument(
-        "--methods",
-        nargs="+",
-        help="names, or your own as module:Class or file.py:Class; default: the part's own",
-    )
-    parser.add_argument(
-        "--groups", nargs="+", type=group_of, metavar="SOURCE:TARGET", help="default: the part's own"
-    )
-    parser.add_argument("--workers", type=int, help="processes; default: one per core")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no run after this time")
-    parser.add_argument("--out", type=Path, default=Path("benchmark-results/adaptation") / BOARD)
-    chosen = parser.parse_args()
-    study = Study.at(
-        chosen.out,
-        seeds=tuple(chosen.seeds) if chosen.seeds else None,
-        methods=tuple(chosen.methods) if chosen.methods else None,
-        groups=tuple(chosen.groups) if chosen.groups else None,
-        workers=chosen.workers,
-        stop=time.time() + 60 * chosen.minutes,
-    )
+    """Run what the command line asks for; bad input and Ctrl-C end with one sentence."""
     stops: list[int] = []
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(
@@ -55,15 +52,15 @@ def main() -> None:
             lambda number, frame: stops.append(number) or signal.default_int_handler(number, frame),
         )
     try:
-        parts[chosen.part].load().carry_out(study)
+        tyro.cli(run, prog="python -m gelgap.benchmarks.adaptation")
     except (KeyboardInterrupt, Exception) as error:
         if stops:  # some libraries turn Ctrl-C into an error of their own
-            parser.exit(
-                _INTERRUPTED, "interrupted; finished runs are kept, run the same command again to go on\n"
-            )
+            print("interrupted; finished runs are kept, run the same command again to go on", file=sys.stderr)
+            sys.exit(_INTERRUPTED)
         if not isinstance(error, ValueError):
             raise
-        parser.exit(_BAD_INPUT, f"{' '.join(str(error).split())}\n")
+        print(" ".join(str(error).split()), file=sys.stderr)
+        sys.exit(_BAD_INPUT)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ Group = tuple[str, str]
 Changes = tuple[tuple[str, Any], ...]
 """Fields of a profile, or settings of a method, that differ from the preset, with their values."""
 BY_POINT: Changes = (("split_by", "point"),)
-AT_RANDOM: Changes = (("split_by", "random"),)
 AXES = ("x", "y", "z")
 
 GROUPS: tuple[Group, ...] = (

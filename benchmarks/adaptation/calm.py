@@ -4,19 +4,15 @@ The second run starts from weights that are a ten-millionth apart, as another pr
 comparison of methods means little below the difference that this makes.
 """
 
-import tempfile
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
-import torch
 
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.adaptation.board import PLAIN
-from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, short
-from gelgap.benchmarks.common import Results, Setting, result_table
+from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, trained
+from gelgap.benchmarks.common import Results, Setting, key_of, result_table
 
 FILE = "calm.jsonl"
 ROUNDING = 1e-7
@@ -45,29 +41,25 @@ def measure(study: Study) -> None:
         for rounding in (0, 1)
         for run in grid(cases, methods, [seed], changes)
     ]
-    study.generate_roles(runs)
+    study.generate_for(runs)
     study.run(calm_run, runs, FILE)
 
 
 def calm_run(study: Study, run: Setting) -> Results:
     """Do one run whose first weights are rounded otherwise, if it says so."""
-    from gelgap.adapt.runs import Stage1, run_method
+    import torch
 
-    frames = study.frames_of(run)
-    stage1 = Stage1(frames.source_train, study.profile_of(run), run["seed"], out=study.out / "calm")
-    with tempfile.TemporaryDirectory() as folder:
-        if run["rounding"]:
-            start = stage1.untrained()
-            rng = torch.Generator().manual_seed(run["seed"])
-            with torch.no_grad():
-                for weights in start.network.parameters():
-                    weights.mul_(1 + ROUNDING * torch.randn(weights.shape, generator=rng))
-            file = Path(folder) / "start.pt"
-            # The file's bytes are the same in every call, and with them the name of the checkpoint.
-            start.save(file)
-            stage1 = replace(stage1, weights=file)
-        done, _ = run_method(frames, stage1, run["method"])
-    return {"problem": done.problem, "mae_n": short(done.target_test.mae_n), "r2": short(done.target_test.r2)}
+    weights = None
+    if run["rounding"]:
+        start = study.stage1(run, study.frames_of(run).source_train).untrained()
+        rng = torch.Generator().manual_seed(run["seed"])
+        with torch.no_grad():
+            for values in start.network.parameters():
+                values.mul_(1 + ROUNDING * torch.randn(values.shape, generator=rng))
+        # The bytes are the same for all methods, and with them the first stage that they share.
+        weights = study.out / "calm" / f"{key_of(run)}.pt"
+        start.save(weights)
+    return trained(study, run, weights)[2]
 
 
 def tables(folder: Path) -> list[ResultTable]:
@@ -76,29 +68,25 @@ def tables(folder: Path) -> list[ResultTable]:
     if runs.empty:
         return []
     names = {changes: name for name, changes in VARIANTS.items()}
-    runs = runs.assign(variant=runs["changes"].map(names))
+    runs = runs.assign(variant=pd.Categorical(runs["changes"].map(names), list(VARIANTS)))
     pairs = runs.pivot_table(
-        values="error_n", index=["variant", "method", "group", "seed"], columns="rounding"
+        values="error_n", index=["variant", "method", "group", "seed"], columns="rounding", observed=True
     ).dropna()
     if not len(pairs):
         return []
-    apart = pairs.diff(axis=1).iloc[:, -1].abs()
-    of_both = ["variant", "method"]
-    frame = pd.DataFrame(
-        {
-            "mean MAE, N": pairs.mean(axis=1).groupby(of_both).mean(),
-            "apart, mean N": apart.groupby(of_both).mean(),
-            "apart, most N": apart.groupby(of_both).max(),
-            "pairs": apart.groupby(of_both).size(),
-        }
-    )
-    order = [name for name in VARIANTS if name in frame.index.get_level_values(0)]
+    found = pairs.assign(mean=pairs.mean(axis=1), apart=pairs.diff(axis=1).iloc[:, -1].abs())
+    columns = {
+        "mean MAE, N": ("mean", "mean"),
+        "apart, mean N": ("apart", "mean"),
+        "apart, most N": ("apart", "max"),
+        "pairs": ("apart", "size"),
+    }
     return [
         result_table(
             "Two runs that differ in rounding",
-            frame.reindex(order, level=0),
+            found.groupby(["variant", "method"], observed=True).agg(**columns),
             f"First weights {ROUNDING:g} apart; {runs['group'].nunique()} group(s), {runs['seed'].nunique()} seed(s). "
-            f"Largest difference of all: {np.max(apart):.3f} N.",
+            f"Largest difference of all: {found['apart'].max():.3f} N.",
             {"": "{:.3f}", "pairs": "{:d}"},
         )
     ]

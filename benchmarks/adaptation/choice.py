@@ -39,48 +39,41 @@ VARIANTS["shifts, inputs standardised by domain"] = (*VARIANTS["shifts"], ("inpu
 """The candidates, and last a control that is none."""
 
 
-def compared(runs: pd.DataFrame, candidates: Iterable) -> pd.DataFrame:
-    """Return the cases (data set, group, seed) in which every candidate was run, with columns for each candidate.
+def ranked(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs of the cases in which a method has every candidate, with their rank and their regret.
 
-    `rank` is that by the selector's score, 1 the best, ties shared, `error_n` the test error on the target, which the
-    selector does not see, and `regret_n` that less the best candidate's.
+    `rank` is that by the selector's score, 1 the best, ties shared; `regret_n` is the test error on the target, which
+    the selector does not see, less the best candidate's.
     """
-    names = list(candidates)
-    runs = runs[runs["candidate"].isin(names)]
+    case = ["method", "data", "group", "seed"]
+    number = runs.groupby(case)["candidate"].transform("nunique")
+    runs = runs[number == runs.groupby("method")["candidate"].transform("nunique")]
     score = runs.get(f"scores.{SELECTOR}", pd.Series(math.nan, runs.index))
     useless = runs["problem"].notna() | runs["alarm"].astype(bool)
-    values = {"rank": score.mask(useless).fillna(math.inf), "error_n": runs["error_n"]}
-    index = pd.MultiIndex.from_frame(runs[["data", "group", "seed", "candidate"]])
-    columns = pd.MultiIndex.from_product([values, names])
-    table = pd.DataFrame(values).set_axis(index).unstack().reindex(columns=columns)
-    table = table[table["error_n"].notna().all(axis=1)]
-    errors_n = table["error_n"]
-    regret_n = errors_n.sub(errors_n.min(axis=1), axis=0)
-    return pd.concat({"rank": table["rank"].rank(axis=1), "error_n": errors_n, "regret_n": regret_n}, axis=1)
+    runs = runs.assign(score=score.mask(useless).fillna(math.inf))
+    of_case = runs.groupby(case)
+    best_n = of_case["error_n"].transform("min")
+    return runs.assign(rank=of_case["score"].rank(), regret_n=runs["error_n"] - best_n)
 
 
 def chosen(found: pd.DataFrame) -> Any:
     """Return the candidate of least mean rank over the cases; the first of equals."""
-    return found["rank"].mean().idxmin()
+    return found.groupby("candidate", observed=True)["rank"].mean().idxmin()
 
 
 def of_grid(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Return the candidates of each method that has a complete case among the runs of a grid."""
-    runs = runs.assign(candidate=[settings[0][1] for settings in runs["settings"]])
-    found = {
-        method: compared(own, sorted(own["candidate"].unique()))
-        for method, own in runs.groupby("method", sort=False)
-    }
-    return {method: found[method] for method in [*board.METHODS, *found] if len(found.get(method, ()))}
+    """Return the ranked candidates of each method that has a complete case among the runs of a grid."""
+    found = ranked(runs.assign(candidate=[settings[0][1] for settings in runs["settings"]]))
+    methods = dict.fromkeys([*board.METHODS, *found["method"]])
+    return {method: own for method in methods if len(own := found[found["method"] == method])}
 
 
 def augmented(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the augmentations among the runs."""
-    return compared(_named(runs), AUGMENTED)
-
-
-def _named(runs: pd.DataFrame) -> pd.DataFrame:
-    return runs.assign(candidate=runs["changes"].map({changes: name for name, changes in VARIANTS.items()}))
+    """Return the ranked augmentations among the runs."""
+    names = {VARIANTS[name]: name for name in AUGMENTED}
+    runs = runs[runs["changes"].isin(names)]
+    candidates = pd.Categorical(runs["changes"].map(names), list(AUGMENTED))
+    return ranked(runs.assign(candidate=candidates))
 
 
 def tuned_methods(chosen: Sequence[str] | None = None) -> list[str]:
@@ -93,10 +86,9 @@ def tuned_methods(chosen: Sequence[str] | None = None) -> list[str]:
     """
     from gelgap.adapt.methods.registry import find_method, use_method
 
-    tuned = [use_method(method) for method in chosen or board.METHODS]
     if not chosen:
-        tuned = [method for method in tuned if find_method(method).grid]
-    for method in tuned:
+        return [method for method in board.METHODS if find_method(method).grid]
+    for method in (tuned := list(map(use_method, chosen))):
         found = find_method(method)
         if not found.grid:
             raise ValueError(f"method {method} has no grid, so that nothing can be tuned")
@@ -130,14 +122,14 @@ def variant_runs(
 def tune(study: Study) -> None:
     """Do the grid's missing runs on the tuning groups, and print what the profile's file needs."""
     runs = grid_runs(board.TUNING_CASES, tuned_methods(study.methods), study.seeds or SEEDS)
-    study.generate_sets(*board.TUNING_SETS)
+    study.generate_for(runs)
     print(settings_toml(with_errors(study.run(scored_run, runs, TUNED))))
 
 
 def augment(study: Study) -> None:
     """Do the missing runs on the tuning groups, and print what the profile's file needs."""
-    study.generate_sets(*board.TUNING_SETS)
     runs = variant_runs(board.TUNING_CASES, [METHOD], study.seeds or SEEDS)
+    study.generate_for(runs)
     print(augmentation_toml(with_errors(study.run(scored_run, runs, AUGMENTATIONS))))
 
 
@@ -166,8 +158,8 @@ def tuning_tables(folder: Path) -> list[ResultTable]:
     """Return each method's mean rank by candidate, what was chosen, and the regret on the tuning groups."""
     rows = {}
     for method, own in of_grid(load_runs(folder / TUNED)).items():
-        value, ranks = chosen(own), own["rank"].mean()
-        regret_n = own["regret_n", value]
+        value, ranks = chosen(own), own.groupby("candidate")["rank"].mean()
+        regret_n = own.loc[own["candidate"] == value, "regret_n"]
         rows[method] = {
             "candidates": ", ".join(map("{:g}".format, ranks.index)),
             "mean ranks": ", ".join(map("{:.1f}".format, ranks)),
@@ -175,7 +167,7 @@ def tuning_tables(folder: Path) -> list[ResultTable]:
             "on the edge": edge_of(value, list(ranks.index)),
             "regret, N": regret_n.mean(),
             "worst, N": regret_n.max(),
-            "cases": len(own),
+            "cases": len(regret_n),
         }
     if not rows:
         return []
@@ -197,13 +189,15 @@ def augmentation_tables(folder: Path) -> list[ResultTable]:
     if found.empty:
         return []
     columns = [form.format(axis) for form in ("MAE {}, N", "R² {}") for axis in board.AXES]
-    means = _named(runs).groupby("candidate")[["error_n", *columns]].mean().reindex(list(VARIANTS))
-    frame = means.rename(columns={"error_n": "mean MAE, N"}).rename_axis("augmentation")
-    frame.insert(0, "mean rank", found["rank"].mean())
+    means = runs.groupby("changes")[["error_n", *columns]].mean()
+    frame = means.reindex(list(VARIANTS.values())).set_axis(pd.Index(list(VARIANTS), name="augmentation"))
+    frame = frame.rename(columns={"error_n": "mean MAE, N"})
+    ranks = found.groupby("candidate")["rank"]
+    frame.insert(0, "mean rank", ranks.mean())
     frame.insert(1, "chosen", ["yes" if name == chosen(found) else "" for name in frame.index])
     note = (
-        f"Mean over {len(found)} cases of group and design. Ranks by reverse validation, which sees no target label; "
-        "the errors were not used. The last row is a control, not a candidate."
+        f"Mean over {ranks.size().max()} cases of group and design. Ranks by reverse validation, which sees no target "
+        "label; the errors were not used. The last row is a control, not a candidate."
     )
     formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
     return [result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, formats)]

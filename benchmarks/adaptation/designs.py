@@ -7,7 +7,7 @@ direction, so that a gel takes minutes of a core.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from itertools import product
 from typing import TYPE_CHECKING, Literal
 
@@ -39,14 +39,14 @@ FACTORS: dict[str, tuple[str, ...]] = {
     "gel": (),
     "friction": (),
     "markers": (),
-    "geometry": ("position_mm", "facing"),
+    "geometry": ("position_mm", "facing", "kind", "diameter_mm"),
     "drive": ("drive",),
     "spectrum": ("spectrum",),
 }
 """Crossed gaps; the last three are the fields of the LEDs in which a light differs."""
 FACTORIAL = "crossed-"
-DRAWN, MADE = (ANY_LIGHT, LIKE), (ANY_LIGHT, LIKE, FACTORIAL)
-"""How the names of domains begin that are no presets'."""
+DRAWN = (ANY_LIGHT, LIKE)
+"""How the names of sources in drawn light begin."""
 _GENERATORS = {"drive": ("gel", "friction", "markers"), "spectrum": ("friction", "markers", "geometry")}
 
 
@@ -91,11 +91,15 @@ def contact_class(depth_mm: float, travel_mm: float, angle: float) -> int:
     return 1 + 72 * depth + 12 * travel + round(math.degrees(angle) / 30) % 12
 
 
-def role_recipes(names: Sequence[str], role: Role) -> "tuple[DomainRecipe, ...]":
-    """Return the recipes of domains as sources or as targets."""
+def role_recipes(names: Iterable[str], role: Role) -> "tuple[DomainRecipe, ...]":
+    """Return the recipes of domains as sources or as targets: presets', or targets of crossed gaps."""
     from gelgap.domains import make_recipes
 
-    return make_recipes(names, contact_path(role), inpainted=(), quality=QUALITY, seed=ROLES.index(role))
+    presets = [name for name in names if not name.startswith(FACTORIAL)]
+    how = {"inpainted": (), "quality": QUALITY, "seed": ROLES.index(role)}
+    recipes = make_recipes(presets, contact_path(role), **how) if presets else ()
+    crossed = set(names) - set(presets)
+    return (*recipes, *(one for one in factorial_recipes() if one.name in crossed))
 
 
 def random_light_recipes(target: "LabelledFrames | None" = None) -> "tuple[DomainRecipe, ...]":
@@ -136,16 +140,9 @@ def factorial_recipes() -> "tuple[DomainRecipe, ...]":
                 "friction": gel.friction * (2.0 if cell["friction"] else 1.0),
             }
         )
+        differing = [field for factor, fields in FACTORS.items() if cell[factor] for field in fields]
         leds = [
-            led.model_copy(
-                update={
-                    field: getattr(other, field)
-                    for factor, fields in FACTORS.items()
-                    for field in fields
-                    if cell[factor]
-                }
-                | ({"kind": other.kind, "diameter_mm": other.diameter_mm} if cell["geometry"] else {})
-            )
+            led.model_copy(update={field: getattr(other, field) for field in differing})
             for led, other in zip(lights[0].leds, lights[1].leds, strict=True)
         ]
         own = {

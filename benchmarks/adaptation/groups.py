@@ -3,6 +3,9 @@
 The *share of the headroom closed* is (start − error)/(start − ceiling), numerator and denominator as means over the
 groups. The start is source-only's error in a group and seed, or the constant mean's where that is less. The ceiling is
 the error of the same network trained on the target's own labels, at its other contact points.
+
+Groups of the same two sensors, in either direction or with other markers, are not independent, and a seed gives all
+groups their split and weights: intervals and p-values draw pairs of sensors, with all their groups, and seeds.
 """
 
 import math
@@ -12,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from scipy.stats import kendalltau
 
 from gelgap.adapt import NamedFigure, ResultTable
 from gelgap.adapt.baselines import BASELINES, CONSTANT
@@ -19,7 +23,6 @@ from gelgap.adapt.report import mean_and_deviation
 from gelgap.adapt.result_table import cell
 from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.adaptation.board import AXES, CEILING, DATA_SETS, GROUPS, LIGHT_GROUPS, PLAIN
-from gelgap.benchmarks.adaptation.statistics import drawn_means, halves, holm, interval, p_value, sensor_pair
 from gelgap.benchmarks.adaptation.study import (
     RUNS,
     Part,
@@ -30,7 +33,7 @@ from gelgap.benchmarks.adaptation.study import (
     load_runs,
     with_errors,
 )
-from gelgap.benchmarks.common import Setting, result_table
+from gelgap.benchmarks.common import RESAMPLES, Setting, drawn_means, interval, result_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -67,7 +70,7 @@ def measure(study: Study) -> None:
         runs = grid([("paired", QUICK_GROUP)], chosen or QUICK_METHODS, study.seeds or SEEDS[:1])
     else:
         runs = headline_grid(chosen, study.seeds or SEEDS, study.groups)
-        study.generate_roles(runs)
+        study.generate_for(runs)
     study.run(adapt_run, runs, RUNS)
 
 
@@ -76,14 +79,19 @@ def headline_grid(
 ) -> list[Setting]:
     """Return all runs: a seed is complete, ceilings first, before the next one begins; shifted labels are last."""
     seeds, groups = list(seeds), list(groups or (*GROUPS, *LIGHT_GROUPS))
-    targets = dict.fromkeys(target for _, target in groups)
     own = [method for method in methods or board.METHODS if method != CEILING]
     main = [method for method in methods or (*board.MAIN_METHODS, "label-shift") if method != CEILING]
     found = []
     for seed in seeds:
-        found += grid([(designs.DATA, (target, target)) for target in targets], [PLAIN], [seed])
-        found += grid([(designs.DATA, group) for group in groups], own, [seed])
+        runs = grid([(designs.DATA, group) for group in groups], own, [seed])
+        found += [*ceilings_of(runs), *runs]
     return found + grid([(board.LABEL_SHIFT, group) for group in groups], main, seeds)
+
+
+def ceilings_of(runs: list[Setting]) -> list[Setting]:
+    """Return the ceilings of the targets of runs: training on themselves, on the profile's own input."""
+    targets = dict.fromkeys((run["target"], run["seed"]) for run in runs)
+    return [run for name, seed in targets for run in grid([(designs.DATA, (name, name))], [PLAIN], [seed])]
 
 
 def load_headline(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
@@ -121,57 +129,88 @@ def methods_of(runs: pd.DataFrame, *left_out: str) -> list[str]:
 
 def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs, and the rules of `RULES` as further methods; what a record does not have is left out."""
-    found = [runs]
     plain, adabn = (runs[runs["method"] == name] for name in (PLAIN, "adabn"))
+    rules = []
     for name in BASELINES:
-        columns = [f"baselines_{what}.{name}" for what in ("mae_n", "r2")]
-        own = plain.dropna(subset=columns) if set(columns) <= set(plain) else plain[:0]
-        found.append(own.assign(method=name, mae_n=own.get(columns[0]), r2=own.get(columns[1])))
-    if len(found[1]):
-        shrunk = [
-            (*mean[:2], own[2]) for mean, own in zip(adabn["constant_mean_n"], adabn["mae_n"], strict=True)
-        ]
-        r2 = [
-            (*mean[:2], own[2])
-            for mean, own in zip(adabn[f"baselines_r2.{CONSTANT}"], adabn["r2"], strict=True)
-        ]
-        found.append(adabn.assign(method=SHRUNK, mae_n=shrunk, r2=r2))
-    rules = pd.concat([one for one in found[1:] if len(one)] or [runs[:0]])
-    rules = rules.assign(problem=None, control=None, stage2_s=0.0, settings=[()] * len(rules))
-    return with_errors(pd.concat([runs, rules])) if len(rules) else runs
+        columns = {what: f"baselines_{what}.{name}" for what in ("mae_n", "r2")}
+        if set(columns.values()) <= set(plain):
+            known = plain.dropna(subset=list(columns.values()))
+            rules.append(known.assign(method=name, **{what: known[own] for what, own in columns.items()}))
+    if len(adabn):
+        constant = {"mae_n": "constant_mean_n", "r2": f"baselines_r2.{CONSTANT}"}
+        own = {what: adabn[of].str[:2] + adabn[what].str[2:] for what, of in constant.items()}
+        rules.append(adabn.assign(method=SHRUNK, **own))
+    rules = [rule for rule in rules if len(rule)]
+    if not rules:
+        return runs
+    found = pd.concat(rules).assign(problem=None, control=None, stage2_s=0.0)
+    return with_errors(pd.concat([runs, found]))
 
 
-def counted(runs: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
-    """Return values by group and seed (rows) and method, NaN except for the pairs that all have finished.
+def counted(runs: pd.DataFrame, values: str | list[str] = "error_n") -> pd.DataFrame:
+    """Return values by group and seed (rows) and method, of the pairs that all methods have finished.
 
     The ceiling apart: methods are compared on what every one of them has finished. A run that collapsed counts with
     the error of the constant mean that it became.
     """
     table = runs.pivot(index=["group", "seed"], columns="method", values=values)
-    groups, seeds = table.index.levels
-    table = table.reindex(pd.MultiIndex.from_product([[name for name in NAMES if name in groups], seeds]))
-    whole = table[methods_of(runs, CEILING)].notna().all(axis=1)
-    return table[methods_of(runs)].where(whole, axis=0)
+    methods = methods_of(runs)
+    table = table.reindex(columns=methods, level="method" if isinstance(values, list) else None)
+    table = table.reindex([name for name in NAMES if name in table.index.levels[0]], level="group")
+    required = table.columns.get_level_values("method") != CEILING
+    return table[table.loc[:, required].notna().all(axis=1)]
 
 
 def by_group(values: pd.DataFrame) -> pd.DataFrame:
     """Return the means over seeds by group and method."""
-    return values.groupby(level=0, sort=False).mean()
+    return values.groupby(level="group", sort=False).mean()
 
 
-def over_groups(values: pd.DataFrame) -> pd.Series:
-    """Return the means over groups of the means over seeds by method; NaN where a group has no run."""
-    return by_group(values).mean(skipna=False)
+def sensor_pair(group: str) -> tuple[str, ...]:
+    """Return the two sensors, gel and light, of a group such as "mb0i0 → wmb1i1", in alphabetical order."""
+    return tuple(sorted(name.removeprefix("w").removeprefix("m") for name in group.split(" → ")))
 
 
-def ranks(errors: pd.DataFrame) -> pd.DataFrame:
-    """Return the rank of each method (columns) in each case, 1 the best, ties shared; NaN is worst."""
-    return errors.fillna(math.inf).rank(axis=1)
+def draws_of(values: pd.DataFrame) -> np.ndarray:
+    """Return bootstrap means (RESAMPLES, columns) of a table by group and seed, over drawn pairs of sensors and seeds.
+
+    They are NaN if there are fewer than two pairs or seeds to choose from.
+    """
+    groups, seeds = (list(values.index.unique(level)) for level in ("group", "seed"))
+    pairs = list(map(sensor_pair, groups))
+    if len(set(pairs)) < 2 or len(seeds) < 2:
+        return np.full((RESAMPLES, len(values.columns)), math.nan)
+    cells = values.reindex(pd.MultiIndex.from_product([groups, seeds])).to_numpy(float)
+    return drawn_means(cells.T.reshape(-1, len(groups), len(seeds)), pairs)
 
 
-def constant_mean(runs: pd.DataFrame) -> pd.Series:
-    """Return the error of predicting the source's mean force by group, N, mean over methods and seeds."""
-    return runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()
+def p_value(draws: np.ndarray) -> float:
+    """Return the two-sided p of a difference being 0, from its draws; never below 2/(draws + 1)."""
+    if np.isnan(draws).any():
+        return math.nan
+    least = min((draws <= 0).sum(), (draws >= 0).sum())
+    return float(min(1.0, 2 * (1 + least) / (len(draws) + 1)))
+
+
+def holm(p_values: pd.Series) -> pd.Series:
+    """Return p-values adjusted for their number by Holm's procedure (Scandinavian Journal of Statistics 6, 1979)."""
+    known = p_values.dropna().sort_values(kind="stable")
+    factors = len(known) - np.arange(len(known))
+    return (known * factors).clip(upper=1.0).cummax().reindex(p_values.index)
+
+
+def halves(errors: pd.DataFrame) -> str:
+    """Say how alike the orders of methods (columns) by errors (groups and seeds) are in two halves of the seeds.
+
+    Nothing with a single seed or fewer than three methods.
+    """
+    seeds = errors.index.get_level_values("seed")
+    if seeds.nunique() < 2 or errors.shape[1] < 3:
+        return ""
+    of_halves = (by_group(errors[seeds.isin(seeds.unique()[half::2])]).mean() for half in (0, 1))
+    return (
+        f"Order of methods in two halves of the seeds: Kendall's τ = {kendalltau(*of_halves).statistic:.2f}."
+    )
 
 
 def tables(folder: Path) -> list[ResultTable]:
@@ -196,64 +235,50 @@ def usable(ceilings: pd.DataFrame) -> list[str]:
     return list(least.index[least >= LEAST_R2])
 
 
-def headroom(runs: pd.DataFrame, ceilings: pd.DataFrame, values: str = "error_n") -> pd.DataFrame | None:
+def headroom(errors: pd.DataFrame, ceiling: pd.Series) -> pd.DataFrame:
     """Return by group and seed (rows) start − error of each method, and start − ceiling in the column `ceiling`.
 
-    Only of groups whose target's ceiling is one, and seeds in which it was found; None if there are none.
+    `ceiling` has the errors by target and seed; groups and seeds without one are left out.
+    """
+    start = errors[[name for name in (PLAIN, CONSTANT) if name in errors]].min(axis=1)
+    targets = [(group.partition(" → ")[2], seed) for group, seed in errors.index]
+    ceiling = ceiling.reindex(targets).set_axis(errors.index)
+    return errors.rsub(start, axis=0).assign(ceiling=start - ceiling)[ceiling.notna()]
+
+
+def closed(runs: pd.DataFrame, ceilings: pd.DataFrame, values: str = "error_n") -> pd.DataFrame:
+    """Return the share of the headroom that each method closes, %, its 95 % interval, and of how many groups.
+
+    Only of groups whose target's ceiling is one.
     """
     errors = counted(runs, values)
-    if PLAIN not in errors or ceilings.empty:
-        return None
-    start = errors[PLAIN] if CONSTANT not in errors else errors[[PLAIN, CONSTANT]].min(axis=1)
-    targets = [(group.partition(" → ")[2], seed) for group, seed in errors.index]
-    ceiling = ceilings[values].reindex(targets).set_axis(errors.index)
-    is_one = np.isin([target for target, _ in targets], usable(ceilings))
-    good = ceiling.notna() & start.notna() & is_one
-    gains = errors.rsub(start, axis=0).assign(ceiling=start - ceiling)[good]
-    return gains if len(gains) else None
-
-
-def closed(gains: pd.DataFrame | None, methods: Iterable[str]) -> pd.DataFrame:
-    """Return the share of the headroom that each method closes, %, and its 95 % interval."""
-    found = pd.DataFrame(math.nan, pd.Index(list(methods), name="method"), ["share"]).assign(interval=None)
-    if gains is None:
+    found = pd.DataFrame({"share": math.nan, "interval": None, "groups": 0}, errors.columns)
+    good = ceilings[ceilings.index.isin(usable(ceilings), level="target")] if len(ceilings) else ceilings
+    if PLAIN not in errors or good.empty or (gains := headroom(errors, good[values])).empty:
         return found
-    groups = list(dict.fromkeys(gains.index.get_level_values(0)))
-    pairs = [sensor_pair(group) for group in groups]
-
-    def cube(column: str) -> np.ndarray:
-        return gains[column].unstack().reindex(groups).to_numpy()
-
-    whole = drawn_means(cube("ceiling"), pairs)
-    total = by_group(gains[["ceiling"]]).mean().item()
-    for method in found.index:
-        found.loc[method, "share"] = (
-            100 * by_group(gains[[method]]).mean().item() / total if total > 0 else math.nan
-        )
-        draws = 100 * drawn_means(cube(method), pairs) / np.where(whole > 0, whole, math.nan)
-        found.at[method, "interval"] = None if np.isnan(draws).any() else interval(draws)
-    return found
+    means, draws = by_group(gains).mean(), draws_of(gains)
+    found["groups"] = len(by_group(gains))
+    if means["ceiling"] > 0:
+        found["share"] = 100 * means / means["ceiling"]
+    shares = 100 * draws / np.where(draws[:, -1:] > 0, draws[:, -1:], math.nan)
+    intervals = [None if np.isnan(own).any() else interval(own) for own in shares.T[:-1]]
+    return found.assign(interval=pd.Series(intervals, found.index, dtype=object))
 
 
 def summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
     """Return each method's share of the headroom closed, errors, R² per axis, and rank by mean, Fz and shear."""
-    errors = {name: counted(runs, column) for name, column in VALUES.items()}
-    methods = list(errors["mean"])
-    shares = {name: closed(headroom(runs, ceilings, column), methods) for name, column in VALUES.items()}
-    frame = pd.DataFrame(index=pd.Index(methods, name="method"))
-    frame["closed"] = shares["mean"]["share"]
-    frame["interval"] = shares["mean"]["interval"]
-    for name in ("Fz", "shear"):
-        frame[f"closed {name}"] = shares[name]["share"]
-    for name, own in errors.items():
-        frame[f"{name}, N"] = over_groups(own)
     mean_shear = runs["constant_mean_n"].map(lambda mae_n: float(np.mean(mae_n[:2])))
-    hidden = runs.assign(hidden_n=(2 * mean_shear + runs["MAE z, N"]) / 3)
-    frame["no shear, N"] = over_groups(counted(hidden, "hidden_n"))
-    for column in R2:
-        frame[column] = over_groups(counted(runs, column))
-    for name, own in errors.items():
-        frame[f"rank {name}"] = ranks(by_group(own)[methods_of(runs, CEILING)]).mean()
+    runs = runs.assign(no_shear=(2 * mean_shear + runs["MAE z, N"]) / 3)
+    columns = {f"{name}, N": column for name, column in VALUES.items()} | {"no shear, N": "no_shear"}
+    of_groups = by_group(counted(runs, [*columns.values(), *R2]))
+    # A method that lacks a group has no mean.
+    means = of_groups.mean(skipna=False).unstack(level=0)
+    shares = {name: closed(runs, ceilings, column) for name, column in VALUES.items()}
+    frame = shares["mean"][["share", "interval"]].rename(columns={"share": "closed"}).rename_axis("method")
+    frame = frame.assign(**{f"closed {name}": shares[name]["share"] for name in ("Fz", "shear")})
+    frame = frame.assign(**{name: means[column] for name, column in columns.items()}).join(means[R2])
+    for name, column in VALUES.items():
+        frame[f"rank {name}"] = of_groups[column].drop(columns=CEILING, errors="ignore").rank(axis=1).mean()
     return frame.dropna(axis=1, how="all")
 
 
@@ -272,8 +297,7 @@ def method_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resul
     stage1_s = float(runs.loc[runs["stage1_s"] > 0, "stage1_s"].median())
     collapsed = runs.groupby("method")["problem"].count()
     frame = frame.assign(collapsed=collapsed) if collapsed.any() else frame
-    used = headroom(runs, ceilings)
-    groups = 0 if used is None else used.index.get_level_values(0).nunique()
+    groups = closed(runs, ceilings)["groups"].max()
     return result_table(
         f"All methods, {data} contacts: mean over {len(by_group(errors))} groups",
         frame,
@@ -288,29 +312,28 @@ def method_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resul
 
 
 def _seeds(runs: pd.DataFrame) -> str:
-    whole, seeds = counted(runs).notna().any(axis=1), f"{runs['seed'].nunique()} seed(s)"
-    finished = f"({whole.sum()} of {len(whole)} pairs of group and seed are finished by all methods)"
-    return seeds if whole.all() else f"{seeds} {finished}"
+    pairs, whole = len(runs[["group", "seed"]].drop_duplicates()), len(counted(runs))
+    finished = f" ({whole} of {pairs} pairs of group and seed are finished by all methods)"
+    return f"{runs['seed'].nunique()} seed(s){finished if whole < pairs else ''}"
 
 
 def control_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
     """What each method's loss brings: its error less that of its own control over the same groups and seeds."""
     errors, controls = counted(runs), runs.groupby("method")["control"].first()
     methods = [method for method in errors if controls.get(method) in errors]
-    gains = pd.DataFrame({method: errors[method] - errors[controls[method]] for method in methods})
-    means = by_group(gains)
-    pairs = [sensor_pair(group) for group in means.index]
-    draws = {m: drawn_means(gains[m].unstack(sort=False).to_numpy(), pairs) for m in methods}
-    kept = [[own != pair for own in pairs] for pair in dict.fromkeys(pairs)]
-    without = pd.DataFrame([means[rows].mean(skipna=False) for rows in kept if any(rows)], columns=methods)
-    p = pd.Series({method: p_value(draws[method]) for method in methods}, dtype=float)
+    gains = errors[methods] - errors[controls[methods]].to_numpy()
+    means, draws = by_group(gains), draws_of(gains).T
+    pairs = means.index.map(sensor_pair)
+    kept = [means[pairs != pair] for pair in pairs.unique()] if pairs.nunique() > 1 else []
+    without = pd.DataFrame([others.mean(skipna=False) for others in kept], columns=methods)
+    p = pd.Series(map(p_value, draws), methods, dtype=float)
     return result_table(
         f"Methods beside their own controls, {data} contacts",
         pd.DataFrame(
             {
                 "control": controls[methods],
                 "difference, N": means.mean(skipna=False),
-                "95 % interval": [interval(draws[m]) for m in methods],
+                "95 % interval": list(map(interval, draws)),
                 "p, Holm": holm(p),
                 "better in": [f"{count} of {len(means)}" for count in (means < 0).sum()],
                 "leaving out a pair": list(zip(without.min(), without.max(), strict=True)),
@@ -326,29 +349,16 @@ def control_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resu
 def group_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
     """The main methods group by group, beside rules and the ceiling."""
     errors = counted(runs)
-    means = by_group(errors)
-    shown = [method for method in means if method in (*RULES, *board.MAIN_METHODS)]
-    worse = means[PLAIN] > constant_mean(runs)[means.index] if PLAIN in means else means.index == ""
-    frame = means[shown].astype(object)
-    for method in shown:
-        frame[method] = errors[method].groupby(level=0, sort=False).apply(mean_and_deviation).astype(object)
-    frame.loc["mean"] = means[shown].mean(skipna=False)
-    note = "no ceiling was found."
+    errors = errors[[method for method in errors if method in (*RULES, *board.MAIN_METHODS)]]
+    frame = errors.groupby(level="group", sort=False).agg(mean_and_deviation).astype(object)
+    frame.loc["mean"] = by_group(errors).mean(skipna=False)
     if len(ceilings):
         own = ceilings["error_n"].groupby(level="target").mean()
         frame["ceiling"] = [own.get(group.partition(" → ")[2]) for group in frame.index]
-        note = f"* The ceiling's R² is below {LEAST_R2:g} on an axis, so that no headroom is counted."
-    good = usable(ceilings)
-    marked = {
-        group: group
-        + " †" * int(bad)
-        + " *" * int(len(ceilings) > 0 and group.partition(" → ")[2] not in good)
-        for group, bad in zip(means.index, worse, strict=True)
-    }
     return result_table(
         f"Group by group, {data} contacts: mean MAE on the target's test frames, N",
-        frame.rename(marked).rename_axis("group"),
-        f"± standard deviation over {_seeds(runs)}. † {PLAIN} is worse than the source's mean force always. {note}",
+        frame,
+        f"± standard deviation over {_seeds(runs)}.",
         {"": "{:.3f}"},
     )
 
@@ -382,10 +392,11 @@ def plot_groups(runs: pd.DataFrame) -> "Figure":
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     axes, errors = figure.subplots(), counted(runs)
     shown = [method for method in errors if method in board.MAIN_METHODS]
-    means, deviations = by_group(errors)[shown], errors[shown].groupby(level=0, sort=False).std().fillna(0.0)
+    means = by_group(errors[shown])
+    deviations = errors[shown].groupby(level="group", sort=False).std().fillna(0.0)
     means.plot.bar(ax=axes, yerr=deviations, width=0.8, rot=0, legend=False, fontsize=8, xlabel="")
     place = np.arange(len(means))
-    level = constant_mean(runs)[means.index]
+    level = runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()[means.index]
     axes.hlines(level, place - 0.4, place + 0.4, "k", "dotted", label=CONSTANT)
     axes.set_xticklabels([group.replace(" → ", "\n→ ") for group in means.index])
     axes.set_ylabel("target MAE, N")

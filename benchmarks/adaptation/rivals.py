@@ -17,6 +17,7 @@ from gelgap.benchmarks.adaptation.groups import (
     R2,
     SEEDS,
     SUMMARY_FORMATS,
+    ceilings_of,
     counted,
     load_ceilings,
     summary,
@@ -45,24 +46,21 @@ def changes_of(name: str) -> board.Changes:
 
 def input_grid(groups: Sequence[board.Group], methods: Sequence[str], seeds: Sequence[int]) -> list[Setting]:
     """Return the runs of every input that a group can show; a pretrained backbone needs a file and is left out."""
-    found = []
-    for seed in seeds:
-        for name, shown in INPUTS.items():
-            fit = [
-                group
-                for group in groups
-                if not shown.shows_displacement or not any("wm" in one for one in group)
-            ]
-            if not shown.frozen:
-                cases = [(designs.DATA, group) for group in fit]
-                found += grid(cases, methods, [seed], changes_of(name))
-    return found
-
-
-def ceiling_grid(runs: list[Setting]) -> list[Setting]:
-    """Return the ceilings of the targets of runs, on the profile's own input."""
-    targets = dict.fromkeys((run["target"], run["seed"]) for run in runs)
-    return [grid([(designs.DATA, (name, name))], [PLAIN], [seed])[0] for name, seed in targets]
+    cases = {
+        name: [
+            (designs.DATA, group)
+            for group in groups
+            if not (shown.shows_displacement and any("wm" in domain for domain in group))
+        ]
+        for name, shown in INPUTS.items()
+        if not shown.frozen
+    }
+    return [
+        run
+        for seed in seeds
+        for name, own in cases.items()
+        for run in grid(own, methods, [seed], changes_of(name))
+    ]
 
 
 def measure_inputs(study: Study) -> None:
@@ -88,8 +86,8 @@ def measure_crossed(study: Study) -> None:
 
 
 def _measure(study: Study, runs: list[Setting], file: str) -> None:
-    ceilings = ceiling_grid(runs)
-    study.generate_roles([*ceilings, *runs])
+    ceilings = ceilings_of(runs)
+    study.generate_for([*ceilings, *runs])
     study.run(adapt_run, runs, file)
     study.run(adapt_run, ceilings, RUNS)
 

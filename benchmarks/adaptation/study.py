@@ -4,11 +4,11 @@ A run is a setting: a method on a group of a data set with a seed. `adapt_run` t
 record. A study is a grid of settings, a file of records, and tables that are queries on them: a `Part`.
 """
 
+import datetime
 import hashlib
-import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,9 +17,10 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import NamedFigure, ResultTable, write_pages
-from gelgap.assets.checksums import canonical_json, checksum_problem, file_sha256, read_json, write_checksums
+from gelgap.assets.checksums import canonical_json
+from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board, designs
-from gelgap.benchmarks.common import Results, Setting, read_records, run_missing, write_json
+from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
 from gelgap.benchmarks.registry import parts_of
 
 if TYPE_CHECKING:
@@ -41,15 +42,16 @@ def grid(
 ) -> list[Setting]:
     """Return the runs of methods on data sets and groups, one seed after the other, so that finished seeds are whole.
 
+    Of a seed, all groups come with the first method before the next one: they train the stages that others share.
     `changes` are fields of the profile that differ from the preset, `settings` the candidates of a method's own.
     """
     cases, methods = list(cases), list(methods)
     return [
         dict(zip(_RUN, (source, target, method, seed, data, changes, own), strict=True))
         for seed in seeds
-        for data, (source, target) in cases
         for method in methods
         for own in settings(method)
+        for data, (source, target) in cases
     ]
 
 
@@ -65,21 +67,16 @@ class Study:
     data: Path
     out: Path
     profile: str
-    seeds: tuple[int, ...] | None = None
+    seeds: tuple[int, ...] = ()
     workers: int | None = None
     stop: float = math.inf
-    methods: tuple[str, ...] | None = None
-    groups: tuple[board.Group, ...] | None = None
+    methods: tuple[str, ...] = ()
+    groups: tuple[board.Group, ...] = ()
 
     @classmethod
     def at(cls, folder: Path, **limits: Any) -> "Study":
         """Return the study of a folder that is named after the profile, its data beside it."""
         return cls(folder.parent / f"data-{folder.name}", folder, folder.name, **limits)
-
-    def within(self, name: str, profile: str) -> "Study":
-        """Return a study with another profile and data of its own, below this one's records."""
-        folder = self.out / name
-        return replace(self, data=folder / "data", out=folder / "runs", profile=profile)
 
     @property
     def is_quick(self) -> bool:
@@ -90,36 +87,37 @@ class Study:
         """Return the names of the chosen methods, if any; classes of one's own are known by theirs from now on."""
         from gelgap.adapt.methods.registry import use_method
 
-        return tuple(map(use_method, self.methods or ()))
+        return tuple(map(use_method, self.methods))
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
-        """Generate what is missing of some domains of a data set."""
+        """Generate what is missing of some domains of a data set, if there are any."""
         from gelgap.domains import generate_recipes, shown_progress
 
+        if not recipes:
+            return
         where = {"scheduler": "synchronous" if self.workers == 1 else None, "workers": self.workers}
         with shown_progress() as progress:
             report = generate_recipes(recipes, self.data / data, **where, progress=progress)
         print(report, flush=True)
 
-    def generate_sets(self, *data: str) -> None:
-        """Generate what is missing of some of the board's data sets."""
-        for name in data:
-            self.generate(board.recipes_of(name), name)
-
-    def generate_roles(self, runs: Iterable[Setting]) -> None:
-        """Generate what is missing of the domains of runs as sources and as targets, and sources in drawn light."""
-        runs = [run for run in runs if run["data"] in board.BY_ROLE]
-        for role in designs.ROLES:
-            names = [run[role] for run in runs if role == "target" or run["source"] != run["target"]]
-            known = [name for name in dict.fromkeys(names) if not name.startswith(designs.MADE)]
-            if known:
-                self.generate(designs.role_recipes(known, role), f"{designs.DATA}-{role}")
-        for name in dict.fromkeys(run["source"] for run in runs if run["source"].startswith(designs.DRAWN)):
-            like = name.removeprefix(designs.LIKE) if name.startswith(designs.LIKE) else None
-            target = like and _domain((self.data / f"{designs.DATA}-target" / like).resolve())
-            self.generate(designs.random_light_recipes(target), f"{designs.DATA}-source")
-        if any(run["target"].startswith(designs.FACTORIAL) for run in runs):
-            self.generate(designs.factorial_recipes(), f"{designs.DATA}-target")
+    def generate_for(self, runs: Iterable[Setting]) -> None:
+        """Generate what is missing of the domains of runs; lights like a target's are drawn by its picture."""
+        runs = list(runs)
+        for data in dict.fromkeys(run["data"] for run in runs if run["data"] not in board.BY_ROLE):
+            self.generate(board.recipes_of(data), data)
+        by_role = [run for run in runs if run["data"] in board.BY_ROLE]
+        as_source = dict.fromkeys(run["source"] for run in by_role if run["source"] != run["target"])
+        drawn = [name for name in as_source if name.startswith(designs.DRAWN)]
+        recipes = designs.role_recipes(dict.fromkeys(run["target"] for run in by_role), "target")
+        self.generate(recipes, f"{designs.DATA}-target")
+        self.generate(
+            designs.role_recipes([name for name in as_source if name not in drawn], "source"),
+            f"{designs.DATA}-source",
+        )
+        for name in drawn:
+            target = name.removeprefix(designs.LIKE) if name.startswith(designs.LIKE) else None
+            pictured = target and _domain((self.data / f"{designs.DATA}-target" / target).resolve())
+            self.generate(designs.random_light_recipes(pictured), f"{designs.DATA}-source")
 
     def run(
         self, function: "Callable[[Study, Setting], Results]", runs: Iterable[Setting], file: str
@@ -137,7 +135,6 @@ class Study:
             self.out / file,
             workers=self.workers,
             fixed=self.stated_of,
-            shared=self.stage1_of,
             describe=self.describe,
             stop=self.stop,
         )
@@ -192,32 +189,22 @@ class Study:
             "settings": settings,
         }
 
-    def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
-        """Return the first stage of a run; all methods of a group, split and seed share it."""
+    def stage1(self, run: Setting, source_train: "LabelledFrames", weights: Path | None = None) -> "Stage1":
+        """Return the first stage of a run; all methods of a group, split and seed share it: one trains, others wait."""
         from gelgap.adapt import Stage1
 
-        return Stage1(source_train, self.profile_of(run), run["seed"], out=self.out)
+        class SharedStage1(Stage1):
+            def model(self) -> "tuple[ForceModel, float]":
+                with key_lock(self.checkpoint.parent, self.checkpoint.name):
+                    return super().model()
 
-    def stage1_of(self, run: Setting) -> str | None:
-        """Return the checkpoint of the first stage that a run has yet to train, and shares; None if there is none."""
-        from gelgap.adapt import find_method
-
-        if not find_method(run["method"]).needs_stage_1:
-            return None
-        checkpoint = _checkpoint(self, json.dumps(run | {"method": board.PLAIN, "settings": []}))
-        return None if checkpoint.is_file() else str(checkpoint)
+        return SharedStage1(source_train, self.profile_of(run), run["seed"], weights, self.out)
 
 
 def configuration_of(profile: "Profile", *data: Any) -> str:
     """Return a hash of all that methods have in common: a profile without their settings, and what says which data."""
     common = profile.model_dump(mode="json", exclude={"name", "settings"}, exclude_defaults=True)
     return hashlib.sha256(canonical_json([common, *data])).hexdigest()[:12]
-
-
-@cache
-def _checkpoint(study: Study, run_json: str) -> Path:
-    run = json.loads(run_json)
-    return study.stage1(run, study.frames_of(run).source_train).checkpoint
 
 
 @cache
@@ -237,20 +224,26 @@ def adapt_run(study: Study, run: Setting) -> Results:
     return trained(study, run)[2]
 
 
-def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None, Results]":
+def trained(
+    study: Study, run: Setting, weights: Path | None = None
+) -> "tuple[SplitFrames, ForceModel | None, Results]":
     """Train both stages of a run; return its frames, its model, and errors on the target's test frames, by axis.
 
-    A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
-    with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
+    Stage 1 starts from weights, if there are some. A run that stopped with a problem (its features collapsed, or its
+    losses were not finite) has no model, and counts with the errors of the source's mean force. `stage1_s` is 0 where
+    another run had trained the checkpoint.
     """
     from gelgap.adapt import find_method
+    from gelgap.adapt.methods.registry import method_code
     from gelgap.adapt.runs import run_method
 
     frames = study.frames_of(run)
-    stage1 = study.stage1(run, frames.source_train)
+    stage1 = study.stage1(run, frames.source_train, weights)
     done, model = run_method(frames, stage1, run["method"])
     results = {
         "versions": versions_line(),
+        "when": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+        "code_sha256": method_code(run["method"]),
         "control": control_of(run["method"]),
         "problem": done.problem,
         "mae_n": short(done.target_test.mae_n),
@@ -346,30 +339,6 @@ def with_errors(records: pd.DataFrame) -> pd.DataFrame:
     group = records["source"] + " → " + records["target"]
     shear = records["mae_n"].map(lambda mae_n: float(np.mean(mae_n[:2])))
     return records.assign(group=group, error_n=records["mae_n"].map(np.mean), shear_n=shear, **of_axes)
-
-
-def write_results(path: Path, results: Any) -> None:
-    """Write results as JSON, and their checksum to the folder's list, for `read_results`."""
-    write_json(path, results)
-    write_checksums(path.parent, {path.name: file_sha256(path)})
-
-
-def read_results(path: Path, kind: Any) -> Any:
-    """Return what `write_results` wrote, of a type.
-
-    Raises
-    ------
-    RuntimeError
-        If the file is damaged.
-    """
-    from pydantic import TypeAdapter
-
-    if not (problem := checksum_problem(path)):
-        try:
-            return TypeAdapter(kind).validate_python(read_json(path))
-        except ValueError as error:
-            problem = f"is damaged ({' '.join(str(error).split())[:120]})"
-    raise RuntimeError(f"{path} {problem}; delete it and run the same benchmark again")
 
 
 @dataclass(frozen=True)

@@ -128,9 +128,6 @@ class FewLabelStudy(SessionStudy):
         data = FZ_RANGE_N, STEPS, key_of_session(session), start
         return self.stated(self.profile_of(run), run["method"], *data)
 
-    def stage1_of(self, run: Setting) -> None:
-        """Return that runs share no first stage."""
-
 
 def few_label_runs(budgets: Iterable[str], starts: Iterable[str], draws: Iterable[int]) -> list[Setting]:
     """Return the trainings from each start, one draw after the other."""

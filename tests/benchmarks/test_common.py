@@ -14,6 +14,8 @@ import pytest
 
 from gelgap.benchmarks.common import (
     bootstrap,
+    drawn_means,
+    interval,
     key_of,
     read_records,
     result_table,
@@ -30,25 +32,17 @@ from gelgap.benchmarks.common import run_missing
 FILE, HOW = Path(sys.argv[1]), sys.argv[2]
 
 def measure(setting):
-    made = FILE.with_name(setting["product"])
     if HOW == "dies" and setting["number"] == 1:
         os._exit(9)
     if HOW == "hangs" and setting["number"] == 3:
         FILE.with_name("hanging").touch()
         time.sleep(600)
-    if not made.exists():
-        with FILE.with_name("made").open("a") as log:
-            log.write(f"{setting['product']}\\n")
-        time.sleep(1.0)
-        made.touch()
+    time.sleep(0.5)
     return {"square": setting["number"] ** 2, "pid": os.getpid(), "threads": os.environ["OMP_NUM_THREADS"]}
 
 if __name__ == "__main__":
-    grid = [{"number": n, "product": "odd" if n % 2 else "even"} for n in range(6)]
     fresh = 1 if HOW == "fresh" else None
-    run_missing(
-        measure, grid, FILE, workers=2, tasks_per_worker=fresh, shared=lambda setting: setting["product"]
-    )
+    run_missing(measure, [{"number": n} for n in range(6)], FILE, workers=2, tasks_per_worker=fresh)
 """
 
 
@@ -140,13 +134,12 @@ def test_arrays_lie_beside_the_records_and_are_measured_again_if_damaged(tmp_pat
 
 
 @pytest.mark.parametrize("how", ["reused", "fresh"])
-def test_workers_of_one_thread_share_what_the_first_one_makes(tmp_path, how):
+def test_workers_are_processes_of_one_thread(tmp_path, how):
     process = study(tmp_path, how)
     out, error = process.communicate(timeout=120)
     assert (process.returncode, error) == (0, "")
     found = read_records(tmp_path / "squares.jsonl").sort_values("number")
     assert list(found["square"]) == [0, 1, 4, 9, 16, 25]
-    assert (tmp_path / "made").read_text().split() == ["even", "odd"]
     assert set(found["threads"]) == {"1"}
     assert found["pid"].nunique() == (6 if how == "fresh" else 2)
     assert "6/6  " in out
@@ -196,6 +189,18 @@ def test_seeds_that_shift_all_groups_widen_the_interval():
     own, shared = rng.standard_normal((9, 5)), np.broadcast_to(rng.standard_normal(5), (9, 5))
     (low, high), (low_shared, high_shared) = bootstrap(own), bootstrap(shared)
     assert high_shared - low_shared > 1.5 * (high - low)
+
+
+def test_cases_of_one_cluster_are_no_further_cases():
+    """Eight copies of a case say no more than the case: the interval over clusters does not shrink."""
+    values = np.random.default_rng(0).normal(size=(4, 5))
+    copied = values[[0, 1, 2, 3, 3, 3, 3, 3, 3, 3, 3]]
+    alone, as_cases = interval(drawn_means(values)), interval(drawn_means(copied))
+    as_cluster = interval(drawn_means(copied, [0, 1, 2, *[3] * 8]))
+    assert np.ptp(as_cluster) > 1.2 * np.ptp(as_cases)
+    assert np.ptp(as_cluster) > 0.8 * np.ptp(alone)
+    assert drawn_means(np.ones((2, 3, 4)), "abc").shape == (4000, 2)
+    assert math.isnan(interval(drawn_means(np.full((2, 2), math.nan)))[0])
 
 
 def test_tables_show_numbers_ranges_and_what_is_not_there():

@@ -71,7 +71,7 @@ def test_an_alarm_or_a_collapse_is_last_whatever_its_score(chosen):
 
 def test_a_case_counts_only_with_its_whole_grid(chosen, runs_of):
     whole, part = grid([2, 1, 3, 4, 5], [0.1] * 5), grid([1, 2, 3, 4, 5], [0.1] * 5, group=1)[:-1]
-    assert len(choice.of_grid(runs_of([*whole, *part]))["dann"]) == 1
+    assert set(choice.of_grid(runs_of([*whole, *part]))["dann"]["group"]) == {" → ".join(TUNING_GROUPS[0])}
     assert chosen([*whole, *part]) == {"dann": WEIGHTS[1]}
 
 
@@ -86,7 +86,8 @@ def test_a_choice_on_the_edge_is_flagged(tmp_path):
 def test_regret_is_the_error_over_the_best(runs_of):
     records = grid([2, 1, 3, 4, 5], [0.1, 0.3, 0.2, 0.4, 0.5])
     found = choice.of_grid(runs_of(records))["dann"]
-    assert found["regret_n"][choice.chosen(found)].tolist() == pytest.approx([0.2])
+    regret_n = found[found["candidate"] == choice.chosen(found)]["regret_n"]
+    assert regret_n.tolist() == pytest.approx([0.2])
 
 
 def test_the_frozen_choice_is_a_profile(runs_of, tmp_path):

@@ -1,21 +1,18 @@
-"""The leaderboard: records of finished runs, what is refused and why, and the table."""
+"""The leaderboard: runs of anyone, what is refused and why, and the table."""
 
-import json
-from pathlib import Path
+import shutil
 
 import numpy as np
 import pytest
-from run_records import record, write_runs
+from run_records import Record, record, write_runs
 
 from gelgap.adapt import split_for_training
-from gelgap.assets.array_file import read_arrays
 from gelgap.benchmarks.adaptation import designs
-from gelgap.benchmarks.adaptation.leaderboard import OWN, main, ranked, write_records
+from gelgap.benchmarks.adaptation.leaderboard import main, ranked, write_record
 from gelgap.benchmarks.adaptation.study import RUNS, Study, grid
 from gelgap.domains import ArrayFrames
 
 GROUP = ("wmb0i0", "wmb0i1")
-FORMER = Path(__file__).parents[3] / "docs" / "results" / "records"
 
 
 def domain(name: str, seed: int) -> ArrayFrames:
@@ -28,8 +25,8 @@ def domain(name: str, seed: int) -> ArrayFrames:
 
 @pytest.fixture
 def study(tmp_path, monkeypatch):
-    """A study of one group and two seeds, in memory, with runs that nobody trained."""
-    found = {name: domain(name, seed) for seed, name in enumerate(("wmb0i0", "wmb0i1"))}
+    """A study of one group and two seeds, in memory."""
+    found = {name: domain(name, seed) for seed, name in enumerate(GROUP)}
     monkeypatch.setattr(Study, "domains_of", lambda self, run: [])
     monkeypatch.setattr(
         Study,
@@ -38,131 +35,127 @@ def study(tmp_path, monkeypatch):
             found[run["source"]], found[run["target"]], self.profile_of(run), run["seed"]
         ),
     )
-    study = Study.at(tmp_path / "cpu")
-    records = []
-    for method, noise_n in (("source-only", 0.5), ("adabn", 0.3), ("mine.Mine", 0.2), (OWN, 0.05)):
-        for seed in (0, 1):
-            group = (GROUP[1],) * 2 if method == OWN else GROUP
-            (run,) = grid(
-                [(designs.DATA, group)],
-                ["source-only" if method == OWN else method.replace("mine.Mine", "coral")],
-                [seed],
-            )
-            frames = study.frames_of(run)
-            true_n = frames.target_test.force_n
-            predicted = (true_n + noise_n).astype(np.float32)
-            setting, results = record(
-                group,
-                run["method"],
-                noise_n,
-                seed,
-                data=designs.DATA,
-                configuration=study.stated_of(run)["configuration"],
-            )
-            results |= {
-                "predicted_n": predicted,
-                "frames_sha256": {name: part.digest for name, part in frames.parts.items()},
-                "stage1_sha256": f"weights {seed}",
-                "r2": (0.95,) * 3,
-            }
-            records.append(
-                (setting | {"method": "mine.Mine" if method == "mine.Mine" else run["method"]}, results)
-            )
-    write_runs(study.out / RUNS, records)
-    return study
+    return Study.at(tmp_path / "cpu")
+
+
+def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUP, **results) -> Record:
+    """Return a run that nobody trained, whose predictions are off by as much."""
+    (run,) = grid([(designs.DATA, group)], ["coral" if "." in method else method], [seed])
+    frames = study.frames_of(run)
+    found = {
+        "when": "2026-11-25",
+        "configuration": study.stated_of(run)["configuration"],
+        "predicted_n": (frames.target_test.force_n + off_n).astype(np.float32),
+        "frames_sha256": {name: part.digest for name, part in frames.parts.items()},
+        "stage1_sha256": f"weights {seed}",
+        "r2": (0.95,) * 3,
+    }
+    setting, own = record(group, run["method"], off_n, seed, data=designs.DATA, **found)
+    return setting | {"method": method}, own | results
 
 
 @pytest.fixture
 def folder(study, tmp_path):
-    write_records(study, tmp_path / "records", "Ada")
+    """The records of one who ran source-only, AdaBN and the ceilings."""
+    runs = [
+        run_of(study, method, seed, off_n, group)
+        for method, off_n, group in (
+            ("source-only", 0.5, GROUP),
+            ("adabn", 0.3, GROUP),
+            ("source-only", 0.05, (GROUP[1],) * 2),
+        )
+        for seed in (0, 1)
+    ]
+    write_runs(study.out / RUNS, runs)
+    write_record(study, tmp_path / "records", "Ada")
     return tmp_path / "records"
 
 
-def rewrite(path: Path, arrays: dict | None = None, **fields) -> None:
-    """Change a record's statements, or its predictions."""
-    found = read_arrays(path)
-    stated = json.loads(found["record"].tobytes())
-    stated |= {name: value(stated) if callable(value) else value for name, value in fields.items()}
-    found["record"] = np.frombuffer(json.dumps(stated).encode(), np.uint8)
-    np.savez_compressed(path, **(found | (arrays or {})))
+def mine(
+    study: Study, off_n: float = 0.2, seeds=(0, 1), method: str = "mine.Mine", **results
+) -> list[Record]:
+    return [run_of(study, method, seed, off_n, **results) for seed in seeds]
 
 
-def test_records_are_ranked_by_what_they_close(study, folder):
-    assert {path.name for path in folder.iterdir()} == {
-        f"{name}-disjoint.npz" for name in ("source-only", "adabn", "mine.Mine", OWN)
-    }
+def test_runs_are_ranked_by_what_they_close(study, folder):
+    assert {path.name for path in folder.iterdir()} == {"Ada.jsonl", "Ada"}
+    write_runs(folder / "Bob.jsonl", mine(study, settings={"weight": 3}))
     (table,), refused = ranked(folder, study)
     assert refused == {}
     rows = {row[0]: dict(zip(table.columns, row, strict=True)) for row in table.cells}
     assert list(rows) == ["**mine.Mine**", "adabn", "source-only"]
     # From 0.5 N to 0.05 N.
     assert rows["**mine.Mine**"]["closed"] == "67 %"
+    assert rows["**mine.Mine**"]["settings"] == "weight = 3"
     assert rows["source-only"]["closed"] == "0 %"
-    assert rows["adabn"]["who"] == "Ada"
+    assert [rows[name]["who"] for name in rows] == ["Bob", "Ada", "Ada"]
     assert rows["adabn"]["same stage 1"] == "yes"
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (
-            {"runs": lambda record: [{**run, "mae_n": [0.001] * 3} for run in record["runs"]]},
-            "it states a mean MAE of 0.0010 N, its predictions have 0.2000 N",
-        ),
-        ({"runs": lambda record: record["runs"][:1]}, "1 runs of the board are missing, 0 are none of it"),
-        ({"runs": lambda record: [record["runs"][0]] * 2}, "has a run twice"),
-        (
-            {"runs": lambda record: [{**run, "configuration": "d"} for run in record["runs"]]},
-            "is of configuration d, the board's is",
-        ),
-        (
-            {"runs": lambda record: [{**run, "frames_sha256": {}} for run in record["runs"]]},
-            "its source train frames are not those of the board's data",
-        ),
+        ({"mae_n": (0.001,) * 3}, "it states a mean MAE of 0.0010 N, its predictions have 0.2000 N"),
+        ({"mae_n": (float("nan"),) * 3}, "it states a mean MAE of nan N"),
+        ({"seeds": (0,)}, "1 runs of the board are missing, 0 are none of it"),
+        ({"configuration": "d"}, "is of configuration d, the board's is"),
+        ({"frames_sha256": {}}, "its source train frames are not those of the board's data"),
         ({"profile": "smoke"}, "is of profile smoke, the board's is cpu"),
-        ({"method": "../x"}, "method = '../x' is no name"),
-        ({"speed": 3}, "is no record: speed: extra inputs are not permitted"),
-        ({"arrays": {"predicted_n_0": np.zeros((1, 3))}}, "no finite prediction for each of the"),
-        ({"arrays": {"predicted_n_1": np.full((8, 3), np.nan)}}, "no finite prediction for each of the"),
+        ({"method": "../x.y"}, "method = '../x.y' is no name"),
+        ({"predicted_n": np.zeros((1, 3))}, "no finite prediction for each of the"),
+        ({"predicted_n": np.full((8, 3), np.nan)}, "no finite prediction for each of the"),
+        ({"predicted_n": None}, "no finite prediction for each of the"),
+        ({"predicted_n": "x"}, "no finite prediction for each of the"),
+        ({"mae_n": "much"}, ""),
+        # Predictions better than the target's own labels give.
+        ({"off_n": 0.001}, "is below 0.0500 N, the ceiling's"),
+        ({"method": "adabn"}, "another record of it was read first"),
     ],
 )
 def test_what_does_not_hold_is_not_ranked(study, folder, change, reason):
-    rewrite(folder / "mine.Mine-disjoint.npz", **change)
+    write_runs(folder / "Bob.jsonl", mine(study, **change))
     (table,), refused = ranked(folder, study)
-    assert reason in refused["mine.Mine-disjoint.npz"]
+    method = change.get("method", "mine.Mine")
+    assert reason in refused[f"Bob.jsonl: {method} on disjoint contacts"]
     assert [row[0] for row in table.cells] == ["adabn", "source-only"]
 
 
-def test_an_invented_record_is_not_ranked(study, folder):
-    """Errors alone, or predictions better than the target's own labels give."""
-    (folder / "best.json").write_text(json.dumps({"method": "best", "mae_n": 0.001}))
-    path = folder / "mine.Mine-disjoint.npz"
-    stated = json.loads(read_arrays(path)["record"].tobytes())
-    arrays = {}
-    for k, run in enumerate(stated["runs"]):
-        (setting,) = grid([(designs.DATA, GROUP)], ["coral"], [run["seed"]])
-        arrays[f"predicted_n_{k}"] = (study.frames_of(setting).target_test.force_n + 0.001).astype(np.float32)
-    runs = [{**run, "mae_n": [0.001] * 3} for run in stated["runs"]]
-    rewrite(path, arrays, runs=runs)
-    _, refused = ranked(folder, study)
-    assert "has no predictions" in refused["best.json"]
-    assert "is below 0.0500 N, the ceiling's" in refused[path.name]
+def test_a_run_that_stands_twice_is_not_ranked(study, folder):
+    runs = [(setting | {"copy": copy}, results) for copy in (0, 1) for setting, results in mine(study)]
+    write_runs(folder / "Bob.jsonl", runs)
+    (table,), refused = ranked(folder, study)
+    assert refused == {"Bob.jsonl: mine.Mine on disjoint contacts": "has a run twice"}
+    assert len(table.rows) == 2
+
+
+def test_predictions_that_are_gone_are_not_ranked(study, folder):
+    shutil.rmtree(folder / "Ada")
+    assert ranked(folder, study) == ([], {})
 
 
 def test_without_source_only_nothing_is_ranked(study, folder, capsys):
-    (folder / "source-only-disjoint.npz").unlink()
+    shutil.rmtree(folder)
+    write_runs(folder / "Bob.jsonl", mine(study))
+    (folder / "best.json").write_text("{}")
     tables, refused = ranked(folder, study)
     assert tables == []
-    assert "no record of source-only" in refused["adabn-disjoint.npz"]
+    assert "no record of source-only" in refused["Bob.jsonl: mine.Mine on disjoint contacts"]
+    assert "former format" in refused["best.json"]
     with pytest.raises(SystemExit, match="2"):
         main([str(folder), "--runs", str(study.out), "--out", str(folder / "board.md")])
     assert "holds no record that can be ranked" in capsys.readouterr().err
 
 
 def test_the_page_names_what_is_not_ranked(study, folder, capsys):
-    rewrite(folder / "adabn-disjoint.npz", profile="smoke")
-    main([str(folder), "--runs", str(study.out), "--out", str(folder / "board.md")])
+    write_runs(folder / "Bob.jsonl", [*mine(study), *mine(study, method="bad.Bad", profile="smoke")])
+    arguments = [str(folder), "--runs", str(study.out), "--out", str(folder / "board.md"), "--write", "--who"]
+    main([*arguments, "Ada"])
     text = (folder / "board.md").read_text(encoding="utf-8")
     assert "| **mine.Mine** | 67 % |" in text
-    assert "- `adabn-disjoint.npz` is of profile smoke" in text
-    assert "not ranked: adabn-disjoint.npz" in capsys.readouterr().err
+    assert "- Bob.jsonl: bad.Bad on disjoint contacts is of profile smoke" in text
+    assert (
+        "not ranked: Bob.jsonl: bad.Bad on disjoint contacts is of profile smoke" in capsys.readouterr().err
+    )
+    with pytest.raises(SystemExit, match="2"):
+        main([*arguments, "../Ada"])
+    assert "--who '../Ada' is no name of a file" in capsys.readouterr().err

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from run_records import label_record, look_up_method, record, write_benchmark, write_runs
 
+from gelgap.adapt.trainer import untrained
 from gelgap.benchmarks.adaptation import labels, speed
 from gelgap.benchmarks.adaptation.board import GROUPS
 from gelgap.benchmarks.adaptation.study import (
@@ -20,7 +22,6 @@ from gelgap.benchmarks.adaptation.study import (
     grid,
     is_benchmark,
     write_benchmark_report,
-    write_results,
 )
 
 CASES = [("paired", GROUPS[0])]
@@ -108,17 +109,24 @@ def test_workers_know_a_method_of_ones_own(same_data, tmp_path):
     assert found["pid"].nunique() == 2
 
 
-def test_runs_that_share_a_first_stage_name_its_checkpoint(source, target, monkeypatch, tmp_path):
+def test_runs_wait_for_the_first_stage_that_they_share(source, target, monkeypatch, tmp_path):
     own = Study(tmp_path, tmp_path, "smoke")
     monkeypatch.setattr(Study, "domains_of", lambda self, run: [source, target])
-    one, two, other, _ = grid(CASES, ["dsan", "dann"], [0, 1])
-    (without,) = grid(CASES, ["constant-mean"], [0])
-    checkpoint = own.stage1_of(one)
-    assert checkpoint == own.stage1_of(two) != own.stage1_of(other)
-    assert own.stage1_of(without) is None
-    Path(checkpoint).parent.mkdir()
-    Path(checkpoint).touch()
-    assert own.stage1_of(one) is None
+    one, two, other, _ = grid(CASES, ["dsan", "dann"], [0, 1], (("image_size_px", (40, 32)),))
+    first, second = (own.stage1(run, own.frames_of(run).source_train) for run in (one, two))
+    assert first.checkpoint == second.checkpoint
+    assert first.checkpoint != own.stage1(other, own.frames_of(other).source_train).checkpoint
+    trained = []
+
+    def train(*_, **__):
+        trained.append(time.sleep(0.3))
+        return untrained(source, own.profile_of(one), 0)
+
+    monkeypatch.setattr("gelgap.adapt.runs.train_source", train)
+    with ThreadPoolExecutor() as pool:
+        seconds = [wall_s for _, wall_s in pool.map(lambda stage1: stage1.model(), (first, second))]
+    assert len(trained) == 1
+    assert min(seconds) == 0 < max(seconds)
 
 
 def test_ctrl_c_ends_with_a_sentence(tmp_path):
@@ -153,9 +161,14 @@ def test_report_of_all_parts(tmp_path):
     ]
     write_benchmark(folder, found)
     write_runs(folder / labels.RECORD, [label_record(GROUPS[0], "dsan", {0: 0.2, 1: 0.1})])
-    times = {"step_ms": 40.0, "wait_share": 0.01, "overhead": 0.02}
-    loops = [{"name": name, **times} for name in ("stage 1", "stage 2, supervised")]
-    write_results(folder / speed.RESULTS, loops)
+    times = {speed.PLAIN: 1.0, speed.STAGE_1: 1.02, f"{speed.STAGE_2}{speed.BASE}": 2.0}
+    write_runs(
+        folder / speed.RECORD,
+        [
+            ({"loop": loop, "turn": 0}, {"step_ms": 40.0, "wait_share": 0.01, "processor_s": processor_s})
+            for loop, processor_s in times.items()
+        ],
+    )
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 2
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
