@@ -46,14 +46,11 @@ class MembraneRenderer:
         Width and height of the picture.
     quality
         `draft`, `standard` or `fine`: spacing of the shaded grid and number of strips per LED.
-    linear_by_led_to_camera
-        (n_leds, 3) of another renderer with the same sensor and illumination, so that this process need not import
-        colour-science; by default it is computed.
 
     Raises
     ------
     ValueError
-        For an unknown quality, a size outside 16…4096 px, or a matrix of the wrong shape.
+        For an unknown quality, or a size outside 16…4096 px.
     """
 
     def __init__(
@@ -62,7 +59,6 @@ class MembraneRenderer:
         illumination: Illumination,
         size_px: tuple[int, int] = (320, 240),
         quality: Quality = "standard",
-        linear_by_led_to_camera: np.ndarray | None = None,
     ) -> None:
         if quality not in QUALITIES:
             raise ValueError(f"render quality {quality!r} is unknown; known: {', '.join(QUALITIES)}")
@@ -82,13 +78,11 @@ class MembraneRenderer:
         vignetted, field = sensor.camera.vignetting > 0, sensor.flat_field
         self._gain = imaging.vignetting_gain(sensor.camera, self.size_px) if vignetted else None
         self._flat_field = None if field is None else FlatFieldFilter(field, sensor.camera, self.size_px)
-        self._set_colours(illumination, linear_by_led_to_camera)
+        self._set_colours(illumination)
         self._set_scattered(illumination)
         self._set_leds(illumination)
 
-    def relit(
-        self, illumination: Illumination, linear_by_led_to_camera: np.ndarray | None = None
-    ) -> "MembraneRenderer":
+    def relit(self, illumination: Illumination) -> "MembraneRenderer":
         """Return the renderer of the same sensor under another illumination.
 
         It gives the pictures of a new one, sooner: what the illuminations have in common is not computed again, which
@@ -96,24 +90,16 @@ class MembraneRenderer:
         """
         other, before = copy.copy(self), self.illumination
         other.illumination = illumination
-        other._set_colours(illumination, linear_by_led_to_camera)
+        other._set_colours(illumination)
         if illumination.scattered != before.scattered:
             other._set_scattered(illumination)
         if [led.face for led in illumination.leds] != [led.face for led in before.leds]:
             other._set_leds(illumination)
         return other
 
-    def _set_colours(self, illumination: Illumination, led_to_camera: np.ndarray | None) -> None:
+    def _set_colours(self, illumination: Illumination) -> None:
         """Compute what depends on the LEDs' colours."""
-        if led_to_camera is None:
-            led_to_camera = illumination.led_to_camera(self.sensor.camera)
-        self.linear_by_led_to_camera = np.asarray(led_to_camera, float)
-        if self.linear_by_led_to_camera.shape != (len(illumination.leds), 3):
-            raise ValueError(
-                f"linear_by_led_to_camera has shape {self.linear_by_led_to_camera.shape}; this illumination asks for "
-                f"{(len(illumination.leds), 3)}"
-            )
-        glossy, radiance = self.sensor.coating.specular, self.linear_by_led_to_camera
+        glossy, radiance = self.sensor.coating.specular, illumination.led_to_camera(self.sensor.camera)
         diffuse = radiance * np.asarray(self.sensor.coating.albedo) / np.pi
         self._lambert_to_linear = ((1 - glossy) * diffuse).astype(np.float32)
         # Rows as `gloss` gives them: base and highlight of each LED.
@@ -126,8 +112,7 @@ class MembraneRenderer:
 
     def _set_leds(self, illumination: Illumination) -> None:
         """Compute what depends on where the LEDs are: their light on the undeformed membrane."""
-        emitters = illumination.emitters(self.sensor.camera, self.linear_by_led_to_camera)
-        self._leds = led_samples(emitters, self._shadows)
+        self._leds = led_samples(illumination.emitters(self.sensor.camera), self._shadows)
         flat = self._surface_on_lattice(self._flat, "reference")
         light = direct_light(flat, self._leds, self._shadows, None)
         self._reference_irradiance = light.irradiance

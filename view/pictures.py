@@ -67,12 +67,11 @@ class PictureMaker:
         """Return the renderer of a light, made from one of another light on the same sensor if there is one."""
         if light in self._renderers:
             return self._renderers[light]
-        colours = led_to_camera(light.illumination, light.sensor.camera)
         alike = [old for old in self._renderers if (old.sensor, old.quality) == (light.sensor, light.quality)]
         if alike:
-            renderer = self._renderers[alike[-1]].relit(light.illumination, colours)
+            renderer = self._renderers[alike[-1]].relit(light.illumination)
         else:
-            renderer = MembraneRenderer(light.sensor, light.illumination, SIZE_PX, light.quality, colours)
+            renderer = MembraneRenderer(light.sensor, light.illumination, SIZE_PX, light.quality)
         if len(self._renderers) >= _KEPT_RENDERERS:
             del self._renderers[next(iter(self._renderers))]
         self._renderers[light] = renderer
@@ -84,18 +83,11 @@ class PictureMaker:
         return gap.mean, gap.percentile_95
 
 
-@lru_cache(maxsize=256)
 def colour_of_spectrum(spectrum, camera: Camera) -> tuple[float, float, float]:
     """Return the linear camera RGB of a spectrum at drive 1 and exposure 1."""
     lone = Led(position_mm=(0.0, 0.0, -10.0), spectrum=spectrum)
     red, green, blue = Illumination(leds=(lone,)).led_to_camera(camera)[0] / camera.exposure
     return float(red), float(green), float(blue)
-
-
-def led_to_camera(illumination: Illumination, camera: Camera) -> NDArray[np.float64]:
-    """Return `Illumination.led_to_camera`, (n_leds, 3), with each spectrum's colour computed once per camera."""
-    colours = [np.array(colour_of_spectrum(led.spectrum, camera)) * led.drive for led in illumination.leds]
-    return camera.exposure * np.array(colours)
 
 
 def swatch(led: Led) -> Rgb:

@@ -151,12 +151,11 @@ class Illumination(PresetSettings):
         rgb = camera_rgb(spectra, camera.sensitivity, camera.white_balance_cct_k)
         return camera.exposure * np.array([led.drive for led in self.leds])[:, None] * np.array(rgb)
 
-    def emitters(self, camera: Camera, led_to_camera: np.ndarray | None = None) -> tuple[Emitter, ...]:
+    def emitters(self, camera: Camera) -> tuple[Emitter, ...]:
         """Return every LED as the emitter that a path tracer needs, in linear camera RGB of `camera`."""
-        radiance = self.led_to_camera(camera) if led_to_camera is None else led_to_camera
         return tuple(
             Emitter(led.kind, np.array(led.position_mm), led.normal, *led.half_axes_mm(), radiance_rgb=rgb)
-            for led, rgb in zip(self.leds, radiance, strict=True)
+            for led, rgb in zip(self.leds, self.led_to_camera(camera), strict=True)
         )
 
 

@@ -7,6 +7,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Sequence
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -165,8 +166,12 @@ def clear_led_cache() -> None:
 
 def _kept(path: Path) -> np.ndarray | None:
     """Return the response in a file; None if there is none, or it was damaged and is now set aside."""
-    if not path.is_file():
-        return None
+    return _read(path, path.stat().st_mtime_ns) if path.is_file() else None
+
+
+# Each light that is drawn asks for it.
+@lru_cache(maxsize=8)
+def _read(path: Path, modified_ns: int) -> np.ndarray | None:
     try:
         found = np.array(without_checksum(read_json(path)).get("response"), dtype=float)
         if found.shape != (len(_WAVELENGTH_NM), 3) or not np.isfinite(found).all():

@@ -42,9 +42,3 @@ def test_colours_alone_need_no_light_on_the_undeformed_membrane(monkeypatch: pyt
     before = MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"), SIZE_PX, "draft")
     monkeypatch.setattr(module, "direct_light", None)
     assert before.relit(CHANGES["drive"](before.illumination)).illumination != before.illumination
-
-
-def test_colours_of_another_number_of_leds_are_refused() -> None:
-    before = MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"), SIZE_PX, "draft")
-    with pytest.raises(ValueError, match="linear_by_led_to_camera"):
-        before.relit(Illumination.preset("i2"), before.linear_by_led_to_camera)
