@@ -1,19 +1,21 @@
 """Real sensors predicted: all sets of ball presses below a folder, each by the cross-validation of `gelgap calibrate`.
 
-A set is a folder with `presses.toml`, `reference.png` and a sensor `start.toml` (its LEDs may be missing), or one of
-the package `taxim`. Each press is predicted by a fit of others.
+A set is a folder with `presses.toml`, `reference.png` and a sensor `start.toml` (its LEDs may be missing), one of the
+package `taxim`, or a clone of a published repository. Each press is predicted by a fit of others, made at other places.
+Nothing of a set is copied.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from gelgap.benchmarks.common import write_json
 from gelgap.benchmarks.render.sensors import show_scores
 from gelgap.domains import PressSet, lit_from_dents, sphere_profiles, taxim_presses
-from gelgap.render import Sensor, calibrate_light
+from gelgap.render import Camera, Markers, PressPicture, Sensor, calibrate_light
 from gelgap.render.calibration.pictures import read_picture, read_presses
 
 MODELS = {
@@ -23,6 +25,22 @@ MODELS = {
     "gelgap, press refined": "refined",
 }
 """What a press is predicted by, and its field of a `HeldOut`."""
+# DIGIT: places of 30 presses each; contacts marked by eye in the mean of the differences, 0.8 of the rims, in px.
+DIGIT_MARKS = ((66, 218, 29), (74, 207, 29), (82, 196, 29), (90, 185, 29), (98, 175, 29))
+DIGIT_AT_PLACE, DIGIT_TAKEN = 30, 5
+# GelSlim: contacts marked by eye in the differences, 0.8 of the dents' rims, by the picture's number.
+GELSLIM_MARKS = {
+    8: (258, 121, 22),
+    13: (158, 115, 18),
+    34: (128, 103, 26),
+    37: (127, 160, 23),
+    38: (143, 183, 24),
+    40: (208, 204, 21),
+    42: (265, 208, 22),
+    43: (275, 190, 18),
+    47: (324, 121, 26),
+    48: (318, 75, 26),
+}
 
 
 def read_own(folder: Path) -> PressSet:
@@ -34,17 +52,56 @@ def read_own(folder: Path) -> PressSet:
     return PressSet(reference, tuple(presses), start)
 
 
+def marked_set(
+    reference: Path, pictures: Sequence[Path], marks: np.ndarray, ball_mm: float, mm_per_px: float
+) -> PressSet:
+    """Return presses of one ball with marked circles (n, 3): x, y and radius in px. LEDs are sought in the dents."""
+    flat = read_picture(reference)
+    presses = tuple(
+        PressPicture(read_picture(path), ball_mm, radius_px=r, center_px=(x, y), name=path.stem)
+        for path, (x, y, r) in zip(pictures, marks.tolist(), strict=True)
+    )
+    bare = Sensor(camera=Camera.showing(flat.shape[1] * mm_per_px), markers=Markers(layout="none"))
+    return PressSet(flat, presses, lit_from_dents(bare, flat, presses))
+
+
+def read_fots(folder: Path) -> PressSet:
+    """Read Rancho-zhao/FOTS: circles marked by its authors, 19.58 px a mm; the ball is taken for 5 mm."""
+    table, root = pd.read_csv(folder / "annotate.csv"), folder.parent
+    pictures = [root / "gelsight" / name.rpartition("/")[2] for name in table["img_names"]]
+    marks = table[["center_x", "center_y", "radius"]].to_numpy(float)
+    return marked_set(root / "0000.png", pictures, marks, ball_mm=5.0, mm_per_px=1 / 19.58)
+
+
+def read_digit(folder: Path) -> PressSet:
+    """Read rohankotanu/3DCal-tests, a DIGIT: some of the presses at each of five places."""
+    numbers = range(0, DIGIT_AT_PLACE * len(DIGIT_MARKS), DIGIT_AT_PLACE // DIGIT_TAKEN)
+    pictures = [next((folder.parent / "probe_images").glob(f"{number}_*.png")) for number in numbers]
+    marks = np.repeat(np.array(DIGIT_MARKS, float), DIGIT_TAKEN, axis=0)
+    return marked_set(folder / "blank.png", pictures, marks, ball_mm=4.0, mm_per_px=0.0517)
+
+
+def read_gelslim(folder: Path) -> PressSet:
+    """Read siyuandong16/gelsight_heightmap_reconstruction, a GelSlim with dots; ball and scale as its code says."""
+    pictures = [folder / f"sample_{number}.jpg" for number in GELSLIM_MARKS]
+    marks = np.array(list(GELSLIM_MARKS.values()), float)
+    return marked_set(folder / "ref.jpg", pictures, marks, ball_mm=7.6, mm_per_px=0.10577)
+
+
 READERS: dict[str, Callable[[Path], PressSet]] = {
     "presses.toml": read_own,
     "dataPack.npz": lambda folder: taxim_presses(str(folder)),
+    "annotate.csv": read_fots,
+    "blank.png": read_digit,
+    "sample_8.jpg": read_gelslim,
 }
 
 
 def find_sets(folder: Path) -> Iterator[tuple[str, PressSet]]:
-    """Read the sets that lie in a folder or below it, in order of their places; each with its folder's name."""
+    """Read the sets that lie in a folder or below it, in order of their places; each with its folder's place."""
     for path in sorted({file.parent for mark in READERS for file in folder.rglob(mark)}):
         mark = next(mark for mark in READERS if (path / mark).is_file())
-        yield path.name, READERS[mark](path)
+        yield str(path.relative_to(folder)), READERS[mark](path)
 
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
@@ -64,7 +121,7 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
             levels = {"inside": inside, "ring": ring}
             rows.append({"set": name, "presses": len(inside), "model": model, **levels, "fit, s": seconds})
     if not rows and not refused:
-        raise ValueError(f"--data {data} holds no set of presses; {' or '.join(READERS)} marks one")
+        raise ValueError(f"--data {data} holds no set of presses; {', '.join(READERS)} mark one")
     records = pd.DataFrame(rows, columns=["set", "presses", "model", "inside", "ring", "fit, s"])
     note = f"ring: from one to two radii; fit: of all presses, and {folds} folds. {' '.join(refused)}"
     title = "real sensors, presses predicted by fits of others; PSNR in dB, median (worst)"

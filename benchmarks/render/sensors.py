@@ -96,13 +96,8 @@ def report(
     study = Study(presses, models, {split: (range(0, len(presses), 2), odd)})
     settings = [{"predicted": split, "model": model, "press": way} for model, way in models]
     records = run_missing(study.measure, settings, kept, workers=1)
-    cells = dict.fromkeys(LEVELS, median_and_worst)
-    cells |= {"SSIM": lambda values: f"{np.median(values):.3f}", "mean abs": lambda v: f"{np.median(v):.2f}"}
-    table = records.assign(**{column: records[column].map(cell) for column, cell in cells.items()})
     title = f"{name}: even presses fitted, {len(odd)} odd ones predicted; PSNR in dB, median (worst)"
-    times = ["fit, s", "ms per frame"]
-    table = table[["model", "press", *cells, *times]].reset_index(drop=True)
-    show(title, table, note, dict.fromkeys(times, "{:.1f}"))
+    show_scores(title, records, ("model", "press", "fit, s", "ms per frame"), note)
     write_json(file, {"predictions": records})
     kept.unlink()
 
@@ -151,18 +146,15 @@ def light_models(name: str, task: LightTask, ways: Iterable[str]) -> Models:
     return {(name, way): partial(model, way) for way in ways}
 
 
-def scores(picture: np.ndarray, press: PressPicture, clear: np.ndarray | bool = True) -> dict[str, float]:
-    """Return the metrics of one picture, PSNR in dB by region, of pixels that are clear (of dots)."""
+def scores(picture: np.ndarray, press: PressPicture) -> dict[str, float]:
+    """Return the metrics of one picture, PSNR in dB by region."""
     from skimage.metrics import structural_similarity
 
     rows, columns = np.indices(press.picture.shape[:2])
     radii = np.hypot(columns - press.center_px[0], rows - press.center_px[1]) / press.radius_px
     regions = (radii < 1, (radii >= 1) & (radii < 2), radii < 2, radii >= 0)
     return {
-        **{
-            n: psnr_db(picture, press.picture, where & clear)
-            for n, where in zip(LEVELS, regions, strict=True)
-        },
+        **{name: psnr_db(picture, press.picture, where) for name, where in zip(LEVELS, regions, strict=True)},
         "SSIM": float(structural_similarity(picture, press.picture, channel_axis=2)),
         "mean abs": float(np.abs(picture.astype(float) - press.picture).mean()),
     }
@@ -175,7 +167,6 @@ class Study:
     presses: Sequence[PressPicture]
     models: Models
     splits: Mapping[str, tuple[Sequence[int], Sequence[int]]]
-    clear: Callable[[int], np.ndarray | bool] = lambda press: True
 
     def measure(self, setting: Setting) -> Results:
         """Fit a model, predict the presses that were not fitted, and return each metric of all of them."""
@@ -187,7 +178,7 @@ class Study:
             started = time.process_time()
             picture = frame()
             times.append(time.process_time() - started)
-            found.append(scores(picture, self.presses[press], self.clear(press)))
+            found.append(scores(picture, self.presses[press]))
         frame_ms = 1e3 * float(np.median(times))
         return pd.DataFrame(found).to_dict("list") | {"fit, s": fit_s, "ms per frame": frame_ms}
 
@@ -195,3 +186,14 @@ class Study:
 def median_and_worst(levels: Sequence[float]) -> str:
     """Return levels of several presses in words; none are an empty text."""
     return f"{np.median(levels):.1f} ({np.min(levels):.1f})" if len(levels) else ""
+
+
+def show_scores(title: str, records: pd.DataFrame, columns: Sequence[str], note: str = "") -> None:
+    """Print records: the given columns, the metrics of several presses, and times where they are among the columns."""
+    cells = dict.fromkeys(LEVELS, median_and_worst)
+    cells |= {"SSIM": lambda values: f"{np.median(values):.3f}", "mean abs": lambda v: f"{np.median(v):.2f}"}
+    cells = {name: cell for name, cell in cells.items() if name in records}
+    table = records.assign(**{name: records[name].map(cell) for name, cell in cells.items()})
+    times = [name for name in columns if name in ("fit, s", "ms per frame")]
+    names = [*(name for name in columns if name not in times), *cells, *times]
+    show(title, table[names].reset_index(drop=True), note, dict.fromkeys(times, "{:.1f}"))

@@ -28,6 +28,8 @@ FEWEST_FOR_ORDER_3 = 12
 # Code values; a fit from a right start leaves 1 to 3, camera noise included; one from a wrong start ten times as much.
 DOUBTFUL_RMS = 5.0
 NEAREST_CAMERA_MM = 15.0
+# Presses nearer to each other than this share of their imprints' radius are at one place.
+_SAME_PLACE = 0.1
 # In a fit of at least this many presses, a single one hardly bends it.
 _MANY_PRESSES = 20
 # The number of presses by which sizes of an unknown sphere are compared, with light of a low order.
@@ -122,7 +124,8 @@ def calibrate_light(
     keep_camera
         Whether the camera stays where it is; otherwise its distance is fitted, and it shows the same of the gel.
     folds
-        Into how many parts the presses are divided to be held out, one part after the other; 0: none is.
+        Into how many parts the presses are divided to be held out, one part after the other; 0: none is. Presses at
+        one place are held out together.
 
     Raises
     ------
@@ -171,11 +174,11 @@ def calibrate_light(
         elif len(outliers):
             fit = task.fit(np.setdiff1d(everything, outliers))
     used, held_out, without = fit.which, [], []
-    for fold in range(folds):
-        other = task.fit(np.delete(used, np.s_[fold::folds]))
+    for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds):
+        other = task.fit(np.delete(used, part))
         without.append(other)
         seen, table = placed.seen_from(other.distance_mm), placed.table(other.which, degree)
-        held_out += [_predicted(other, seen, int(press), table) for press in used[fold::folds]]
+        held_out += [_predicted(other, seen, int(press), table) for press in used[part]]
     if held_out:
         _check_prediction(held_out)
     angles = led_angles(fit.light.bars)
@@ -196,6 +199,16 @@ def calibrate_light(
         sphere_size=size,
         nearness_error_per_mm=float("nan") if keep_camera else float(nearness_error),
     )
+
+
+def held_out_parts(centers_px: np.ndarray, radii_px: np.ndarray, folds: int) -> list[np.ndarray]:
+    """Return the indices of presses at `centers_px` (n, 2) that are held out together, at most `folds` times.
+
+    Presses at one place are alike: one that is fitted would tell what the others look like.
+    """
+    apart_px = np.hypot(*(centers_px[:, None] - centers_px).T)
+    _, place = np.unique((apart_px < _SAME_PLACE * radii_px).argmax(axis=0), return_inverse=True)
+    return [np.flatnonzero(place % folds == fold) for fold in range(min(folds, place.max() + 1))]
 
 
 def _check_prediction(held_out: Sequence[HeldOut]) -> None:

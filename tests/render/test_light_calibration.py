@@ -15,6 +15,7 @@ from gelgap.render.calibration.calibrator import (
     _suspects,
     calibrate_light,
     fit_sphere_size,
+    held_out_parts,
     save_calibration,
     unknown_sphere_size,
 )
@@ -245,6 +246,16 @@ def test_held_out_presses_are_reported(calibration):
     assert (fitted > unchanged + 3).all()
     assert np.isfinite(calibration.led_azimuths_deg).all()
     assert np.isfinite(calibration.nearness_error_per_mm)
+
+
+def test_presses_at_one_place_are_held_out_together():
+    centers = np.array([(10, 10), (90, 10), (10, 12), (50, 80), (91, 11), (11, 10)], float)
+    parts = held_out_parts(centers, np.full(6, 30.0), 2)
+    assert [part.tolist() for part in parts] == [[0, 2, 3, 5], [1, 4]]
+    apart = held_out_parts(40.0 * np.arange(14).reshape(7, 2), np.full(7, 30.0), 3)
+    assert [part.tolist() for part in apart] == [[0, 3, 6], [1, 4], [2, 5]]
+    assert len(held_out_parts(centers[:3], np.full(3, 30.0), 3)) == 2
+    assert held_out_parts(centers, np.full(6, 30.0), 0) == []
 
 
 def test_marked_circles_are_refined(pictures):

@@ -1,6 +1,7 @@
 """The benchmark of whatever sets of presses are in a folder, on one that gelgap itself rendered."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -58,6 +59,45 @@ def test_folders_of_ones_own_are_predicted_or_refused_with_the_reason(tmp_path, 
     unchanged, *_, marked, refined = (np.median(ring["mine", model]) for model in sensor_sets.MODELS)
     assert min(marked, refined) > unchanged + 3
     assert [len(levels) for levels in ring.values()] == [7] * len(sensor_sets.MODELS)
+
+
+def write_clones(folder: Path) -> None:
+    """Write what is read of the published repositories, all pictures of one dent."""
+    write_set(folder / "one", presses=1)
+    rest, dent = (cv2.imread(str(folder / "one" / name)) for name in ("reference.png", "0.png"))
+    fots, digit, gelslim = (folder / name for name in ("fots", "digit", "gelslim"))
+    pictures = {
+        fots / "0000.png": rest,
+        **{fots / "gelsight" / f"{k}.png": dent for k in range(3)},
+        digit / "calibration" / "blank.png": rest,
+        **{digit / "probe_images" / f"{k}_x.png": dent for k in range(0, 150, 6)},
+        gelslim / "data" / "ref.jpg": rest,
+        **{gelslim / "data" / f"sample_{k}.jpg": dent for k in sensor_sets.GELSLIM_MARKS},
+    }
+    for path, picture in pictures.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), cv2.resize(picture, (360, 270)))
+    (fots / "marks").mkdir()
+    rows = "".join(f"./gelsight/{k}.png,180,{135 + k},30\n" for k in range(3))
+    (fots / "marks" / "annotate.csv").write_text(f"img_names,center_x,center_y,radius\n{rows}")
+    shutil.rmtree(folder / "one")
+
+
+def test_published_clones_are_read(tmp_path):
+    write_clones(tmp_path)
+    found = dict(sensor_sets.find_sets(tmp_path))
+    assert {name: len(own.presses) for name, own in found.items()} == {
+        "digit/calibration": 25,
+        "fots/marks": 3,
+        "gelslim/data": 10,
+    }
+    fots = found["fots/marks"]
+    assert fots.presses[2].center_px == (180, 137)
+    assert fots.presses[2].sphere_diameter_mm == 5.0
+    assert fots.start.camera.footprint_mm((360, 270))[0] == pytest.approx(360 / 19.58)
+    places = [press.center_px for press in found["digit/calibration"].presses]
+    assert len(set(places)) == 5
+    assert all(len(own.start.illumination.leds) == 3 for own in found.values())
 
 
 def test_a_folder_without_sets_is_refused(tmp_path):
