@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from gelgap.benchmarks.fem.theory import hertz_contact_radius_mm
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -157,7 +155,7 @@ def solve_press(
     for depth in depths[1:]:
         while state.depth_mm < depth:
             # Hertz's contact radius √(R d) grows by `nodes_per_step` nodes.
-            contact_mm = hertz_contact_radius_mm(radius, state.depth_mm)
+            contact_mm = (radius * state.depth_mm) ** 0.5  # Hertz (Johnson 1985, eq. 4.22)
             target = (contact_mm + nodes_per_step * problem.element_mm / 2) ** 2 / radius
             state = pad.equilibrium(state, target if depth - target >= 1e-3 * depth else depth)
         states.append(_press_state(pad, state))
@@ -200,7 +198,7 @@ class Pad:
     """
 
     def __init__(self, press: Press, deepest_mm: float) -> None:
-        contact = hertz_contact_radius_mm(press.indenter_radius_mm, deepest_mm)
+        contact = (press.indenter_radius_mm * deepest_mm) ** 0.5  # by Hertz
         ring = min(1.15 * contact, 1.2 * press.indenter_radius_mm)
         r = _graded(ring, press.pad_radius_mm, press.element_mm, press.thickness_mm / 4)
         z = -_graded(0, press.thickness_mm, press.element_mm, press.thickness_mm / 6)[::-1]

@@ -273,3 +273,12 @@ def test_the_gel_of_a_gelsight_mini_takes_the_force_that_was_measured_at_a_milli
         Elastomer.preset("gelsight-mini"), Sphere(diameter_mm=15.0), Pose(depth_mm=1.0), "draft"
     )
     assert -state.force_n[2] == pytest.approx(5.964, rel=0.05)
+
+
+def test_a_bonded_layer_tends_to_hertz_on_a_thick_pad() -> None:
+    hertz_n = 4 / 3 * 0.3 / (1 - 0.5**2) * 1.5**0.5 * 0.1**1.5  # Johnson 1985, eq. 4.23
+    assert bonded_layer_force_n(0.3, 1.5, 1e5, 0.1) == pytest.approx(hertz_n, rel=1e-4)
+    assert bonded_layer_force_n(0.3, 1.5, 3.0, 0.1) > hertz_n
+    depth_mm = np.array([0.1, 0.2])
+    soft, stiff = (bonded_layer_force_n(e, 1.5, 3.0, depth_mm) for e in (0.2, 0.8))
+    np.testing.assert_allclose(stiff, 4 * soft)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gelgap.assets import asset_path
-from gelgap.benchmarks.fem import theory
 from gelgap.benchmarks.fem.spheres import Pad, Press, solve_press, touched
 from gelgap.sim import bonded_layer_force_n
 
@@ -60,7 +59,7 @@ def test_shallow_press_meets_the_bonded_layer():
     (state,) = solve_press(Press(poisson_ratio=0.4999, friction=0.0, element_mm=0.04), (0.025,))
     expected = bonded_layer_force_n(0.3, 1.5, 3.0, 0.025)
     assert -state.force_n == pytest.approx(expected, rel=0.02)  # the exact sphere and finite strain: −1.1 %
-    assert state.contact_radius_mm == pytest.approx(theory.hertz_contact_radius_mm(1.5, 0.025), rel=0.1)
+    assert state.contact_radius_mm == pytest.approx((1.5 * 0.025) ** 0.5, rel=0.1)  # Hertz
 
 
 def test_force_scales_with_the_modulus():
