@@ -30,21 +30,21 @@ ALLOWED = {
 }
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 LINES = {
-    "assets": 620,
-    "sim": 5480,
+    "assets": 595,
+    "sim": 5330,
     "render": 5195,
-    "domains": 7690,
-    "adapt": 5670,
-    "view": 1580,
-    "cli": 2545,
-    "benchmarks": 9085,
-    "scripts": 770,
+    "domains": 7210,
+    "adapt": 5515,
+    "view": 1560,
+    "cli": 2085,
+    "benchmarks": 7180,
+    "scripts": 755,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
 
 A room that grows gives something back first.
 """
-MOST_FILES = 220
+MOST_FILES = 215
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")

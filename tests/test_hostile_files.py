@@ -202,7 +202,6 @@ CONTENTS: dict[str, dict[str, bytes | Callable[[Path], bytes]]] = {
         "numbers": b"presses = [1]",
         "texts": b"[[presses]]\npicture='0.png'\nsphere_diameter_mm='3'\ndepth_mm=nan",
     },
-    "results": {"deep": DEEP.encode(), "texts": b'{"a": "b"}'},
 }
 CASES = [(kind, name) for kind, contents in CONTENTS.items() for name in contents]
 

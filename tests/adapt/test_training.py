@@ -105,7 +105,7 @@ def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, ta
 class Hidden(ArrayFrames):
     """Frames whose pictures may not be looked at."""
 
-    def images(self, size_px=None):
+    def images(self, size_px=None, markers=True):
         raise AssertionError("these pictures were used")
 
 

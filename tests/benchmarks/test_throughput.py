@@ -17,7 +17,7 @@ def test_each_stage_of_a_frame_is_found_in_its_profile(tmp_path: Path, monkeypat
     (solve,) = plan.solves.values()
     solve.run()
     batch = plan.batches[0]
-    ms = stages_ms(replace(batch, stop=batch.start + 17), tmp_path)
+    ms = stages_ms(replace(batch, contacts=batch.contacts.part(0, 17)), tmp_path)
     assert ms.keys() == {*STAGES, "labels, rest"}
     assert all(value > 0 for value in ms.values())
     assert ms["labels, rest"] < 0.3 * sum(ms.values())

@@ -120,7 +120,7 @@ WRONG: dict[Any, dict[str, str]] = {
 }
 """Wrong values by the type of an option: what is wrong, and the value."""
 
-CALLED = {"further_indenters": "indenter '", "source": "data set"}
+CALLED = {"further_indenters": "indenter", "source": "data set"}
 """What a room calls the option of a field."""
 
 SAME_NUMBER = {"1e308": ("1e+308",), "-1e9": ("-1e+09", "-1000000000.0")}
@@ -354,6 +354,7 @@ def complaint(said: SimpleNamespace, option: Option, value: str) -> str | None:
         return None
     named = (
         *option.names,
+        *(("PATH ",) if option.positional and is_path and "Missing from" in said.err else ()),
         option.field,
         option.field.replace("_", "-"),
         option.field.upper(),
