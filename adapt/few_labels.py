@@ -363,7 +363,9 @@ def finetune(
         of the frames to learn or to test on lies within their ranges.
     """
     if (frames is None) == (clips is None):
-        raise ValueError(f"frames = {frames}, clips = {clips}: give one of the two")
+        raise ValueError(
+            f"frames = {frames}, clips = {clips}: give one of the two, how many labelled frames or clips are learnt"
+        )
     labelled: LabelledFrames = open_domain(on)
     others: LabelledFrames = open_domain(test)
     drawn = (

@@ -178,6 +178,8 @@ def _input_map(content: dict[str, Any], channels: int) -> InputMap | None:
     kept = content.get("input_map")
     if (former := content.get("input_statistics")) is not None:
         mean, std = np.array(former, float)
+        if std.min() <= 0:
+            raise ValueError(f"input_statistics = {former!r}: deviations must be above 0")
         kept = InputMap.of(np.diag(1 / std), -mean / std)
     found = TypeAdapter(InputMap | None).validate_python(kept)
     if found is not None and {*map(len, found)} != {channels}:

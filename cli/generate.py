@@ -116,6 +116,7 @@ class Generate(opt.Command):
 
     def _check_choices(self) -> None:
         """Refuse options that lack or exclude each other."""
+        self.generation.check()
         sources = [bool(source) for source in (self.domains, self.preset, self.sweep, self.recipe)]
         if sum(sources) > 1 or not (any(sources) or self.name):
             raise ValueError(

@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None, started: float | None = None) -
             fail(f"interrupted; {command.when_stopped}", EXIT_INTERRUPTED)
         if debug:
             raise
-        is_bad_input = isinstance(error, ValueError | FileNotFoundError)
+        is_bad_input = isinstance(error, ValueError | FileNotFoundError | PermissionError)
         fail(str(error) or type(error).__name__, EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED_RUN)
 
 

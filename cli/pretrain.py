@@ -59,6 +59,7 @@ class Pretrain(opt.Command):
         from gelgap.adapt import Profile, console_progress, pretrain, pretrain_on_stream
         from gelgap.domains import PressStream, PretrainingRanges, estimate, pretraining_recipes
 
+        self.generation.check()
         profile = opt.named(Profile, self.profile)
         ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
         domains, frames, size_px = self.domains, self.frames_per_domain, self.size

@@ -30,14 +30,14 @@ ALLOWED = {
 }
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 LINES = {
-    "assets": 595,
+    "assets": 600,
     "sim": 5330,
-    "render": 5195,
+    "render": 5215,
     "domains": 7210,
-    "adapt": 5515,
+    "adapt": 5520,
     "view": 1560,
-    "cli": 2085,
-    "benchmarks": 7180,
+    "cli": 2090,
+    "benchmarks": 7165,
     "scripts": 755,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.

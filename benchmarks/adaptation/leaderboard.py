@@ -40,12 +40,13 @@ def write_record(study: Study, folder: Path, who: str) -> None:
         If `who` is no name of a file, or there are no runs.
     """
     runs = study.out / RUNS
-    if Path(who).name != who:
+    if not is_plain_name(who):
         raise ValueError(f"--who {who!r} is no name of a file")
     if not runs.is_file():
         raise ValueError(f"{study.out} holds no runs of the adaptation benchmark ({RUNS})")
     folder.mkdir(parents=True, exist_ok=True)
-    shutil.copytree(runs.with_suffix(""), folder / who, dirs_exist_ok=True)
+    shutil.rmtree(folder / who, ignore_errors=True)
+    shutil.copytree(runs.with_suffix(""), folder / who)
     shutil.copy(runs, folder / f"{who}.jsonl")
 
 
@@ -116,40 +117,51 @@ def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
 def ranked(folder: Path, study: Study) -> tuple[list[ResultTable], dict[str, str]]:
     """Return the tables of all records that hold, and of the others why they do not, by file and method."""
     found: dict[tuple[str, str], pd.DataFrame] = {}
-    former = [path.name for path in folder.glob("*") if path.suffix in (".json", ".npz")]
-    refused = dict.fromkeys(former, "is of a former format: run it anew")
+    former = [path for path in folder.glob("*") if path.suffix in (".json", ".npz")]
+    refused = {f"{len(former)} files": "are of a former format: run them anew"} if former else {}
     for file in sorted(folder.glob("*.jsonl")):
-        for data, method, runs in headline_runs(file):
+        compared = list(headline_runs(file))
+        if not compared:
+            refused[file.name] = "holds no run of the groups that are compared"
+        for data, method, runs in compared:
             name = f"{file.name}: {method} on {data} contacts"
-            if (data, method) in found:
-                refused[name] = "another record of it was read first"
-                continue
             try:
-                found[data, method] = checked(runs, study).assign(name=name, who=file.stem)
+                own = checked(runs, study).assign(name=name, who=file.stem)
             except KeyError as error:
                 refused[name] = f"lacks {error}"
+                continue
             except (TypeError, ValueError, FileNotFoundError) as error:
                 refused[name] = " ".join(str(error).split())[:200]
+                continue
+            # A guest may run source-only for some places alone: the fullest record counts.
+            other = found.get((data, method))
+            if other is None or len(own) > len(other):
+                own, found[data, method] = other, own
+            if own is not None:
+                refused[own["name"].iloc[0]] = "another record of it has more runs, or was read first"
     ceilings = found.pop((designs.DATA, OWN), pd.DataFrame())
     own = ceilings.set_index(["target", "seed"]).sort_index() if len(ceilings) else ceilings
     tables = []
     for data in board.BY_ROLE:
+        ceiling = own if data == designs.DATA else own.iloc[:0]  # frames of shifted labels are others
         plain = found.get((data, PLAIN))
+        if plain is not None and _problem(plain, plain, ceiling):
+            plain = None
         kept = []
         for runs in (runs for (of, _), runs in found.items() if of == data):
-            if problem := _problem(runs, plain, own):
+            if problem := _problem(runs, plain, ceiling):
                 refused[runs["name"].iloc[0]] = problem
             else:
                 kept.append(runs)
         if kept:
-            tables.append(leaderboard_table(pd.concat(kept), data, own))
+            tables.append(leaderboard_table(pd.concat(kept), data, ceiling))
     return tables, refused
 
 
 def _problem(runs: pd.DataFrame, plain: pd.DataFrame | None, ceilings: pd.DataFrame) -> str | None:
     """Return why runs cannot stand beside source-only's, if they cannot."""
     if plain is None:
-        return f"there is no record of {PLAIN} to compare with"
+        return f"there is no record of {PLAIN} that holds, to compare with"
     places, wanted = (set(map(tuple, one[_PLACE].to_numpy())) for one in (runs, plain))
     if places != wanted:
         return f"{len(wanted - places)} runs of the board are missing, {len(places - wanted)} are none of it"

@@ -6,7 +6,8 @@ Nothing of a set is copied.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +77,8 @@ def read_fots(folder: Path) -> PressSet:
 def read_digit(folder: Path) -> PressSet:
     """Read rohankotanu/3DCal-tests, a DIGIT: some of the presses at each of five places."""
     numbers = range(0, DIGIT_AT_PLACE * len(DIGIT_MARKS), DIGIT_AT_PLACE // DIGIT_TAKEN)
-    pictures = [next((folder.parent / "probe_images").glob(f"{number}_*.png")) for number in numbers]
+    probed = folder.parent / "probe_images"
+    pictures = [next(probed.glob(f"{number}_*.png"), probed / f"{number}_.png") for number in numbers]
     marks = np.repeat(np.array(DIGIT_MARKS, float), DIGIT_TAKEN, axis=0)
     return marked_set(folder / "blank.png", pictures, marks, ball_mm=4.0, mm_per_px=0.0517)
 
@@ -97,22 +99,25 @@ READERS: dict[str, Callable[[Path], PressSet]] = {
 }
 
 
-def find_sets(folder: Path) -> Iterator[tuple[str, PressSet]]:
-    """Read the sets that lie in a folder or below it, in order of their places; each with its folder's place."""
+def find_sets(folder: Path) -> dict[str, Callable[[], PressSet]]:
+    """Return what reads each set that lies in a folder or below it, by the set's place, in order."""
+    found = {}
     for path in sorted({file.parent for mark in READERS for file in folder.rglob(mark)}):
         mark = next(mark for mark in READERS if (path / mark).is_file())
-        yield str(path.relative_to(folder)), READERS[mark](path)
+        found[str(path.relative_to(folder))] = partial(READERS[mark], path)
+    return found
 
 
 def run(quick: bool, out_dir: Path, data: Path) -> None:
     """Print how each set in a folder is predicted, and write `sensor-sets.json`. Quick: two folds instead of three."""
     rows, refused = [], []
-    for name, found in find_sets(data):
+    folds = 2 if quick else 3
+    for name, read in find_sets(data).items():
         started = time.process_time()
-        folds = 2 if quick else 3
         try:
+            found = read()
             fit = calibrate_light(found.start, found.reference, found.presses, sphere_profiles, folds=folds)
-        except ValueError as error:
+        except (ValueError, OSError) as error:
             refused.append(f"{name} is refused: {error}.")
             continue
         seconds = time.process_time() - started

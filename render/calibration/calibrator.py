@@ -30,6 +30,7 @@ DOUBTFUL_RMS = 5.0
 NEAREST_CAMERA_MM = 15.0
 # Presses nearer to each other than this share of their imprints' radius are at one place.
 _SAME_PLACE = 0.1
+_FEWEST_FITTED = 3
 # In a fit of at least this many presses, a single one hardly bends it.
 _MANY_PRESSES = 20
 # The number of presses by which sizes of an unknown sphere are compared, with light of a low order.
@@ -205,10 +206,26 @@ def held_out_parts(centers_px: np.ndarray, radii_px: np.ndarray, folds: int) -> 
     """Return the indices of presses at `centers_px` (n, 2) that are held out together, at most `folds` times.
 
     Presses at one place are alike: one that is fitted would tell what the others look like.
+
+    Raises
+    ------
+    ValueError
+        If they lie at so few places that too few are left to fit.
     """
-    apart_px = np.hypot(*(centers_px[:, None] - centers_px).T)
-    _, place = np.unique((apart_px < _SAME_PLACE * radii_px).argmax(axis=0), return_inverse=True)
-    return [np.flatnonzero(place % folds == fold) for fold in range(min(folds, place.max() + 1))]
+    firsts: list[int] = []  # of each place
+    place = np.empty(len(centers_px), int)
+    for press, (center, radius) in enumerate(zip(centers_px, radii_px, strict=True)):
+        near = np.hypot(*(centers_px[firsts] - center).T) < _SAME_PLACE * radius
+        if not near.any():
+            firsts.append(press)
+        place[press] = near.argmax() if near.any() else len(firsts) - 1
+    parts = [np.flatnonzero(place % folds == fold) for fold in range(min(folds, len(firsts)))]
+    if any(len(place) - len(part) < _FEWEST_FITTED for part in parts):
+        raise ValueError(
+            f"{len(place)} presses lie at {len(firsts)} places, and those of one place are held out together: fewer "
+            f"than {_FEWEST_FITTED} would be left to fit; press at more places, or hold none out"
+        )
+    return parts
 
 
 def _check_prediction(held_out: Sequence[HeldOut]) -> None:

@@ -249,13 +249,18 @@ def test_held_out_presses_are_reported(calibration):
 
 
 def test_presses_at_one_place_are_held_out_together():
-    centers = np.array([(10, 10), (90, 10), (10, 12), (50, 80), (91, 11), (11, 10)], float)
-    parts = held_out_parts(centers, np.full(6, 30.0), 2)
-    assert [part.tolist() for part in parts] == [[0, 2, 3, 5], [1, 4]]
+    centers, radii = (
+        np.array([(10, 10), (90, 10), (10, 12), (50, 80), (91, 11), (11, 10)], float),
+        np.full(6, 30.0),
+    )
+    parts = held_out_parts(centers, radii, 3)
+    assert [part.tolist() for part in parts] == [[0, 2, 5], [1, 4], [3]]
     apart = held_out_parts(40.0 * np.arange(14).reshape(7, 2), np.full(7, 30.0), 3)
     assert [part.tolist() for part in apart] == [[0, 3, 6], [1, 4], [2, 5]]
-    assert len(held_out_parts(centers[:3], np.full(3, 30.0), 3)) == 2
-    assert held_out_parts(centers, np.full(6, 30.0), 0) == []
+    assert held_out_parts(centers, radii, 0) == []
+    for few in (centers[[0, 2, 5, 0]], centers[[0, 2, 5, 1]]):
+        with pytest.raises(ValueError, match=r"4 presses lie at .* places, .* fewer than 3 would be left"):
+            held_out_parts(few, radii[:4], 3)
 
 
 def test_marked_circles_are_refined(pictures):

@@ -74,7 +74,6 @@ def test_a_sphere_has_a_size() -> None:
 
 
 CALIBRATION = load_file(Path(__file__).parents[2] / "scripts" / "calibrate_material.py")
-STIFFNESS = QUALITIES["draft"].disc.stiffness
 
 
 def test_equivalent_moduli_bring_mujocos_energy_to_the_isochoric_gel():

@@ -92,6 +92,16 @@ def test_runs_are_ranked_by_what_they_close(study, folder):
     assert rows["adabn"]["same stage 1"] == "yes"
 
 
+def test_a_guests_short_source_only_puts_nobody_out(study, folder):
+    short = [run_of(study, "source-only", 0, 0.5), *mine(study)]
+    write_runs(folder / "Aaron.jsonl", short)
+    (folder / "Zoe.jsonl").write_text("")
+    (table,), refused = ranked(folder, study)
+    assert [row[0] for row in table.cells] == ["**mine.Mine**", "adabn", "source-only"]
+    assert refused["Zoe.jsonl"] == "holds no run of the groups that are compared"
+    assert "has more runs" in refused["Aaron.jsonl: source-only on disjoint contacts"]
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -109,7 +119,7 @@ def test_runs_are_ranked_by_what_they_close(study, folder):
         ({"mae_n": "much"}, ""),
         # Predictions better than the target's own labels give.
         ({"off_n": 0.001}, "is below 0.0500 N, the ceiling's"),
-        ({"method": "adabn"}, "another record of it was read first"),
+        ({"method": "adabn"}, "another record of it has more runs, or was read first"),
     ],
 )
 def test_what_does_not_hold_is_not_ranked(study, folder, change, reason):
@@ -130,7 +140,7 @@ def test_a_run_that_stands_twice_is_not_ranked(study, folder):
 
 def test_predictions_that_are_gone_are_not_ranked(study, folder):
     shutil.rmtree(folder / "Ada")
-    assert ranked(folder, study) == ([], {})
+    assert ranked(folder, study) == ([], {"Ada.jsonl": "holds no run of the groups that are compared"})
 
 
 def test_without_source_only_nothing_is_ranked(study, folder, capsys):
@@ -140,7 +150,7 @@ def test_without_source_only_nothing_is_ranked(study, folder, capsys):
     tables, refused = ranked(folder, study)
     assert tables == []
     assert "no record of source-only" in refused["Bob.jsonl: mine.Mine on disjoint contacts"]
-    assert "former format" in refused["best.json"]
+    assert "former format" in refused["1 files"]
     with pytest.raises(SystemExit, match="2"):
         main([str(folder), "--runs", str(study.out), "--out", str(folder / "board.md")])
     assert "holds no record that can be ranked" in capsys.readouterr().err

@@ -51,8 +51,12 @@ def test_folders_of_ones_own_are_predicted_or_refused_with_the_reason(tmp_path, 
     monkeypatch.setattr(sensor_sets, "sphere_profiles", profiles)
     write_set(tmp_path / "data" / "mine")
     write_set(tmp_path / "data" / "scarce", presses=1)
+    shutil.copytree(tmp_path / "data" / "mine", tmp_path / "data" / "torn")
+    (tmp_path / "data" / "torn" / "0.png").unlink()
     sensor_sets.run(quick=True, out_dir=tmp_path / "out", data=tmp_path / "data")
-    assert "scarce is refused" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "scarce is refused" in said
+    assert "torn is refused" in said
     found = json.loads((tmp_path / "out" / "sensor-sets.json").read_text())
     ring = {(row["set"], row["model"]): row["ring"] for row in found["predictions"]}
     assert {name for name, _ in ring} == {"mine"}
@@ -85,7 +89,7 @@ def write_clones(folder: Path) -> None:
 
 def test_published_clones_are_read(tmp_path):
     write_clones(tmp_path)
-    found = dict(sensor_sets.find_sets(tmp_path))
+    found = {name: read() for name, read in sensor_sets.find_sets(tmp_path).items()}
     assert {name: len(own.presses) for name, own in found.items()} == {
         "digit/calibration": 25,
         "fots/marks": 3,
