@@ -96,10 +96,11 @@ class Demo(opt.Command):
 
 def headline(runs: "Sequence[Run]") -> str:
     """Return the report's title: whether adaptation helped and the network learned at all."""
-    plain, adapted = runs[0].target_test.mean_mae_n, runs[-1].target_test.mean_mae_n
+    plain, normalised, adapted = (run.target_test.mean_mae_n for run in runs)
     told = (
         f"DSAN {'beats' if adapted < plain else 'does NOT beat'} source-only on the target: mean error "
-        f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %)"
+        f"{adapted:.3f} N against {plain:.3f} N ({100 * (adapted / plain - 1):+.0f} %); AdaBN, the target's "
+        f"normalisation statistics alone, has {normalised:.3f} N"
     )
     if runs[0].source_held_out.mean_mae_n >= 0.5 * runs[0].source_constant_mean.mean_mae_n:
         told += "; source-only did NOT learn: its error on the source is over half the mean's"

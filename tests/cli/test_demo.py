@@ -29,6 +29,7 @@ def test_the_demo_runs_end_to_end(
     assert "http" not in page
     (title,) = re.findall("<h1>(.*)</h1>", page)
     assert re.match(r"DSAN (beats|does NOT beat) source-only on the target: mean error 0\.\d+ N", title)
+    assert re.search(r"AdaBN, the target.*s normalisation statistics alone, has 0\.\d+ N", title)
     shown = capsys.readouterr().out
     assert "frames" in shown
     assert title.split(":")[0] in shown
