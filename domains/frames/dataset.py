@@ -480,6 +480,7 @@ class JoinedFrames(LabelledFrames):
         return sha256(repr(found).encode())
 
     def picture(self, index: int) -> np.ndarray:
+        index = range(len(self))[index]
         for frames in self.members:
             if index < len(frames):
                 break
