@@ -222,4 +222,8 @@ def _start_server(host: str, port: int) -> viser.ViserServer:
         raise ValueError(problem) from None
     # viser prints a table of addresses, and this program prints its own.
     with contextlib.redirect_stdout(io.StringIO()):
-        return viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)
+        server = viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)
+    if port and server.get_port() != port:
+        server.stop()
+        raise ValueError(f"--port = {port}: is taken by another program; choose another")
+    return server

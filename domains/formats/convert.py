@@ -243,12 +243,24 @@ class Clip:
         if len(change) != n:
             raise ValueError(f"clip {self.name} has {len(change)} pictures and {n} times of pictures")
         pressed_n = (pd.Series(_pressing_n(self.labels_at(lag))) for lag in self.lags)
-        found = [float(change.corr(own, min_periods=_FEWEST_FRAMES)) for own in pressed_n]
+        found = [_correlation(change, own) for own in pressed_n]
         if np.isnan(found).all():
             raise ValueError(
                 f"clip {self.name}: its force or its pictures do not change; take it out of the folder"
             )
         return found
+
+
+def _correlation(change: "pd.Series", own: "pd.Series") -> float:
+    """Return the correlation where both are known; NaN for too few, or if one does not change.
+
+    Rounding would decide the latter.
+    """
+    known = own.notna()
+    change, own = change[known], own[known]
+    if len(own) < _FEWEST_FRAMES or np.ptp(change) == 0 or np.ptp(own) == 0:
+        return float("nan")
+    return float(change.corr(own))
 
 
 def _pressing_n(labels: "pd.DataFrame") -> np.ndarray:
@@ -274,7 +286,7 @@ def _recordings(folder: Path, every: int) -> Iterator[Selection]:
 def _recorded_clip(table: Path) -> Clip:
     import pandas as pd
 
-    columns = known_columns(table)
+    columns = known_columns(table, ("time_s", *QUANTITIES))
     names = known_labels(columns)
     if "time_s" not in columns or not set(names) & set(FORCE_COLUMNS):
         raise ValueError(
@@ -297,7 +309,7 @@ def _recorded_clip(table: Path) -> Clip:
     (source,) = sources
     if source.is_dir():
         tables = sorted(source.glob("*.csv"))
-        of_pictures = known_columns(tables[0]) if len(tables) == 1 else {}
+        of_pictures = known_columns(tables[0], ("picture", "time_s")) if len(tables) == 1 else {}
         if not {"picture", "time_s"} <= of_pictures.keys():
             raise ValueError(f"{source} must hold one table with the columns picture, time_s")
         paths = [picture_path(tables[0], name) for name in of_pictures["picture"]]

@@ -80,7 +80,15 @@ def open_domains(folders: Path | str | Sequence[Path | str]) -> LabelledFrames:
 
 
 def domain_folders(folder: Path | str) -> tuple[Path, ...]:
-    """Return the folders of generated domains directly inside a folder; itself where there are none."""
+    """Return the folders of generated domains directly inside a folder; itself where there are none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder.
+    """
+    if not Path(folder).exists():
+        raise FileNotFoundError(f"{folder} does not exist; a folder of one domain, or of several, is needed")
     inside = sorted(path.parent for path in Path(folder).glob(f"*/{MANIFEST}"))
     return tuple(inside) or (Path(folder),)
 
@@ -96,7 +104,7 @@ def layout_problem(folder: Path) -> str | None:
             "with a row per picture"
         )
     what = "does not exist" if not folder.exists() else "is not a data set"
-    inside = [path.name for path in domain_folders(folder) if path != folder]
+    inside = [path.name for path in domain_folders(folder) if path != folder] if folder.exists() else []
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
     return (
         f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
@@ -189,7 +197,7 @@ def _published(folder: Path) -> PictureFiles:
     if classes is None:
         notes.append("the table has no contact labels: contact classes are off")
     elif beyond := int((classes >= CONTACT_CLASSES).sum()):
-        columns["contact_class"] = classes % CONTACT_CLASSES
+        columns["contact_class"] = np.where(classes < 0, classes, classes % CONTACT_CLASSES)
         notes.append(f"{beyond} labels are running numbers: taken modulo {CONTACT_CLASSES}")
     if parts != [UNSPLIT]:
         columns["split"] = np.repeat(np.array(parts, dtype=object), [len(own) for own, _ in read])
@@ -203,8 +211,12 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
     part = table.parents[1]
     if not table.is_file():
         raise FileNotFoundError(f"{table} is missing; every part has its forces there")
-    has_labels = all(row.get(PUBLISHED_LABEL) for row in read_table(table))
-    columns = known_columns(table, (*FORCE_COLUMNS, *(("contact_class",) if has_labels else ())))
+    columns, classes = (
+        known_columns(table, FORCE_COLUMNS),
+        [row.get(PUBLISHED_LABEL) for row in read_table(table)],
+    )
+    if all(classes):
+        columns["contact_class"] = _numbers(classes, f"{table}, column {PUBLISHED_LABEL!r}").astype(np.int64)
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]

@@ -11,6 +11,7 @@ from gelgap.assets.names import comma_list
 from gelgap.domains.generation.cluster import check_scheduler
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation
 from gelgap.domains.generation.shard import picture_cells
+from gelgap.domains.library import LibraryPlan
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState, expected_force_n, grid_axes, has_solution
 
@@ -79,6 +80,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, plan.shards)
     (sample,) = picture_cells(recipes[:1], 0, _dent())
     frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
+    has_libraries = any(isinstance(source, LibraryPlan) for source in plan.sources.values())
     exact = [recipe.model_copy(update={"interpolated": False}) for recipe in recipes]
     return Estimate(
         plan,
@@ -86,7 +88,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
         solves_cached=len(plan.solves) - len(solve_s),
         wall_s=_START_S + solving_s + rendering_s,
         disk_bytes=frame_bytes * plan.frames,
-        exact=estimate(exact, workers) if any(recipe.interpolated for recipe in recipes) else None,
+        exact=estimate(exact, workers) if has_libraries else None,
     )
 
 

@@ -49,6 +49,12 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
         (lambda mine: (mine / "press-2/7.png").write_bytes(b"no"), "7.png is not readable"),
         (
             lambda mine: write_table(
+                mine / "press-1.csv", [{"time_s": k / 30, "fz_n": -0.7} for k in range(60)]
+            ),
+            "do not change",
+        ),
+        (
+            lambda mine: write_table(
                 mine / "press-1.csv", [{"time_s": 1e9 + k / 30, "fz_n": -k} for k in range(40)]
             ),
             "count both from the same moment",
@@ -60,6 +66,13 @@ def test_recordings_that_do_not_fit_are_refused(tmp_path: Path, change, message:
     change(mine)
     with pytest.raises(ValueError, match=message):
         convert(mine, "recordings", tmp_path / "out")
+
+
+def test_columns_that_are_not_read_may_hold_anything(tmp_path: Path):
+    mine = write_recordings(tmp_path / "mine")
+    table = pd.read_csv(mine / "press-1.csv").assign(label="firm", session="")
+    table.to_csv(mine / "press-1.csv", index=False)
+    assert len(convert(mine, "recordings", tmp_path / "out")) == 2
 
 
 def test_an_unknown_layout_and_a_full_folder_are_refused(tmp_path: Path):

@@ -76,3 +76,8 @@ def test_a_page_of_fz_alone_has_no_class(tmp_path: Path):
     assert "class -1" not in page
     assert "-44.50 N" in page
     assert "the declared range is fz_n=-44.5:0.1" in page
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere does not exist"):
+        domain_folders(tmp_path / "nowhere")

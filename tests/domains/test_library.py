@@ -182,3 +182,11 @@ def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -
     contacts = Contacts.interpolated(GEL, Sphere(), path, "draft")
     assert contacts.source_key(1) == contacts.library.key
     assert contacts.source_key(len(path.poses) - 1) == contacts.own.solves[0].key
+
+
+def test_frames_of_a_library_have_no_tractions_and_none_are_written(
+    random_path: PosePath, tmp_path: Path
+) -> None:
+    recipes = make_recipes(["mb0i0"], random_path, interpolated=True, columns=("traction",), **SMALL)
+    with pytest.raises(RuntimeError, match="a library of poses has no tractions"):
+        generate_recipes(recipes, tmp_path, scheduler="synchronous")
