@@ -216,7 +216,7 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
         [row.get(PUBLISHED_LABEL) for row in read_table(table)],
     )
     if all(classes):
-        columns["contact_class"] = _numbers(classes, f"{table}, column {PUBLISHED_LABEL!r}").astype(np.int64)
+        columns["contact_class"] = _whole_numbers(classes, f"{table}, column {PUBLISHED_LABEL!r}")
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
@@ -282,12 +282,10 @@ def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.
             if ours in GROUPS and not all(values):
                 raise ValueError(f"{where}: every row must hold a name")
             found[ours] = np.array(values, dtype=object)
-        elif ours in NUMBERS or any(values):
+        elif ours in NUMBERS:
             found[ours] = _numbers(values, where)
-    for name in WHOLE_NUMBERS.keys() & found.keys():
-        if not (np.abs(found[name]) < 2**31).all():
-            raise ValueError(f"{table}: every row must hold a whole number in the column of {name}")
-        found[name] = found[name].astype(np.int64)
+        elif any(values):
+            found[ours] = _whole_numbers(values, where)
     return found
 
 
@@ -302,6 +300,13 @@ def _numbers(values: list[str], where: str) -> np.ndarray:
                 f"{quoted(value) if value else 'nothing'}"
             ) from None
     return numbers
+
+
+def _whole_numbers(values: list[str], where: str) -> np.ndarray:
+    numbers = _numbers(values, where)
+    if not (np.abs(numbers) < 2**31).all():
+        raise ValueError(f"{where}: every row must hold a whole number")
+    return numbers.astype(np.int64)
 
 
 def _plain(name: str) -> str:
