@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from gelgap.assets import load_preset
 from gelgap.assets.checksums import canonical_json, sha256
@@ -171,6 +171,21 @@ class DomainRecipe(Settings):
         description="declared range of Fx, Fy, Fz in N, by which labels are normalised",
     )
 
+    @model_validator(mode="after")
+    def _check_library(self) -> "DomainRecipe":
+        if self.interpolated and not self._has_what_a_library_serves:
+            raise ValueError(
+                "interpolated = true: a library of poses serves one indenter whose directions are alike, and has no "
+                "tractions; solve each pose"
+            )
+        return self
+
+    @property
+    def _has_what_a_library_serves(self) -> bool:
+        """One indenter whose directions are alike; and membranes, forces and torques, but no tractions."""
+        is_round = self.indenter.symmetry is Symmetry.REVOLUTION
+        return is_round and not self.further_indenters and "traction" not in self.columns
+
     def configuration(self) -> dict[str, Any]:
         """Return the recipe as plain JSON values; what only some domains have, only for these."""
         absent = {name for name in ("further_indenters", "interpolated") if not getattr(self, name)}
@@ -225,14 +240,10 @@ class DomainRecipe(Settings):
         return self.path if poses is self.path.poses else PosePath(self.path.name, poses)
 
     def suits_a_library(self) -> bool:
-        """Return whether a library of poses serves the path, and takes fewer solves than its depths do.
-
-        It serves one indenter whose directions are alike, and has membranes, forces and torques but no tractions.
-        """
+        """Return whether a library of poses serves the path, and takes fewer solves than its depths do."""
         from gelgap.domains.library import MOST_SOLVES
 
-        revolution = self.indenter.symmetry is Symmetry.REVOLUTION
-        if self.further_indenters or "traction" in self.columns or not revolution:
+        if not self._has_what_a_library_serves:
             return False
         depths = {pose.depth_mm for pose in self.path.poses if pose.depth_mm > 0 and pose.trajectory is None}
         return len(depths) > DEPTHS_PER_DESCENT * MOST_SOLVES

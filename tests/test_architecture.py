@@ -33,7 +33,7 @@ LINES = {
     "assets": 600,
     "sim": 5330,
     "render": 5215,
-    "domains": 7245,
+    "domains": 7255,
     "adapt": 5520,
     "view": 1560,
     "cli": 2090,

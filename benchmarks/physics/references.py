@@ -36,7 +36,7 @@ def axisymmetric_press(
     energy: Literal["isochoric", "stable"] = "stable",
     elements: int = 12,
 ) -> Descent:
-    """Return a press with so many elements across Hertz's radius at the deepest, of a pad whose rim does not matter."""
+    """Return a press, `elements` across Hertz's radius at its deepest, of a pad whose rim does not matter."""
     press = Press(
         energy=energy,
         poisson_ratio=poisson_ratio,

@@ -178,7 +178,7 @@ def contact_points(folders: Sequence[Path]) -> LabelledFrames:
 def press_recipes(
     domains: int, frames: int, presses: int, fitted: Sensor | None = None
 ) -> tuple[DomainRecipe, ...]:
-    """Return domains of frames from so many gels × balls, in drawn light or that of a sensor.
+    """Return `domains` domains of `frames` frames, from `presses` gels × balls, in drawn light or that of a sensor.
 
     They differ in nothing but the light from those in another light.
     """

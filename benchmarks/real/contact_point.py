@@ -181,7 +181,7 @@ def point_profile(preset: str, epochs: int) -> Profile:
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is done: the profile, domains of frames from so many gels × balls, lights, draws, numbers of labels."""
+    """How much is done: the profile, and the numbers of domains, frames, gels × balls, lights, draws and labels."""
 
     profile: Profile
     domains: int

@@ -326,10 +326,11 @@ def _references(
     if "reference" in columns:
         own = [picture_path(table, name) for name in columns.pop("reference")]
     elif "clip" in columns and (folder / REFERENCES).is_dir():
-        own = [
-            _file_of(table, f"clip {clip!r}", [f"{REFERENCES}/{clip}{ending}" for ending in PICTURES])
-            for clip in columns["clip"]
-        ]
+        of_clip = {
+            clip: _file_of(table, f"clip {clip!r}", [f"{REFERENCES}/{clip}{ending}" for ending in PICTURES])
+            for clip in dict.fromkeys(columns["clip"])
+        }
+        own = [of_clip[clip] for clip in columns["clip"]]
     else:
         for path in sorted([*folder.iterdir(), *(folder / "images").glob("*")]):
             if path.suffix.lower() in PICTURES and _plain(path.stem) in REFERENCE_STEMS:

@@ -109,8 +109,6 @@ def _add_rows(groups: Sequence[Sequence[ShardRows]], batch: FrameBatch, solution
                 try:
                     coarse_n = None
                     if any("traction" in recipe.columns for recipe in recipes):
-                        if isinstance(source, PoseLibrary):
-                            raise ValueError("a library of poses has no tractions: leave interpolated out")
                         traction = traction_map(contacts.own, place, source, state)
                         coarse_n = traction.coarse_n(half_extent_mm=extent)
                     cells = picture_cells(recipes, frame, state, coarse_n)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges, estimate, library, make_recipes, open_domain
 from gelgap.domains.generation.generate import generate_recipes
 from gelgap.domains.generation.plan import Contacts
-from gelgap.sim import Elastomer, Pose, PosePath, Sphere, solve_in_full, solve_pose
+from gelgap.sim import Edge, Elastomer, Pose, PosePath, Sphere, solve_in_full, solve_pose
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 RANGES = PoseRanges(0.05, 0.1, travel_mm=0.06)
@@ -184,9 +184,11 @@ def test_poses_that_a_library_does_not_reach_are_solved(random_path: PosePath) -
     assert contacts.source_key(len(path.poses) - 1) == contacts.own.solves[0].key
 
 
-def test_frames_of_a_library_have_no_tractions_and_none_are_written(
-    random_path: PosePath, tmp_path: Path
-) -> None:
-    recipes = make_recipes(["mb0i0"], random_path, interpolated=True, columns=("traction",), **SMALL)
-    with pytest.raises(RuntimeError, match="a library of poses has no tractions"):
-        generate_recipes(recipes, tmp_path, scheduler="synchronous")
+def test_what_a_library_does_not_serve_is_refused_before_anything_is_solved(random_path: PosePath) -> None:
+    for fields in (
+        {"columns": ("traction",)},
+        {"indenter": Edge()},
+        {"further_indenters": (Sphere(diameter_mm=4),)},
+    ):
+        with pytest.raises(ValueError, match=r"interpolated = true: .* has no tractions"):
+            make_recipes(["mb0i0"], random_path, interpolated=True, **fields, **SMALL)
