@@ -84,10 +84,12 @@ class PoseRanges:
             raise ValueError(f"travel of a library = {self.travel_mm:g} mm: must be 0 or more")
 
     @classmethod
-    def of(cls, poses: Sequence[Pose]) -> "PoseRanges":
-        """Return the ranges of poses, of which one at least makes contact."""
-        depths = [pose.depth_mm for pose in poses if pose.depth_mm > 0]
-        return cls(min(depths), max(depths), max(pose.radius_mm for pose in poses))
+    def of(cls, poses: Sequence[Pose], reach_mm: tuple[float, float, float] | None = None) -> "PoseRanges":
+        """Return the ranges of poses, of which one at least makes contact, and of a shallowest, deepest and farthest."""
+        depths, travels = [pose.depth_mm for pose in poses if pose.depth_mm > 0], [pose.radius_mm for pose in poses]
+        if reach_mm:
+            depths, travels = [*depths, *reach_mm[:2]], [*travels, reach_mm[2]]
+        return cls(min(depths), max(depths), max(travels))
 
     def farthest_mm(self, depth_mm: float) -> float:
         """Return how far a drag reaches at a depth."""

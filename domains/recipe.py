@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from gelgap.assets import load_preset
 from gelgap.assets.checksums import canonical_json, sha256
@@ -166,6 +166,10 @@ class DomainRecipe(Settings):
         default=False,
         description="poses from a library of few solves, where it reaches, not each from its own",
     )
+    library_reach_mm: tuple[PositiveFloat, PositiveFloat, NonNegativeFloat] | None = Field(
+        default=None,
+        description="shallowest and deepest press and farthest drag of the library at least; none: those of the path",
+    )
     force_range_n: tuple[Interval, Interval, Interval] = Field(
         default=PAPER_FORCE_RANGE_N,
         description="declared range of Fx, Fy, Fz in N, by which labels are normalised",
@@ -188,7 +192,7 @@ class DomainRecipe(Settings):
 
     def configuration(self) -> dict[str, Any]:
         """Return the recipe as plain JSON values; what only some domains have, only for these."""
-        absent = {name for name in ("further_indenters", "interpolated") if not getattr(self, name)}
+        absent = {name for name in ("further_indenters", "interpolated", "library_reach_mm") if not getattr(self, name)}
         return self.model_dump(mode="json", exclude=absent)
 
     @property

@@ -41,9 +41,14 @@ class Contacts:
 
     @classmethod
     def interpolated(
-        cls, gel: Elastomer, indenter: Indenter, path: ContactPath | PosePath, quality: str
+        cls,
+        gel: Elastomer,
+        indenter: Indenter,
+        path: ContactPath | PosePath,
+        quality: str,
+        reach_mm: tuple[float, float, float] | None = None,
     ) -> "Contacts":
-        """Return the contacts of a path, from a library where it serves them."""
+        """Return the contacts of a path, from a library where it serves them, and `reach_mm` (`PoseRanges.of`)."""
 
         def is_served(pose: Pose) -> bool:
             plain = pose.depth_mm > 0 and pose.trajectory is None and not any(pose.turn_deg)
@@ -51,7 +56,7 @@ class Contacts:
 
         served = [pose for pose in path.poses if is_served(pose)]
         left = tuple(replace(pose, depth_mm=0.0) if is_served(pose) else pose for pose in path.poses)
-        library = LibraryPlan(gel, indenter, PoseRanges.of(served), quality) if served else None
+        library = LibraryPlan(gel, indenter, PoseRanges.of(served, reach_mm), quality) if served else None
         return cls(path.poses, plan_solves(gel, indenter, PosePath(path.name, left), quality), library)
 
     @property
@@ -163,13 +168,14 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
     """
     alike: dict[tuple[Any, ...], list[DomainRecipe]] = {}
     for recipe in recipes:
-        same = (recipe.elastomer, recipe.indenters, recipe.solved_path(), recipe.quality, recipe.interpolated)
+        library = recipe.interpolated, recipe.library_reach_mm
+        same = (recipe.elastomer, recipe.indenters, recipe.solved_path(), recipe.quality, library)
         alike.setdefault(same, []).append(recipe)
     sources: dict[str, Solve | LibraryPlan] = {}
     batches = []
-    for (elastomer, indenters, *poses, interpolated), members in alike.items():
+    for (elastomer, indenters, *poses, (interpolated, reach_mm)), members in alike.items():
         if interpolated:
-            contacts = Contacts.interpolated(elastomer, indenters[0], *poses)
+            contacts = Contacts.interpolated(elastomer, indenters[0], *poses, reach_mm)
         else:
             plan = joined([plan_solves(elastomer, indenter, *poses) for indenter in indenters])
             contacts = Contacts(plan.poses, plan)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gelgap.domains import drawn_illumination, drawn_lights, in_drawn_lights, make_recipes
+from gelgap.domains.generation.plan import plan_generation
 from gelgap.render import Illumination, MembraneRenderer
 
 KINDS = [Illumination.preset(name) for name in ("i0", "i1")]
@@ -32,6 +33,15 @@ def test_every_contact_is_in_one_light(recipe):
     assert all(one.path.poses[0].depth_mm == 0 for one in found)
     points = [{pose.point_id for pose in one.path.poses} for one in found]
     assert not any(one & other for i, one in enumerate(points) for other in points[:i])
+
+
+def test_a_random_path_is_solved_once_for_all_lights():
+    (whole,) = make_recipes(["wmb0i0"], "cpu-random", quality="draft", size_px=(64, 48))
+    in_lights = in_drawn_lights(whole)
+    assert whole.interpolated
+    assert plan_generation(in_lights).solves.keys() == plan_generation((whole,)).solves.keys()
+    assert plan_generation(in_lights[2:3]).solves.keys() == plan_generation((whole,)).solves.keys()
+    assert "library_reach_mm" not in whole.configuration()
 
 
 def test_lights_like_a_picture_are_nearer_to_it(recipe, monkeypatch):
