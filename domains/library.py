@@ -85,8 +85,11 @@ class PoseRanges:
 
     @classmethod
     def of(cls, poses: Sequence[Pose], reach_mm: tuple[float, float, float] | None = None) -> "PoseRanges":
-        """Return the ranges of poses, of which one at least makes contact, and of a shallowest, deepest and farthest."""
-        depths, travels = [pose.depth_mm for pose in poses if pose.depth_mm > 0], [pose.radius_mm for pose in poses]
+        """Return the ranges of poses, of which one at least makes contact, and of shallowest, deepest and farthest."""
+        depths, travels = (
+            [pose.depth_mm for pose in poses if pose.depth_mm > 0],
+            [pose.radius_mm for pose in poses],
+        )
         if reach_mm:
             depths, travels = [*depths, *reach_mm[:2]], [*travels, reach_mm[2]]
         return cls(min(depths), max(depths), max(travels))

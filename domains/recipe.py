@@ -192,7 +192,11 @@ class DomainRecipe(Settings):
 
     def configuration(self) -> dict[str, Any]:
         """Return the recipe as plain JSON values; what only some domains have, only for these."""
-        absent = {name for name in ("further_indenters", "interpolated", "library_reach_mm") if not getattr(self, name)}
+        absent = {
+            name
+            for name in ("further_indenters", "interpolated", "library_reach_mm")
+            if not getattr(self, name)
+        }
         return self.model_dump(mode="json", exclude=absent)
 
     @property

@@ -23,6 +23,7 @@ from gelgap.adapt import (
     console_progress,
     fine_tune,
     pretrain,
+    pretrain_on_stream,
     with_statistics_of,
 )
 from gelgap.adapt.data import steps_per_epoch
@@ -52,6 +53,7 @@ from gelgap.benchmarks.real.sessions import (
 from gelgap.domains import (
     RANDOM_FACTORS,
     LabelledFrames,
+    PressStream,
     PretrainingRanges,
     pretraining_recipes,
     with_labels,
@@ -59,8 +61,10 @@ from gelgap.domains import (
 
 RUNS = "few-labels.jsonl"
 SESSION = SESSIONS[1]
-SCRATCH, PRETRAINED, WITHOUT = "scratch", "pretrained", "without-"
-"""What training starts from: nothing, a checkpoint of `gelgap pretrain`, or one for which a factor was not drawn."""
+SCRATCH, PRETRAINED, STREAMED, WITHOUT = "scratch", "pretrained", "streamed", "without-"
+"""What training starts from: nothing, a checkpoint of `gelgap pretrain`, one of `--stream`, which takes as many steps,
+or one for which a factor was not drawn.
+"""
 SCRATCH_RATE, PRETRAINED_RATE = 0.06, 0.004
 """Learning rates, the best of four each on the other session, whose clips are in no table (commit 3683a5b)."""
 STEPS, QUICK_STEPS = 200, 5
@@ -68,7 +72,7 @@ STEPS, QUICK_STEPS = 200, 5
 DRAWS = range(12)
 FACTOR_DRAWS = range(6)
 _METHOD = "no-transfer"
-_DOMAINS, _FRAMES = 60, 60
+_DOMAINS, _FRAMES, _SIZE_PX = 60, 60, (160, 120)
 _QUICK_DOMAINS, _QUICK_FRAMES, _QUICK_EPOCHS = 2, 12, 1
 
 
@@ -203,8 +207,14 @@ def pretrain_once(study: FewLabelStudy, start: str) -> None:
     if study.is_quick:
         ranges, profile = ranges.in_quick_form(), profile.replace(source_epochs=_QUICK_EPOCHS)
         domains, frames = _QUICK_DOMAINS, _QUICK_FRAMES
+    if start == STREAMED:
+        stream = PressStream(ranges, size_px=_SIZE_PX)
+        with console_progress() as progress:
+            every = {"frames_per_epoch": domains * frames, "progress": progress}
+            print(pretrain_on_stream(stream, checkpoint.parent, profile, **every), flush=True)
+        return
     undrawn = [start.removeprefix(WITHOUT)] if start.startswith(WITHOUT) else []
-    recipes = pretraining_recipes(domains, frames, ranges, without=undrawn)
+    recipes = pretraining_recipes(domains, frames, ranges, without=undrawn, size_px=_SIZE_PX)
     replace(study, data=checkpoint.parent).generate(recipes, "domains")
     with console_progress() as progress:
         folders = [checkpoint.parent / "domains" / recipe.name for recipe in recipes]
@@ -215,7 +225,7 @@ def pretraining(quick: bool, out_dir: Path, data: Path) -> None:
     """Pretrain, do the runs that have no record yet, print the table, and write `real-pretraining.json`."""
     budgets, draws = ((ONE_CLIP, OTHER_OBJECTS), DRAWS[:2]) if quick else (BUDGETS, DRAWS)
     study = FewLabelStudy.of(quick, out_dir, data, "pretraining-")
-    compare_starts(study, [SCRATCH, PRETRAINED], budgets, draws, out_dir / "real-pretraining.json")
+    compare_starts(study, [SCRATCH, PRETRAINED, STREAMED], budgets, draws, out_dir / "real-pretraining.json")
 
 
 def randomisation(quick: bool, out_dir: Path, data: Path) -> None:

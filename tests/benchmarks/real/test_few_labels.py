@@ -19,6 +19,7 @@ from gelgap.benchmarks.real.few_labels import (
     PRETRAINED,
     RUNS,
     SCRATCH,
+    STREAMED,
     SESSION,
     STEPS,
     Budget,
@@ -159,13 +160,13 @@ def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(
     printed = capsys.readouterr().out
     assert "Few labels on real grasps, 2023-12-16" in printed
     folder = tmp_path / "out/real/pretraining-smoke"
-    assert set(read_records(folder / RUNS)["source"]) == {SCRATCH, PRETRAINED}
+    assert set(read_records(folder / RUNS)["source"]) == {SCRATCH, PRETRAINED, STREAMED}
     with monkeypatch.context() as patch:
         again = lambda study, run: pytest.fail("trained again")  # noqa: E731
         patch.setattr(study_of_few_labels, "train_on_few_labels", again)
         main(command)
     table = json.loads((tmp_path / "out/real-pretraining.json").read_text())
-    starts = [CONSTANT, QUADRATIC, SCRATCH, PRETRAINED]
+    starts = [CONSTANT, QUADRATIC, SCRATCH, PRETRAINED, STREAMED]
     assert [row[:2] for row in table["rows"]] == [[b, s] for b in (ONE_CLIP, OTHER_OBJECTS) for s in starts]
     command[command.index("pretraining")] = "randomisation"
     capsys.readouterr()
@@ -173,4 +174,4 @@ def test_the_quick_form_runs_from_the_command_line_and_repeats_nothing(
     assert "without-gel" in capsys.readouterr().out
     own, without = (folder / start / "pretrained.pt" for start in (PRETRAINED, "without-gel"))
     assert own.read_bytes() != without.read_bytes()
-    assert set(read_records(folder / RUNS)["source"]) == {SCRATCH, PRETRAINED, "without-gel"}
+    assert set(read_records(folder / RUNS)["source"]) == {SCRATCH, PRETRAINED, STREAMED, "without-gel"}
