@@ -78,7 +78,7 @@ class Calibrate(opt.Command):
     held_out_parts: Annotated[int, opt.between(0, 24)] = 3
     """Folds of the cross-validation: presses of each are predicted by a fit without them; 0: none is held out."""
     keep_camera: opt.Flag = False
-    """Leave the camera where the sensor has it; otherwise its distance is fitted, as far as seems parallel."""
+    """Leave the camera as the sensor has it; otherwise its blur and distance are fitted, as far as seems parallel."""
     membrane_quality: opt.Quality = "draft"
     """How finely the membrane around the spheres is solved."""
 
@@ -174,7 +174,9 @@ def report_lines(fit: "LightCalibration") -> list[str]:
     distance_mm = -fit.sensor.camera.position_mm[2]
     distance = _with_error(distance_mm, distance_mm**2 * fit.nearness_error_per_mm)
     parallel = ", nearly parallel" if distance_mm > NEARLY_PARALLEL_MM else ""
-    lines.append(f"camera {distance} mm from the gel{parallel}")
+    blur_px = fit.sensor.camera.point_spread_px
+    blur = f"point spread {blur_px:.1f} px of a picture 320 px wide" if blur_px else "sharp"
+    lines.append(f"camera {distance} mm from the gel{parallel}, {blur}")
     depths = fit.poses_mm[:, 2]
     lines.append(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
     return lines

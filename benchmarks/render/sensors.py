@@ -124,14 +124,14 @@ class FittedLight:
         self.fit = task.fit(np.array(fitted))
         self.fit_s = time.process_time() - started
         self.renderer = saved_renderer(LightCalibration(**task.result(self.fit)), task.placed.size_px)
-        self.placed = task.placed.seen_from(self.fit.distance_mm)
 
     def draw(self, way: str, press: int) -> Callable[[], np.ndarray]:
         """Return what draws a press's picture, marked or refined; the membrane is there already."""
-        pose = self.placed.poses_mm[press]
+        placed = self.fit.placed
+        pose = placed.poses_mm[press]
         if way == "refined":
-            pose = self.fit.refined(self.placed, press).presses[0]
-        membrane = self.placed.profiles[press].membrane(pose[:2], pose[2], EXTENT_MM)
+            pose = self.fit.refined(press).presses[0]
+        membrane = placed.profiles[press].membrane(pose[:2], pose[2], EXTENT_MM)
         return partial(self.renderer.picture, *membrane, markers=False)
 
 

@@ -123,7 +123,7 @@ def calibrate_light(
     order, degree
         Of scattered light; by default 3 and 2 from 12 presses on, and 2 and 1 below.
     keep_camera
-        Whether the camera stays where it is; otherwise its distance is fitted, and it shows the same of the gel.
+        Whether the camera stays as it is; otherwise its distance and blur are fitted, and it shows the same of the gel.
     folds
         Into how many parts the presses are divided to be held out, one part after the other; 0: none is. Presses at
         one place are held out together.
@@ -167,8 +167,7 @@ def calibrate_light(
     if len(suspects):
         others = task.fit(np.setdiff1d(everything, suspects))
         # Those that a light fitted without them leaves far out: one bad press can spoil others.
-        seen = placed.seen_from(others.distance_mm)
-        errors = np.array([others.refined(seen, int(press)).rms_against_picture() for press in suspects])
+        errors = np.array([others.refined(int(press)).rms_against_picture() for press in suspects])
         outliers = suspects[errors > _most_error(np.sqrt(others.press_errors()))]
         if len(outliers) == len(suspects):
             fit = others
@@ -178,8 +177,8 @@ def calibrate_light(
     for part in held_out_parts(placed.centers_px[used], placed.radii_px[used], folds):
         other = task.fit(np.delete(used, part))
         without.append(other)
-        seen, table = placed.seen_from(other.distance_mm), placed.table(other.which, degree)
-        held_out += [_predicted(other, seen, int(press), table) for press in used[part]]
+        table = placed.table(other.which, degree)
+        held_out += [_predicted(other, int(press), table) for press in used[part]]
     if held_out:
         _check_prediction(held_out)
     angles = led_angles(fit.light.bars)
@@ -301,7 +300,7 @@ class LightTask:
     shadows: bool = True  # whether the dent casts them
     keep_camera: bool = False
 
-    def fit(self, which: np.ndarray, rounds: int = 3) -> LightFit:
+    def fit(self, which: np.ndarray) -> LightFit:
         """Fit the presses of the indices `which`."""
         placed, camera = self.placed, self.sensor.camera
         at_mm = placed.poses_mm[which, :2]
@@ -314,14 +313,14 @@ class LightTask:
         # The camera may look from as near as it was given, or nearer than most, to nearly parallel.
         range_mm = camera.farthest_mm(placed.size_px), min(NEAREST_CAMERA_MM, -camera.position_mm[2])
         nearness_range = None if self.keep_camera else (1 / range_mm[0], 1 / range_mm[1])
-        fit = LightFit(placed, which, far, light, camera.position_mm, nearness_range)
-        fit.run(rounds)
+        fit = LightFit(placed, which, far, light, nearness_range)
+        fit.run()
         return fit
 
     def lit_sensor(self, fit: LightFit) -> Sensor:
         """Return the start sensor under a fitted light, matt and without lens losses, which the flat field holds."""
         coating = self.sensor.coating.model_copy(update={"specular": 0.0})
-        camera = self.placed.seen_from(fit.distance_mm).camera.model_copy(update={"vignetting": 0.0})
+        camera = fit.camera.model_copy(update={"vignetting": 0.0})
         light, own, count = fit.light, self.sensor.illumination, fit.light.bars.count
         linear = np.clip(light.theta[count:] / camera.exposure, -LARGEST, LARGEST)
         ambient, coefficients = np.split(linear, [light.ambient_columns])
@@ -367,12 +366,13 @@ class LightTask:
         }
 
 
-def _predicted(fit: LightFit, seen: PlacedPresses, press: int, table: PlainTable) -> HeldOut:
-    """Predict a press that the fit has not seen, `seen` by the camera where the fit has put it."""
+def _predicted(fit: LightFit, press: int, table: PlainTable) -> HeldOut:
+    """Predict a press that the fit has not seen."""
+    seen = fit.placed
     scored_mm = SCORED_RADII * seen.radii_px[press] * 2 * seen.half_view_mm / seen.size_px[0] + MARGIN_MM
     draw = partial(seen.picture_of, fit.light, fit.field, press)
-    marked = draw(fit.expected_mm(seen, press), max(MODELLED_MM, scored_mm))
-    refined = draw(fit.refined(seen, press).presses[0], scored_mm)
+    marked = draw(fit.expected_mm(press), max(MODELLED_MM, scored_mm))
+    refined = draw(fit.refined(press).presses[0], scored_mm)
     plain = seen.at_level(press, table.picture(seen.centers_px[press]))
     scores = [seen.scores(press, picture) for picture in (seen.reference, plain, marked, refined)]
     return HeldOut(seen.names[press], *scores, picture=marked)
@@ -429,7 +429,7 @@ def unknown_sphere_size(
         tried = [replace(presses[k], sphere_diameter_mm=diameter) for k in some]
         placed = place_presses(sensor.camera, reference, tried, {diameter: profiles})
         task = LightTask(sensor, placed, 2, 1, far=False, keep_camera=keep_camera)
-        return task.fit(np.arange(len(some)), rounds=2).press_errors()
+        return task.fit(np.arange(len(some))).press_errors()
 
     mark_mm = mm_per_px * float(np.median([press.radius_px for press in presses]))
     return fit_sphere_size(mark_mm, membranes, press_errors)

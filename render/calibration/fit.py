@@ -2,9 +2,10 @@
 
 The intensities of bars, ambient and scattered light enter linearly and are solved for exactly; the bars' geometry is
 searched, with the linear part solved inside every step, and each press's centre and depth follow by Gauss-Newton. The
-camera's distance is found by parabolas, each point of them with its own light and presses.
+camera's distance and blur are found by parabolas, each point of them with its own light and presses.
 """
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 
@@ -13,15 +14,21 @@ import numpy as np
 from gelgap.render.calibration.light import Light, SeenPoints, gain_of, predicted_light
 from gelgap.render.calibration.pictures import DARK, SATURATED, FarField
 from gelgap.render.calibration.poses import PlacedPresses
+from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
 
 RIDGE = 0.3
 # By how much the modelled flat light, of which the gain is made, is drawn to the reference.
 REFERENCE_WEIGHT = 0.1
+# Flat light is smooth: every so manyth pixel holds it.
+_REFERENCE_STEP = 4
 PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
 PRIOR_WEIGHT = 30.0
 _MOST_STEP_MM = 0.06
 _LEAST_DEPTH_MM = 0.02
+_MOST_BLUR_PX = 4.0
+# By what share the error must fall for a blur to be believed: less is what meshes and pixels blur.
+_LEAST_GAIN = 0.02
 
 
 def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
@@ -36,14 +43,15 @@ def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int)
 
 
 def _weighted(change: np.ndarray, of_change: np.ndarray, flat: np.ndarray, of_flat: np.ndarray) -> np.ndarray:
-    """Return the rows (2 n, columns) of the least-squares problem."""
-    return np.concatenate([change * of_change[:, None], flat * of_flat[:, None]])
+    """Return the rows of the least-squares problem: a change for each pixel, flat light for some of them."""
+    return np.concatenate([change * of_change[:, None], flat[::_REFERENCE_STEP] * of_flat[:, None]])
 
 
 class LightFit:
     """Fits a light to some of the presses (indices `which`) on gel whose untouched light is `field`; start with `run`.
 
-    `nearness_range` bounds 1 / the camera's distance; without it the camera stays.
+    `nearness_range` bounds 1 / the camera's distance; without it the camera is kept. `placed` are the presses as the
+    camera sees them, as far as it is fitted.
     """
 
     def __init__(
@@ -52,7 +60,6 @@ class LightFit:
         which: np.ndarray,
         field: FarField,
         light: Light,
-        camera_mm: np.ndarray,
         nearness_range: tuple[float, float] | None = None,
     ) -> None:
         self.placed, self.which, self.field, self.light = placed, which, field, light
@@ -62,7 +69,6 @@ class LightFit:
         self.start_presses = placed.poses_mm[which]
         self.presses = self.start_presses.copy()
         self.anchor = light.bars
-        self.camera_mm = np.asarray(camera_mm, float)
         self.nearness_range = nearness_range
         self.linear = srgb_decode(self.code / 255)
         codes = np.stack([self.code, 255 * srgb_encode(self.base * self.factor)])
@@ -71,9 +77,13 @@ class LightFit:
         self.residual = np.zeros_like(self.base)
 
     @property
+    def camera(self) -> Camera:
+        return self.placed.camera
+
+    @property
     def distance_mm(self) -> float:
         """The camera's, from the flat membrane."""
-        return float(-self.camera_mm[2])
+        return float(-self.camera.position_mm[2])
 
     @property
     def rms_code_values(self) -> float:
@@ -84,7 +94,7 @@ class LightFit:
         own = [self.residual[self.index == k] for k in range(len(self.presses))]
         return np.array([np.mean(residual**2) for residual in own])
 
-    def run(self, rounds: int = 3) -> None:
+    def run(self) -> None:
         """Fit bars alone first, so that scattered light does not take their place, then everything in turn."""
         if (order := self.light.order) > 0:
             self.light = replace(self.light, order=0)
@@ -95,18 +105,22 @@ class LightFit:
             self._search(("azimuth", "height", "distance"), 4)
             self.anchor, self.light = self.light.bars, replace(self.light, order=order)
         self._solve()
-        self._search_camera(1.0)
-        for k in range(rounds):
-            self._search(tuple(PRIOR), 5)
-            self._solve()
-            self.refine_presses()
-            self._solve()
-            if k == 0:
-                self._search_camera(0.4)
+        self._search_distance(1.0)
+        self._search_geometry()
+        self._search_distance(0.4)
+        self._search_blur()
+        self._search_geometry()
+
+    def _search_geometry(self) -> None:
+        self._search(tuple(PRIOR), 5)
+        self._solve()
+        self.refine_presses()
+        self._solve()
 
     def _seen(self, presses: np.ndarray) -> SeenPoints:
         """Return what the samples see of presses (k, 3)."""
-        return SeenPoints.pressed(self.plane_mm, self.index, presses, self.profiles, self.camera_mm)
+        camera_mm = np.array(self.camera.position_mm)
+        return SeenPoints.pressed(self.plane_mm, self.index, presses, self.profiles, camera_mm)
 
     def _ridge(self) -> np.ndarray:
         return RIDGE * len(self.index) * self.light.penalty() ** 2
@@ -114,29 +128,31 @@ class LightFit:
     def _weights(self, channel: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return by what changes enter the picture's error in codes and flat light the reference's, and the targets.
 
-        The first two are (n,); the targets (2 n,) are how much brighter the picture is than untouched gel, and that.
+        These are how much brighter the picture is than untouched gel, and that, in the order of `_weighted`.
         """
         columns = (self.base, self.linear, self.flat_light, self.factor, self.usable)
         base, linear, flat, factor, usable = (values[:, channel] for values in columns)
         picture = 255 * srgb_slope(linear) * factor * usable
-        reference = 255 * REFERENCE_WEIGHT * srgb_slope(base) * usable
-        target = np.concatenate([picture * (linear / factor - base), reference * base])
+        some = np.s_[::_REFERENCE_STEP]
+        reference = 255 * REFERENCE_WEIGHT * _REFERENCE_STEP**0.5 * (srgb_slope(base) * usable)[some]
+        target = np.concatenate([picture * (linear / factor - base), reference * base[some]])
         return picture * gain_of(base, flat), reference, target
 
     def _solve(self) -> None:
-        """Solve for all intensities: a press's change shall be predicted, and flat light be near the reference."""
+        """Solve for all intensities: a press's change shall be predicted, and flat light be near the reference.
+
+        The gain is that of the flat light before, so that it is found as solves follow each other.
+        """
         pressed, flat = self._seen(self.presses).columns(self.light), self.flat.columns(self.light)
         change, ridge, leds = pressed - flat, self._ridge(), self.light.bars.count
         solved = np.empty((pressed.shape[1], 3))
         for channel in range(3):
-            for _ in range(2):
-                of_change, of_flat, target = self._weights(channel)
-                rows = _weighted(change, of_change, flat, of_flat)
-                normal = rows.T @ rows
-                normal[np.diag_indices_from(normal)] += ridge
-                theta = nonnegative_least_squares(normal, rows.T @ target, leds)
-                self.flat_light[:, channel] = flat @ theta
-            solved[:, channel] = theta
+            of_change, of_flat, target = self._weights(channel)
+            rows = _weighted(change, of_change, flat, of_flat)
+            normal = rows.T @ rows
+            normal[np.diag_indices_from(normal)] += ridge
+            solved[:, channel] = nonnegative_least_squares(normal, rows.T @ target, leds)
+            self.flat_light[:, channel] = flat @ solved[:, channel]
         self.light = replace(self.light, theta=solved)
         self.residual = self._error(pressed @ solved, self.flat_light)
 
@@ -194,27 +210,47 @@ class LightFit:
         covariance = np.linalg.inv(slopes / variance + np.diag(prior**-2.0))
         return np.sqrt(np.diag(covariance)).reshape(-1, self.light.bars.count)
 
-    def _search_camera(self, share: float) -> None:
-        """Move the camera to the least of a parabola over 1 / distance, through three in a share of its range."""
-        if self.nearness_range is None:
-            return
-        low, high = self.nearness_range
+    def _search_distance(self, share: float) -> None:
+        """Search the camera's distance, evenly in its inverse, in a share of its range."""
+        if self.nearness_range is not None:
+            size_px, nearness = self.placed.size_px, 1 / self.distance_mm
+            nearer = lambda value: self.camera.seen_from(1 / value, size_px)  # noqa: E731
+            self._become(self._under_cameras(nearer, nearness, self.nearness_range, share))
+
+    def _search_blur(self) -> None:
+        """Search the camera's point spread; it is none unless that leaves more error by `_LEAST_GAIN`."""
+        if self.nearness_range is not None:
+            blurred = lambda value: self.camera.model_copy(update={"point_spread_px": float(value)})  # noqa: E731
+            tried = self._under_cameras(blurred, self.camera.point_spread_px, (0.0, _MOST_BLUR_PX), 1.0)
+            sharp, *others = sorted(tried, key=lambda own: own.camera.point_spread_px)
+            below = (1 - _LEAST_GAIN) * sharp.rms_code_values
+            self._become([own for own in others if own.rms_code_values < below] or [sharp])
+
+    def _under_cameras(
+        self, camera_of: Callable[[float], Camera], start: float, bounds: tuple[float, float], share: float
+    ) -> list["LightFit"]:
+        """Return the fits under three cameras around a start, and at the least of a parabola through their errors."""
+        low, high = bounds
         half = share * (high - low) / 2
-        middle = np.clip(1 / self.distance_mm, low + half, high - half)
-        nearness = np.array([middle - half, middle, middle + half])
-        tried = [self._seen_from(1 / value) for value in nearness]
-        curvature, slope, _ = np.polyfit(nearness - middle, [own.rms_code_values for own in tried], 2)
+        middle = np.clip(start, low + half, high - half)
+        values = np.array([middle - half, middle, middle + half])
+        tried = [self._seen_by(camera_of(value)) for value in values]
+        curvature, slope, _ = np.polyfit(values - middle, [own.rms_code_values for own in tried], 2)
         if curvature > 0:
             least = np.clip(middle - slope / (2 * curvature), low, high)
-            if np.abs(nearness - least).min() > 1e-9:
-                tried.append(self._seen_from(1 / least))
+            if np.abs(values - least).min() > 1e-9:
+                tried.append(self._seen_by(camera_of(least)))
+        return tried
+
+    def _become(self, tried: list["LightFit"]) -> None:
         vars(self).update(vars(min(tried, key=lambda own: own.rms_code_values)))
 
-    def _seen_from(self, distance_mm: float) -> "LightFit":
-        """Return the fit under a camera at another distance, with presses moved and light solved for anew."""
+    def _seen_by(self, camera: Camera) -> "LightFit":
+        """Return the fit under another camera, with presses moved and light solved for anew."""
         other = copy(self)
-        other.camera_mm = np.array([*self.camera_mm[:2], -distance_mm])
-        other.start_presses = self.placed.seen_from(distance_mm).poses_mm[self.which]
+        other.placed = self.placed.seen_by(camera)
+        other.profiles = [other.placed.seen_profiles[k] for k in self.which]
+        other.start_presses = other.placed.poses_mm[self.which]
         other.presses = other.start_presses + self.presses - self.start_presses
         deepest = [profiles.deepest_mm for profiles in self.profiles]
         other.presses[:, 2] = np.clip(other.presses[:, 2], _LEAST_DEPTH_MM, deepest)
@@ -246,17 +282,14 @@ class LightFit:
                 self.presses[k] += np.clip(step, -_MOST_STEP_MM, _MOST_STEP_MM)
                 self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
 
-    def expected_mm(self, seen: PlacedPresses, press: int) -> np.ndarray:
+    def expected_mm(self, press: int) -> np.ndarray:
         """Return (3,) where a press is expected: as marked, or off a rough mark as the fitted ones are off theirs."""
         off = np.median(self.presses - self.start_presses, axis=0)
-        return seen.poses_mm[press] + off * seen.presses[press].has_rough_marks
+        return self.placed.poses_mm[press] + off * self.placed.presses[press].has_rough_marks
 
-    def refined(self, seen: PlacedPresses, press: int) -> "LightFit":
-        """Return the light with one press only, moved to where the light explains its picture best.
-
-        `seen` are the presses as the camera sees them from where the fit has put it.
-        """
-        own = LightFit(seen, np.array([press]), self.field, self.light, self.camera_mm)
+    def refined(self, press: int) -> "LightFit":
+        """Return the light with one press only, moved to where the light explains its picture best."""
+        own = LightFit(self.placed, np.array([press]), self.field, self.light)
         own.refine_presses(4)
         return own
 

@@ -72,11 +72,8 @@ class PlacedPresses:
         box_mm = np.ptp(self.poses_mm[:, :2], axis=0).max() + 2 * MARGIN_MM
         return min(self.half_view_mm, float(box_mm))
 
-    def seen_from(self, distance_mm: float) -> "PlacedPresses":
-        """Return the presses with the camera at another distance, from which it shows the same of the flat membrane."""
-        if distance_mm == -self.camera.position_mm[2]:
-            return self
-        camera = self.camera.seen_from(distance_mm, self.size_px)
+    def seen_by(self, camera: Camera) -> "PlacedPresses":
+        """Return the presses as another camera sees them, which shows the same of the flat membrane."""
         poses = [
             _start(camera, press, profiles, self.size_px)[0]
             for press, profiles in zip(self.presses, self.profiles, strict=True)
