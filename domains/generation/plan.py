@@ -173,11 +173,11 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
         alike.setdefault(same, []).append(recipe)
     sources: dict[str, Solve | LibraryPlan] = {}
     batches = []
-    for (elastomer, indenters, *poses, (interpolated, reach_mm)), members in alike.items():
+    for (elastomer, indenters, path, quality, (interpolated, reach_mm)), members in alike.items():
         if interpolated:
-            contacts = Contacts.interpolated(elastomer, indenters[0], *poses, reach_mm)
+            contacts = Contacts.interpolated(elastomer, indenters[0], path, quality, reach_mm)
         else:
-            plan = joined([plan_solves(elastomer, indenter, *poses) for indenter in indenters])
+            plan = joined([plan_solves(elastomer, indenter, path, quality) for indenter in indenters])
             contacts = Contacts(plan.poses, plan)
         sources |= contacts.sources
         for number, start in enumerate(shard_starts(len(contacts.poses))):

@@ -1,0 +1,60 @@
+"""A dense head learns where the force is, and how much it is together."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gelgap.adapt import ForceModel, learn_traction_maps, traction_errors, traction_maps_n
+from gelgap.domains import ArrayFrames
+
+FRAMES = 96
+
+
+@pytest.fixture(scope="module")
+def domain() -> SimpleNamespace:
+    """Bright squares of 6 × 6 cells, each cell of which carries a force by its brightness."""
+    rng = np.random.default_rng(0)
+    maps_n = np.zeros((FRAMES, 24, 32, 3))
+    for own in maps_n[1:]:  # the first is untouched
+        row, column = rng.integers(2, 17), rng.integers(2, 25)
+        own[row : row + 6, column : column + 6] = rng.uniform(0.02, 0.05) * np.array([0.3, 0.0, -1.0])
+    pictures = np.clip(90 - 3000 * maps_n[..., [2, 2, 0]], 0, 255).astype(np.uint8)
+    pictures = pictures.repeat(2, axis=1).repeat(2, axis=2)
+    force_n = maps_n.sum(axis=(1, 2))
+    frames = ArrayFrames("squares", pictures, pictures[0], force_n, force_range_n=np.array([[-2.0, 2.0]] * 3))
+    return SimpleNamespace(name="squares", take=frames.take, optional=lambda column, row: maps_n[row].ravel())
+
+
+def test_maps_are_learnt_and_told_by_cell_and_by_sum(domain: SimpleNamespace, stage1: ForceModel) -> None:
+    seen, unseen = np.arange(64), np.arange(64, FRAMES)
+    said: list[str] = []
+    maps = learn_traction_maps(stage1, domain, seen, epochs=60, progress=lambda *told: said.append(told[-1]))
+    assert len(said) == 60
+    true_n, mean_n = traction_maps_n(domain, unseen), traction_maps_n(domain, seen).mean(axis=0)
+    predicted_n = maps.predict_n(domain.take(unseen))
+    errors = traction_errors(predicted_n, true_n, mean_n)
+    for name in ("z: a loaded cell, mN", "x: a loaded cell, mN", "z: the sum, N"):
+        assert errors.loc["predicted", name] < 0.5 * errors.loc["mean map", name]
+    # The backbone that it began with has not moved.
+    again = learn_traction_maps(stage1, domain, seen, epochs=60)
+    np.testing.assert_array_equal(again.predict_n(domain.take(unseen)), predicted_n)
+    other = maps.with_statistics_of(domain.take(unseen))
+    assert not np.array_equal(other.predict_n(domain.take(unseen)), predicted_n)
+
+
+def test_errors_are_those_of_cells_and_of_their_sum() -> None:
+    maps_n = np.zeros((2, 24, 32, 3))
+    maps_n[:, 3, 4, 2] = -0.2
+    predicted_n = maps_n.copy()
+    predicted_n[:, 3, 5, 2] = -0.1  # beside the loaded cell
+    errors = traction_errors(predicted_n, maps_n, np.zeros((24, 32, 3)))
+    assert errors.loc["predicted", "z: a loaded cell, mN"] == 0
+    assert errors.loc["mean map", "z: a loaded cell, mN"] == pytest.approx(200)
+    assert errors.loc["predicted", "z: a cell, mN"] == pytest.approx(100 / 768)
+    assert errors.loc["predicted", "z: the sum, N"] == pytest.approx(0.1)
+
+
+def test_frames_without_load_are_refused(domain: SimpleNamespace, stage1: ForceModel) -> None:
+    with pytest.raises(ValueError, match="none of 1 frames carries load"):
+        learn_traction_maps(stage1, domain, [0])
