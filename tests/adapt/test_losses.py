@@ -7,14 +7,17 @@ import pytest
 import scipy.linalg
 import torch
 
-from gelgap.adapt.methods.cod import conditional_operator_discrepancy, covariance_part, mean_part
-from gelgap.adapt.methods.conditional_mmd import conditional_mmd
+from gelgap.adapt.methods.cod import (
+    conditional_mmd,
+    conditional_operator_discrepancy,
+    covariance_part,
+    mean_part,
+)
 from gelgap.adapt.methods.coral import coral
-from gelgap.adapt.methods.dan import bandwidth, mk_mmd, multi_gaussian, squared_distances
+from gelgap.adapt.methods.dan import bandwidth, joint_mmd, mk_mmd, multi_gaussian, squared_distances
 from gelgap.adapt.methods.dann import domain_loss, reverse_gradient
 from gelgap.adapt.methods.daregram import daregram, daregram_published, daregram_tikhonov
 from gelgap.adapt.methods.dsan import coarse_classes, lmmd
-from gelgap.adapt.methods.jan import joint_mmd
 from gelgap.adapt.methods.rsd import projection_distance
 from gelgap.adapt.methods.ssa import subspace_loss
 

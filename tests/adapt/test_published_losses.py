@@ -14,9 +14,8 @@ import torch
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Step
-from gelgap.adapt.methods.cdan import multilinear_map
 from gelgap.adapt.methods.dan import mmd_of_kernel, multi_gaussian, squared_distances
-from gelgap.adapt.methods.dann import DANN, domain_loss, reverse_gradient
+from gelgap.adapt.methods.dann import DANN, domain_loss, multilinear_map, reverse_gradient
 from gelgap.adapt.methods.daregram import daregram_cut_at, gram_spectra, published_rank
 from gelgap.adapt.methods.deep_jdot import joint_transport, transport_plan
 from gelgap.adapt.methods.fourier_style import in_the_style_of
