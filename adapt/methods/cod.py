@@ -83,11 +83,14 @@ class COD(Method):
         ridge: float = Field(default=0.05, gt=0, description="regularisation of the conditional operators")
         marginal: float = Field(default=1.0, ge=0, description="weight of the marginal MK-MMD")
 
+    def conditional(self, kernel: Tensor, force_s: Tensor, force_t: Tensor) -> Tensor:
+        """Return the discrepancy of features with a pooled kernel, given their forces."""
+        return conditional_operator_discrepancy(kernel, force_s, force_t, self.settings.ridge)
+
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        s = self.settings
         kernel = pooled_kernel(source.features, target.features)
-        conditional = conditional_operator_discrepancy(kernel, source.force, target.prediction, s.ridge)
-        return conditional + s.marginal * mmd_of_kernel(kernel, len(source.features))
+        conditional = self.conditional(kernel, source.force, target.prediction)
+        return conditional + self.settings.marginal * mmd_of_kernel(kernel, len(source.features))
 
 
 def conditional_mmd(
@@ -124,16 +127,12 @@ def _gaussian(x: Tensor, y: Tensor, width: float) -> Tensor:
     return torch.exp(-squares / (2 * width**2))
 
 
-class ConditionalMMD(Method):
+class ConditionalMMD(COD):
     """Regression with the conditional MMD and MK-MMD on the transfer feature."""
 
-    class Settings(MethodSettings):
+    class Settings(COD.Settings):
         force_width: float = Field(default=0.1, gt=0, description="width of the kernel on normalised forces")
         ridge: float = Field(default=0.01, gt=0, description="regularisation of the conditional embeddings")
-        marginal: float = Field(default=1.0, ge=0, description="weight of the marginal MK-MMD")
 
-    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
-        s = self.settings
-        kernel = pooled_kernel(source.features, target.features)
-        conditional = conditional_mmd(kernel, source.force, target.prediction, s.force_width, s.ridge)
-        return conditional + s.marginal * mmd_of_kernel(kernel, len(source.features))
+    def conditional(self, kernel: Tensor, force_s: Tensor, force_t: Tensor) -> Tensor:
+        return conditional_mmd(kernel, force_s, force_t, self.settings.force_width, self.settings.ridge)

@@ -23,7 +23,6 @@ from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.network import Activations
 
 KERNEL_COUNT = 5
-KERNEL_RATIO = 2.0
 
 
 def pooled_kernel(source: Tensor, target: Tensor, robust: bool = False) -> Tensor:
@@ -53,15 +52,13 @@ def bandwidth(distances: Tensor, robust: bool) -> Tensor:
     return pairs.median() if robust else pairs.mean()
 
 
-def multi_gaussian(
-    distances: Tensor, base: Tensor, count: int = KERNEL_COUNT, ratio: float = KERNEL_RATIO
-) -> Tensor:
-    """Return Σ_u exp(−d²/(b·ratio^(u−⌊count/2⌋))), u = 0…count−1 ([1], section 3.2).
+def multi_gaussian(distances: Tensor, base: Tensor, count: int = KERNEL_COUNT) -> Tensor:
+    """Return Σ_u exp(−d²/(b·2^(u−⌊count/2⌋))), u = 0…count−1 ([1], section 3.2).
 
     A bandwidth of 0 means equal rows: the distances are all zero and so is the exponent, with zero gradient.
     """
     base = torch.where(base > 0, base, torch.ones_like(base))
-    return sum(torch.exp(-distances / (base * ratio ** (u - count // 2))) for u in range(count))
+    return sum(torch.exp(-distances / (base * 2.0 ** (u - count // 2))) for u in range(count))
 
 
 def mmd_of_kernel(kernel: Tensor, n: int, unbiased: bool = False) -> Tensor:

@@ -29,9 +29,10 @@ from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, descen
 
 
 class Subspace(NamedTuple):
-    """What is kept of the source: mean, directions, variances and weights of `subspace_loss`.
+    """What is kept of the source's features: their mean (D,) and K orthonormal principal directions (D, K).
 
-    `slack` is the mean squared distance of its features from the subspace.
+    `variances` (K,) are along these, `weights` (K,) the α of `subspace_loss`, and `slack` the mean squared distance of
+    the features from the subspace.
     """
 
     mean: Tensor
@@ -41,25 +42,16 @@ class Subspace(NamedTuple):
     slack: Tensor
 
 
-def subspace_loss(
-    features: Tensor, mean: Tensor, directions: Tensor, variances: Tensor, weights: Tensor
-) -> Tensor:
-    """Return Σ_d α_d (KL(target‖source) + KL(source‖target)) of one Gaussian per direction and domain [1].
+def subspace_loss(features: Tensor, subspace: Subspace) -> Tensor:
+    """Return Σ_d α_d (KL(target‖source) + KL(source‖target)) of target features (B, D) [1].
 
-    Parameters
-    ----------
-    features
-        (B, D) target features.
-    mean, directions, variances
-        The source's mean (D,), K orthonormal principal directions (D, K) and variances along them (K,).
-    weights
-        α (K,).
+    Each domain has one Gaussian per direction.
     """
-    projected = (features.double() - mean) @ directions
+    projected = (features.double() - subspace.mean) @ subspace.directions
     shift = projected.mean(dim=0).square()
-    variance = projected.var(dim=0) + 1e-6 * variances
-    both = (shift + variances) / variance + (shift + variance) / variances - 2
-    return (weights * both / 2).sum().to(features.dtype)
+    variance = projected.var(dim=0) + 1e-6 * subspace.variances
+    both = (shift + subspace.variances) / variance + (shift + variance) / subspace.variances - 2
+    return (subspace.weights * both / 2).sum().to(features.dtype)
 
 
 def slack_loss(features: Tensor, subspace: Subspace) -> Tensor:
@@ -92,7 +84,7 @@ class SSA(Method):
 
     def alignment(self, features: Tensor, subspace: Subspace) -> Tensor:
         """Return the loss of a batch of target features (B, D)."""
-        return subspace_loss(features, *subspace[:4])
+        return subspace_loss(features, subspace)
 
     def follow(self, adaptation: Adaptation, passes: int) -> None:
         """Train the normalisations' scales and offsets in passes over the target's pictures."""
@@ -139,5 +131,5 @@ class PSC(SSA):
         slack_weight: float = Field(default=1.0, ge=0, description="weight of what lies beside the subspace")
 
     def alignment(self, features: Tensor, subspace: Subspace) -> Tensor:
-        aligned = subspace_loss(features, *subspace[:4])
+        aligned = subspace_loss(features, subspace)
         return aligned + self.settings.slack_weight * slack_loss(features, subspace)

@@ -21,7 +21,7 @@ from gelgap.adapt.methods.deep_jdot import joint_transport, transport_plan
 from gelgap.adapt.methods.fourier_style import in_the_style_of
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.rsd import projection_distance
-from gelgap.adapt.methods.ssa import subspace_loss
+from gelgap.adapt.methods.ssa import Subspace, subspace_loss
 from gelgap.adapt.methods.uga import Evidence, evidential_loss
 from gelgap.adapt.network import Activations
 from gelgap.assets import asset_path
@@ -132,7 +132,8 @@ def evidential(x: Inputs) -> Tensor:
 
 def subspace(x: Inputs) -> Tensor:
     weights = 1 + (x["head"][0] @ x["directions"]).abs()
-    return subspace_loss(x["target"], x["mean"], x["directions"], x["variances"], weights)
+    kept = Subspace(x["mean"], x["directions"], x["variances"], weights, torch.zeros(()))
+    return subspace_loss(x["target"], kept)
 
 
 def features_carried(x: Inputs, alpha: float = 0.01) -> Tensor:
