@@ -1,10 +1,10 @@
-from .baselines import evaluate_baselines as evaluate_baselines
 from .data import SplitFrames as SplitFrames
 from .data import split_for_training as split_for_training
 from .evaluation import Evaluation as Evaluation
 from .evaluation import Presses as Presses
 from .evaluation import as_judged_on_source as as_judged_on_source
 from .evaluation import evaluate as evaluate
+from .evaluation import evaluate_baselines as evaluate_baselines
 from .evaluation import evaluate_constant_mean as evaluate_constant_mean
 from .evaluation import evaluate_predictions as evaluate_predictions
 from .evaluation import gap_closed as gap_closed

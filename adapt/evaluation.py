@@ -1,4 +1,7 @@
-"""Errors of predictions, MAE and R² of each label, and the errors that oracles would make.
+"""Errors of predictions, MAE and R² of each label, and what they are compared with: simple rules, and oracles.
+
+Rules of a few numbers, without a network, are what any method should beat. Fitted on the source's training frames, they
+see differences to the reference of at most 64 px along the longer side.
 
 Oracles know contacts that both domains share. The pose oracle predicts a target frame's force by the source's force at
 the same commanded pose: what a perfect alignment of contact classes gives. The geometry oracle predicts it by the
@@ -12,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
+from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.inputs import INPUTS
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.model import ForceModel, input_map, with_statistics_of
@@ -23,6 +27,13 @@ from gelgap.domains import (
     paired_contacts,
     with_labels,
 )
+
+CONSTANT, QUADRATIC, RIDGE = "constant mean", "quadratic in mean difference", "ridge on area and depth"
+BASELINES = (CONSTANT, QUADRATIC, RIDGE)
+_SIZE_PX = 64
+# Of a picture in [0, 1]: what differs more is the dent, and its deepest part is where most differs.
+_DENT, _DEEPEST = 0.03, 99.0
+_PENALTY = 1e-3
 
 
 @dataclass(frozen=True)
@@ -151,6 +162,38 @@ def worse_than_constant(errors: Evaluation) -> str:
     """Return a sentence on the labels that a constant, the mean of these frames, predicts better; empty if none."""
     names = [QUANTITIES[name].symbol for name, r2 in zip(errors.labels, errors.r2, strict=True) if r2 < 0]
     return f"{', '.join(names)}: worse than a constant, these frames' mean (R² below 0)" if names else ""
+
+
+def evaluate_baselines(frames: SplitFrames) -> dict[str, Evaluation]:
+    """Return the errors of all baselines on the target's test frames, by name.
+
+    The constant is the source's mean. The quadratic is one in the mean absolute difference of a picture. The ridge is
+    quadratic, too, in the share of pixels that belong to the dent, and in the difference where it is deepest.
+    """
+    from sklearn.linear_model import Ridge
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+    train, test = frames.source_train, frames.target_test
+    size_px = min(_SIZE_PX, *(max(frames.size_px) for frames in (train, test)))
+    mean, area, depth = zip(*(_numbers(frames, size_px) for frames in (train, test)), strict=True)
+    found = {CONSTANT: evaluate_constant_mean(train, test)}
+    for name, columns in ((QUADRATIC, (mean,)), (RIDGE, (area, depth))):
+        known, wanted = (np.stack([column[k] for column in columns], axis=1) for k in (0, 1))
+        ridge = make_pipeline(PolynomialFeatures(2), StandardScaler(), Ridge(_PENALTY * len(train)))
+        # Of a single label it predicts (m,).
+        predicted = ridge.fit(known, train.label_values).predict(wanted).reshape(test.label_values.shape)
+        found[name] = evaluate_frames(test, predicted)
+    return found
+
+
+def _numbers(frames: LabelledFrames, size_px: int) -> list[np.ndarray]:
+    """Return mean absolute difference, share of the dent's pixels and largest difference of each picture (n,)."""
+    references, images, rows = frames.references_at(size_px).astype(np.float32), frames.images(size_px), []
+    for image, own in zip(images, frames.reference_id, strict=True):
+        difference = np.abs(image - references[own]).mean(axis=2) / 255
+        rows.append((difference.mean(), (difference > _DENT).mean(), np.percentile(difference, _DEEPEST)))
+    return list(np.array(rows).T)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from pydantic import FiniteFloat, TypeAdapter
 from torch import nn
 from torch.optim.swa_utils import update_bn
 
-from gelgap.adapt.data import Draw, NetworkInputs, epoch_order, network_inputs
+from gelgap.adapt.data import Draw, epoch_order, network_inputs
 from gelgap.adapt.inputs import INPUTS, InputMap
 from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
 from gelgap.adapt.profile import Profile
@@ -217,9 +217,8 @@ def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> No
 def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     """Return a copy of a model whose input and batch normalisations have the statistics of these frames' pictures."""
     network = copy.deepcopy(model.network)
-    pictures = network_inputs(frames, model.profile, model.device)
-    estimate_statistics(network, pictures, model.seed)
-    return replace(model, network=network, input_map=pictures.map)
+    estimate_statistics(network, frames, model.profile, model.seed)
+    return replace(model, network=network, input_map=input_map(frames, model.profile, model.device))
 
 
 def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap | None:
@@ -227,8 +226,9 @@ def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) ->
     return None if INPUTS[profile.input].fit is None else network_inputs(frames, profile, device).map
 
 
-def estimate_statistics(network: nn.Module, pictures: NetworkInputs, seed: int) -> None:
+def estimate_statistics(network: ForceNetwork, frames: LabelledFrames, profile: Profile, seed: int) -> None:
     """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
+    pictures = network_inputs(frames, profile, network.device)
     order = epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS)
     update_bn(map(pictures.inputs, order), network)
     network.eval()

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt.baselines import CONSTANT
-from gelgap.adapt.evaluation import Evaluation, worse_than_constant
+from gelgap.adapt.evaluation import CONSTANT, Evaluation, worse_than_constant
 from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
 from gelgap.adapt.runs import Run, load_predictions, load_runs
 from gelgap.domains import FORCE_COLUMNS, QUANTITIES

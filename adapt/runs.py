@@ -21,11 +21,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
 
-from gelgap.adapt.baselines import evaluate_baselines
 from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
 from gelgap.adapt.evaluation import (
     Evaluation,
     as_judged_on_source,
+    evaluate_baselines,
     evaluate_constant_mean,
     evaluate_frames,
     oracles_on,

@@ -9,7 +9,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from itertools import chain, count, islice, repeat, starmap
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,6 @@ from gelgap.adapt.data import (
     generator,
     hidden_batches,
     mix_colours,
-    network_inputs,
     shift_pictures,
     steps_per_epoch,
 )
@@ -93,13 +91,11 @@ def train_source(
     trainer.frames_of_epoch = frames_of_epoch
     with torch_threads(profile.threads):
         trainer.train()
-        # A training that was resumed at its end has no other frames at hand than the first.
-        trainer._take(source)
-        pictures = trainer.source_domain.pictures
         if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
-            estimate_statistics(model.network, pictures, seed)
+            estimate_statistics(model.network, source, profile, seed)
     model.network.eval()
-    return replace(model, history=tuple(map(asdict, trainer.records)), input_map=pictures.map)
+    history = tuple(map(asdict, trainer.records))
+    return replace(model, history=history, input_map=input_map(source, profile, model.device))
 
 
 def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceModel:
@@ -119,7 +115,6 @@ def adapt(
     *,
     resume_file: Path | None = None,
     progress: Progress = silent,
-    watch: Callable[[int, ForceModel], None] | None = None,
 ) -> ForceModel:
     """Return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
 
@@ -132,8 +127,6 @@ def adapt(
         Those of the stage-1 model unless given; the network's part of the profile must be the same.
     resume_file
         State after each epoch of stage 2; a training that finds it is resumed.
-    watch
-        Called after each epoch with its number and the model that stopping there would give.
 
     Raises
     ------
@@ -165,8 +158,6 @@ def adapt(
     )
     title = f"{method} {source.name} → {target.name}"
     trainer = Trainer(adapted.network, profile, seed, source, target, title, resume_file, progress)
-    if watch is not None:
-        trainer.watch = lambda epoch, network: watch(epoch, replace(adapted, network=network.eval()))
     with torch_threads(profile.threads):
         chosen.adapt(trainer)  # most methods call `trainer.train`
     adapted.network.eval()
@@ -222,8 +213,6 @@ class Trainer(Adaptation):
         What progress and errors call the stage.
     resume_file
         Written after every epoch, read at the start if it exists.
-    watch
-        Called after each epoch of stage 2 with its number and a copy of the network as stopping there would leave it.
     frames_of_epoch
         Gives the source's frames of each epoch after the first, where they are drawn anew.
     records
@@ -233,7 +222,6 @@ class Trainer(Adaptation):
     title: str = ""
     resume_file: Path | None = None
     progress: Progress = silent
-    watch: Callable[[int, ForceNetwork], None] | None = None
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None
     records: list[EpochRecord] = field(default_factory=list)
 
@@ -247,7 +235,8 @@ class Trainer(Adaptation):
             labelled = method.uses_target_labels
             target = TrainingDomain(self.target, profile, network.device, labelled=labelled)
             method.to(network.device).begin(network)
-        steps = steps_per_epoch(len(self.source_domain), profile.batch_size)
+        source = TrainingDomain(self.source, profile, network.device, labelled=True)
+        steps = steps_per_epoch(len(source), profile.batch_size)
         optimizer = _make_optimizer(network, method, profile, rate)
         parameters = [p for module in (network, method) if module is not None for p in module.parameters()]
         average = copy.deepcopy(network).requires_grad_(False) if profile.averaging else None
@@ -258,7 +247,9 @@ class Trainer(Adaptation):
         for epoch in range(len(records), epochs):
             log = EpochLog()
             network.train()
-            for number, batches in enumerate(self.batches(epoch, target), start=epoch * steps):
+            if self.frames_of_epoch is not None and epoch > 0:
+                source = TrainingDomain(self.frames_of_epoch(epoch), profile, network.device, labelled=True)
+            for number, batches in enumerate(self.batches(epoch, source, target), start=epoch * steps):
                 log.batch_is_made()
                 for group in optimizer.param_groups:  # the paper's schedule (section IV-B)
                     factor = (1 + profile.rate_decay * number) ** -profile.rate_power
@@ -304,42 +295,31 @@ class Trainer(Adaptation):
             if method is not None:
                 _check_collapse(records)
             self._store(state, records)
-            if self.watch is not None:
-                self.watch(epoch + 1, self._finished(copy.deepcopy(average or network), method))
             self.progress(self.title, epoch + 1, epochs, str(records[-1]))
         self.records += records
         if average is not None:
             network.load_state_dict(average.state_dict())
         if method is not None:
-            self._finished(network, method)
+            method.finish(network)
+            if profile.judges_by_own_statistics:
+                estimate_statistics(network, self.target, profile, self.seed)
 
-    @cached_property
-    def source_domain(self) -> TrainingDomain:
-        """The source's frames with their labels, on the device."""
-        return TrainingDomain(self.source, self.profile, self.network.device, labelled=True)
-
-    def batches(self, epoch: int, target: TrainingDomain | None) -> Iterator[tuple[Batch, Batch | None]]:
+    def batches(
+        self, epoch: int, source: TrainingDomain, target: TrainingDomain | None
+    ) -> Iterator[tuple[Batch, Batch | None]]:
         """Yield the batches of an epoch, of the source and in stage 2 of the target; an epoch always has the same.
 
         An epoch is one pass over the source. The target is cycled, permutation after permutation.
         """
         stage = Draw.STAGE_1 if target is None else Draw.STAGE_2
-        if self.frames_of_epoch is not None and epoch > 0:
-            self._take(self.frames_of_epoch(epoch))
-        of_source = starmap(self.source_domain.batch, self._order(self.source_domain, stage, epoch))
+        of_source = starmap(source.batch, self._order(source, stage, epoch))
         if target is None:
             return zip(of_source, repeat(None), strict=False)
-        done = epoch * steps_per_epoch(len(self.source), self.profile.batch_size)
+        done = epoch * steps_per_epoch(len(source), self.profile.batch_size)
         cycle, offset = divmod(done, steps_per_epoch(len(target), self.profile.batch_size))
         cycles = (self._order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
         of_target = starmap(target.batch, islice(chain.from_iterable(cycles), offset, None))
         return zip(of_source, of_target, strict=False)
-
-    def _take(self, source: LabelledFrames) -> None:
-        """Go on with other frames of the source."""
-        if source is not self.source:
-            self.source = source
-            self.__dict__.pop("source_domain", None)
 
     def _order(self, domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
         """Return which frames make the batches of one pass over a domain, and which are shown without markers."""
@@ -375,13 +355,6 @@ class Trainer(Adaptation):
         if method is not None and method.uses_classifier:
             logits = self.network.classifier(share * features + (1 - share) * features.detach())
         return Activations(features, self.network.regressor(features), logits, **batch._asdict())
-
-    def _finished(self, network: ForceNetwork, method: Method) -> ForceNetwork:
-        """Turn a network in training into the result, under the target's statistics where domains have their own."""
-        method.finish(network)
-        if self.profile.judges_by_own_statistics:
-            estimate_statistics(network, network_inputs(self.target, self.profile, network.device), self.seed)
-        return network
 
     def _store(self, state: Mapping[str, Any], records: list[EpochRecord]) -> None:
         """Write what resuming needs."""

@@ -1,10 +1,10 @@
 """The deformed outer membrane of one pose: its state and file, and how it follows from a solution's vertices."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,25 +121,16 @@ class MembraneState:
             raise ValueError(
                 f"{path} lacks {', '.join(missing)}: a membrane state needs {', '.join(_NEEDED)}"
             )
-        shape = (arrays["y_mm"].size, arrays["x_mm"].size)
-        shapes = {
-            "x_mm": shape[1:],
-            "y_mm": shape[:1],
-            "displacement_mm": (*shape, 3),
-            "contact": shape,
-            "force_n": (3,),
-            "torque_n_mm": (3,),
-            "contact_radius_mm": (),
-            "converged": (),
-        }
+        untouched = cls.untouched(arrays["x_mm"].ravel(), arrays["y_mm"].ravel())
+        found: dict[str, Any] = {}
         for name, values in arrays.items():
+            like = getattr(untouched, name)
             if values.dtype.kind not in "biuf":
                 raise ValueError(f"{name} in {path} holds {values.dtype}: must be numbers")
-            if values.shape != shapes[name]:
-                raise ValueError(f"{name} in {path} has shape {values.shape}: must be {shapes[name]}")
-        radius_mm, converged = arrays.pop("contact_radius_mm", 0.0), arrays.pop("converged", True)
-        arrays = {"contact": np.zeros(shape, dtype=bool), "force_n": np.zeros(3), **arrays}
-        return cls(**arrays, contact_radius_mm=float(radius_mm), converged=bool(converged))
+            if values.shape != np.shape(like):
+                raise ValueError(f"{name} in {path} has shape {values.shape}: must be {np.shape(like)}")
+            found[name] = values if values.shape else type(like)(values)
+        return replace(untouched, **found)
 
 
 def covered_extent_mm(

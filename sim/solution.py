@@ -35,8 +35,6 @@ _STACKED = {
 }
 # A vertex sticks if its friction is below this share of Coulomb's bound.
 _STICKING_SHARE = 0.99
-# What files of earlier versions lack: they are read, with NaN for it, and solved again where they are needed.
-_LATER = {"contact_force_n": "displacement_mm", "torque_n_mm": "force_n"}  # and what is of the same shape
 
 
 @dataclass(frozen=True)
@@ -114,11 +112,6 @@ class Solution:
             np.concatenate([force, force[off_plane]]),
         )
 
-    @property
-    def complete(self) -> bool:
-        """Whether all is known that this version makes labels of."""
-        return all(np.isfinite(record.torque_n_mm).all() or not record.converged for record in self.records)
-
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Solution) and self.problem == other.problem
 
@@ -152,8 +145,6 @@ def solution_from_bytes(data: bytes) -> Solution | None:
     try:
         arrays = read_arrays(content)
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
-        for name, like in _LATER.items():
-            arrays.setdefault(name, np.full_like(arrays[like], np.nan))
         _check_shapes(arrays, len(problem.waypoints_mm))
     except (ValueError, KeyError):
         return None
@@ -198,7 +189,7 @@ class CacheEntry:
 
 
 def load_solution(key: str) -> Solution | None:
-    """Return the cached, complete solution of that key, or None. A damaged file is named and set aside."""
+    """Return the cached solution of that key, or None. A damaged file is named and set aside."""
     path = _path(key)
     try:
         data = path.read_bytes()
@@ -206,7 +197,7 @@ def load_solution(key: str) -> Solution | None:
         return None
     solution = solution_from_bytes(data)
     if solution is not None and solution.problem.key == key:
-        return solution if solution.complete else None
+        return solution
     if solution is None and data.startswith(_MARK):
         set_aside(path, "is damaged (its checksum does not match)")
     return None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gelgap.adapt import find_method
-from gelgap.adapt.baselines import BASELINES
+from gelgap.adapt.evaluation import BASELINES
 from gelgap.benchmarks.adaptation import labels
 from gelgap.benchmarks.adaptation.board import BY_POINT
 from gelgap.benchmarks.adaptation.groups import load_headline

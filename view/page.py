@@ -1,7 +1,6 @@
 """The page: knobs, scene and figures, put together around the live model, which works in a thread of its own."""
 
 import contextlib
-import errno
 import io
 import socket
 import threading
@@ -210,16 +209,8 @@ def _start_server(host: str, port: int) -> viser.ViserServer:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except (OSError, UnicodeError) as error:
-        if isinstance(error, PermissionError):
-            problem = f"--port = {port}: is not allowed; choose one from 1024 on"
-        elif getattr(error, "errno", None) == errno.EADDRINUSE:
-            other = port % 65535 + 1
-            problem = (
-                f"--port = {port}: is taken by another program; choose another, for example --port {other}"
-            )
-        else:
-            problem = f"--host = {quoted(host)}: is no address of this machine ({error})"
-        raise ValueError(problem) from None
+        reason = getattr(error, "strerror", None) or error
+        raise ValueError(f"--host = {quoted(host)}, --port = {port}: {reason}; choose others") from None
     # viser prints a table of addresses, and this program prints its own.
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, label="gelgap", verbose=False)

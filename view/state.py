@@ -4,7 +4,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from enum import Flag, auto
 from functools import lru_cache
 
 from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges
@@ -86,42 +85,12 @@ def _library_keys(request: LibraryRequest) -> tuple[str, ...]:
     return tuple(solve.key for solve in request.plan.solved.solves)
 
 
-class Work(Flag):
-    """What has to be done for a new configuration; where nothing is named, what is there stays as it is."""
-
-    NOTHING = 0
-    FORCE = auto()
-    PICTURE = auto()
-    LIGHT = auto()
-    MEMBRANE = auto()
-    SOLVE = auto()
-
-
-ALL_WORK = Work.FORCE | Work.PICTURE | Work.LIGHT | Work.MEMBRANE | Work.SOLVE
-
-
-def needed_work(old: Configuration, new: Configuration) -> Work:
-    """Return the work that leads from what is shown of one configuration to another."""
-    if old.library_keys() != new.library_keys():
-        return ALL_WORK
-    work = Work.NOTHING
-    if old.elastomer != new.elastomer:
-        work |= Work.FORCE
-    if (old.pose, old.indenter) != (new.pose, new.indenter):
-        work |= Work.FORCE | Work.MEMBRANE | Work.PICTURE
-    if old.light != new.light:
-        work |= Work.LIGHT | Work.PICTURE
-    if (old.markers, old.noise) != (new.markers, new.noise):
-        work |= Work.PICTURE
-    return work
-
-
 @dataclass(frozen=True, eq=False)
 class Shown:
     """What is seen of a configuration.
 
-    `source` says in one sentence where the physics is from, and `exact` whether this very pose was solved. `work` is
-    what had to be done since what was shown before, and `stages_ms` how long each stage of it took.
+    `source` says in one sentence where the physics is from, and `exact` whether this very pose was solved. `stages_ms`
+    is how long each stage took of what had to be done since what was shown before.
     """
 
     configuration: Configuration
@@ -129,19 +98,22 @@ class Shown:
     picture: Picture
     source: str
     exact: bool
-    work: Work
     stages_ms: dict[str, float]
 
 
 class LiveModel:
-    """Shows configurations from libraries and poses that are added to it; call it from one thread only."""
+    """Shows configurations from libraries and poses that are added to it; call it from one thread only.
+
+    Physics and picture are made anew only where something that they depend on has changed since what was shown before.
+    """
 
     def __init__(self) -> None:
         self.pictures = PictureMaker()
         self._libraries: dict[tuple[str, ...], PoseLibrary] = {}
         self._last_library: PoseLibrary | None = None
         self._exact: dict[PoseRequest, SolvedPose] = {}
-        self._shown: Shown | None = None
+        self._before: tuple[Shown | None, tuple | None, tuple | None] = None, None, None
+        """What was shown last, and what its membrane and its picture depend on."""
 
     def lacks(self, configuration: Configuration) -> LibraryRequest | None:
         """Return the library that has to be solved for a configuration; None if it is there."""
@@ -150,12 +122,12 @@ class LiveModel:
     def add_library(self, request: LibraryRequest, library: PoseLibrary) -> None:
         """Take in the library of a gel, and of all gels that share it."""
         _keep(self._libraries, _library_keys(request), library)
-        self._shown = None
+        self._before = None, None, None
 
     def add_pose(self, request: PoseRequest, solved: SolvedPose) -> None:
         """Take in a pose that was solved by itself."""
         _keep(self._exact, request, solved)
-        self._shown = None
+        self._before = None, None, None
 
     def show(self, configuration: Configuration) -> Shown:
         """Return what is seen; where its own library is not there yet, by the one of the gel before.
@@ -165,26 +137,29 @@ class LiveModel:
         ValueError
             If the library does not reach the pose, or its membrane is folded.
         """
-        before = self._shown
+        before, membrane_before, seen_before = self._before
         stages_ms: dict[str, float] = {}
-        work = ALL_WORK if before is None else needed_work(before.configuration, configuration)
-        if before is not None and (before.exact or configuration.exact_pose in self._exact):
-            work |= Work.FORCE | Work.MEMBRANE | Work.PICTURE
-        if before is None or work & (Work.FORCE | Work.MEMBRANE):
-            with _timed("membrane" if Work.MEMBRANE in work else "force", stages_ms):
+        request = configuration.exact_pose
+        solved_itself = request if request in self._exact else None
+        membrane = configuration.library_keys(), configuration.pose, configuration.indenter, solved_itself
+        seen = membrane, configuration.light, configuration.markers, configuration.noise
+        if membrane != membrane_before or configuration.elastomer != before.configuration.elastomer:
+            with _timed("force" if membrane == membrane_before else "membrane", stages_ms):
                 solved, source, exact = self._solved(configuration)
         else:
             solved, source, exact = before.solved, before.source, before.exact
-        if before is None or work & (Work.PICTURE | Work.LIGHT):
+        if seen != seen_before:
             with _timed("light", stages_ms):
                 self.pictures.renderer(configuration.light)
             with _timed("picture", stages_ms):
-                seen = configuration.light, solved.state, configuration.markers, configuration.noise
-                picture = self.pictures.picture(*seen)
+                picture = self.pictures.picture(
+                    configuration.light, solved.state, configuration.markers, configuration.noise
+                )
         else:
             picture = before.picture
-        self._shown = Shown(configuration, solved, picture, source, exact, work, stages_ms)
-        return self._shown
+        shown = Shown(configuration, solved, picture, source, exact, stages_ms)
+        self._before = shown, membrane, seen
+        return shown
 
     def _solved(self, configuration: Configuration) -> tuple[SolvedPose, str, bool]:
         """Return the physics of a configuration, what to say about it, and whether this pose itself was solved."""

@@ -1,1 +1,1 @@
-"""Adaptation methods, one file each."""
+"""Adaptation methods; those that share a mechanism share a file."""

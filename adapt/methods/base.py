@@ -97,8 +97,7 @@ class Adaptation:
 
     def estimate_target_statistics(self) -> None:
         """Replace the batch normalisations' statistics by those of the target's pictures."""
-        pictures = network_inputs(self.target, self.profile, self.network.device)
-        estimate_statistics(self.network, pictures, self.seed)
+        estimate_statistics(self.network, self.target, self.profile, self.seed)
 
     def source_mean(self) -> np.ndarray:
         """Return the mean normalised labels (k,) of the source's frames."""

@@ -1,11 +1,19 @@
-"""DAN: match the feature distributions by the multi-kernel maximum mean discrepancy (MK-MMD) [1, 2].
+"""Match distributions by the multi-kernel maximum mean discrepancy (MK-MMD): of features, or jointly with predictions.
 
-This is the form of the DSAN authors' code. tllib takes the U-statistic, adds 2/(n − 1), and its mean squared distance
-counts every frame with itself.
+DAN [1, 2] has the form of the DSAN authors' code. tllib takes the U-statistic, adds 2/(n − 1), and its mean squared
+distance counts every frame with itself.
+
+JAN [3] matches the joint distribution of feature and prediction. It differs from tllib as DAN does, and has five
+kernels on the prediction, whose bandwidth follows its distances, where tllib has one of σ = 0.92, chosen for class
+probabilities.
 
 [1] Long, Cao, Wang, Jordan, "Learning transferable features with deep adaptation networks", ICML 2015.
 [2] Gretton et al., "A kernel two-sample test", JMLR 13, 2012.
+[3] Long, Zhu, Wang, Jordan, "Deep transfer learning with joint adaptation networks", ICML 2017.
 """
+
+import math
+from collections.abc import Sequence
 
 import torch
 from pydantic import Field
@@ -15,7 +23,6 @@ from gelgap.adapt.methods.base import Method, MethodSettings
 from gelgap.adapt.network import Activations
 
 KERNEL_COUNT = 5
-KERNEL_RATIO = 2.0
 
 
 def pooled_kernel(source: Tensor, target: Tensor, robust: bool = False) -> Tensor:
@@ -45,15 +52,13 @@ def bandwidth(distances: Tensor, robust: bool) -> Tensor:
     return pairs.median() if robust else pairs.mean()
 
 
-def multi_gaussian(
-    distances: Tensor, base: Tensor, count: int = KERNEL_COUNT, ratio: float = KERNEL_RATIO
-) -> Tensor:
-    """Return Σ_u exp(−d²/(b·ratio^(u−⌊count/2⌋))), u = 0…count−1 ([1], section 3.2).
+def multi_gaussian(distances: Tensor, base: Tensor, count: int = KERNEL_COUNT) -> Tensor:
+    """Return Σ_u exp(−d²/(b·2^(u−⌊count/2⌋))), u = 0…count−1 ([1], section 3.2).
 
     A bandwidth of 0 means equal rows: the distances are all zero and so is the exponent, with zero gradient.
     """
     base = torch.where(base > 0, base, torch.ones_like(base))
-    return sum(torch.exp(-distances / (base * ratio ** (u - count // 2))) for u in range(count))
+    return sum(torch.exp(-distances / (base * 2.0 ** (u - count // 2))) for u in range(count))
 
 
 def mmd_of_kernel(kernel: Tensor, n: int, unbiased: bool = False) -> Tensor:
@@ -99,3 +104,23 @@ class DAN(Method):
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
         return mk_mmd(source.features, target.features, self.settings.robust, self.settings.unbiased)
+
+
+def joint_mmd(source: Sequence[Tensor], target: Sequence[Tensor], robust: bool = False) -> Tensor:
+    """Return the squared MMD with the product over layers of multi-Gaussian kernels ([3], equation 9).
+
+    source and target hold the activations (n, D_l) and (m, D_l) of the same layers. With one layer this is
+    MK-MMD.
+    """
+    kernels = (pooled_kernel(*layer, robust) for layer in zip(source, target, strict=True))
+    return mmd_of_kernel(math.prod(kernels), len(source[0]))
+
+
+class JAN(Method):
+    """Regression with joint MMD over the transfer feature and the predicted force."""
+
+    Settings = RobustSettings
+
+    def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
+        layers_s, layers_t = ((a.features, a.prediction) for a in (source, target))
+        return joint_mmd(layers_s, layers_t, self.settings.robust)

@@ -1,6 +1,6 @@
 """The known methods: their names, without torch, and their classes and settings.
 
-A new one is a file in this folder and a line in `METHODS`. Further ones come from outside: by `register`, from the
+A new one is a class in this folder and a line in `METHODS`. Further ones come from outside: by `register`, from the
 entry points of installed packages, or as `module:Class` or `file.py:Class`.
 """
 
@@ -31,9 +31,9 @@ METHODS = {
     "classifier-only": "controls:ClassifierOnly",
     "coral": "coral:DeepCORAL",
     "dan": "dan:DAN",
-    "jan": "jan:JAN",
+    "jan": "dan:JAN",
     "dann": "dann:DANN",
-    "cdan": "cdan:CDAN",
+    "cdan": "dann:CDAN",
     "rsd": "rsd:RSD",
     "daregram": "daregram:DAREGRAM",
     "daregram-published": "daregram:PublishedDAREGRAM",
@@ -43,16 +43,16 @@ METHODS = {
     "dsan-coarse": "dsan:CoarseDSAN",
     "dsan-soft": "dsan:SoftDSAN",
     "cod": "cod:COD",
-    "conditional-mmd": "conditional_mmd:ConditionalMMD",
+    "conditional-mmd": "cod:ConditionalMMD",
     "ssa": "ssa:SSA",
     "tasfar": "tasfar:TASFAR",
     "mean-teacher": "mean_teacher:MeanTeacher",
     "uga": "uga:UGA",
-    "importance-weighting": "importance_weighting:ImportanceWeighting",
+    "importance-weighting": "dann:ImportanceWeighting",
     "label-shift": "label_shift:LabelShift",
     "deep-jdot": "deep_jdot:DeepJDOT",
     "fourier-style": "fourier_style:FourierStyle",
-    "psc": "psc:PSC",
+    "psc": "ssa:PSC",
     "online-ssa": "ssa:OnlineSSA",
     "supervised": "controls:Supervised",
 }

@@ -11,7 +11,12 @@ statistics are estimated anew on the target.
 `online-ssa` is the authors' form: every picture is seen once, the statistics of the batch normalisations follow the
 stream, scales and offsets take a step a batch, and nothing is estimated anew at the end.
 
+`psc` [2] also draws the variance of the orthogonal complement, which SSA leaves to itself, to the source's, as one
+block. It is written from the abstract, with SSA's divergence of one isotropic Gaussian a domain. No public code was
+found.
+
 [1] Adachi, Yamaguchi, Kumagai, Hamagami, "Test-time adaptation for regression by subspace alignment", ICLR 2025.
+[2] Nguyen, Huynh, Pham, "Predictive spectral calibration for source-free test-time regression", arXiv:2603.09338, 2026.
 """
 
 from typing import NamedTuple
@@ -24,9 +29,10 @@ from gelgap.adapt.methods.base import Adaptation, Method, MethodSettings, descen
 
 
 class Subspace(NamedTuple):
-    """What is kept of the source: mean, directions, variances and weights of `subspace_loss`.
+    """What is kept of the source's features: their mean (D,) and K orthonormal principal directions (D, K).
 
-    `slack` is the mean squared distance of its features from the subspace.
+    `variances` (K,) are along these, `weights` (K,) the α of `subspace_loss`, and `slack` the mean squared distance of
+    the features from the subspace.
     """
 
     mean: Tensor
@@ -36,25 +42,27 @@ class Subspace(NamedTuple):
     slack: Tensor
 
 
-def subspace_loss(
-    features: Tensor, mean: Tensor, directions: Tensor, variances: Tensor, weights: Tensor
-) -> Tensor:
-    """Return Σ_d α_d (KL(target‖source) + KL(source‖target)) of one Gaussian per direction and domain [1].
+def subspace_loss(features: Tensor, subspace: Subspace) -> Tensor:
+    """Return Σ_d α_d (KL(target‖source) + KL(source‖target)) of target features (B, D) [1].
 
-    Parameters
-    ----------
-    features
-        (B, D) target features.
-    mean, directions, variances
-        The source's mean (D,), K orthonormal principal directions (D, K) and variances along them (K,).
-    weights
-        α (K,).
+    Each domain has one Gaussian per direction.
     """
-    projected = (features.double() - mean) @ directions
+    projected = (features.double() - subspace.mean) @ subspace.directions
     shift = projected.mean(dim=0).square()
-    variance = projected.var(dim=0) + 1e-6 * variances
-    both = (shift + variances) / variance + (shift + variance) / variances - 2
-    return (weights * both / 2).sum().to(features.dtype)
+    variance = projected.var(dim=0) + 1e-6 * subspace.variances
+    both = (shift + subspace.variances) / variance + (shift + variance) / subspace.variances - 2
+    return (subspace.weights * both / 2).sum().to(features.dtype)
+
+
+def slack_loss(features: Tensor, subspace: Subspace) -> Tensor:
+    """Return KL(target‖source) + KL(source‖target) of the features (B, D) beside the subspace, over its dimensions.
+
+    With r the target's mean squared distance from the subspace over the source's it is (r + 1/r − 2)/2.
+    """
+    centred = features.double() - subspace.mean
+    left = centred - centred @ subspace.directions @ subspace.directions.T
+    ratio = (left.square().sum(dim=1).mean() / subspace.slack.clamp_min(1e-12)).clamp_min(1e-6)
+    return ((ratio + 1 / ratio - 2) / 2).to(features.dtype)
 
 
 class SSA(Method):
@@ -76,7 +84,7 @@ class SSA(Method):
 
     def alignment(self, features: Tensor, subspace: Subspace) -> Tensor:
         """Return the loss of a batch of target features (B, D)."""
-        return subspace_loss(features, *subspace[:4])
+        return subspace_loss(features, subspace)
 
     def follow(self, adaptation: Adaptation, passes: int) -> None:
         """Train the normalisations' scales and offsets in passes over the target's pictures."""
@@ -114,3 +122,14 @@ class OnlineSSA(SSA):
     def adapt(self, adaptation: Adaptation) -> None:
         """Take the source's feature statistics, then follow the target's pictures."""
         self.follow(adaptation, passes=1)
+
+
+class PSC(SSA):
+    """SSA, and the variance beside its subspace."""
+
+    class Settings(SSA.Settings):
+        slack_weight: float = Field(default=1.0, ge=0, description="weight of what lies beside the subspace")
+
+    def alignment(self, features: Tensor, subspace: Subspace) -> Tensor:
+        aligned = subspace_loss(features, subspace)
+        return aligned + self.settings.slack_weight * slack_loss(features, subspace)

@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.stats import kendalltau
 
 from gelgap.adapt import NamedFigure, ResultTable
-from gelgap.adapt.baselines import BASELINES, CONSTANT
+from gelgap.adapt.evaluation import BASELINES, CONSTANT
 from gelgap.adapt.report import mean_and_deviation
 from gelgap.adapt.result_table import cell
 from gelgap.benchmarks.adaptation import board, designs

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from gelgap.adapt.methods.cdan import multilinear_map
-from gelgap.adapt.methods.importance_weighting import density_ratio
+from gelgap.adapt.methods.dann import density_ratio, multilinear_map
 from gelgap.adapt.methods.tasfar import Calibration, block_masses, calibrate, pseudo_labels
 from gelgap.adapt.methods.uga import Evidence, evidential_loss, similar
 from gelgap.adapt.trainer import adapt

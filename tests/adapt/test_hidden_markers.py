@@ -55,13 +55,13 @@ def test_hidden_frames_lose_their_markers_in_picture_and_reference(source, profi
 def test_stage_2_hides_markers_in_both_domains_independently(source, target, profile, share, easy_markers):
     hiding = profile.replace(marker_hiding=share)
     trainer = Trainer(make_network(hiding, source.n_classes, 0), hiding, 0, dotted(source))
-    domains = trainer.source_domain, TrainingDomain(dotted(target), hiding, "cpu", labelled=False)
+    domains = [TrainingDomain(dotted(own), hiding, "cpu", labelled=False) for own in (source, target)]
     with_markers = [
         {picture.numpy().tobytes() for picture in domain.pictures.inputs(np.arange(len(domain)))}
         for domain in domains
     ]
     shown = []
-    for pair in (pair for epoch in range(8) for pair in trainer.batches(epoch, domains[1])):
+    for pair in (pair for epoch in range(8) for pair in trainer.batches(epoch, *domains)):
         for batch, known in zip(pair, with_markers, strict=True):
             shown.append(all(picture.numpy().tobytes() in known for picture in batch.inputs))
     of_source, of_target = np.array(shown).reshape(-1, 2).T

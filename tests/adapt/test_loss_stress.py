@@ -7,14 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from gelgap.adapt.methods.cod import conditional_operator_discrepancy
-from gelgap.adapt.methods.conditional_mmd import conditional_mmd
+from gelgap.adapt.methods.cod import conditional_mmd, conditional_operator_discrepancy
 from gelgap.adapt.methods.coral import coral
-from gelgap.adapt.methods.dan import bandwidth, mk_mmd, multi_gaussian, squared_distances
+from gelgap.adapt.methods.dan import bandwidth, joint_mmd, mk_mmd, multi_gaussian, squared_distances
 from gelgap.adapt.methods.dann import DANN, domain_loss
 from gelgap.adapt.methods.daregram import daregram, daregram_published, daregram_tikhonov
 from gelgap.adapt.methods.dsan import lmmd
-from gelgap.adapt.methods.jan import joint_mmd
 from gelgap.adapt.methods.rsd import projection_distance
 
 BATCH, FEATURES, CLASSES = 32, 256, 361

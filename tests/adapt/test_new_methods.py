@@ -9,14 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelgap.adapt import Profile, adapt, make_method, train_source
-from gelgap.adapt.baselines import BASELINES, CONSTANT, evaluate_baselines
 from gelgap.adapt.data import SplitFrames
+from gelgap.adapt.evaluation import BASELINES, CONSTANT, evaluate_baselines
 from gelgap.adapt.methods.base import Adaptation
 from gelgap.adapt.methods.deep_jdot import joint_transport, transport_plan
 from gelgap.adapt.methods.fourier_style import in_the_style_of
 from gelgap.adapt.methods.label_shift import LabelShift, shift_weights
-from gelgap.adapt.methods.psc import slack_loss
-from gelgap.adapt.methods.ssa import Subspace
+from gelgap.adapt.methods.ssa import Subspace, slack_loss
 from gelgap.domains import ArrayFrames
 
 SMALL = {"width": 0.125, "feature_dim": 16, "source_epochs": 3, "adapt_epochs": 2, "batch_size": 8}

@@ -14,15 +14,14 @@ import torch
 from torch import Tensor
 
 from gelgap.adapt.methods.base import Step
-from gelgap.adapt.methods.cdan import multilinear_map
 from gelgap.adapt.methods.dan import mmd_of_kernel, multi_gaussian, squared_distances
-from gelgap.adapt.methods.dann import DANN, domain_loss, reverse_gradient
+from gelgap.adapt.methods.dann import DANN, domain_loss, multilinear_map, reverse_gradient
 from gelgap.adapt.methods.daregram import daregram_cut_at, gram_spectra, published_rank
 from gelgap.adapt.methods.deep_jdot import joint_transport, transport_plan
 from gelgap.adapt.methods.fourier_style import in_the_style_of
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.rsd import projection_distance
-from gelgap.adapt.methods.ssa import subspace_loss
+from gelgap.adapt.methods.ssa import Subspace, subspace_loss
 from gelgap.adapt.methods.uga import Evidence, evidential_loss
 from gelgap.adapt.network import Activations
 from gelgap.assets import asset_path
@@ -133,7 +132,8 @@ def evidential(x: Inputs) -> Tensor:
 
 def subspace(x: Inputs) -> Tensor:
     weights = 1 + (x["head"][0] @ x["directions"]).abs()
-    return subspace_loss(x["target"], x["mean"], x["directions"], x["variances"], weights)
+    kept = Subspace(x["mean"], x["directions"], x["variances"], weights, torch.zeros(()))
+    return subspace_loss(x["target"], kept)
 
 
 def features_carried(x: Inputs, alpha: float = 0.01) -> Tensor:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import mean_absolute_error, r2_score
 
-from gelgap.adapt.baselines import BASELINES
-from gelgap.adapt.evaluation import evaluate_predictions
+from gelgap.adapt.evaluation import BASELINES, evaluate_predictions
 from gelgap.adapt.report import error_table, feature_tsne, force_scatter, write_report
 from gelgap.adapt.result_table import ResultTable
 from gelgap.adapt.runs import adapt_frames

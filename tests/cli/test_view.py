@@ -51,7 +51,7 @@ def test_a_taken_port_is_refused(refused: Callable[..., str]) -> None:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
-        assert f"--port = {port}: is taken" in refused(*VIEW, "--port", str(port))
+        assert f"--port = {port}: Address already in use" in refused(*VIEW, "--port", str(port))
 
 
 def test_an_address_of_another_machine_is_refused(refused: Callable[..., str]) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from run_records import Record, headline_of, record, write_benchmark
 
-from gelgap.adapt.baselines import BASELINES, CONSTANT
+from gelgap.adapt.evaluation import BASELINES, CONSTANT
 from gelgap.benchmarks.adaptation import designs
 from gelgap.benchmarks.adaptation.board import (
     CEILING,
