@@ -115,6 +115,7 @@ def adapt(
     *,
     resume_file: Path | None = None,
     progress: Progress = silent,
+    watch: Callable[[int, ForceModel], None] | None = None,
 ) -> ForceModel:
     """Return a copy of a stage-1 model adapted to the target's pictures; its labels stay unused.
 
@@ -127,6 +128,8 @@ def adapt(
         Those of the stage-1 model unless given; the network's part of the profile must be the same.
     resume_file
         State after each epoch of stage 2; a training that finds it is resumed.
+    watch
+        Called after each epoch with its number and the model that stopping there would give.
 
     Raises
     ------
@@ -158,6 +161,8 @@ def adapt(
     )
     title = f"{method} {source.name} → {target.name}"
     trainer = Trainer(adapted.network, profile, seed, source, target, title, resume_file, progress)
+    if watch is not None:
+        trainer.watch = lambda epoch, network: watch(epoch, replace(adapted, network=network.eval()))
     with torch_threads(profile.threads):
         chosen.adapt(trainer)  # most methods call `trainer.train`
     adapted.network.eval()
@@ -213,6 +218,8 @@ class Trainer(Adaptation):
         What progress and errors call the stage.
     resume_file
         Written after every epoch, read at the start if it exists.
+    watch
+        Called after each epoch of stage 2 with its number and a copy of the network as stopping there would leave it.
     frames_of_epoch
         Gives the source's frames of each epoch after the first, where they are drawn anew.
     records
@@ -222,6 +229,7 @@ class Trainer(Adaptation):
     title: str = ""
     resume_file: Path | None = None
     progress: Progress = silent
+    watch: Callable[[int, ForceNetwork], None] | None = None
     frames_of_epoch: Callable[[int], LabelledFrames] | None = None
     records: list[EpochRecord] = field(default_factory=list)
 
@@ -295,14 +303,14 @@ class Trainer(Adaptation):
             if method is not None:
                 _check_collapse(records)
             self._store(state, records)
+            if self.watch is not None:
+                self.watch(epoch + 1, self._finished(copy.deepcopy(average or network), method))
             self.progress(self.title, epoch + 1, epochs, str(records[-1]))
         self.records += records
         if average is not None:
             network.load_state_dict(average.state_dict())
         if method is not None:
-            method.finish(network)
-            if profile.judges_by_own_statistics:
-                estimate_statistics(network, self.target, profile, self.seed)
+            self._finished(network, method)
 
     def batches(
         self, epoch: int, source: TrainingDomain, target: TrainingDomain | None
@@ -355,6 +363,13 @@ class Trainer(Adaptation):
         if method is not None and method.uses_classifier:
             logits = self.network.classifier(share * features + (1 - share) * features.detach())
         return Activations(features, self.network.regressor(features), logits, **batch._asdict())
+
+    def _finished(self, network: ForceNetwork, method: Method) -> ForceNetwork:
+        """Turn a network in training into the result, under the target's statistics where domains have their own."""
+        method.finish(network)
+        if self.profile.judges_by_own_statistics:
+            estimate_statistics(network, self.target, self.profile, self.seed)
+        return network
 
     def _store(self, state: Mapping[str, Any], records: list[EpochRecord]) -> None:
         """Write what resuming needs."""

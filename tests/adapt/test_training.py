@@ -89,6 +89,19 @@ def test_classifier_only_trains_what_dsan_trains_without_its_loss(stage1, source
     assert np.abs(weights(without) - weights(plain)).max() > 1e-4
 
 
+@pytest.mark.parametrize("statistics", ["joint", "mixed", "per_domain"])
+def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, target, statistics):
+    profile = stage1.profile.replace(batch_statistics=statistics)
+    seen = {}
+    model = adapt(
+        stage1, source, target, "coral", profile, watch=lambda epoch, m: seen.update({epoch: weights(m)})
+    )
+    assert sorted(seen) == list(range(1, profile.adapt_epochs + 1))
+    np.testing.assert_array_equal(seen[profile.adapt_epochs], weights(model))
+    unwatched = adapt(stage1, source, target, "coral", profile)
+    np.testing.assert_array_equal(weights(model), weights(unwatched))
+
+
 class Hidden(ArrayFrames):
     """Frames whose pictures may not be looked at."""
 
