@@ -226,9 +226,9 @@ def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) ->
     return None if INPUTS[profile.input].fit is None else network_inputs(frames, profile, device).map
 
 
-def estimate_statistics(network: ForceNetwork, frames: LabelledFrames, profile: Profile, seed: int) -> None:
+def estimate_statistics(network: nn.Module, frames: LabelledFrames, profile: Profile, seed: int) -> None:
     """Set every batch normalisation's mean and variance to their averages over one pass of shuffled batches."""
-    pictures = network_inputs(frames, profile, network.device)
+    pictures = network_inputs(frames, profile, next(network.parameters()).device)
     order = epoch_order(len(pictures), _STATISTICS_BATCH, seed, Draw.STATISTICS)
     update_bn(map(pictures.inputs, order), network)
     network.eval()

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from gelgap.adapt.data import Draw, epoch_order, network_inputs
-from gelgap.adapt.model import ForceModel, estimate_statistics
+from gelgap.adapt.model import ForceModel, estimate_statistics, input_map
 from gelgap.adapt.network import ResNet, torch_threads
 from gelgap.adapt.progress import Progress, silent
 from gelgap.domains import GeneratedDomain, LabelledFrames
@@ -71,9 +71,12 @@ class TractionModel:
     def with_statistics_of(self, frames: LabelledFrames) -> "TractionModel":
         """Return a copy whose normalisations have the statistics of these frames' pictures, as AdaBN does."""
         network, start = copy.deepcopy(self.network), self.start
-        pictures = network_inputs(frames, start.profile, start.device)
-        estimate_statistics(network, pictures, start.seed)
-        return replace(self, network=network, start=replace(start, input_map=pictures.map))
+        estimate_statistics(network, frames, start.profile, start.seed)
+        return replace(
+            self,
+            network=network,
+            start=replace(start, input_map=input_map(frames, start.profile, start.device)),
+        )
 
 
 def traction_maps_n(domain: GeneratedDomain, rows: Sequence[int]) -> np.ndarray:
