@@ -63,18 +63,13 @@ _MEASURED = {
             "render.sensors:run_unknown_ball",
             EXTRA,
         ),
-        ("robustness", "what a fit to disturbed pictures still predicts", "render.robustness", EXTRA),
         ("sets", "other sensors' presses, whatever sets are in --data", "real.sensor_sets", ANEW),
     ],
-    "stability": [
-        ("physics", "solves at the corners of what is allowed", "physics.stability", ANEW),
-        ("render", "memory and time over many frames", "render.stability", EXTRA, ANEW),
-    ],
+    "stability": [("physics", "solves at the corners of what is allowed", "physics.stability", ANEW)],
     "view": [(None, "from a knob of gelgap view to the picture", "view", ANEW)],
     "throughput": [
         ("generation", "time to generate and to read domains", "throughput", ANEW),
         ("frames", "random contacts from a library, a stream, a sensor in a loop", "frames", EXTRA, ANEW),
-        ("stages", "where the time of a data set goes", "throughput:stages", EXTRA, ANEW),
     ],
     "adaptation": [
         ("augmentations", "augmentations, chosen on the tuning groups", "adaptation.choice:AUGMENT", LONG),
@@ -85,17 +80,10 @@ _MEASURED = {
         ("lights", "training in drawn lights instead of adapting", "adaptation.rivals:LIGHT_PART", LONG),
         ("crossed", "gel, friction, markers and parts of the light", "adaptation.rivals:CROSSED_PART", LONG),
         ("labels", "how many target labels close a gap", "adaptation.labels:PART", LONG),
-        ("speed", "training steps beside a plain loop", "adaptation.speed:PART", ANEW),
     ],
     "real": [
         ("sessions", "force from one session's light to another's, on real grasps", "real.sessions", ANEW),
         ("networks", "the same with all methods of adaptation", "real.sessions:networks", EXTRA),
-        (
-            "contact-point",
-            "where a ball touches, from synthetic presses to real ones",
-            "real.contact_point",
-            EXTRA,
-        ),
         (
             "pretraining",
             "few labels, from scratch and pretrained on drawn domains",
