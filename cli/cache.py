@@ -1,12 +1,10 @@
 """`gelgap cache`: what physics is kept on disk, and clearing it."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from datetime import timedelta
 
+from gelgap import domains, render, sim
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.sim import CacheEntry
 
 
 @dataclass(frozen=True)
@@ -27,25 +25,21 @@ class Cache(opt.Command):
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
-        from gelgap.sim import cache_entries, cache_use, clear_cache
-
         if self.clear:
-            from gelgap.domains import clear_picture_cache
-            from gelgap.render import clear_led_cache
-
-            clear_led_cache()
-            if pictures := clear_picture_cache():
+            render.clear_led_cache()
+            if pictures := domains.clear_picture_cache():
                 print(f"{pictures / 1e6:.1f} MB of shrunken pictures deleted")
-            use, verb = clear_cache(), "deleted"
+            use, verb = sim.clear_cache(), "deleted"
         else:
-            for entry in cache_entries():
+            for entry in sim.cache_entries():
                 print(_line(entry))
-            use, verb = cache_use(), "holds"
+            use, verb = sim.cache_use(), "holds"
         print(f"{use.folder} {verb} {use.solutions} solutions, {use.bytes / 1e6:.1f} MB")
 
 
-def _line(entry: "CacheEntry") -> str:
-    head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {_age(entry.age_s)}"
+def _line(entry: "sim.CacheEntry") -> str:
+    age = timedelta(seconds=round(entry.age_s))
+    head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {age!s:>17} old"
     problem = entry.problem
     if problem is None:
         return f"{head}  damaged, or of an older version"
@@ -68,10 +62,3 @@ def _line(entry: "CacheEntry") -> str:
     if not entry.current:
         parts.append("of another version: not used")
     return f"{head}  {'; '.join(parts)}"
-
-
-def _age(seconds: float) -> str:
-    for size, unit in ((86400, "d"), (3600, "h"), (60, "min")):
-        if seconds >= size:
-            return f"{seconds / size:5.1f} {unit:3}"
-    return f"{max(seconds, 0.0):5.0f} s  "

@@ -3,14 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
+from gelgap import domains
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.domains import ConvertedClip
 
 
 @dataclass(frozen=True)
@@ -43,15 +41,14 @@ class Convert(opt.Command):
     def run(self, started: float) -> None:
         """Convert, print what became of each clip, and name what was written."""
         from gelgap.benchmarks.real.published_sets import LAYOUTS
-        from gelgap.domains import convert
 
-        clips = convert(self.folder, LAYOUTS.get(self.layout, self.layout), self.out, self.every)
+        clips = domains.convert(self.folder, LAYOUTS.get(self.layout, self.layout), self.out, self.every)
         print(_table(clips))
         for domain in dict.fromkeys(clip.domain for clip in clips):
             print(f"wrote {self.out / domain}")
 
 
-def _table(clips: "Sequence[ConvertedClip]") -> str:
+def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
     """Return a table of the clips of each session with all of them together, and what the lags say."""
     import pandas as pd
 

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gelgap import domains
 from gelgap.cli import options as opt
 
 
@@ -34,7 +35,5 @@ class Export(opt.Command):
 
     def run(self, started: float) -> None:
         """Export, and name what was written."""
-        from gelgap.domains import export
-
-        for path in export(self.folder, self.format_name, self.out, split_by=self.split_by):
+        for path in domains.export(self.folder, self.format_name, self.out, split_by=self.split_by):
             print(f"wrote {path}")

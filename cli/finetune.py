@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from gelgap import adapt
 from gelgap.cli import options as opt
 
 
@@ -39,9 +40,7 @@ class Finetune(opt.Command):
 
     def run(self, started: float) -> None:
         """Fine-tune and print the errors."""
-        from gelgap.adapt import finetune
-
-        found = finetune(
+        found = adapt.finetune(
             self.checkpoint, self.on, self.test, frames=self.frames, clips=self.clips, seed=self.seed
         )
         print(found)
