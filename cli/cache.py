@@ -18,8 +18,6 @@ class Cache(opt.Command):
       gelgap cache --clear
     """
 
-    when_stopped = "what was deleted is gone, the rest is kept; run the same command again"
-
     clear: opt.Flag = False
     """Delete every cached solution, responses of cameras, and shrunken pictures that do not lie beside their data."""
 
@@ -38,11 +36,12 @@ class Cache(opt.Command):
 
 
 def _line(entry: "sim.CacheEntry") -> str:
-    age = timedelta(seconds=round(entry.age_s))
+    age = timedelta(seconds=max(0, round(entry.age_s)))
     head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {age!s:>17} old"
     problem = entry.problem
     if problem is None:
         return f"{head}  damaged, or of an older version"
+    edges, mount_n_per_mm = problem.pad_mm, problem.mount_stiffness_n_per_mm
     parts = [
         problem.quality.name,
         f"{len(problem.waypoints_mm)} poses, deepest {max(-z for _, _, z in problem.waypoints_mm):g} mm",
@@ -50,15 +49,8 @@ def _line(entry: "sim.CacheEntry") -> str:
         f"gel {problem.thickness_mm:g} mm",
         f"MuJoCo's E {problem.moduli.young_modulus_mpa:.4g} MPa, ν {problem.moduli.poisson_ratio:.4g}",
         f"friction {problem.friction:g}",
+        "rigid mount" if mount_n_per_mm is None else f"mount {mount_n_per_mm:g} N/mm",
+        "edges far" if edges is None else "edges at x {:g} and {:g}, y {:g} and {:g} mm".format(*edges),
+        *([] if entry.current else ["of another version: not used"]),
     ]
-    if problem.mount_stiffness_n_per_mm is not None:
-        parts.append(f"mount {problem.mount_stiffness_n_per_mm:g} N/mm")
-    if problem.pad_mm is None:
-        parts.append("edges far")
-    else:
-        x_min, x_max, y_min, y_max = problem.pad_mm
-        at = f"({0.0 - (x_min + x_max) / 2:g}, {0.0 - (y_min + y_max) / 2:g})"
-        parts.append(f"at {at} of a pad of {x_max - x_min:g} × {y_max - y_min:g} mm")
-    if not entry.current:
-        parts.append("of another version: not used")
     return f"{head}  {'; '.join(parts)}"

@@ -55,8 +55,6 @@ class Calibrate(opt.Command):
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 
-    when_stopped = "nothing was written; run the same command again to start over"
-
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
     presses: Annotated[tyro.conf.Positional[Path | None], opt.optional("PRESSES")] = None

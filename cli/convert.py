@@ -27,8 +27,6 @@ class Convert(opt.Command):
       gelgap convert clones/EstimateModulus --layout wedge --out wedge
     """
 
-    when_stopped = "nothing was written; run the same command again to start over"
-
     folder: Annotated[tyro.conf.Positional[Path], opt.input_folder("a clone, or a folder of recordings,")]
     """Folder of the clone, or of your recordings."""
     layout: Literal["wedge", "ball-presses", "recordings"]

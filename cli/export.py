@@ -19,8 +19,6 @@ class Export(opt.Command):
       gelgap export data --format lerobot-v3 --out episodes
     """
 
-    when_stopped = "nothing was written; run the same command again to start over"
-
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     out: Annotated[Path, opt.output_folder]

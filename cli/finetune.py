@@ -21,8 +21,6 @@ class Finetune(opt.Command):
       gelgap finetune runs/stage1/mb0i0-*.pt --on data/wmb1i1 --test data/wmb1i1 --frames 8 --out tuned.pt
     """
 
-    when_stopped = "nothing is kept, run the same command again to start over"
-
     checkpoint: tyro.conf.Positional[Path]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
     on: Path

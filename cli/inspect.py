@@ -19,8 +19,6 @@ class Inspect(opt.Command):
       gelgap inspect data/wmb1i1 --gap-to data/mb0i0
     """
 
-    when_stopped = "nothing was changed; run the same command again to start over"
-
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     verify: opt.Flag = False

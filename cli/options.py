@@ -25,8 +25,8 @@ class Command:
 
     doing = "reading and preparing"
     """What is said of it while nothing else is known and it takes long."""
-    when_stopped = "nothing is kept but solved physics; run the same command again to start over"
-    """What is left of it after Ctrl-C, and what to do."""
+    when_stopped = "only solved physics is sure to be kept; run the same command again to start over"
+    """What is left of it after Ctrl-C, and what to do; commands that resume say what."""
     fills_cache = False
 
     def run(self, started: float) -> None:

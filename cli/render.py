@@ -21,8 +21,6 @@ class Render(opt.Command):
       gelgap render state.npz --illumination i1 --no-markers -o picture.png
     """
 
-    when_stopped = "no finished picture is sure to be there; run the same command again to start over"
-
     state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]

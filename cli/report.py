@@ -30,10 +30,6 @@ class Report(opt.Command):
       gelgap report runs
     """
 
-    when_stopped = (
-        "files of an older report may stand beside new ones; run the same command again to write all of them"
-    )
-
     runs: Annotated[tyro.conf.Positional[Path], finished_runs]
     """Folder with finished runs, at any depth."""
     out: Annotated[Path | None, opt.optional("PATH", "the folder of the runs"), opt.output_folder] = None

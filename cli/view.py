@@ -21,7 +21,6 @@ class View(opt.Command):
       gelgap view --elastomer b1 --illumination i2 --port 9000 --no-browser
     """
 
-    when_stopped = "the page was not open yet; run the same command again"
     # An open page is not work that takes long.
     doing = ""
     fills_cache = True
