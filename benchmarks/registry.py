@@ -70,8 +70,7 @@ _MEASURED = {
         ("frames", "random contacts from a library, a stream, a sensor in a loop", "frames", EXTRA),
     ],
     "adaptation": [
-        ("augmentations", "augmentations, chosen on the tuning groups", "adaptation.choice:AUGMENT", LONG),
-        ("tuning", "each method's setting, chosen on the tuning groups", "adaptation.choice:TUNE", LONG),
+        ("tuning", "each method's setting, chosen on the tuning groups", "adaptation.tuning:PART", LONG),
         ("groups", "all methods on the paper's nine groups", "adaptation.groups:PART"),
         ("calm", "how far two runs come apart that differ in rounding", "adaptation.calm:PART", LONG),
         ("inputs", "what each input is worth, with five methods", "adaptation.rivals:INPUT_PART", LONG),

@@ -82,14 +82,13 @@ def test_a_runs_settings_stand_above_the_methods_own(same_data):
 
 def test_stored_records_are_of_todays_grids():
     """They are not repeated, and what was added since is."""
-    from gelgap.benchmarks.adaptation import choice
+    from gelgap.benchmarks.adaptation import tuning
     from gelgap.benchmarks.adaptation.board import TUNING_CASES
     from gelgap.benchmarks.common import key_of, read_records
 
     stored = Path(__file__).parents[3] / "docs" / "results" / "runs"
     grids = {
-        choice.TUNED: choice.grid_runs(TUNING_CASES, choice.tuned_methods(), [0]),
-        choice.AUGMENTATIONS: choice.variant_runs(TUNING_CASES, [choice.METHOD], [0]),
+        tuning.TUNED: tuning.grid_runs(TUNING_CASES, tuning.tuned_methods(), [0]),
         labels.RECORD: grid([("paired", group) for group in GROUPS], labels.METHODS, labels.SEEDS),
     }
     for file, runs in grids.items():
