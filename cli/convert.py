@@ -47,7 +47,7 @@ class Convert(opt.Command):
 
 
 def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
-    """Return a table of the clips of each session with all of them together, and what the lags say."""
+    """Return a table of the clips, one of all of a session together, and what the lags say."""
     import pandas as pd
 
     means = dict.fromkeys(("R at rest", "G", "B"), "mean")
@@ -57,12 +57,9 @@ def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
     names = {"in_contact": "in contact", "correlation": "r", "correlation_at_0": "r at 0"}
     every = pd.DataFrame(map(vars, clips)).rename(columns=names)
     every[[*means]] = every["reference_rgb"].tolist()
-    lines = []
-    for session, own in every.groupby("session", sort=False):
-        table = own.set_index("name")[[*sums, "lag", "r", "r at 0", *means]]
-        together = table.agg(sums | means).to_frame("together").T.astype(dict.fromkeys(sums, int))
-        shown = pd.concat([table, together]) if table.index[0] != session else together
-        lines += [f"{session}:", shown.to_string(formatters=formats, na_rep=""), ""]
+    by_clip = every.set_index(["session", "name"])[[*sums, "lag", "r", "r at 0", *means]]
+    by_session = by_clip.groupby(level="session", sort=False).agg(sums | means)
+    lines = [own.to_string(formatters=formats, na_rep="") + "\n" for own in (by_clip, by_session)]
     if every["lag"].notna().any():
         lines.append(
             "lag: by how many pictures the forces trail, by the clip itself; r: how the two correlate there and at 0"
