@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+INSTALL = $(BIN)/python -m pip install --disable-pip-version-check --constraint constraints.txt --editable
 # Test processes, one per core; nproc would obey a thread count that the user has set.
 WORKERS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 # One thread a process: parallel work runs one process a core.
@@ -29,20 +30,20 @@ help:
 
 setup: $(VENV)/.ready
 
-$(VENV)/.installed: pyproject.toml constraints.txt scripts/install-osmesa scripts/set_up.py
+$(VENV)/.installed: pyproject.toml constraints.txt scripts/install-osmesa
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "gelgap needs Python >= 3.11; run: make PYTHON=python3.11 setup"; exit 1; }
 	scripts/install-osmesa
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	$(BIN)/python scripts/set_up.py .
+	$(INSTALL) .
 	touch $@
 
 $(VENV)/.ready: $(VENV)/.installed
-	$(BIN)/python scripts/set_up.py '.[test]'
+	$(INSTALL) '.[test]'
 	touch $@
 
 $(VENV)/.view: $(VENV)/.installed
-	$(BIN)/python scripts/set_up.py '.[view]'
+	$(INSTALL) '.[view]'
 	touch $@
 
 demo: $(VENV)/.installed
@@ -73,7 +74,7 @@ format: setup
 	$(BIN)/ruff format .
 
 docs: setup
-	$(BIN)/python scripts/set_up.py '.[docs]'
+	$(INSTALL) '.[docs]'
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going --conf-dir docs --doctree-dir build/doctrees . build/site
 	@echo '<meta http-equiv="refresh" content="0; url=docs/index.html">' > build/site/index.html
 	@echo "open build/site/index.html"

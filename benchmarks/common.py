@@ -320,13 +320,6 @@ def interval(draws: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def mean_of(values: np.ndarray, axis: int | tuple[int, ...] | None = None) -> np.ndarray:
-    """Return the mean of what is not NaN; NaN, without a warning, where nothing is."""
-    there = ~np.isnan(values)
-    count = there.sum(axis=axis)
-    return np.where(count > 0, np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1), np.nan)
-
-
 def processor_s(
     work: Callable[[], object], repeats: int = 0, clock: Callable[[], float] = time.process_time
 ) -> float:

@@ -18,8 +18,7 @@ from gelgap.assets.names import quoted
 class Benchmark:
     """One benchmark: a subject, or one part of a subject that has several.
 
-    Without a choice of parts, those `by_default` are measured; `--quick` leaves out parts without a quick form. One
-    that `resumes` goes on where it was stopped, when it is run again.
+    Without a choice of parts, those `by_default` are measured; `--quick` leaves out parts without a quick form.
     """
 
     subject: str
@@ -28,7 +27,6 @@ class Benchmark:
     place: str
     by_default: bool = True
     has_quick_form: bool = True
-    resumes: bool = True
     needs_data: bool = False
 
     def load(self) -> Any:
@@ -42,7 +40,7 @@ class Benchmark:
         getattr(place, "run", place)(quick=quick, out_dir=out_dir, **given)
 
 
-EXTRA, LONG, ANEW = "not by default", "no quick form", "does not resume"
+EXTRA, LONG = "not by default", "no quick form"
 _MEASURED = {
     "physics": [
         ("accuracy", "error of forces and displacements against run time", "physics.accuracy"),
@@ -54,7 +52,7 @@ _MEASURED = {
             EXTRA,
         ),
     ],
-    "render": [(None, "error of pictures against run time, beside a path tracer", "render.accuracy", ANEW)],
+    "render": [(None, "error of pictures against run time, beside a path tracer", "render.accuracy")],
     "sensors": [
         ("prediction", "how well a real sensor's pictures are predicted from others of it", "render.sensors"),
         (
@@ -63,39 +61,26 @@ _MEASURED = {
             "render.sensors:run_unknown_ball",
             EXTRA,
         ),
-        ("robustness", "what a fit to disturbed pictures still predicts", "render.robustness", EXTRA),
-        ("sets", "other sensors' presses, whatever sets are in --data", "real.sensor_sets", ANEW),
+        ("sets", "other sensors' presses, whatever sets are in --data", "real.sensor_sets"),
     ],
-    "stability": [
-        ("physics", "solves at the corners of what is allowed", "physics.stability", ANEW),
-        ("render", "memory and time over many frames", "render.stability", EXTRA, ANEW),
-    ],
-    "view": [(None, "from a knob of gelgap view to the picture", "view", ANEW)],
+    "stability": [("physics", "solves at the corners of what is allowed", "physics.stability")],
+    "view": [(None, "from a knob of gelgap view to the picture", "view")],
     "throughput": [
-        ("generation", "time to generate and to read domains", "throughput", ANEW),
-        ("frames", "random contacts from a library, a stream, a sensor in a loop", "frames", EXTRA, ANEW),
-        ("stages", "where the time of a data set goes", "throughput:stages", EXTRA, ANEW),
+        ("generation", "time to generate and to read domains", "throughput"),
+        ("frames", "random contacts from a library, a stream, a sensor in a loop", "frames", EXTRA),
     ],
     "adaptation": [
-        ("augmentations", "augmentations, chosen on the tuning groups", "adaptation.choice:AUGMENT", LONG),
-        ("tuning", "each method's setting, chosen on the tuning groups", "adaptation.choice:TUNE", LONG),
+        ("tuning", "each method's setting, chosen on the tuning groups", "adaptation.tuning:PART", LONG),
         ("groups", "all methods on the paper's nine groups", "adaptation.groups:PART"),
         ("calm", "how far two runs come apart that differ in rounding", "adaptation.calm:PART", LONG),
         ("inputs", "what each input is worth, with five methods", "adaptation.rivals:INPUT_PART", LONG),
         ("lights", "training in drawn lights instead of adapting", "adaptation.rivals:LIGHT_PART", LONG),
         ("crossed", "gel, friction, markers and parts of the light", "adaptation.rivals:CROSSED_PART", LONG),
         ("labels", "how many target labels close a gap", "adaptation.labels:PART", LONG),
-        ("speed", "training steps beside a plain loop", "adaptation.speed:PART", ANEW),
     ],
     "real": [
-        ("sessions", "force from one session's light to another's, on real grasps", "real.sessions", ANEW),
+        ("sessions", "force from one session's light to another's, on real grasps", "real.sessions"),
         ("networks", "the same with all methods of adaptation", "real.sessions:networks", EXTRA),
-        (
-            "contact-point",
-            "where a ball touches, from synthetic presses to real ones",
-            "real.contact_point",
-            EXTRA,
-        ),
         (
             "pretraining",
             "few labels, from scratch and pretrained on drawn domains",
@@ -113,7 +98,7 @@ _MEASURED = {
 BENCHMARKS = tuple(
     Benchmark(
         *(subject, part, description, place),
-        *(flag not in flags for flag in (EXTRA, LONG, ANEW)),
+        *(flag not in flags for flag in (EXTRA, LONG)),
         needs_data=place.startswith("real."),
     )
     for subject, rows in _MEASURED.items()

@@ -3,32 +3,27 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
+from gelgap import adapt, domains
 from gelgap.assets.names import quoted, unknown_name
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.adapt import Run
 
 CONSTANT_MEAN = "constant-mean"
 
 
 def check_methods(names: tuple[str, ...]) -> None:
     """Check names of methods, one at least, before torch is loaded; classes of one's own are checked later."""
-    from gelgap.adapt import method_names
-
+    known = adapt.method_names()
     if not names:
-        raise ValueError(f"name at least one; known: {', '.join(method_names())}")
+        raise ValueError(f"name at least one; known: {', '.join(known)}")
     for name in names:
-        if ":" not in name and name not in method_names():
-            raise ValueError(unknown_name("method", name, method_names()))
+        if ":" not in name and name not in known:
+            raise ValueError(unknown_name("method", name, known))
 
 
 def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
     """Return ranges by label, of texts such as `fz_n=-30:0`; a ValueError says what is wrong with one."""
-    from gelgap.domains import Labels
-
     named = []
     for text in texts:
         try:
@@ -39,7 +34,7 @@ def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
                 f"{quoted(text)} must be a label, its lower and its upper bound, as fz_n=-30:0"
             ) from None
         named.append((name, (low, high)))
-    labels = Labels(tuple(name for name, _ in named), tuple(bounds for _, bounds in named))
+    labels = domains.Labels(tuple(name for name, _ in named), tuple(bounds for _, bounds in named))
     return dict(zip(labels.names, labels.ranges, strict=True))
 
 
@@ -64,8 +59,7 @@ class Adapt(opt.Command):
     """Folder of the target domain."""
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
-    profile: str = "smoke"
-    """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
+    profile: opt.ProfileName = "smoke"
     input: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
     """What the network is shown: pictures, standardised, calibrated, grey, markers or pretrained (with --weights)."""
     labels: Annotated[
@@ -93,14 +87,12 @@ class Adapt(opt.Command):
 
     def run(self, started: float) -> None:
         """Train, adapt, print one line per method."""
-        from gelgap.adapt import Profile, adapt_folders, console_progress
-
         changes = {"input": self.input, "split_by": self.split_by, "stratify_by": self.stratify}
-        profile = opt.named(Profile, self.profile).replace(
+        profile = opt.named(adapt.Profile, self.profile).replace(
             **{name: value for name, value in changes.items() if value is not None}
         )
-        with console_progress() as progress:
-            runs = adapt_folders(
+        with adapt.console_progress() as progress:
+            runs = adapt.adapt_folders(
                 self.source,
                 self.target,
                 self.method,
@@ -118,7 +110,7 @@ class Adapt(opt.Command):
             raise RuntimeError(f"{len(failed)} of {len(runs)} methods failed: {', '.join(failed)}")
 
 
-def _table(runs: "Sequence[Run]") -> str:
+def _table(runs: "Sequence[adapt.Run]") -> str:
     """Return each run's error, if it did not fail, beside rules and oracles without a network, and what went wrong."""
     from gelgap.adapt.evaluation import errors_text, worse_than_constant
 

@@ -32,6 +32,9 @@ class Benchmark(opt.Command):
     Example: gelgap benchmark physics --quick
     """
 
+    when_stopped = (
+        "what keeps records goes on from them, the rest is measured anew; run the same command again"
+    )
     fills_cache = True
 
     subject: Annotated[
@@ -64,11 +67,3 @@ class Benchmark(opt.Command):
             for benchmark in chosen:
                 LOG.info("measuring %s", benchmark.description)
                 benchmark.run(self.quick, self.out, self.data)
-
-    @property
-    def when_stopped(self) -> str:
-        """What is left of a benchmark that was interrupted, and what to do."""
-        chosen = find_benchmarks(self.subject, self.what, self.quick, self.data is not None)
-        if all(benchmark.resumes for benchmark in chosen):
-            return "finished measurements are kept, run the same command again to go on"
-        return "measurements that were not finished are not kept; run the same command again to measure anew"

@@ -1,12 +1,10 @@
 """`gelgap cache`: what physics is kept on disk, and clearing it."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from datetime import timedelta
 
+from gelgap import domains, render, sim
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.sim import CacheEntry
 
 
 @dataclass(frozen=True)
@@ -20,35 +18,30 @@ class Cache(opt.Command):
       gelgap cache --clear
     """
 
-    when_stopped = "what was deleted is gone, the rest is kept; run the same command again"
-
     clear: opt.Flag = False
     """Delete every cached solution, responses of cameras, and shrunken pictures that do not lie beside their data."""
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
-        from gelgap.sim import cache_entries, cache_use, clear_cache
-
         if self.clear:
-            from gelgap.domains import clear_picture_cache
-            from gelgap.render import clear_led_cache
-
-            clear_led_cache()
-            if pictures := clear_picture_cache():
+            render.clear_led_cache()
+            if pictures := domains.clear_picture_cache():
                 print(f"{pictures / 1e6:.1f} MB of shrunken pictures deleted")
-            use, verb = clear_cache(), "deleted"
+            use, verb = sim.clear_cache(), "deleted"
         else:
-            for entry in cache_entries():
+            for entry in sim.cache_entries():
                 print(_line(entry))
-            use, verb = cache_use(), "holds"
+            use, verb = sim.cache_use(), "holds"
         print(f"{use.folder} {verb} {use.solutions} solutions, {use.bytes / 1e6:.1f} MB")
 
 
-def _line(entry: "CacheEntry") -> str:
-    head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {_age(entry.age_s)}"
+def _line(entry: "sim.CacheEntry") -> str:
+    age = timedelta(seconds=max(0, round(entry.age_s)))
+    head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {age!s:>17} old"
     problem = entry.problem
     if problem is None:
         return f"{head}  damaged, or of an older version"
+    edges, mount_n_per_mm = problem.pad_mm, problem.mount_stiffness_n_per_mm
     parts = [
         problem.quality.name,
         f"{len(problem.waypoints_mm)} poses, deepest {max(-z for _, _, z in problem.waypoints_mm):g} mm",
@@ -56,22 +49,8 @@ def _line(entry: "CacheEntry") -> str:
         f"gel {problem.thickness_mm:g} mm",
         f"MuJoCo's E {problem.moduli.young_modulus_mpa:.4g} MPa, ν {problem.moduli.poisson_ratio:.4g}",
         f"friction {problem.friction:g}",
+        "rigid mount" if mount_n_per_mm is None else f"mount {mount_n_per_mm:g} N/mm",
+        "edges far" if edges is None else "edges at x {:g} and {:g}, y {:g} and {:g} mm".format(*edges),
+        *([] if entry.current else ["of another version: not used"]),
     ]
-    if problem.mount_stiffness_n_per_mm is not None:
-        parts.append(f"mount {problem.mount_stiffness_n_per_mm:g} N/mm")
-    if problem.pad_mm is None:
-        parts.append("edges far")
-    else:
-        x_min, x_max, y_min, y_max = problem.pad_mm
-        at = f"({0.0 - (x_min + x_max) / 2:g}, {0.0 - (y_min + y_max) / 2:g})"
-        parts.append(f"at {at} of a pad of {x_max - x_min:g} × {y_max - y_min:g} mm")
-    if not entry.current:
-        parts.append("of another version: not used")
     return f"{head}  {'; '.join(parts)}"
-
-
-def _age(seconds: float) -> str:
-    for size, unit in ((86400, "d"), (3600, "h"), (60, "min")):
-        if seconds >= size:
-            return f"{seconds / size:5.1f} {unit:3}"
-    return f"{max(seconds, 0.0):5.0f} s  "

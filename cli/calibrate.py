@@ -1,6 +1,7 @@
 """`gelgap calibrate`: fit a sensor's light to pictures of a real one."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
@@ -9,14 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from gelgap import domains, render
 from gelgap.cli import options as opt
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     import numpy as np
-
-    from gelgap.render import LightCalibration, PressPicture, Sensor
 
 HELD_OUT = {
     "unchanged": "unchanged reference",
@@ -57,8 +55,6 @@ class Calibrate(opt.Command):
       gelgap calibrate presses.toml --reference ref.png --mm-per-px 0.03 -o fitted.toml
     """
 
-    when_stopped = "nothing was written; run the same command again to start over"
-
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(".toml")]
     """The sensor TOML to write; its flat field and pictures of held-out presses come to lie beside it."""
     presses: Annotated[tyro.conf.Positional[Path | None], opt.optional("PRESSES")] = None
@@ -84,8 +80,6 @@ class Calibrate(opt.Command):
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
-        from gelgap.domains import lit_from_dents, sphere_profiles
-        from gelgap.render import calibrate_light, save_calibration
         from gelgap.render.calibration.pictures import check_presses
 
         if self.held_out_parts == 1:
@@ -93,12 +87,12 @@ class Calibrate(opt.Command):
         sensor, reference, presses = self._inputs()
         if sensor.illumination is None:
             check_presses(reference, presses)
-            sensor = lit_from_dents(sensor, reference, presses)
-        fit = calibrate_light(
+            sensor = domains.lit_from_dents(sensor, reference, presses)
+        fit = render.calibrate_light(
             sensor,
             reference,
             presses,
-            lambda diameters, deepest: sphere_profiles(diameters, deepest, self.membrane_quality),
+            lambda diameters, deepest: domains.sphere_profiles(diameters, deepest, self.membrane_quality),
             keep_camera=self.keep_camera,
             folds=self.held_out_parts,
         )
@@ -107,7 +101,7 @@ class Calibrate(opt.Command):
         described = fit.sensor.model_copy(
             update={"known": f"Fitted to pictures: {known}.", "assumed": ASSUMED}
         )
-        fitted = save_calibration(replace(fit, sensor=described), self.output)
+        fitted = render.save_calibration(replace(fit, sensor=described), self.output)
         print(f"wrote {self.output} and {fitted.flat_field.file}")
         print("\n".join(report))
         for warning in warnings_of(fit):
@@ -116,9 +110,7 @@ class Calibrate(opt.Command):
             folder = self.pictures or self.output.with_name(f"{self.output.stem}-held-out")
             write_comparisons(fit, presses, folder)
 
-    def _inputs(self) -> "tuple[Sensor, np.ndarray, tuple[PressPicture, ...]]":
-        from gelgap.domains import taxim_presses
-        from gelgap.render import Camera, Markers, Sensor
+    def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
         from gelgap.render.calibration.pictures import read_picture, read_presses
 
         if self.from_taxim is not None:
@@ -126,24 +118,27 @@ class Calibrate(opt.Command):
                 raise ValueError(
                     "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
                 )
-            found = taxim_presses(self.from_taxim, self.mm_per_px)
+            found = domains.taxim_presses(self.from_taxim, self.mm_per_px)
             start, reference, presses = found.start, found.reference, found.presses
         elif self.presses and self.reference and (self.sensor is None) != (self.mm_per_px is None):
             presses, reference = read_presses(self.presses), read_picture(self.reference)
-            camera = Camera.showing(reference.shape[1] * self.mm_per_px) if self.mm_per_px else Camera()
-            start = Sensor(name=self.output.stem, camera=camera, markers=Markers(layout="none"))
+            camera = render.Camera()
+            if self.mm_per_px:
+                camera = render.Camera.showing(reference.shape[1] * self.mm_per_px)
+            markers = render.Markers(layout="none")
+            start = render.Sensor(name=self.output.stem, camera=camera, markers=markers)
         else:
             raise ValueError(
                 "calibrate needs PRESSES, --reference and either --mm-per-px or --sensor, or --from-taxim instead"
             )
         if self.sensor is not None:
-            start = opt.named(Sensor, self.sensor)
+            start = opt.named(render.Sensor, self.sensor)
         if self.sphere_diameter_mm is not None:
             presses = tuple(replace(press, sphere_diameter_mm=self.sphere_diameter_mm) for press in presses)
         return start, reference, presses
 
 
-def report_lines(fit: "LightCalibration") -> list[str]:
+def report_lines(fit: "render.LightCalibration") -> list[str]:
     """Return how well a fit predicts presses that it has not seen, and what it found, with standard errors."""
     lines = [f"residual {fit.rms_code_values:.2f} code values rms over {len(fit.names)} presses"]
     if size := fit.sphere_size:
@@ -182,7 +177,7 @@ def report_lines(fit: "LightCalibration") -> list[str]:
     return lines
 
 
-def warnings_of(fit: "LightCalibration") -> list[str]:
+def warnings_of(fit: "render.LightCalibration") -> list[str]:
     """Return what to think of before such a fit is used."""
     from gelgap.render.calibration.calibrator import DOUBTFUL_RMS
 
@@ -204,7 +199,7 @@ def warnings_of(fit: "LightCalibration") -> list[str]:
     return warnings
 
 
-def _levels(fit: "LightCalibration", kind: str) -> list[tuple[float, ...]]:
+def _levels(fit: "render.LightCalibration", kind: str) -> list[tuple[float, ...]]:
     """Return the held-out presses' PSNR inside the contact, and around it; nothing if none is held out."""
     return list(zip(*(getattr(press, kind) for press in fit.held_out), strict=True))
 
@@ -213,18 +208,18 @@ def _with_error(value: float, error: float) -> str:
     return f"{value:.0f}" if isnan(error) else f"{value:.0f} ± {error:.0f}"
 
 
-def write_comparisons(fit: "LightCalibration", presses: "Sequence[PressPicture]", folder: Path) -> None:
+def write_comparisons(
+    fit: "render.LightCalibration", presses: "Sequence[render.PressPicture]", folder: Path
+) -> None:
     """Write a picture of each held-out press: real, predicted, and 128 plus four times the difference."""
     import cv2
     import numpy as np
-
-    from gelgap.render import difference_picture
 
     folder.mkdir(parents=True, exist_ok=True)
     by_name = {press.name or f"press {number}": press for number, press in enumerate(presses, start=1)}
     for number, held_out in enumerate(fit.held_out, start=1):
         real = by_name[held_out.name].picture
-        difference = difference_picture(held_out.picture, real, DIFFERENCE_GAIN)
+        difference = render.difference_picture(held_out.picture, real, DIFFERENCE_GAIN)
         path = folder / f"held-out-{number:02d}.png"
         if not cv2.imwrite(str(path), np.hstack([real, held_out.picture, difference])[..., ::-1]):
             raise RuntimeError(f"{path} could not be written")

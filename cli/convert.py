@@ -3,14 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import tyro
 
+from gelgap import domains
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.domains import ConvertedClip
 
 
 @dataclass(frozen=True)
@@ -29,8 +27,6 @@ class Convert(opt.Command):
       gelgap convert clones/EstimateModulus --layout wedge --out wedge
     """
 
-    when_stopped = "nothing was written; run the same command again to start over"
-
     folder: Annotated[tyro.conf.Positional[Path], opt.input_folder("a clone, or a folder of recordings,")]
     """Folder of the clone, or of your recordings."""
     layout: Literal["wedge", "ball-presses", "recordings"]
@@ -43,16 +39,15 @@ class Convert(opt.Command):
     def run(self, started: float) -> None:
         """Convert, print what became of each clip, and name what was written."""
         from gelgap.benchmarks.real.published_sets import LAYOUTS
-        from gelgap.domains import convert
 
-        clips = convert(self.folder, LAYOUTS.get(self.layout, self.layout), self.out, self.every)
+        clips = domains.convert(self.folder, LAYOUTS.get(self.layout, self.layout), self.out, self.every)
         print(_table(clips))
         for domain in dict.fromkeys(clip.domain for clip in clips):
             print(f"wrote {self.out / domain}")
 
 
-def _table(clips: "Sequence[ConvertedClip]") -> str:
-    """Return a table of the clips of each session with all of them together, and what the lags say."""
+def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
+    """Return a table of the clips, one of all of a session together, and what the lags say."""
     import pandas as pd
 
     means = dict.fromkeys(("R at rest", "G", "B"), "mean")
@@ -62,12 +57,9 @@ def _table(clips: "Sequence[ConvertedClip]") -> str:
     names = {"in_contact": "in contact", "correlation": "r", "correlation_at_0": "r at 0"}
     every = pd.DataFrame(map(vars, clips)).rename(columns=names)
     every[[*means]] = every["reference_rgb"].tolist()
-    lines = []
-    for session, own in every.groupby("session", sort=False):
-        table = own.set_index("name")[[*sums, "lag", "r", "r at 0", *means]]
-        together = table.agg(sums | means).to_frame("together").T.astype(dict.fromkeys(sums, int))
-        shown = pd.concat([table, together]) if table.index[0] != session else together
-        lines += [f"{session}:", shown.to_string(formatters=formats, na_rep=""), ""]
+    by_clip = every.set_index(["session", "name"])[[*sums, "lag", "r", "r at 0", *means]]
+    by_session = by_clip.groupby(level="session", sort=False).agg(sums | means)
+    lines = [own.to_string(formatters=formats, na_rep="") + "\n" for own in (by_clip, by_session)]
     if every["lag"].notna().any():
         lines.append(
             "lag: by how many pictures the forces trail, by the clip itself; r: how the two correlate there and at 0"

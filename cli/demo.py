@@ -4,12 +4,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
+from gelgap import adapt, domains, render, sim
 from gelgap.cli import options as opt
-
-if TYPE_CHECKING:
-    from gelgap.adapt import NamedFigure, Run
 
 SOURCE, TARGET = "mb0i0", "wmb1i1"
 METHODS = ("source-only", "adabn", "dsan")
@@ -41,7 +39,6 @@ class Demo(opt.Command):
     quality: opt.Quality = "draft"
     """Quality of the physics; draft is within a few per cent in force and the quickest."""
     size: opt.PictureSize = (320, 240)
-    """Width and height of the pictures in pixels."""
     scheduler: Annotated[
         str | None, opt.optional("ADDRESS", "a local cluster on all cores"), opt.scheduler_address
     ] = None
@@ -49,15 +46,12 @@ class Demo(opt.Command):
 
     def run(self, started: float) -> None:
         """Generate source and target, train, adapt, write the report and print its tables; finished parts are kept."""
-        from gelgap.adapt import Profile, adapt_folders, console_progress, write_pages
         from gelgap.adapt.report import axis_table, error_table, training_table
-        from gelgap.domains import generate, shown_progress
-        from gelgap.sim import load_path
 
-        path, profile = load_path(self.path), Profile.preset(self.profile)
+        path, profile = sim.load_path(self.path), adapt.Profile.preset(self.profile)
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {self.path}")
-        with shown_progress() as progress:
-            report = generate(
+        with domains.shown_progress() as progress:
+            report = domains.generate(
                 (SOURCE, TARGET),
                 path,
                 self.out / "data",
@@ -73,8 +67,8 @@ class Demo(opt.Command):
         print(
             f"2/3  training on {SOURCE}, adapting to {TARGET} without its labels (profile {self.profile!r})"
         )
-        with console_progress() as progress:
-            runs = adapt_folders(
+        with adapt.console_progress() as progress:
+            runs = adapt.adapt_folders(
                 self.out / "data" / SOURCE,
                 self.out / "data" / TARGET,
                 METHODS,
@@ -88,13 +82,13 @@ class Demo(opt.Command):
         print("3/3  writing the report")
         tables = [error_table(runs), axis_table(runs), training_table(runs)]
         figures = [samples(self.out / "data"), scatter(runs)]
-        page = write_pages(self.out, "report", headline(runs), tables, figures)
+        page = adapt.write_pages(self.out, "report", headline(runs), tables, figures)
         for table in tables:
             table.show()
         print(f"{headline(runs)}\n\n{time.perf_counter() - started:.0f} s in all; report: {page}")
 
 
-def headline(runs: "Sequence[Run]") -> str:
+def headline(runs: "Sequence[adapt.Run]") -> str:
     """Return the report's title: whether adaptation helped and the network learned at all."""
     plain, normalised, adapted = (run.target_test.mean_mae_n for run in runs)
     told = (
@@ -107,25 +101,21 @@ def headline(runs: "Sequence[Run]") -> str:
     return told
 
 
-def samples(data: Path) -> "NamedFigure":
+def samples(data: Path) -> "adapt.NamedFigure":
     """Draw a contact in both domains: the frame dragged furthest right and down of the tenth nearest to 0.6 mm."""
     import numpy as np
     from matplotlib.figure import Figure
 
-    from gelgap.adapt import NamedFigure
-    from gelgap.domains import open_domain
-    from gelgap.render import difference_picture
-
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     for row, name in zip(figure.subplots(2, 4), (SOURCE, TARGET), strict=True):
-        domain = open_domain(data / name)
+        domain = domains.open_domain(data / name)
         sideways = domain.columns["shear_x_mm"] + domain.columns["shear_y_mm"]
         off_mm = np.abs(domain.columns["depth_mm"] - SAMPLE_DEPTH_MM)
         index = int(np.argmax(np.where(off_mm <= np.quantile(off_mm, 0.1) + 1e-9, sideways, -np.inf)))
         picture = domain.picture(index)
         row[0].imshow(domain.reference)
         row[1].imshow(picture)
-        row[2].imshow(difference_picture(picture, domain.reference, 2.0))
+        row[2].imshow(render.difference_picture(picture, domain.reference, 2.0))
         height = row[3].imshow(domain.height_map_mm(index))
         figure.colorbar(height, ax=row[3], label="mm", shrink=0.8)
         for panel, title in zip(row, ("reference", "contact", "difference, ×2", "height"), strict=True):
@@ -134,14 +124,12 @@ def samples(data: Path) -> "NamedFigure":
     caption = (
         f"The same commanded contact in both domains, about {SAMPLE_DEPTH_MM} mm deep and dragged sideways"
     )
-    return NamedFigure("samples", caption, figure)
+    return adapt.NamedFigure("samples", caption, figure)
 
 
-def scatter(runs: "Sequence[Run]") -> "NamedFigure":
+def scatter(runs: "Sequence[adapt.Run]") -> "adapt.NamedFigure":
     """Draw predicted against true force on the target."""
-    from gelgap.adapt import NamedFigure, force_scatter, load_predictions
-
-    arrays = {run.method: load_predictions(run) for run in runs}
+    arrays = {run.method: adapt.load_predictions(run) for run in runs}
     predicted = {method: own["target_predicted_n"] for method, own in arrays.items()}
-    figure = force_scatter(arrays[METHODS[0]]["target_true_n"], predicted)
-    return NamedFigure("scatter", f"Predicted against true force, test frames of {TARGET}", figure)
+    figure = adapt.force_scatter(arrays[METHODS[0]]["target_true_n"], predicted)
+    return adapt.NamedFigure("scatter", f"Predicted against true force, test frames of {TARGET}", figure)

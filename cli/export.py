@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gelgap import domains
 from gelgap.cli import options as opt
 
 
@@ -17,8 +18,6 @@ class Export(opt.Command):
       gelgap export data --format huggingface --split-by point --out upload
       gelgap export data --format lerobot-v3 --out episodes
     """
-
-    when_stopped = "nothing was written; run the same command again to start over"
 
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
@@ -34,7 +33,5 @@ class Export(opt.Command):
 
     def run(self, started: float) -> None:
         """Export, and name what was written."""
-        from gelgap.domains import export
-
-        for path in export(self.folder, self.format_name, self.out, split_by=self.split_by):
+        for path in domains.export(self.folder, self.format_name, self.out, split_by=self.split_by):
             print(f"wrote {path}")

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from gelgap import adapt
 from gelgap.cli import options as opt
 
 
@@ -19,8 +20,6 @@ class Finetune(opt.Command):
     For example:
       gelgap finetune runs/stage1/mb0i0-*.pt --on data/wmb1i1 --test data/wmb1i1 --frames 8 --out tuned.pt
     """
-
-    when_stopped = "nothing is kept, run the same command again to start over"
 
     checkpoint: tyro.conf.Positional[Path]
     """A gelgap checkpoint, such as the pretrained.pt of `gelgap pretrain`."""
@@ -39,9 +38,7 @@ class Finetune(opt.Command):
 
     def run(self, started: float) -> None:
         """Fine-tune and print the errors."""
-        from gelgap.adapt import finetune
-
-        found = finetune(
+        found = adapt.finetune(
             self.checkpoint, self.on, self.test, frames=self.frames, clips=self.clips, seed=self.seed
         )
         print(found)

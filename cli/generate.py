@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from gelgap import domains, render, sim
 from gelgap.cli import options as opt
 from gelgap.cli.adapt import label_ranges
 
 if TYPE_CHECKING:
-    from gelgap.domains import DomainRecipe
     from gelgap.domains.sweep import Variant
 
 OptionalColumn = Literal[
@@ -28,9 +28,8 @@ OptionalColumn = Literal[
 
 def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
-    from gelgap.domains import FORCE_COLUMNS, PAPER_FORCE_RANGE_N
-
-    given, papers = label_ranges(texts), dict(zip(FORCE_COLUMNS, PAPER_FORCE_RANGE_N, strict=True))
+    given = label_ranges(texts)
+    papers = dict(zip(domains.FORCE_COLUMNS, domains.PAPER_FORCE_RANGE_N, strict=True))
     if others := sorted(given.keys() - papers.keys()):
         raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(papers)}")
     return tuple((papers | given).values())
@@ -86,7 +85,6 @@ class Generate(opt.Command):
     sensor: str = "paper"
     """Sensor preset or TOML file."""
     size: opt.PictureSize = (320, 240)
-    """Width and height of the pictures in pixels."""
     columns: Annotated[tuple[OptionalColumn, ...], tyro.conf.arg(help_behavior_hint="(default: none)")] = ()
     """Optional columns to write as well: pictures of the contact, how it was solved, six axes, force by cell."""
     force_range: Annotated[
@@ -104,34 +102,26 @@ class Generate(opt.Command):
     def run(self, started: float) -> None:
         """Plan and run the generation."""
         self._check_choices()
-        from gelgap.domains import estimate, write_sweep
-
         recipes, variants = self._recipes()
         if self.generation.dry_run:
-            print(estimate(recipes, self.generation.workers))
+            print(domains.estimate(recipes, self.generation.workers))
             return
         self.generation.generate(recipes, self.out)
         if variants:
-            print(f"gaps to the base: {write_sweep(variants, self.out)}")
+            print(f"gaps to the base: {domains.write_sweep(variants, self.out)}")
 
     def _check_choices(self) -> None:
         """Refuse options that lack or exclude each other."""
-        self.generation.check()
         sources = [bool(source) for source in (self.domains, self.preset, self.sweep, self.recipe)]
         if sum(sources) > 1 or not (any(sources) or self.name):
             raise ValueError(
                 "name one of: domains (for example mb0i0 wmb1i1), a --preset (smoke, cpu, paper), a --sweep file, "
                 "a --recipe file"
             )
-        own = {
-            "--elastomer": self.elastomer,
-            "--illumination": self.illumination,
-            "--lights-like": self.lights_like,
-        }
-        if self.name is None and any(own.values()):
-            given = " and ".join(option for option, value in own.items() if value)
+        if self.name is None and (self.elastomer or self.illumination or self.lights_like):
             raise ValueError(
-                f"--name is missing: a domain with {given} of your own needs a name, for example --name my-gel"
+                "--name is missing: a domain with an --elastomer, an --illumination or --lights-like of your own needs "
+                "a name, for example --name my-gel"
             )
         if self.name is not None and (any(sources[1:]) or len(self.domains) > 1):
             raise ValueError(
@@ -139,17 +129,14 @@ class Generate(opt.Command):
                 "not with --preset, --sweep or --recipe"
             )
 
-    def _recipes(self) -> "tuple[tuple[DomainRecipe, ...], tuple[Variant, ...]]":
+    def _recipes(self) -> "tuple[tuple[domains.DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
-        from gelgap import domains
-        from gelgap.render import Illumination, Sensor
         from gelgap.render.calibration.pictures import read_picture
-        from gelgap.sim import Elastomer, load_indenter
 
         settings = {
             "indenter": self.body.make(),
-            "further_indenters": tuple(map(load_indenter, self.further_indenters or ())),
-            "sensor": opt.named(Sensor, self.sensor),
+            "further_indenters": tuple(map(sim.load_indenter, self.further_indenters or ())),
+            "sensor": opt.named(render.Sensor, self.sensor),
             "columns": tuple(dict.fromkeys((*self.columns, *["indenter"] * bool(self.further_indenters)))),
             "quality": self.quality,
             "seed": self.seed,
@@ -174,8 +161,8 @@ class Generate(opt.Command):
             self.name,
             self.path,
             base=self.domains[0] if self.domains else "mb0i0",
-            elastomer=self.elastomer and opt.named(Elastomer, self.elastomer),
-            illumination=self.illumination and opt.named(Illumination, self.illumination),
+            elastomer=self.elastomer and opt.named(sim.Elastomer, self.elastomer),
+            illumination=self.illumination and opt.named(render.Illumination, self.illumination),
             **settings,
         )
         if self.lights_like is None:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from gelgap import domains
 from gelgap.cli import options as opt
 
 
@@ -18,8 +19,6 @@ class Inspect(opt.Command):
       gelgap inspect data/wmb1i1 --gap-to data/mb0i0
     """
 
-    when_stopped = "nothing was changed; run the same command again to start over"
-
     folder: tyro.conf.Positional[Path]
     """Folder of one domain, or of several."""
     verify: opt.Flag = False
@@ -31,8 +30,6 @@ class Inspect(opt.Command):
 
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
-        from gelgap import domains
-
         folders = domains.domain_folders(self.folder)
         if self.html is not None and len(folders) > 1:
             names = ", ".join(folder.name for folder in folders)
@@ -56,16 +53,13 @@ def _verified(folders: tuple[Path, ...]) -> str:
 
     What gelgap generated it makes again, real data it cannot.
     """
-    from gelgap.domains import MANIFEST, verify_domain
-
-    generated = all((folder / MANIFEST).exists() for folder in folders)
-    damages = [(folder.name, damage) for folder in folders for damage in verify_domain(folder)]
+    generated = all((folder / domains.MANIFEST).exists() for folder in folders)
+    damages = [(folder.name, damage) for folder in folders for damage in domains.verify_domain(folder)]
     if not damages:
         return "every file is what its manifest says" if generated else "every picture and force is readable"
-    if not generated:
-        advice = "Take these rows out of the table, or replace the files by whole ones"
-    elif any(damage.file == MANIFEST for _, damage in damages):
-        advice = "The same gelgap generate command with --overwrite makes it again"
-    else:
-        advice = "The same gelgap generate command repairs it"
+    advice = (
+        "The same gelgap generate command repairs it, with --overwrite if the manifest is damaged"
+        if generated
+        else "Take these rows out of the table, or replace the files by whole ones"
+    )
     raise RuntimeError(f"damaged: {'; '.join(f'{name}/{damage}' for name, damage in damages)}. {advice}")

@@ -6,14 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
-if TYPE_CHECKING:
-    from gelgap.domains import DomainRecipe
-    from gelgap.render import Illumination, Sensor
-    from gelgap.sim import AnyIndenter
+from gelgap import domains, render, sim
 
 Check = Callable[[Any], object]
 """Raises ValueError or OSError for a value that cannot be used: what is wrong, and what would be right.
@@ -28,8 +25,8 @@ class Command:
 
     doing = "reading and preparing"
     """What is said of it while nothing else is known and it takes long."""
-    when_stopped = "nothing is kept but solved physics; run the same command again to start over"
-    """What is left of it after Ctrl-C, and what to do."""
+    when_stopped = "only solved physics is sure to be kept; run the same command again to start over"
+    """What is left of it after Ctrl-C, and what to do; commands that resume say what."""
     fills_cache = False
 
     def run(self, started: float) -> None:
@@ -102,7 +99,14 @@ Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior
 """A switch that is off unless it is given."""
 Quality = Literal["draft", "standard", "fine"]
 Seed = Annotated[int, between(0, 2**63 - 1)]
-PictureSize = Annotated[tuple[int, int], between(16, 4096, "px")]
+PictureSize = Annotated[
+    tuple[int, int],
+    between(16, 4096, "px"),
+    tyro.conf.arg(help="Width and height of the pictures in pixels."),
+]
+ProfileName = Annotated[
+    str, tyro.conf.arg(help="Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file.")
+]
 LightName = Annotated[str | None, optional("NAME", "the sensor's own, or i0")]
 
 
@@ -126,20 +130,11 @@ class GenerationOptions:
     overwrite: Flag = False
     """Replace domains under --out that hold another configuration."""
 
-    def check(self) -> None:
-        """Raise ValueError if options exclude each other."""
-        if self.workers is not None and self.scheduler is not None:
-            raise ValueError(
-                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
-            )
-
-    def generate(self, recipes: "Sequence[DomainRecipe]", out: Path) -> None:
+    def generate(self, recipes: "Sequence[domains.DomainRecipe]", out: Path) -> None:
         """Generate domains with a progress bar, and print the report."""
-        from gelgap.domains import generate_recipes, shown_progress
-
         chosen = {"scheduler": self.scheduler, "workers": self.workers, "overwrite": self.overwrite}
-        with shown_progress() as progress:
-            report = generate_recipes(recipes, out, progress=progress, **chosen)
+        with domains.shown_progress() as progress:
+            report = domains.generate_recipes(recipes, out, progress=progress, **chosen)
         print(report)
 
 
@@ -171,15 +166,13 @@ class IndenterOptions:
     tilt_deg: Annotated[tuple[float, float] | None, optional("DEG DEG", "0 0")] = None
     """Tilt of the indenter about x and about y in degrees."""
 
-    def make(self) -> "AnyIndenter":
+    def make(self) -> "sim.AnyIndenter":
         """Return the indenter."""
-        from gelgap.sim import load_indenter
-
         given = {name: value for name, value in vars(self).items() if value is not None}
         name = given.pop("indenter")
         if "indenter_diameter_mm" in given:
             given["diameter_mm"] = given.pop("indenter_diameter_mm")
-        return load_indenter(name, **given)
+        return sim.load_indenter(name, **given)
 
 
 SPHERE = IndenterOptions()
@@ -190,8 +183,7 @@ def named(kind: Any, name: str) -> Any:
     return kind.load(name) if name.endswith(".toml") else kind.preset(name)
 
 
-def light_in(sensor: "Sensor", name: str | None) -> "Illumination":
+def light_in(sensor: "render.Sensor", name: str | None) -> "render.Illumination":
     """Return a named illumination; without a name the sensor's own, or i0."""
-    from gelgap.render import Illumination
-
-    return named(Illumination, name) if name else sensor.illumination or Illumination.preset("i0")
+    kind = render.Illumination
+    return named(kind, name) if name else sensor.illumination or kind.preset("i0")

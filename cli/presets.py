@@ -17,8 +17,6 @@ class Presets(opt.Command):
       gelgap presets elastomers
     """
 
-    when_stopped = "nothing was changed; run the same command again"
-
     kind: Annotated[tyro.conf.Positional[str | None], opt.optional("[KIND]", "all"), list_presets] = None
     """One of elastomers, paths, illuminations, sensors, datasets and profiles."""
 

@@ -9,11 +9,16 @@ from typing import Annotated, Any
 
 import tyro
 
+from gelgap import render, sim, view
 from gelgap.cli import options as opt
 
 DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
 MESH_PICTURE_PX = (640, 480)
+DIAGNOSTICS = (
+    *("slip", "sticking_fraction", "coarse", "folded"),
+    *("force_error_n", "contact_radius_error_mm", "membrane_error_mm"),
+)
 
 
 @dataclass(frozen=True)
@@ -83,47 +88,38 @@ class Press(opt.Command):
 
     def run(self, started: float) -> None:
         """Solve the scene and print it; `wall_s` counts from `started`, the start of the process."""
-        from gelgap.sim import Elastomer, Pose, pose_for_force, solve_in_full, solve_slip, solve_traction
-
         if self.depth_mm is not None and self.normal_force_n is not None:
             raise ValueError("depth_mm and normal_force_n are both given: give one of them")
-        base = opt.named(Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
-        elastomer = Elastomer(**base | self._given(Elastomer.model_fields))
+        base = opt.named(sim.Elastomer, self.elastomer).model_dump() if self.elastomer else DEFAULT_GEL
+        elastomer = sim.Elastomer(**base | self._given(sim.Elastomer.model_fields))
         indenter = self.body.make()
-        pose = Pose(**{"depth_mm": DEFAULT_DEPTH_MM} | self._given(Pose.__dataclass_fields__))
+        pose = sim.Pose(**{"depth_mm": DEFAULT_DEPTH_MM} | self._given(sim.Pose.__dataclass_fields__))
         point_mm = (pose.point_x_mm, pose.point_y_mm)
         if self.normal_force_n is not None:
-            pressed = pose_for_force(elastomer, indenter, self.normal_force_n, point_mm, self.quality)
+            pressed = sim.pose_for_force(elastomer, indenter, self.normal_force_n, point_mm, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
         scene = elastomer, indenter, pose, self.quality
-        solved = solve_in_full(*scene)
+        solved = sim.solve_in_full(*scene)
         state, found = solved.state, solved.state.diagnostics
         if self.save is not None:
             state.save(self.save)
         if self.traction is not None:
-            solve_traction(*scene).save(self.traction)
+            sim.solve_traction(*scene).save(self.traction)
         if self.slip is not None:
-            solve_slip(*scene).save(self.slip)
+            sim.solve_slip(*scene).save(self.slip)
         if self.mesh is not None:
-            from gelgap.render import Illumination, MembraneRenderer, Sensor
-            from gelgap.view import save_mesh
-
-            sensor = Sensor.preset("paper")
-            renderer = MembraneRenderer(sensor, Illumination.preset("i0"), MESH_PICTURE_PX)
+            sensor, light = render.Sensor.preset("paper"), render.Illumination.preset("i0")
+            renderer = render.MembraneRenderer(sensor, light, MESH_PICTURE_PX)
             picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
-            save_mesh(self.mesh, solved, point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture)
+            view.save_mesh(
+                self.mesh, solved, point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture
+            )
         report = {
             "force_n": state.force_n.tolist(),
-            "force_error_n": found.force_error_n,
             "torque_n_mm": state.torque_n_mm.tolist(),
-            "slip": found.slip,
-            "sticking_fraction": found.sticking_fraction,
-            "converged": bool(state.converged),
-            "coarse": found.coarse,
-            "folded": found.folded,
             "contact_radius_mm": float(state.contact_radius_mm),
-            "contact_radius_error_mm": found.contact_radius_error_mm,
-            "membrane_error_mm": found.membrane_error_mm,
+            "converged": bool(state.converged),
+            **{name: getattr(found, name) for name in DIAGNOSTICS},
             "wall_s": time.perf_counter() - started,
         }
         if self.json:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gelgap import adapt, domains
 from gelgap.cli import options as opt
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
@@ -39,12 +40,10 @@ class Pretrain(opt.Command):
     """Factors that are the same in every domain instead of drawn: an ablation."""
     ranges: Annotated[Path | None, opt.optional("TOML", "gelgap's own")] = None
     """Ranges that differ from those of assets/pretraining.toml."""
-    profile: str = "cpu"
-    """Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file."""
+    profile: opt.ProfileName = "cpu"
     quality: opt.Quality = "draft"
     """Quality of physics and pictures."""
     size: opt.PictureSize = (160, 120)
-    """Width and height of the pictures in pixels."""
     seed: opt.Seed = 0
     """Seed of all draws and of the training."""
     stream: opt.Flag = False
@@ -56,17 +55,17 @@ class Pretrain(opt.Command):
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
-        from gelgap.adapt import Profile, console_progress, pretrain, pretrain_on_stream
-        from gelgap.domains import PressStream, PretrainingRanges, estimate, pretraining_recipes
-
-        self.generation.check()
-        profile = opt.named(Profile, self.profile)
-        ranges = PretrainingRanges.load(self.ranges) if self.ranges else PretrainingRanges.default()
-        domains, frames, size_px = self.domains, self.frames_per_domain, self.size
+        profile = opt.named(adapt.Profile, self.profile)
+        ranges = (
+            domains.PretrainingRanges.load(self.ranges)
+            if self.ranges
+            else domains.PretrainingRanges.default()
+        )
+        number, frames, size_px = self.domains, self.frames_per_domain, self.size
         if self.quick:
             ranges = ranges.in_quick_form()
             profile = profile.replace(source_epochs=QUICK_EPOCHS)
-            domains, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, profile.image_size_px
+            number, frames, size_px = QUICK_DOMAINS, QUICK_FRAMES, profile.image_size_px
         width, height = profile.image_size_px
         if size_px[0] < width or size_px[1] < height:
             raise ValueError(
@@ -75,26 +74,32 @@ class Pretrain(opt.Command):
             )
         drawn = {"without": self.without, "seed": self.seed, "size_px": size_px, "quality": self.quality}
         if self.stream:
-            stream = PressStream(ranges, **drawn)
-            solves = [solve for press in range(ranges.presses) for solve in stream.plan(press).solved.solves]
-            print(
-                f"solves   {len(solves)} for {ranges.presses} gels and spheres, as they are drawn, about "
-                f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
-                f"training {profile.source_epochs} epochs of {domains * frames} new frames each",
-                flush=True,
-            )
-        else:
-            recipes = pretraining_recipes(domains, frames, ranges, **drawn)
-            print(estimate(recipes, self.generation.workers))
-            print(f"training {profile.source_epochs} epochs of at most {domains * frames} frames", flush=True)
+            self._train_on_stream(domains.PressStream(ranges, **drawn), profile, number * frames)
+            return
+        recipes = domains.pretraining_recipes(number, frames, ranges, **drawn)
+        print(domains.estimate(recipes, self.generation.workers))
+        print(f"training {profile.source_epochs} epochs of at most {number * frames} frames", flush=True)
         if self.generation.dry_run:
             return
-        if self.stream:
-            with console_progress() as progress:
-                every = {"frames_per_epoch": domains * frames, "progress": progress}
-                print(pretrain_on_stream(stream, self.out, profile, self.seed, **every))
-        else:
-            self.generation.generate(recipes, self.out / "domains")
-            folders = [self.out / "domains" / recipe.name for recipe in recipes]
-            with console_progress() as progress:
-                print(pretrain(folders, self.out, profile, self.seed, progress=progress))
+        self.generation.generate(recipes, self.out / "domains")
+        folders = [self.out / "domains" / recipe.name for recipe in recipes]
+        with adapt.console_progress() as progress:
+            print(adapt.pretrain(folders, self.out, profile, self.seed, progress=progress))
+
+    def _train_on_stream(
+        self, stream: "domains.PressStream", profile: "adapt.Profile", frames_per_epoch: int
+    ) -> None:
+        solves = [
+            solve for press in range(stream.ranges.presses) for solve in stream.plan(press).solved.solves
+        ]
+        print(
+            f"solves   {len(solves)} for {stream.ranges.presses} gels and spheres, as they are drawn, about "
+            f"{sum(solve.expected_core_s for solve in solves):.0f} s of a core\n"
+            f"training {profile.source_epochs} epochs of {frames_per_epoch} new frames each",
+            flush=True,
+        )
+        if self.generation.dry_run:
+            return
+        with adapt.console_progress() as progress:
+            every = {"frames_per_epoch": frames_per_epoch, "progress": progress}
+            print(adapt.pretrain_on_stream(stream, self.out, profile, self.seed, **every))

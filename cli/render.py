@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from gelgap import render, sim
 from gelgap.cli import options as opt
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
@@ -20,8 +21,6 @@ class Render(opt.Command):
       gelgap render state.npz --illumination i1 --no-markers -o picture.png
     """
 
-    when_stopped = "no finished picture is sure to be there; run the same command again to start over"
-
     state: tyro.conf.Positional[Path]
     """An .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3)."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"]), opt.output_file(*PICTURE_SUFFIXES)]
@@ -33,7 +32,6 @@ class Render(opt.Command):
     markers: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: drawn)")] = True
     """Draw the membrane's markers."""
     size: opt.PictureSize = (320, 240)
-    """Width and height of the picture in pixels."""
     linear: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npy")] = None
     """Also write float32 (h, w, 3) linear camera RGB, before noise and encoding, to this .npy."""
     noise_seed: Annotated[opt.Seed | None, opt.optional("N", "no noise")] = None
@@ -46,21 +44,19 @@ class Render(opt.Command):
         import cv2
         import numpy as np
 
-        from gelgap.render import MembraneRenderer, Sensor, encode, sensor_noise
-        from gelgap.sim import MembraneState
-
         try:
-            state = MembraneState.load(self.state)
+            state = sim.MembraneState.load(self.state)
         except ValueError as error:
             raise ValueError(f"{error}; write one with: gelgap press --save {self.state}") from None
-        sensor = opt.named(Sensor, self.sensor)
-        renderer = MembraneRenderer(sensor, opt.light_in(sensor, self.illumination), self.size, self.quality)
+        sensor = opt.named(render.Sensor, self.sensor)
+        light = opt.light_in(sensor, self.illumination)
+        renderer = render.MembraneRenderer(sensor, light, self.size, self.quality)
         membrane = state.x_mm, state.y_mm, state.displacement_mm
         linear = renderer.linear(*membrane, markers=self.markers, frame_name=self.state.name)
         if self.linear is not None:
             np.save(self.linear, linear)
         if self.noise_seed is not None:
-            linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.noise_seed))
-        if not cv2.imwrite(str(self.output), encode(linear)[..., ::-1]):
+            linear = render.sensor_noise(linear, sensor.camera, np.random.default_rng(self.noise_seed))
+        if not cv2.imwrite(str(self.output), render.encode(linear)[..., ::-1]):
             raise RuntimeError(f"{self.output} could not be written")
         print(f"wrote {self.output}" + (f" and {self.linear}" if self.linear else ""))

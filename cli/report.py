@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from gelgap import adapt
 from gelgap.cli import options as opt
 
 LOG = logging.getLogger(__name__)
@@ -29,10 +30,6 @@ class Report(opt.Command):
       gelgap report runs
     """
 
-    when_stopped = (
-        "files of an older report may stand beside new ones; run the same command again to write all of them"
-    )
-
     runs: Annotated[tyro.conf.Positional[Path], finished_runs]
     """Folder with finished runs, at any depth."""
     out: Annotated[Path | None, opt.optional("PATH", "the folder of the runs"), opt.output_folder] = None
@@ -40,11 +37,10 @@ class Report(opt.Command):
 
     def run(self, started: float) -> None:
         """Write the report and say where it is."""
-        from gelgap.adapt import write_report
         from gelgap.assets.locks import sole_use
         from gelgap.benchmarks.adaptation.study import is_benchmark, write_benchmark_report
 
-        write = write_benchmark_report if is_benchmark(self.runs) else write_report
+        write = write_benchmark_report if is_benchmark(self.runs) else adapt.write_report
         LOG.info("drawing the report of %s", self.runs)
         with sole_use(self.out or self.runs):
             print(f"wrote {write(self.runs, self.out)}")

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Annotated
 
+from gelgap import render, sim, view
 from gelgap.cli import options as opt
 
 INSTALL = "pip install 'gelgap[view]'"
@@ -20,7 +21,6 @@ class View(opt.Command):
       gelgap view --elastomer b1 --illumination i2 --port 9000 --no-browser
     """
 
-    when_stopped = "the page was not open yet; run the same command again"
     # An open page is not work that takes long.
     doing = ""
     fills_cache = True
@@ -44,15 +44,9 @@ class View(opt.Command):
             raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
         import webbrowser
 
-        from gelgap.render import Sensor
-        from gelgap.sim import Elastomer
-        from gelgap.view import Configuration, open_page
-
-        sensor = opt.named(Sensor, self.sensor)
-        configuration = Configuration(
-            opt.named(Elastomer, self.elastomer), sensor, opt.light_in(sensor, self.illumination)
-        )
-        page = open_page(configuration, self.host, self.port)
+        sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
+        configuration = view.Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
+        page = view.open_page(configuration, self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
             if not self.no_browser:

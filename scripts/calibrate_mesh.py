@@ -1,7 +1,6 @@
-"""How stiff each quality's mesh is beside locking-free presses of the same energy, and how `standard` was chosen.
+"""How stiff each quality's mesh is beside locking-free presses of the same energy.
 
 python scripts/calibrate_mesh.py    # ten minutes a mesh, an hour for fine: the coefficients of `mesh_moduli`, errors
-python scripts/calibrate_mesh.py --sizes    # five minutes: run time and errors of meshes beside that of standard
 """
 
 import argparse
@@ -18,16 +17,12 @@ from scipy.optimize import curve_fit
 
 from gelgap.benchmarks.common import show
 from gelgap.benchmarks.fem.spheres import Press, solve_press
-from gelgap.benchmarks.physics.accuracy import MEMBRANE_NOTE, PRESS
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver
-from gelgap.benchmarks.physics.errors import SURFACE, errors
-from gelgap.benchmarks.physics.references import axisymmetric_press, own_cases, press_cases
-from gelgap.sim import Sharing, Solve
-from gelgap.sim.problem import LARGEST_POISSON_RATIO, QUALITIES, MeshSize
+from gelgap.benchmarks.physics.references import axisymmetric_press, own_cases
+from gelgap.sim import Sharing
+from gelgap.sim.problem import LARGEST_POISSON_RATIO
 
 KEPT = Path("benchmark-results/mesh-solves")
-
-
 CALIBRATION = tuple(
     axisymmetric_press(*scene[:2], poisson_ratio, friction, *scene[2:])
     for poisson_ratio, friction, scene in (
@@ -45,16 +40,6 @@ CHECK = (
     axisymmetric_press(3.0, 10.0, 0.49, math.inf, 0.1),
     axisymmetric_press(10.0, 4.0, 0.48, 0.2, 0.4),
 )
-TABLES = ("nh49_no_slip", "nh49_frictionless", "nh499_no_slip")
-STANDARD = QUALITIES["standard"].disc
-SIZES = {
-    "standard": STANDARD,
-    "8 sectors": replace(STANDARD, sectors=8),
-    "16 sectors": replace(STANDARD, sectors=16),
-    "5 cells across": replace(STANDARD, across=5.0),
-    "rings grow by 1.6": replace(STANDARD, ring_growth=1.6),
-    "layers grow by 1.5": replace(STANDARD, layer_growth=1.5),
-}
 
 
 def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -> None:
@@ -62,12 +47,9 @@ def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -
     print(f"FORCE_RISE_PER_POISSON = {force_rise_per_poisson():.2f}")
     for title, descents in (("Calibration", CALIBRATION), ("Check: not used", CHECK)):
         truths = own_cases(title, descents, solver)
-        presses = [press for press, _ in descents]
         rows = []
         for quality, mesh in itertools.product(qualities, meshes):
-            cases = [
-                on_mesh(truth, press, quality, mesh) for truth, press in zip(truths, presses, strict=True)
-            ]
+            cases = [on_mesh(truth, quality, mesh) for truth in truths]
             solved = solver.cases(cases)
             ratios = [
                 np.array([state.force_n[2] for state in solved[case].states]) / case.truth.force_n[:, 2]
@@ -84,7 +66,7 @@ def calibrate(qualities: Sequence[str], meshes: Sequence[str], solver: Solver) -
         show(title, pd.DataFrame(rows, columns=columns))
 
 
-def on_mesh(truth: Case, press: Press, quality: str, mesh: str) -> Case:
+def on_mesh(truth: Case, quality: str, mesh: str) -> Case:
     """Return a press of MuJoCo's own energy, on half a disc or a whole pad."""
     gel = {"strain_energy": "stable-neo-hookean", "pad_size_mm": (100.0, 100.0)}
     sharing = Sharing(translation=mesh == "disc", cache=False)
@@ -121,37 +103,16 @@ def stiffness(cases: Sequence[Case], ratios: Sequence[float]) -> tuple[float, ..
     return tuple(float(value) for value in found)
 
 
-def press_on(sizes: dict[str, MeshSize], cases: Sequence[Case], solver: Solver) -> pd.DataFrame:
-    """Solve cases of the tables with meshes of other sizes, and compare them with the tables."""
-    grid = list(itertools.product(sizes, cases))
-    solves = {}
-    for name, case in grid:
-        problem = case.solve.problem
-        quality = replace(problem.quality, disc=sizes[name])
-        solves[f"{name}: {case.name}"] = Solve(replace(problem, quality=quality), cached=False)
-    found = solver.solve(solves)
-    found["states"] = [case.states(own) for (_, case), own in zip(grid, found["solution"], strict=True)]
-    found["core_s"] = found["solve_s"]
-    rows = zip(grid, found.itertuples(), strict=True)
-    return pd.DataFrame([{"mesh": name, **errors(case, own)} for (name, case), own in rows])
-
-
 def main() -> None:
-    """Print the calibration, or the choice of sizes."""
+    """Print the calibration."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--quality", nargs="+", default=["draft", "standard"])
     parser.add_argument("--mesh", nargs="+", default=["disc"], choices=["disc", "pad"])
-    parser.add_argument("--sizes", action="store_true")
     chosen = parser.parse_args()
     solver = Solver(None, KEPT)
-    if chosen.sizes:
-        table = press_on(SIZES, [press_cases()[name] for name in TABLES], solver)
-        note = f"Fz with the stiffness of standard's mesh; another mesh would have its own; {MEMBRANE_NOTE}"
-        show("Meshes of half a disc", table[["mesh", *PRESS, *SURFACE]], note)
-    else:
-        calibrate(chosen.quality, chosen.mesh, solver)
+    calibrate(chosen.quality, chosen.mesh, solver)
     shutil.rmtree(KEPT)
 
 

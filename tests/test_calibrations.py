@@ -1,4 +1,4 @@
-"""The calibrations that are run by hand: a press on any mesh, the coefficients of an estimate."""
+"""The calibrations that are run by hand: the stiffness of a mesh, the coefficients of an estimate."""
 
 from pathlib import Path
 
@@ -7,22 +7,21 @@ import pandas as pd
 import pytest
 from loaded_file import load_file
 
-from gelgap.benchmarks.physics.cases import Solver
 from gelgap.benchmarks.physics.references import press_cases
 from gelgap.sim.estimate import CAUSES
-from gelgap.sim.problem import QUALITIES
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 
-def test_a_coarse_mesh_is_solved_and_compared_with_the_table(tmp_path: Path) -> None:
-    study = load_file(SCRIPTS / "calibrate_mesh.py")
-    sizes, cases = {"draft": QUALITIES["draft"].disc}, [press_cases()["nh49_no_slip"]]
-    errors = study.press_on(sizes, cases, Solver(1, tmp_path)).iloc[0]
-    assert errors["unconverged"] == 0
-    assert len(errors["fz_percent"]) == 5
-    assert np.abs(errors["fz_percent"]).max() < 6
-    assert errors["peak µm"] > 20
+def test_the_stiffness_of_a_mesh_is_found_from_the_ratios_that_it_leaves() -> None:
+    study, (a, b, c) = load_file(SCRIPTS / "calibrate_mesh.py"), (0.02, 4e-4, 0.15)
+    presses = [case.down_to(depth_mm) for case in press_cases().values() for depth_mm in (0.2, 0.6, 1.0)]
+    cases = [study.on_mesh(case, "draft", "disc") for case in presses]
+    ratios = []
+    for problem in (case.solve.problem for case in cases):
+        excess = (a + b / (1 - 2 * problem.moduli.poisson_ratio)) * (1 - c * np.log(problem.contact_width))
+        ratios.append((1 + excess) / (1 + problem.stiffness_excess))
+    assert study.stiffness(cases, ratios) == pytest.approx((a, b, c), rel=1e-3)
 
 
 def test_coefficients_of_the_estimate_give_the_variance_that_errors_were_drawn_with() -> None:

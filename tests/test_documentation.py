@@ -15,7 +15,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -71,7 +70,7 @@ NOT_RUN = {
     r"gelgap benchmark physics --what estimate": "hours; tests/benchmarks/physics/test_estimate.py runs its parts",
     r"gelgap benchmark physics --what shapes": "tests/benchmarks/physics/test_shapes.py runs its parts",
     r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
-    r"gelgap benchmark adaptation --what (augmentations|tuning|labels)": "hours, no quick form",
+    r"gelgap benchmark adaptation --what (tuning|labels)": "hours, no quick form",
     r"gelgap benchmark adaptation --what (calm|inputs|lights|crossed)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
@@ -89,9 +88,7 @@ NOT_RUN = {
 }
 """What does not run, and why. Commands of gelgap are parsed nevertheless, code is compiled."""
 
-RUN_SLOWLY = re.compile(
-    r"gelgap benchmark (throughput|throughput --what stages|physics|stability --what physics) --quick"
-)
+RUN_SLOWLY = re.compile(r"gelgap benchmark (throughput|physics|stability --what physics) --quick")
 """Run by the slow form of a page's test alone: tests/benchmarks runs the parts of these."""
 
 
@@ -129,13 +126,6 @@ def smallest_recipes(_: Callable) -> Callable:
     return lambda *_, **__: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
-def shallow_presses(real: Callable) -> Callable:
-    """Press a tenth of a millimetre deep, and do not drag."""
-    from gelgap.sim import Pose
-
-    return lambda quick: [replace(case, poses=(Pose(depth_mm=0.1),)) for case in real(quick)]
-
-
 def few_shallow_contacts(_: Callable) -> Callable:
     """Draw a few contacts of a tenth of a millimetre at most."""
     from gelgap.sim import PosePath
@@ -154,15 +144,10 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark physics --quick": {
         "benchmarks.physics.cases.run_missing": measured_in_this_process,
         "benchmarks.physics.accuracy.QUICK_DEPTH_MM": lambda real: 0.2,
-        "benchmarks.physics.condensation.condensation_cases": shallow_presses,
     },
     "gelgap benchmark throughput --quick": {
         "benchmarks.throughput.recipes_of": smallest_recipes,
         "benchmarks.throughput.processor_s": lambda real: lambda work, repeats=0: real(work),
-    },
-    "gelgap benchmark throughput --what stages --quick": {
-        "benchmarks.throughput.REPEATS": lambda real: 1,
-        "benchmarks.throughput.preset_recipes": smallest_recipes,
     },
     "gelgap benchmark throughput --what frames --quick": {
         "benchmarks.frames.random_path": few_shallow_contacts,
@@ -180,15 +165,9 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark stability --what physics --quick": {
         "benchmarks.physics.stability.QUICK_SCENES": lambda real: real[:1],
     },
-    "gelgap benchmark stability --what render --quick": {
-        "benchmarks.render.stability.QUICK_FRAMES": lambda real: 20,
-        "benchmarks.render.stability.QUICK_PRESSES": lambda real: 1,
-    },
     "gelgap benchmark adaptation --quick": {
         "benchmarks.adaptation.study.Study.generate": data_of_the_readme,
         "benchmarks.adaptation.groups.QUICK_METHODS": lambda real: ("source-only", "dsan"),
-        "benchmarks.adaptation.speed.QUICK": lambda real: (real[0][:1], *real[1:]),
-        "benchmarks.adaptation.speed.EPOCHS": lambda real: 1,
     },
 }
 """Benchmarks whose quick form takes minutes: what in gelgap is replaced by its smallest case."""

@@ -48,7 +48,6 @@ DESIGNS = ("paired", "independent")
 DATA_SETS = (*BY_ROLE, *DESIGNS)
 TUNING_DOMAINS = ("mb3i3", "wmb3i3", "wmb4i4")
 """Gels and lights by which hyperparameters are chosen: no group that is compared has one of them."""
-TUNING_SETS = ("tune-paired", "tune-independent")
 TUNING_CASES = (
     ("tune-paired", ("mb3i3", "wmb3i3")),
     ("tune-paired", ("wmb3i3", "wmb4i4")),

@@ -120,13 +120,6 @@ def load_ceilings(folder: Path) -> pd.DataFrame:
     return own.set_index(["target", "seed"]).sort_index()
 
 
-def methods_of(runs: pd.DataFrame, *left_out: str) -> list[str]:
-    """Return the methods that were run, rules first and then in the board's order, others last."""
-    there = list(runs["method"].unique())
-    order = dict.fromkeys([*RULES, *board.METHODS, *there])
-    return [method for method in order if method in there and method not in left_out]
-
-
 def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs, and the rules of `RULES` as further methods; what a record does not have is left out."""
     plain, adabn = (runs[runs["method"] == name] for name in (PLAIN, "adabn"))
@@ -150,11 +143,12 @@ def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
 def counted(runs: pd.DataFrame, values: str | list[str] = "error_n") -> pd.DataFrame:
     """Return values by group and seed (rows) and method, of the pairs that all methods have finished.
 
-    The ceiling apart: methods are compared on what every one of them has finished. A run that collapsed counts with
-    the error of the constant mean that it became.
+    Rules come first, then methods in the board's order, others last. The ceiling apart: methods are compared on what
+    every one of them has finished. A run that collapsed counts with the error of the constant mean that it became.
     """
     table = runs.pivot(index=["group", "seed"], columns="method", values=values)
-    methods = methods_of(runs)
+    there = runs["method"].unique()
+    methods = [method for method in dict.fromkeys([*RULES, *board.METHODS, *there]) if method in there]
     table = table.reindex(columns=methods, level="method" if isinstance(values, list) else None)
     table = table.reindex([name for name in NAMES if name in table.index.levels[0]], level="group")
     required = table.columns.get_level_values("method") != CEILING

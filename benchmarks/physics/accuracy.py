@@ -15,7 +15,6 @@ import pandas as pd
 
 from gelgap.benchmarks.common import rms, show, write_json
 from gelgap.benchmarks.physics.cases import Case, Solver
-from gelgap.benchmarks.physics.condensation import condensation_table
 from gelgap.benchmarks.physics.errors import SURFACE, Picture, combined, measured
 from gelgap.benchmarks.physics.references import (
     FORCE_UNCERTAINTY_PERCENT,
@@ -81,7 +80,6 @@ def run(quick: bool, out_dir: Path) -> None:
     solver = Solver(None, out_dir / "physics-solves")
     results = measured(quick_cases() if quick else full_cases(solver), solver, picture_maker())
     show_tables(results)
-    results["condensation"] = condensation_table(solver, quick)
     show_targets(results["presses"], results["drags"])
     plot_frontier(out_dir / "physics-frontier.png", frontier(results["presses"]))
     write_json(out_dir / "physics.json", results)

@@ -235,19 +235,18 @@ LAYOUTS: dict[str, Layout] = {
 """What `gelgap.domains.convert` reads of a clone, by name."""
 
 
-def converted_clone(layout: str, data: Path, out_dir: Path) -> Path:
-    """Return the folder of the domains of a clone in the folder `data`, converted once and kept in `out_dir`.
+def converted_wedge(data: Path, out_dir: Path) -> Path:
+    """Return the folder of the grasps' domains: the clone in `data`, converted once and kept in `out_dir`.
 
     Raises
     ------
     FileNotFoundError
         If the clone is missing; the message has the line that gets it.
     """
-    getting = {"wedge": WEDGE_CLONE, "ball-presses": BALL_CLONE}[layout]
-    clone, converted = data / getting.rpartition("/")[2], out_dir / "real" / layout
+    clone, converted = data / WEDGE_CLONE.rpartition("/")[2], out_dir / "real/wedge"
     if not clone.is_dir():
-        raise FileNotFoundError(f"{clone} is missing; get it: {getting} {clone}")
+        raise FileNotFoundError(f"{clone} is missing; get it: {WEDGE_CLONE} {clone}")
     if not converted.is_dir():
         LOG.info("converting %s, once", clone)
-        convert(clone, LAYOUTS[layout], converted)
+        convert(clone, LAYOUTS["wedge"], converted)
     return converted

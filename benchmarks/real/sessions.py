@@ -17,8 +17,8 @@ import pandas as pd
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation.board import CEILING, METHODS, Changes, Group
 from gelgap.benchmarks.adaptation.study import Study, control_of, grid, versions_line
-from gelgap.benchmarks.common import Results, Setting, bootstrap, mean_of, result_table, write_json
-from gelgap.benchmarks.real.published_sets import converted_clone
+from gelgap.benchmarks.common import Results, Setting, bootstrap, result_table, write_json
+from gelgap.benchmarks.real.published_sets import converted_wedge
 from gelgap.domains import LabelledFrames, Labels, force_classes, open_domain, with_labels
 from gelgap.domains.formats.convert import CONTACT_N
 
@@ -121,7 +121,7 @@ class SessionStudy(Study):
     def of(cls, quick: bool, out_dir: Path, data: Path, kind: str = "") -> Self:
         """Return the study of the cpu profile, or quickly of the smoke profile in this process."""
         profile = "smoke" if quick else "cpu"
-        folder = converted_clone("wedge", data, out_dir)
+        folder = converted_wedge(data, out_dir)
         return cls(folder, out_dir / "real" / f"{kind}{profile}", profile, workers=1 if quick else None)
 
     @staticmethod
@@ -235,10 +235,10 @@ def clip_means(errors: np.ndarray, clips: Sequence[str]) -> dict[str, float]:
     return pd.Series(np.abs(errors)).groupby(np.asarray(clips), sort=False).mean().round(5).to_dict()
 
 
-def clip_table(records: pd.DataFrame, results: str, columns: str) -> pd.DataFrame:
-    """Return what `clip_means` found in runs, by tested clip (rows) and seed or draw; NaN: not tested."""
-    found = records.filter(regex=f"^{results}[.]").rename(columns=lambda name: name.partition(".")[2])
-    return found.groupby(records[columns]).first().T.sort_index().dropna(how="all")
+def clip_table(records: pd.DataFrame) -> pd.DataFrame:
+    """Return the errors of runs, N, by tested clip (rows) and seed or draw; NaN: not tested."""
+    found = records.filter(regex="^clip_mae_n[.]").rename(columns=lambda name: name.partition(".")[2])
+    return found.groupby(records["seed"]).first().T.sort_index().dropna(how="all")
 
 
 def error_rows(
@@ -248,17 +248,15 @@ def error_rows(
 
     The difference is left out where the control has no records.
     """
-    found = {
-        name: clip_table(own, "clip_mae_n", "seed") for name, own in records.groupby(named_by, sort=False)
-    }
+    found = {name: clip_table(own) for name, own in records.groupby(named_by, sort=False)}
     median_s, rows = records.groupby(named_by)["stage2_s"].median(), []
     for name, errors_n in found.items():
-        mae_n = float(mean_of(errors_n.to_numpy()))
+        mae_n = float(np.nanmean(errors_n))
         row = {named_by: name, "MAE, N": mae_n, "95 % interval": bootstrap(errors_n.to_numpy())}
         control = controls.get(name)
         if control in found and control != name:
             less_n = (errors_n - found[control]).to_numpy()
-            difference_n = float(mean_of(less_n))
+            difference_n = float(np.nanmean(less_n))
             row |= {"control": control, "difference, N": difference_n, "of difference": bootstrap(less_n)}
             row["difference, %"] = 100 * difference_n / (mae_n - difference_n)
         rows.append(row | {"time, s": median_s[name]})
@@ -276,7 +274,7 @@ NOTE = (
 def direction_table(records: pd.DataFrame, note: str) -> ResultTable:
     """Each method's error on the way from one session to the other, and what it brings against its own control."""
     controls = dict(zip(records["method"], records["control"], strict=True))
-    way, clips = records.iloc[0], len(clip_table(records, "clip_mae_n", "seed"))
+    way, clips = records.iloc[0], len(clip_table(records))
     return result_table(
         f"Real grasps, {way['source']} → {way['target']}: MAE of Fz on held-out target clips",
         pd.DataFrame(error_rows(records, "method", controls)),

@@ -29,9 +29,9 @@ def test_every_subject_has_something_to_measure_in_both_forms():
     [
         (["physics"], ["physics.accuracy"]),
         (["stability"], ["physics.stability"]),
-        (["stability", "--what", "render"], ["render.stability"]),
+        (["stability", "--what", "physics"], ["physics.stability"]),
         (["adaptation", "--what", "crossed"], ["adaptation.rivals:CROSSED_PART"]),
-        (["adaptation", "--quick"], ["adaptation.groups:PART", "adaptation.speed:PART"]),
+        (["adaptation", "--quick"], ["adaptation.groups:PART"]),
         (["adaptation"], [part.place for part in parts_of("adaptation")]),
     ],
 )

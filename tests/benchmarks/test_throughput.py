@@ -1,23 +1,12 @@
-"""The cost of data sets: the stages of a frame."""
+"""How fast domains are read: every way has a rate."""
 
-from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
-from gelgap.benchmarks import throughput
-from gelgap.benchmarks.throughput import STAGES, apart_recipes, stages_ms
-from gelgap.domains import plan_generation
+from gelgap.benchmarks.throughput import reading_rates
+from gelgap.domains import open_domain
 
 
-def test_each_stage_of_a_frame_is_found_in_its_profile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(throughput, "REPEATS", 1)
-    plan = plan_generation(apart_recipes("draft"))
-    (solve,) = plan.solves.values()
-    solve.run()
-    batch = plan.batches[0]
-    ms = stages_ms(replace(batch, contacts=batch.contacts.part(0, 17)), tmp_path)
-    assert ms.keys() == {*STAGES, "labels, rest"}
-    assert all(value > 0 for value in ms.values())
-    assert ms["labels, rest"] < 0.3 * sum(ms.values())
+def test_every_way_to_read_a_domain_has_a_rate(valid_files: Path):
+    rates = reading_rates(open_domain(valid_files / "data" / "mb0i0"))
+    assert len(rates) == rates["way"].nunique() == 6
+    assert (rates["frames/s"] > 0).all()

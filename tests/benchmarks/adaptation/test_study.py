@@ -14,7 +14,7 @@ import pytest
 from run_records import label_record, look_up_method, record, write_benchmark, write_runs
 
 from gelgap.adapt.trainer import untrained
-from gelgap.benchmarks.adaptation import labels, speed
+from gelgap.benchmarks.adaptation import labels
 from gelgap.benchmarks.adaptation.board import GROUPS
 from gelgap.benchmarks.adaptation.study import (
     RUNS,
@@ -82,14 +82,13 @@ def test_a_runs_settings_stand_above_the_methods_own(same_data):
 
 def test_stored_records_are_of_todays_grids():
     """They are not repeated, and what was added since is."""
-    from gelgap.benchmarks.adaptation import choice
+    from gelgap.benchmarks.adaptation import tuning
     from gelgap.benchmarks.adaptation.board import TUNING_CASES
     from gelgap.benchmarks.common import key_of, read_records
 
     stored = Path(__file__).parents[3] / "docs" / "results" / "runs"
     grids = {
-        choice.TUNED: choice.grid_runs(TUNING_CASES, choice.tuned_methods(), [0]),
-        choice.AUGMENTATIONS: choice.variant_runs(TUNING_CASES, [choice.METHOD], [0]),
+        tuning.TUNED: tuning.grid_runs(TUNING_CASES, tuning.tuned_methods(), [0]),
         labels.RECORD: grid([("paired", group) for group in GROUPS], labels.METHODS, labels.SEEDS),
     }
     for file, runs in grids.items():
@@ -161,22 +160,10 @@ def test_report_of_all_parts(tmp_path):
     ]
     write_benchmark(folder, found)
     write_runs(folder / labels.RECORD, [label_record(GROUPS[0], "dsan", {0: 0.2, 1: 0.1})])
-    times = {speed.PLAIN: 1.0, speed.STAGE_1: 1.02, f"{speed.STAGE_2}{speed.BASE}": 2.0}
-    write_runs(
-        folder / speed.RECORD,
-        [
-            ({"loop": loop, "turn": 0}, {"step_ms": 40.0, "wait_share": 0.01, "processor_s": processor_s})
-            for loop, processor_s in times.items()
-        ],
-    )
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
     assert page.count("data:image/png;base64,") == 2
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
-    for expected in (
-        "Kendall's τ",
-        "A few labelled target frames",
-        "25.0 | +2.0 %",
-    ):
+    for expected in ("Kendall's τ", "A few labelled target frames"):
         assert expected in text
     latex = Path(tmp_path / "out" / "adaptation.tex").read_text(encoding="utf-8")
     assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))

@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from gelgap.benchmarks.physics import condensation
 from gelgap.benchmarks.physics.accuracy import frontier, plot_frontier
 from gelgap.benchmarks.physics.cases import Case, Solver
-from gelgap.benchmarks.physics.condensation import condensation_cases, condensation_table
 from gelgap.benchmarks.physics.errors import errors, normals, surface_errors
 from gelgap.benchmarks.physics.references import (
     HELD_BACK,
@@ -97,25 +95,6 @@ def test_drags_without_slip_come_first_and_those_with_friction_know_how_far_they
     # More friction, more shear, and both below the drag that never slips.
     ends = [found[0.3, 0.6].force_n[-1, 0], found[0.8, 0.6].force_n[-1, 0]]
     assert ends[0] < ends[1] < without[0].truth.force_n[-1, 0]
-
-
-@pytest.mark.usefixtures("coarse")
-def test_the_condensed_solve_changes_nothing_but_time(tmp_path, capsys, monkeypatch):
-    (case,) = condensation_cases(quick=True)
-    shallow = tuple(replace(pose, depth_mm=0.3) for pose in case.poses)
-    monkeypatch.setattr(condensation, "condensation_cases", lambda quick: [replace(case, poses=shallow)])
-    found = condensation_table(Solver(1, tmp_path), quick=True).iloc[0]
-    assert found["iterations"] == found["alone, iterations"] > 10
-    assert found["core s"] > 0
-    assert found["ratio"] > 0
-    assert found["force changes by"] < 1e-9
-    assert found["membrane, mm"] < 1e-9
-    assert "on a condensed equation" in capsys.readouterr().out
-
-
-def test_condensation_is_measured_on_every_shape_of_mesh_at_two_qualities():
-    chosen = condensation_cases(quick=False)
-    assert len({(case.name, case.quality) for case in chosen}) == len(chosen) == 8
 
 
 def test_the_frontier_is_of_the_cases_that_each_quality_solved(tmp_path):

@@ -3,11 +3,13 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gelgap.benchmarks.render import accuracy
-from gelgap.benchmarks.render.scenes import STORED_SCENES, stored_reference
+from gelgap.benchmarks.render.scenes import STORED_SCENES, drawn_scene, stored_reference
 from gelgap.cli.main import main
+from gelgap.render import MembraneRenderer
 
 
 def test_every_stored_scene_has_its_picture() -> None:
@@ -33,3 +35,17 @@ def test_the_quick_benchmark_runs_and_standard_quality_is_accurate(
     assert worst["standard"] > worst["no shadows"]
     times = {row.pop("ms per frame"): row for row in results["times"]}
     assert set(times["320×240 standard i0"]) == {"typical", "worst", "with noise"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_no_pixel_of_a_drawn_scene_is_far_from_the_finest_sampling(seed: int) -> None:
+    scene = drawn_scene(seed)
+    standard, fine = (
+        MembraneRenderer(scene.sensor(), scene.light(), (160, 120), quality).linear(
+            *scene.membrane(), markers=False
+        )
+        for quality in ("standard", "fine")
+    )
+    assert np.minimum(standard, fine).min() >= 0
+    assert np.abs(standard - fine).max() < 0.08

@@ -2,19 +2,19 @@
 
 import math
 import tomllib
-from pathlib import Path
 
 import pandas as pd
 import pytest
 from run_records import Record, record, write_runs
 
 from gelgap.adapt import SELECTORS, Profile
-from gelgap.benchmarks.adaptation import choice
-from gelgap.benchmarks.adaptation.board import GROUPS, TUNING_CASES, TUNING_DOMAINS, TUNING_SETS, recipes_of
-from gelgap.benchmarks.adaptation.choice import SELECTOR
-from gelgap.benchmarks.adaptation.study import Study, load_runs
+from gelgap.benchmarks.adaptation import tuning
+from gelgap.benchmarks.adaptation.board import GROUPS, TUNING_CASES, TUNING_DOMAINS, recipes_of
+from gelgap.benchmarks.adaptation.study import load_runs
+from gelgap.benchmarks.adaptation.tuning import SELECTOR
 
 WEIGHTS = (0.0, 0.003, 0.03, 0.3, 3.0)
+TUNING_SETS = {data for data, _ in TUNING_CASES}
 TUNING_GROUPS = [group for _, group in TUNING_CASES]
 
 
@@ -48,7 +48,7 @@ def runs_of(tmp_path):
 def chosen(runs_of):
     """The value that is chosen for each method."""
     return lambda records: {
-        method: choice.chosen(own) for method, own in choice.of_grid(runs_of(records)).items()
+        method: tuning.chosen(own) for method, own in tuning.of_grid(runs_of(records)).items()
     }
 
 
@@ -71,27 +71,27 @@ def test_an_alarm_or_a_collapse_is_last_whatever_its_score(chosen):
 
 def test_a_case_counts_only_with_its_whole_grid(chosen, runs_of):
     whole, part = grid([2, 1, 3, 4, 5], [0.1] * 5), grid([1, 2, 3, 4, 5], [0.1] * 5, group=1)[:-1]
-    assert set(choice.of_grid(runs_of([*whole, *part]))["dann"]["group"]) == {" → ".join(TUNING_GROUPS[0])}
+    assert set(tuning.of_grid(runs_of([*whole, *part]))["dann"]["group"]) == {" → ".join(TUNING_GROUPS[0])}
     assert chosen([*whole, *part]) == {"dann": WEIGHTS[1]}
 
 
 def test_a_choice_on_the_edge_is_flagged(tmp_path):
-    write_runs(tmp_path / choice.TUNED, grid([1, 2, 3, 4, 5], [0.1] * 5))
-    (table,) = choice.TUNE.tables(tmp_path)
+    write_runs(tmp_path / tuning.TUNED, grid([1, 2, 3, 4, 5], [0.1] * 5))
+    (table,) = tuning.PART.tables(tmp_path)
     assert dict(zip(table.columns, table.cells[0], strict=True))["on the edge"] == "lowest"
-    assert choice.edge_of(0.3, WEIGHTS) == ""
-    assert choice.edge_of(3.0, WEIGHTS) == "highest"
+    assert tuning.edge_of(0.3, WEIGHTS) == ""
+    assert tuning.edge_of(3.0, WEIGHTS) == "highest"
 
 
 def test_regret_is_the_error_over_the_best(runs_of):
     records = grid([2, 1, 3, 4, 5], [0.1, 0.3, 0.2, 0.4, 0.5])
-    found = choice.of_grid(runs_of(records))["dann"]
-    regret_n = found[found["candidate"] == choice.chosen(found)]["regret_n"]
+    found = tuning.of_grid(runs_of(records))["dann"]
+    regret_n = found[found["candidate"] == tuning.chosen(found)]["regret_n"]
     assert regret_n.tolist() == pytest.approx([0.2])
 
 
 def test_the_frozen_choice_is_a_profile(runs_of, tmp_path):
-    text = choice.settings_toml(runs_of(grid([5, 4, 3, 2, 1], [0.1] * 5)))
+    text = tuning.settings_toml(runs_of(grid([5, 4, 3, 2, 1], [0.1] * 5)))
     assert tomllib.loads(text) == {"settings": {"dann": {"transfer_weight": 3.0}}}
     (tmp_path / "own.toml").write_text(f'base = "smoke"\n{text}')
     assert Profile.load(tmp_path / "own.toml").settings["dann"] == {"transfer_weight": 3.0}
@@ -100,14 +100,14 @@ def test_the_frozen_choice_is_a_profile(runs_of, tmp_path):
 def test_every_method_has_the_same_budget_and_a_setting_that_it_has():
     from gelgap.adapt import find_method
 
-    methods = choice.tuned_methods()
-    runs = choice.grid_runs(TUNING_CASES, methods, [0])
+    methods = tuning.tuned_methods()
+    runs = tuning.grid_runs(TUNING_CASES, methods, [0])
     assert {m: sum(run["method"] == m for run in runs) for m in methods} == dict.fromkeys(methods, 28)
     grids = {m: find_method(m).grid for m in methods}
     assert all(name in find_method(m).Settings.model_fields for m, (name, _) in grids.items())
     assert {values[0] for _, values in grids.values()} == {0.0}
     with pytest.raises(ValueError, match=r"method 'dsam' is unknown; known methods: .* did you mean dsan\?"):
-        choice.tuned_methods(["dsam"])
+        tuning.tuned_methods(["dsam"])
 
 
 def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
@@ -117,7 +117,7 @@ def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
     start = "from gelgap.adapt import Method\nclass Mine(Method):\n    grid = "
     file.write_text(start + "('transfer_weight', (0.0, 0.5))\n")
     mine = use_method(f"{file}:Mine")
-    runs = choice.grid_runs(TUNING_CASES[:1], choice.tuned_methods([mine]), [0])
+    runs = tuning.grid_runs(TUNING_CASES[:1], tuning.tuned_methods([mine]), [0])
     assert [run["settings"] for run in runs] == [(("transfer_weight", 0.0),), (("transfer_weight", 0.5),)]
     for name, grid, message in (
         ("low", "('transfer_weight', (-1.0, 0.5))", "greater than or equal to 0"),
@@ -127,7 +127,7 @@ def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
         other = tmp_path / f"graded_{name}.py"
         other.write_text(start + grid)
         with pytest.raises(ValueError, match=message):
-            choice.tuned_methods([use_method(f"{other}:Mine")])
+            tuning.tuned_methods([use_method(f"{other}:Mine")])
 
 
 def test_nothing_is_tuned_on_what_is_compared():
@@ -141,41 +141,12 @@ def test_nothing_is_tuned_on_what_is_compared():
 
 
 def test_the_table_of_the_choice(tmp_path):
-    assert choice.TUNE.tables(tmp_path) == []
-    write_runs(tmp_path / choice.TUNED, grid([2, 1, 3, 4, 5], [0.1, 0.3, 0.2, 0.4, 0.5]))
-    (table,) = choice.TUNE.tables(tmp_path)
+    assert tuning.PART.tables(tmp_path) == []
+    write_runs(tmp_path / tuning.TUNED, grid([2, 1, 3, 4, 5], [0.1, 0.3, 0.2, 0.4, 0.5]))
+    (table,) = tuning.PART.tables(tmp_path)
     assert table.cells == [
         [
             *("dann", "0, 0.003, 0.03, 0.3, 3", "2.0, 1.0, 3.0, 4.0, 5.0", "0.003", ""),
             *("0.200", "0.200", "1"),
         ]
     ]
-
-
-def variant(name: str, score: float, mae: float, data: str) -> Record:
-    group = (TUNING_GROUPS if data in TUNING_SETS else GROUPS)[0]
-    fields = {"scores": dict.fromkeys(SELECTORS, score), "alarm": False, "mae_n": (mae, mae, 2 * mae)}
-    return record(group, "no-transfer", mae, data=data, changes=choice.VARIANTS[name], **fields)
-
-
-def test_augmentations_are_chosen_the_same_way(tmp_path):
-    scores = {
-        **{"none": 5.0, "shifts": 4.0, "shifts, mixed colours": 3.0},
-        **{"shifts, hidden markers": 1.0, "all three": 2.0},
-    }
-    assert choice.AUGMENT.tables(tmp_path) == []
-    records = [variant(name, score, score / 10, "tune-paired") for name, score in scores.items()]
-    records.append(variant("shifts, inputs standardised by domain", 0.0, 0.1, "tune-paired"))
-    write_runs(tmp_path / choice.AUGMENTATIONS, records)
-    lines = choice.augmentation_toml(load_runs(tmp_path / choice.AUGMENTATIONS)).splitlines()
-    assert lines[1:] == ["shift_px = 3", "colour_mixing = 0", "marker_hiding = 0.5"]
-    (on_tuning,) = choice.AUGMENT.tables(tmp_path)
-    rows = {row[0]: row[1:] for row in on_tuning.cells}
-    assert rows["shifts, hidden markers"][:4] == ["1.00", "yes", "0.133", "0.100"]
-    assert rows["shifts, inputs standardised by domain"][:2] == ["–", ""]
-
-
-def test_variants_change_fields_that_exist():
-    study = Study(Path(), Path(), "cpu")
-    for run in choice.variant_runs(TUNING_CASES, ["no-transfer"], [0]):
-        assert study.profile_of(run).split_by == "point"

@@ -1,4 +1,4 @@
-"""What is chosen without target labels, on groups that are not compared: augmentations, and a setting of each method.
+"""What is chosen without target labels, on groups that are not compared: a setting of each method.
 
 One rule for all: every case (data set, group, seed) ranks the candidates by the selector's score, those that collapsed
 or look like constant predictors last, and the candidate of least mean rank is chosen, of equals the first. Regret is
@@ -20,23 +20,8 @@ from gelgap.benchmarks.common import Setting, result_table
 SELECTOR = "reverse validation"
 """Fixed by argument: of the six it alone goes by the target's predictions back to known forces, so that features which
 are aligned wrongly cost it as much as features which are not."""
-AUGMENTATIONS, TUNED = "augmentations.jsonl", "tuning.jsonl"
+TUNED = "tuning.jsonl"
 SEEDS = (0,)
-METHOD = "no-transfer"
-"""The method by which augmentations are chosen: no loss of a method has a say."""
-FIELDS = ("shift_px", "colour_mixing", "marker_hiding")
-SHIFT_PX = 3
-"""About half the spacing of the contact points in the network's picture."""
-AUGMENTED = {
-    "none": (0, 0.0, 0.0),
-    "shifts": (SHIFT_PX, 0.0, 0.0),
-    "shifts, mixed colours": (SHIFT_PX, 0.5, 0.0),
-    "shifts, hidden markers": (SHIFT_PX, 0.0, 0.5),
-    "all three": (SHIFT_PX, 0.5, 0.5),
-}
-VARIANTS = {name: (*board.BY_POINT, *zip(FIELDS, own, strict=True)) for name, own in AUGMENTED.items()}
-VARIANTS["shifts, inputs standardised by domain"] = (*VARIANTS["shifts"], ("input_standardisation", "domain"))
-"""The candidates, and last a control that is none."""
 
 
 def ranked(runs: pd.DataFrame) -> pd.DataFrame:
@@ -58,7 +43,7 @@ def ranked(runs: pd.DataFrame) -> pd.DataFrame:
 
 def chosen(found: pd.DataFrame) -> Any:
     """Return the candidate of least mean rank over the cases; the first of equals."""
-    return found.groupby("candidate", observed=True)["rank"].mean().idxmin()
+    return found.groupby("candidate")["rank"].mean().idxmin()
 
 
 def of_grid(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -66,14 +51,6 @@ def of_grid(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
     found = ranked(runs.assign(candidate=[settings[0][1] for settings in runs["settings"]]))
     methods = dict.fromkeys([*board.METHODS, *found["method"]])
     return {method: own for method in methods if len(own := found[found["method"] == method])}
-
-
-def augmented(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the ranked augmentations among the runs."""
-    names = {VARIANTS[name]: name for name in AUGMENTED}
-    runs = runs[runs["changes"].isin(names)]
-    candidates = pd.Categorical(runs["changes"].map(names), list(AUGMENTED))
-    return ranked(runs.assign(candidate=candidates))
 
 
 def tuned_methods(chosen: Sequence[str] | None = None) -> list[str]:
@@ -112,25 +89,11 @@ def grid_runs(
     return grid(cases, methods, seeds, settings=settings.get)
 
 
-def variant_runs(
-    cases: Sequence[tuple[str, board.Group]], methods: Sequence[str], seeds: Iterable[int]
-) -> list[Setting]:
-    """Return the runs of every variant of the augmentations."""
-    return [run for seed in seeds for own in VARIANTS.values() for run in grid(cases, methods, [seed], own)]
-
-
 def tune(study: Study) -> None:
     """Do the grid's missing runs on the tuning groups, and print what the profile's file needs."""
     runs = grid_runs(board.TUNING_CASES, tuned_methods(study.methods), study.seeds or SEEDS)
     study.generate_for(runs)
     print(settings_toml(with_errors(study.run(scored_run, runs, TUNED))))
-
-
-def augment(study: Study) -> None:
-    """Do the missing runs on the tuning groups, and print what the profile's file needs."""
-    runs = variant_runs(board.TUNING_CASES, [METHOD], study.seeds or SEEDS)
-    study.generate_for(runs)
-    print(augmentation_toml(with_errors(study.run(scored_run, runs, AUGMENTATIONS))))
 
 
 def settings_toml(runs: pd.DataFrame) -> str:
@@ -140,21 +103,12 @@ def settings_toml(runs: pd.DataFrame) -> str:
     return "\n".join(["# python -m gelgap.benchmarks.adaptation tuning", *found])
 
 
-def augmentation_toml(runs: pd.DataFrame) -> str:
-    """Return the lines of the profile's file that freeze the choice; nothing if no group is complete."""
-    found = augmented(runs)
-    if found.empty:
-        return ""
-    fields = [f"{name} = {value:g}" for name, value in zip(FIELDS, AUGMENTED[chosen(found)], strict=True)]
-    return "\n".join(["# python -m gelgap.benchmarks.adaptation augmentations", *fields])
-
-
 def edge_of(value: float, values: Sequence[float]) -> str:
     """Say whether a chosen value ends its grid, so that a further one may be better still."""
     return {values[0]: "lowest", values[-1]: "highest"}.get(value, "")
 
 
-def tuning_tables(folder: Path) -> list[ResultTable]:
+def tables(folder: Path) -> list[ResultTable]:
     """Return each method's mean rank by candidate, what was chosen, and the regret on the tuning groups."""
     rows = {}
     for method, own in of_grid(load_runs(folder / TUNED)).items():
@@ -181,27 +135,4 @@ def tuning_tables(folder: Path) -> list[ResultTable]:
     return [table]
 
 
-def augmentation_tables(folder: Path) -> list[ResultTable]:
-    """Return what was chosen on the tuning groups by the selector."""
-    runs = load_runs(folder / AUGMENTATIONS)
-    runs = runs[runs["data"].isin(board.TUNING_SETS)]
-    found = augmented(runs)
-    if found.empty:
-        return []
-    columns = [form.format(axis) for form in ("MAE {}, N", "R² {}") for axis in board.AXES]
-    means = runs.groupby("changes")[["error_n", *columns]].mean()
-    frame = means.reindex(list(VARIANTS.values())).set_axis(pd.Index(list(VARIANTS), name="augmentation"))
-    frame = frame.rename(columns={"error_n": "mean MAE, N"})
-    ranks = found.groupby("candidate")["rank"]
-    frame.insert(0, "mean rank", ranks.mean())
-    frame.insert(1, "chosen", ["yes" if name == chosen(found) else "" for name in frame.index])
-    note = (
-        f"Mean over {ranks.size().max()} cases of group and design. Ranks by reverse validation, which sees no target "
-        "label; the errors were not used. The last row is a control, not a candidate."
-    )
-    formats = {"": "{:.3f}", "mean rank": "{:.2f}", **{f"R² {axis}": "{:.2f}" for axis in board.AXES}}
-    return [result_table(f"Augmentations on the tuning groups, {METHOD}", frame, note, formats)]
-
-
-AUGMENT = Part(augment, augmentation_tables)
-TUNE = Part(tune, tuning_tables)
+PART = Part(tune, tables)
