@@ -20,6 +20,7 @@ from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains, random_stream
+from gelgap.domains.formats.domain_folder import DomainName
 from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
@@ -135,11 +136,7 @@ def _rounded(value_mm: float) -> float:
 class DomainRecipe(Settings):
     """One domain, completely: the same recipe and package versions give the same bytes."""
 
-    name: str = Field(
-        description="the domain's name, and its folder's",
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$",
-        max_length=128,
-    )
+    name: DomainName = Field(description="the domain's name, and its folder's")
     elastomer: Elastomer
     indenter: AnyIndenter = Sphere()
     further_indenters: tuple[AnyIndenter, ...] = Field(
@@ -433,14 +430,4 @@ def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ..
     with named_in_errors(file):
         content = RecipeFile(**read_with_path(file))
         check_named_once(entry.name for entry in content.domains)
-        return tuple(
-            own_recipe(
-                entry.name,
-                content.path,
-                base="mb0i0" if entry.markers else "wmb0i0",
-                elastomer=entry.elastomer,
-                illumination=entry.illumination,
-                **settings | {"sensor": entry.sensor},
-            )
-            for entry in content.domains
-        )
+        return tuple(own_recipe(path=content.path, **settings | dict(entry)) for entry in content.domains)

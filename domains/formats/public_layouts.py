@@ -142,27 +142,19 @@ def write_lerobot(frames: GeneratedDomain, folder: Path) -> None:
     lengths = table.groupby("episode").size().to_numpy()
     ends = np.cumsum(lengths)
     starts, n = ends - lengths, len(ends)
-    files, writer, size = [], None, 0
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        if writer is None or size > _MOST_BYTES:
-            if writer is not None:
-                writer.close()
-            number, size = files[-1] + 1 if files else 0, 0
-            writer = pq.ParquetWriter(folder / _DATA_PATH.format(chunk_index=0, file_index=number), schema)
-        pictures = [frames.encoded_picture(index) for index in table.index[start:end]]
-        cells = {_CAMERA: [{"bytes": picture, "path": None} for picture in pictures]}
-        cells |= {name: own[start:end].tolist() for name, own in values.items()}
-        writer.write_table(pa.Table.from_pydict(cells, schema))
-        size += sum(map(len, pictures))
-        files.append(number)
-    writer.close()
+    with pq.ParquetWriter(folder / _DATA_PATH.format(chunk_index=0, file_index=0), schema) as writer:
+        for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+            pictures = (frames.encoded_picture(index) for index in table.index[start:end])
+            cells = {_CAMERA: [{"bytes": picture, "path": None} for picture in pictures]}
+            cells |= {name: own[start:end].tolist() for name, own in values.items()}
+            writer.write_table(pa.Table.from_pydict(cells, schema))
     task = f"press and drag: {frames.recipe.indenter.label} on gel {frames.name}"
     listed = {
         "episode_index": range(n),
         "tasks": [[task]] * n,
         "length": lengths,
         "data/chunk_index": [0] * n,
-        "data/file_index": files,
+        "data/file_index": [0] * n,
         "dataset_from_index": starts,
         "dataset_to_index": ends,
         "meta/episodes/chunk_index": [0] * n,

@@ -22,7 +22,7 @@ from gelgap.sim import Diagnostics, Pose
 if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
-    from gelgap.render import MembraneRenderer, Sensor
+    from gelgap.render import MembraneRenderer
     from gelgap.sim import MembraneState
 
 SCHEMA_VERSION = 1
@@ -82,7 +82,6 @@ class View(NamedTuple):
     """One contact as a sensor sees it; `coarse_n` is its contact force by cells of the view, if that is wanted."""
 
     renderer: "MembraneRenderer"
-    sensor: "Sensor"
     state: "MembraneState"
     coarse_n: np.ndarray | None = None
 
@@ -122,7 +121,7 @@ def _contact_mask(view: View) -> dict[str, Any]:
 def _marker_rest_mm(view: View) -> list[list[float]]:
     from gelgap.render import marker_rest_mm
 
-    return _point_list(marker_rest_mm(view.sensor.markers))
+    return _point_list(marker_rest_mm(view.renderer.sensor.markers))
 
 
 def _marker_px(view: View) -> list[list[float]]:

@@ -210,14 +210,12 @@ class LabelledFrames(ABC):
         wrong = ~((values >= labels.low) & (values <= labels.high))
         if wrong.any():
             frame, label = np.argwhere(wrong)[0]
-            value, (symbol, unit) = values[frame, label], labels.quantities[label]
-            how, advice = "outside the declared range", "labels are never clipped: give a wider one (--range)"
-            if not np.isfinite(value):
-                how, advice = "that is not a number", "take such frames out"
+            (symbol, unit), (low, high) = labels.quantities[label], labels.ranges[label]
             raise ValueError(
-                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have a label {how}; first: frame "
-                f"{frame}, {symbol} = {value:.4g} {unit}, allowed [{labels.low[label]:g}, {labels.high[label]:g}] "
-                f"{unit}; {advice}"
+                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have a label outside the "
+                f"declared range; first: frame {frame}, {symbol} = {values[frame, label]:.4g} {unit}, allowed "
+                f"[{low:g}, {high:g}] {unit}; labels are never clipped: give a wider one (--range), or take out what "
+                "is not a number"
             )
         classes = self.contact_class
         if len(self) and not (classes.min() >= -1 and classes.max() < self.n_classes):

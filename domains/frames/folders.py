@@ -95,7 +95,7 @@ def domain_folders(folder: Path | str) -> tuple[Path, ...]:
 
 def layout_problem(folder: Path) -> str | None:
     """Return why a folder is not a data set, and what was looked for; None if it has a known layout."""
-    tables = _tables_in(folder)
+    tables = sorted(folder.glob("*.csv"))
     if (folder / MANIFEST).exists() or _is_published(folder) or len(tables) == 1:
         return None
     if tables:
@@ -167,10 +167,6 @@ def read_table(path: Path) -> list[dict[str, str]]:
         raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None
 
 
-def _tables_in(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.csv"))
-
-
 def _is_published(folder: Path) -> bool:
     parts = (folder / part / "images" for part in (*PUBLISHED_PARTS, UNSPLIT))
     return (folder / PUBLISHED_REFERENCE).is_file() and any(part.is_dir() for part in parts)
@@ -207,16 +203,11 @@ def _published(folder: Path) -> PictureFiles:
 
 
 def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
-    """Return the pictures of a part and its columns: forces, and contact classes where every row has one."""
+    """Return the pictures of a part and its columns: forces, and contact classes where there are any."""
     part = table.parents[1]
     if not table.is_file():
         raise FileNotFoundError(f"{table} is missing; every part has its forces there")
-    columns, classes = (
-        known_columns(table, FORCE_COLUMNS),
-        [row.get(PUBLISHED_LABEL) for row in read_table(table)],
-    )
-    if all(classes):
-        columns["contact_class"] = _whole_numbers(classes, f"{table}, column {PUBLISHED_LABEL!r}")
+    columns = known_columns(table, (*FORCE_COLUMNS, "contact_class"))
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
@@ -235,7 +226,7 @@ def _picture_folder(folder: Path) -> PictureFiles:
     Pictures lie in the folder or in its `images/`. Labels beyond the paper's ranges of forces widen them to the next
     0.1 N, which is noted.
     """
-    (table,) = _tables_in(folder)
+    (table,) = folder.glob("*.csv")
     columns, notes = known_columns(table), []
     if "picture" not in columns or not known_labels(columns):
         raise ValueError(

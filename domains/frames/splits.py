@@ -228,13 +228,13 @@ def _strata_of(domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], 
 
 
 def _stated_parts(frames: LabelledFrames, stratify_by: str | None) -> np.ndarray:
-    stated, instead = set(frames.columns.get("split", ())), "split by random, point or a column"
     if stratify_by is not None:
         raise ValueError(f"data set {frames.name} states its split: it cannot be stratified by {stratify_by}")
-    if not stated or not stated <= set(PARTS):
-        raise ValueError(f"data set {frames.name} gives no split into {', '.join(PARTS)}; {instead}")
-    for part in {"train", "test"} - stated:
-        raise ValueError(f"data set {frames.name} states a split without {part} frames; {instead}")
+    if not {"train", "test"} <= set(frames.columns.get("split", ())) <= set(PARTS):
+        raise ValueError(
+            f"data set {frames.name} states no split into {', '.join(PARTS)}, with frames for training and tests; "
+            "split by random, point or a column"
+        )
     return np.array([PARTS.index(part) for part in frames.columns["split"]], dtype=np.int64)
 
 
@@ -265,14 +265,7 @@ def contact_points(*domains: LabelledFrames) -> tuple[np.ndarray, ...]:
     ValueError
         If a domain states neither.
     """
-    if all(name in frames.columns for frames in domains for name in _POINT):
-        return _numbered([_rounded(frames, _POINT) for frames in domains])
-    for frames in domains:
-        if (frames.point_id < 0).any():
-            raise ValueError(
-                f"data set {frames.name} does not say its contact points; split by random or given"
-            )
-    return _numbered([frames.point_id[:, None] for frames in domains])
+    return _numbered_contacts(domains, _POINT, ("point_id",), "split by random or given")
 
 
 def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
@@ -286,26 +279,29 @@ def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndar
     ValueError
         If a data set states neither.
     """
-    domains = (one, other)
-    if all(name in frames.columns for frames in domains for name in _POSE):
-        first, second = _numbered([_rounded(frames, _POSE) for frames in domains])
-    elif all(frames.has_classes and (frames.point_id >= 0).all() for frames in domains):
-        labels = [np.stack([frames.point_id, frames.contact_class], axis=1) for frames in domains]
-        first, second = _numbered(labels)
-    else:
-        for frames in domains:
-            if missing := [name for name in _POSE if name not in frames.columns]:
-                raise ValueError(
-                    f"data set {frames.name} lacks {', '.join(missing)}: its contacts cannot be paired"
-                )
+    numbers = ("point_id", "contact_class")
+    first, second = _numbered_contacts((one, other), _POSE, numbers, "they cannot be paired")
     place = np.full(np.concatenate([first, second]).max(initial=-1) + 1, -1)
     place[second] = np.arange(len(second))
     paired = np.flatnonzero(place[first] >= 0)
     return paired, place[first[paired]]
 
 
-def _rounded(frames: LabelledFrames, columns: Sequence[str]) -> np.ndarray:
-    return np.rint(frames.values_of(columns) / _RESOLUTION_MM).astype(np.int64)
+def _numbered_contacts(
+    domains: Sequence[LabelledFrames], places: Sequence[str], numbers: Sequence[str], otherwise: str
+) -> tuple[np.ndarray, ...]:
+    """Return the number (n,) of each frame's contact: by columns in mm where all state them, else by their numbers."""
+    if all(name in frames.columns for frames in domains for name in places):
+        steps = [frames.values_of(places) / _RESOLUTION_MM for frames in domains]
+        return _numbered([np.rint(own).astype(np.int64) for own in steps])
+    stated = [np.stack([getattr(frames, name) for name in numbers], axis=1) for frames in domains]
+    for frames, own in zip(domains, stated, strict=True):
+        if (own < 0).any():
+            raise ValueError(
+                f"data set {frames.name} does not say its contacts by {', '.join(places)}, nor by "
+                f"{' and '.join(numbers)}: {otherwise}"
+            )
+    return _numbered(stated)
 
 
 def _numbered(keys: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:

@@ -87,13 +87,11 @@ class StoredFrames(LabelledFrames):
         resized(self.reference, size_px)
         path = self._cache_file(size_px, markers)
         shape = (len(self), size_px[1], size_px[0], 3)
-        pictures = open_kept_pictures(path, shape)
-        if pictures is None:
-            with key_lock(path.parent, path.name):
+        with key_lock(path.parent, path.name):
+            pictures = open_kept_pictures(path, shape)
+            if pictures is None:
+                write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
                 pictures = open_kept_pictures(path, shape)
-                if pictures is None:
-                    write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
-                    pictures = open_kept_pictures(path, shape)
         if pictures is None:
             raise RuntimeError(
                 f"{path} is not what was written: the disk is faulty, or another program changed it"

@@ -11,6 +11,7 @@ import pandas as pd
 from gelgap.domains.domain import random_stream
 from gelgap.domains.formats.pictures import encode_png, without_markers
 from gelgap.domains.formats.shards import LABELS, OPTIONAL, Column, Contact, View, encode_shard, picture_cell
+from gelgap.domains.frames.labels import FORCE_COLUMNS
 from gelgap.domains.frames.splits import PARTS, draw_parts
 from gelgap.domains.generation.plan import FrameBatch
 from gelgap.domains.library import PoseLibrary
@@ -19,9 +20,8 @@ from gelgap.render import MembraneRenderer, view_half_extent_mm
 from gelgap.sim import MembraneState, Pose, traction_map
 
 Row = dict[str, Any]
-# One renderer holds the light of the undeformed membrane, some 0.2 MB for three LEDs.
-KEPT_RENDERERS = 32
-_renderer = lru_cache(maxsize=KEPT_RENDERERS)(MembraneRenderer)
+# One renderer holds the light of the undeformed membrane, some 0.2 MB for three LEDs; a sweep has hundreds of lights.
+_renderer = lru_cache(maxsize=512)(MembraneRenderer)
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,7 @@ class ShardRows:
                 f"domain {self.recipe.name}: {len(self.refused)} of {len(self.rows)} frames cannot be rendered; "
                 f"frame {frame}: {reason}"
             )
-        forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in self.rows if row["converged"]])
-        forces = forces.reshape(-1, 3)
+        forces = pd.DataFrame(self.rows).query("converged")[[*FORCE_COLUMNS]].to_numpy()
         low, high = np.array(self.recipe.force_range_n).T
         facts = {
             "frames": len(self.rows),
@@ -81,35 +80,23 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     alike: dict[Hashable, list[ShardRows]] = {}
     for own in shards:
         alike.setdefault(_rendering(own.recipe), []).append(own)
-    groups = list(alike.values())
-    # Contacts are the inner loop as long as the renderers of the outer one are kept.
-    for start in range(0, len(groups), KEPT_RENDERERS):
-        _add_rows(groups[start : start + KEPT_RENDERERS], batch, solutions)
-    libraries = (source for source in solutions.values() if isinstance(source, PoseLibrary))
-    errors = next((library.errors for library in libraries if library.held_out is not None), None)
-    return [own.shard(batch.shard, errors) for own in shards]
-
-
-def _add_rows(groups: Sequence[Sequence[ShardRows]], batch: FrameBatch, solutions: dict[str, Any]) -> None:
-    """Add every frame's row to shards in groups that share their pictures.
-
-    Contact by contact, so that a membrane is rastered once for all lights that fall on it. Cameras with the same extent
-    of view share their membranes, whose grid it decides.
-    """
-    contacts, first = batch.contacts, [members[0].recipe for members in groups]
-    extents = [view_half_extent_mm(recipe.sensor.camera, recipe.size_px) for recipe in first]
+    # Contact by contact, so that a membrane is rastered once for all lights that fall on it.
     for place, frame in enumerate(range(batch.start, batch.start + len(batch))):
-        source = solutions.get(contacts.source_key(place))
-        states = {extent: contacts.state(place, source, extent) for extent in set(extents)}
-        for members, extent in zip(groups, extents, strict=True):
-            recipes, state = [own.recipe for own in members], states[extent]
+        source = solutions.get(batch.contacts.source_key(place))
+        states: dict[tuple[float, float], MembraneState] = {}
+        for members in alike.values():
+            recipes = [own.recipe for own in members]
+            # Cameras with the same extent of view share their membranes, whose grid it decides.
+            extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
+            if extent not in states:
+                states[extent] = batch.contacts.state(place, source, extent)
             cells: list[Row] = [{"image": None, "converged": False} for _ in members]
             reason = None
-            if state.converged:
+            if (state := states[extent]).converged:
                 try:
                     coarse_n = None
                     if any("traction" in recipe.columns for recipe in recipes):
-                        traction = traction_map(contacts.own, place, source, state)
+                        traction = traction_map(batch.contacts.own, place, source, state)
                         coarse_n = traction.coarse_n(half_extent_mm=extent)
                     cells = picture_cells(recipes, frame, state, coarse_n)
                 except (MemoryError, OSError):
@@ -122,6 +109,9 @@ def _add_rows(groups: Sequence[Sequence[ShardRows]], batch: FrameBatch, solution
                 own.rows.append(own.label_cells(frame, state) | own_cells)
                 if reason is not None:
                     own.refused[frame] = reason
+    libraries = (source for source in solutions.values() if isinstance(source, PoseLibrary))
+    errors = next((library.errors for library in libraries if library.held_out is not None), None)
+    return [own.shard(batch.shard, errors) for own in shards]
 
 
 def _rendering(recipe: DomainRecipe) -> Hashable:
@@ -139,7 +129,7 @@ def picture_cells(
     """Return the picture columns of one contact for recipes that share their pictures, rendered once."""
     first = recipes[0]
     renderer = renderer_of(first)
-    view = View(renderer, first.sensor, state, coarse_n)
+    view = View(renderer, state, coarse_n)
     picture = renderer.picture(
         *view.membrane,
         markers=_shows_markers(first),
