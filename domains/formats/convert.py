@@ -13,19 +13,16 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from gelgap.assets.names import is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import as_colour, decode_picture, encode_png, resized
 from gelgap.domains.frames.folders import GROUPS, known_columns, picture_path
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from cv2 import VideoCapture
 
 LOG = logging.getLogger(__name__)
 CONTACT_N = 0.3
@@ -80,7 +77,7 @@ class Selection:
     facts: ConvertedClip
     reference: np.ndarray
     pictures: Callable[[], Iterable[np.ndarray]]
-    table: "pd.DataFrame"
+    table: pd.DataFrame
 
 
 Layout = Callable[[Path, int], Iterable[Selection]]
@@ -112,8 +109,6 @@ def convert(
 
 def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[ConvertedClip]:
     """Write what is selected, a folder for each domain, and yield the facts of each clip."""
-    import pandas as pd
-
     for domain, members in groupby(selections, key=lambda own: own.facts.domain):
         if not is_plain_name(domain):
             raise ValueError(f"the session's name {domain!r} is not one of a folder")
@@ -136,7 +131,7 @@ def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[Converted
         write_picture_table(out_dir / domain, pd.concat(tables))
 
 
-def write_picture_table(folder: Path, table: "pd.DataFrame") -> None:
+def write_picture_table(folder: Path, table: pd.DataFrame) -> None:
     """Write the table of a picture folder, a row for each picture; columns are those of `COLUMNS` that it has."""
     if table.empty:
         raise ValueError(f"{folder.name}: no frame is left to be written")
@@ -167,7 +162,7 @@ class Clip:
     session: str
     pictures: Callable[[], Iterable[np.ndarray]]
     time_s: np.ndarray
-    labels: "pd.DataFrame"
+    labels: pd.DataFrame
     lags: range = _LAGS
 
     def selected(self, every: int) -> Selection:
@@ -205,13 +200,11 @@ class Clip:
         )
         return Selection(facts, reference, self.pictures, table)
 
-    def labels_at(self, lag: int) -> "pd.DataFrame":
+    def labels_at(self, lag: int) -> pd.DataFrame:
         """Return the labels of each picture at a lag in frames, interpolated in time.
 
         NaN where there are none, or the nearest value is NaN or more than half a frame away.
         """
-        import pandas as pd
-
         frame_s = float(np.median(np.diff(self.time_s)))
         time_s, measured_s = self.time_s + lag * frame_s, self.labels.index.to_numpy()
         nearest = np.searchsorted((measured_s[1:] + measured_s[:-1]) / 2, time_s)
@@ -224,8 +217,6 @@ class Clip:
 
     def _correlations(self) -> list[float]:
         """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
-        import pandas as pd
-
         measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
         if min(n, m) < _FEWEST_FRAMES:
             raise ValueError(
@@ -251,7 +242,7 @@ class Clip:
         return found
 
 
-def _correlation(change: "pd.Series", own: "pd.Series") -> float:
+def _correlation(change: pd.Series, own: pd.Series) -> float:
     """Return the correlation where both are known; NaN for too few, or if one does not change.
 
     Rounding would decide the latter.
@@ -263,7 +254,7 @@ def _correlation(change: "pd.Series", own: "pd.Series") -> float:
     return float(change.corr(own))
 
 
-def _pressing_n(labels: "pd.DataFrame") -> np.ndarray:
+def _pressing_n(labels: pd.DataFrame) -> np.ndarray:
     """Return how hard was pressed (n,): −Fz, or the size of what else of the force was measured, N."""
     if "fz_n" in labels:
         return -labels["fz_n"].to_numpy()
@@ -284,8 +275,6 @@ def _recordings(folder: Path, every: int) -> Iterator[Selection]:
 
 
 def _recorded_clip(table: Path) -> Clip:
-    import pandas as pd
-
     columns = known_columns(table, ("time_s", *QUANTITIES))
     names = known_labels(columns)
     if "time_s" not in columns or not set(names) & set(FORCE_COLUMNS):
@@ -342,8 +331,8 @@ def video_pictures(path: Path) -> Iterator[np.ndarray]:
         yield np.ascontiguousarray(picture[..., ::-1])
 
 
-def _grabbed(path: Path) -> "Iterator[VideoCapture]":
-    """Yield a video at each of its pictures, before it is decoded."""
+def _grabbed(path: Path) -> Iterator[Any]:
+    """Yield a video (`cv2.VideoCapture`) at each of its pictures, before it is decoded."""
     import cv2
 
     video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)

@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from gelgap.domains.formats.pictures import encode_png
 from gelgap.sim import Diagnostics, Pose
 
 if TYPE_CHECKING:
-    from pyarrow.parquet import ParquetFile
-
     from gelgap.render import MembraneRenderer
     from gelgap.sim import MembraneState
 
@@ -229,8 +228,6 @@ def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
 
 def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
     """Return the Parquet file that holds these rows: the same rows always give the same bytes."""
-    import pyarrow.parquet as pq
-
     # Labels are few, and noise leaves pictures nothing to gain: only optional columns are compressed.
     packed = (column for name in optional for column in OPTIONAL[name] if KINDS[column.type].leaf)
     table = pa.Table.from_pylist(list(rows), schema=frame_schema(optional))
@@ -297,9 +294,7 @@ class ShardFile:
         return np.cumsum([group.num_rows for group in groups])
 
     @cached_property
-    def _file(self) -> "ParquetFile":
-        import pyarrow.parquet as pq
-
+    def _file(self) -> pq.ParquetFile:
         with self._named_if_damaged():
             file = pq.ParquetFile(pa.memory_map(str(self.path)), **_FOOTER_LIMITS)
             _check_footer(file)
@@ -313,7 +308,7 @@ class ShardFile:
             raise damaged(self.path, str(error)) from None
 
 
-def _check_footer(file: "ParquetFile") -> None:
+def _check_footer(file: pq.ParquetFile) -> None:
     """Raise ValueError if a shard states other columns, more rows or more bytes than generation writes."""
     metadata, schema = file.metadata, file.schema_arrow
     names, needed = set(schema.names), {column.name for column in (*LABELS, IMAGE)}

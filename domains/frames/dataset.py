@@ -46,26 +46,6 @@ class Frame:
     labels: dict[str, float]
 
 
-class RestPictures:
-    """The pictures without contact of a data set: each is read when it is asked for, and reduced once for each size."""
-
-    def __init__(self, readers: Sequence[Callable[[], np.ndarray]]):
-        self.readers = tuple(readers)
-        self._reduced: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
-
-    @cached_property
-    def first(self) -> np.ndarray:
-        """The first one as stored, (h, w, 3) uint8."""
-        return self.readers[0]()
-
-    def at(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
-        """Return all of them (r, h, w, 3) uint8 of this width and height, or all with their markers filled in."""
-        if (size_px, markers) not in self._reduced:
-            pictures = (read() if markers else without_markers(read()) for read in self.readers)
-            self._reduced[size_px, markers] = np.stack([resized(picture, size_px) for picture in pictures])
-        return self._reduced[size_px, markers]
-
-
 class LabelledFrames(ABC):
     """The frames of one domain: labels as `columns` (n,), pictures on demand; `take` gives some of them.
 
@@ -87,22 +67,22 @@ class LabelledFrames(ABC):
     unconverged
         How many frames were left out because the simulation did not converge.
     rest_pictures
-        The reference pictures, one or several.
+        Functions that read the reference pictures (h, w, 3), one or several.
     """
 
     name: str
     columns: dict[str, np.ndarray]
-    rest_pictures: RestPictures
+    rest_pictures: Sequence[Callable[[], np.ndarray]]
     force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
     declares_ranges: bool = True
     n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
 
-    @property
+    @cached_property
     def reference(self) -> np.ndarray:
         """The picture without contact, (h, w, 3) uint8; the first one where frames have references of their own."""
-        return self.rest_pictures.first
+        return self.rest_pictures[0]()
 
     @property
     @abstractmethod
@@ -250,7 +230,8 @@ class LabelledFrames(ABC):
 
         Without `markers`, their dots are inpainted.
         """
-        return self.rest_pictures.at(self.image_size_px(size_px), markers)
+        pictures = (read() if markers else without_markers(read()) for read in self.rest_pictures)
+        return np.stack([resized(picture, self.image_size_px(size_px)) for picture in pictures])
 
     def torch(
         self,
@@ -312,7 +293,7 @@ class ArrayFrames(LabelledFrames):
         self.name, self.n_classes = name, n_classes
         self.force_range_n = np.asarray(force_range_n, float)
         self._images = images
-        self.rest_pictures = RestPictures([partial(np.asarray, reference)])
+        self.rest_pictures = [partial(np.asarray, reference)]
         numbers = {"contact_class": contact_class, "point_id": point_id}
         columns |= {label: values for label, values in numbers.items() if values is not None}
         if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
@@ -454,7 +435,7 @@ class JoinedFrames(LabelledFrames):
         self.columns = {name: np.concatenate([frames.columns[name] for frames in domains]) for name in shared}
         self.columns["reference_id"] = _counted_on(
             [frames.reference_id for frames in domains],
-            [len(frames.rest_pictures.readers) for frames in domains],
+            [len(frames.rest_pictures) for frames in domains],
         )
         # What was left out keeps its number: a split at random counts it.
         self.columns["frame_id"] = _counted_on(
@@ -466,7 +447,7 @@ class JoinedFrames(LabelledFrames):
         self.declares_ranges = all(frames.declares_ranges for frames in domains)
         self.n_classes = max(frames.n_classes for frames in domains)
         self.unconverged = sum(frames.unconverged for frames in domains)
-        self.rest_pictures = RestPictures([read for own in domains for read in own.rest_pictures.readers])
+        self.rest_pictures = [read for frames in domains for read in frames.rest_pictures]
         self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
 
     def declared_range(self, name: str) -> Range | None:

@@ -21,7 +21,7 @@ from gelgap.assets.whole_file import warn, whole_file
 from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, remembered
 from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
 from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, ShardFile, damaged
-from gelgap.domains.frames.dataset import LabelledFrames, RestPictures
+from gelgap.domains.frames.dataset import LabelledFrames
 
 if TYPE_CHECKING:
     from gelgap.domains.recipe import DomainRecipe
@@ -42,7 +42,7 @@ class StoredFrames(LabelledFrames):
 
     def __init__(self, folder: Path, reference_paths: Sequence[Path]):
         self.folder, self.reference_paths = folder, reference_paths
-        self.rest_pictures = RestPictures([partial(self.rest_picture, path) for path in reference_paths])
+        self.rest_pictures = [partial(self.rest_picture, path) for path in reference_paths]
 
     @abstractmethod
     def encoded_picture(self, index: int) -> bytes:
