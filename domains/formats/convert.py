@@ -217,27 +217,20 @@ class Clip:
 
     def _correlations(self) -> list[float]:
         """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
-        measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
-        if min(n, m) < _FEWEST_FRAMES:
-            raise ValueError(
-                f"clip {self.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are "
-                "needed"
-            )
-        if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
-            raise ValueError(
-                f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
-                f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
-            )
         pictures = (resized(picture, _SIGNAL_PX).astype(np.int16) for picture in self.pictures())
         first = next(pictures, None)
         change = pd.Series(np.array([0.0, *(np.abs(picture - first).mean() for picture in pictures)]))
-        if len(change) != n:
-            raise ValueError(f"clip {self.name} has {len(change)} pictures and {n} times of pictures")
+        if len(change) != len(self.time_s):
+            raise ValueError(
+                f"clip {self.name} has {len(change)} pictures and {len(self.time_s)} times of pictures"
+            )
         pressed_n = (pd.Series(_pressing_n(self.labels_at(lag))) for lag in self.lags)
         found = [_correlation(change, own) for own in pressed_n]
         if np.isnan(found).all():
+            pictures_at, labels_at = (f"{at[0]:g}…{at[-1]:g} s" for at in (self.time_s, self.labels.index))
             raise ValueError(
-                f"clip {self.name}: its force or its pictures do not change; take it out of the folder"
+                f"clip {self.name}: its force or its pictures do not change, or fewer than {_FEWEST_FRAMES} pictures "
+                f"(at {pictures_at}) have labels (at {labels_at}); count both from the same moment, or take it out"
             )
         return found
 

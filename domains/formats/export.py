@@ -12,7 +12,7 @@ import os
 import tarfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -469,10 +469,8 @@ def to_skada(
     Raises
     ------
     ValueError
-        If the axis is unknown, or the pictures of the domains are reduced to different sizes.
+        If a domain has no such force, or the pictures of the domains are reduced to different sizes.
     """
-    if axis not in get_args(Axis):
-        raise ValueError(f"axis {axis!r} is unknown; known: {', '.join(get_args(Axis))}")
     sizes = [frames.image_size_px(size_px) for frames in (source, target)]
     if sizes[0] != sizes[1]:
         (w0, h0), (w1, h1) = sizes
