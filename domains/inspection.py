@@ -18,6 +18,7 @@ from gelgap.domains.frames.labels import QUANTITIES, Range, known_labels, usual_
 from gelgap.domains.frames.splits import paired_contacts
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.sweep import domain_gap, unseen_differences
+from gelgap.render import picture_gap
 
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
@@ -142,8 +143,6 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     ValueError
         If their pictures have different sizes.
     """
-    from gelgap.render import picture_gap
-
     seen = picture_gap(base.reference, frames.reference)
     rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
     if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):

@@ -17,7 +17,7 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.pretraining import RisingInterval
 from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
-from gelgap.render import Variation, vary_illumination, vary_sensor
+from gelgap.render import Variation, reference_gap, vary_illumination, vary_sensor
 
 Value = float | int | str | bool | None
 
@@ -202,8 +202,6 @@ class DomainGap:
 
 def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
-    from gelgap.render import reference_gap
-
     colours = reference_gap(renderer_of(base), renderer_of(other))
     changed = (other.markers, base.markers)
     return DomainGap(

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 
@@ -298,8 +298,7 @@ def _recorded_clip(table: Path) -> Clip:
         time_s = of_pictures["time_s"]
         pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_picture, paths)
     else:
-        # 0 is OpenCV's CAP_PROP_POS_MSEC.
-        time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
+        time_s = np.array([video.get(cv2.CAP_PROP_POS_MSEC) / 1000 for video in _grabbed(source)])
         pictures = partial(video_pictures, source)
     for times, place in ((time_s, source), (columns["time_s"], table)):
         if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
@@ -324,10 +323,8 @@ def video_pictures(path: Path) -> Iterator[np.ndarray]:
         yield np.ascontiguousarray(picture[..., ::-1])
 
 
-def _grabbed(path: Path) -> Iterator[Any]:
-    """Yield a video (`cv2.VideoCapture`) at each of its pictures, before it is decoded."""
-    import cv2
-
+def _grabbed(path: Path) -> Iterator[cv2.VideoCapture]:
+    """Yield a video at each of its pictures, before it is decoded."""
     video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
     try:
         if not video.isOpened():

@@ -18,11 +18,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gelgap.domains.formats.pictures import encode_png
-from gelgap.sim import Diagnostics, Pose
+from gelgap.render import marker_rest_mm
+from gelgap.sim import Diagnostics, MembraneState, Pose
 
 if TYPE_CHECKING:
     from gelgap.render import MembraneRenderer
-    from gelgap.sim import MembraneState
 
 SCHEMA_VERSION = 1
 # A row group is what a reader must take from disk to see one frame: small, so that random access stays cheap.
@@ -68,7 +68,7 @@ class Contact(NamedTuple):
     trajectory: int
     step: int
     split: str
-    state: "MembraneState"
+    state: MembraneState
     force_n: tuple[float, ...]
     indenter: str
 
@@ -81,7 +81,7 @@ class View(NamedTuple):
     """One contact as a sensor sees it; `coarse_n` is its contact force by cells of the view, if that is wanted."""
 
     renderer: "MembraneRenderer"
-    state: "MembraneState"
+    state: MembraneState
     coarse_n: np.ndarray | None = None
 
     @property
@@ -118,8 +118,6 @@ def _contact_mask(view: View) -> dict[str, Any]:
 
 
 def _marker_rest_mm(view: View) -> list[list[float]]:
-    from gelgap.render import marker_rest_mm
-
     return _point_list(marker_rest_mm(view.renderer.sensor.markers))
 
 

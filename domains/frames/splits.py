@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from gelgap.assets.names import quoted
 from gelgap.domains.domain import random_stream
@@ -211,8 +212,6 @@ def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: st
 
 def _strata_of(domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], column: str) -> np.ndarray:
     """Return the stratum of each group; a ValueError if a group has frames of several."""
-    import pandas as pd
-
     strata = np.concatenate(_groups(domains, column, "stratify_by", "take a column"))
     of_group = pd.Series(strata).groupby(np.concatenate(groups))
     if (is_mixed := of_group.nunique() > 1).any():

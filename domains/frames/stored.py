@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -22,9 +22,7 @@ from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, rememb
 from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
 from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, ShardFile, damaged
 from gelgap.domains.frames.dataset import LabelledFrames
-
-if TYPE_CHECKING:
-    from gelgap.domains.recipe import DomainRecipe
+from gelgap.domains.recipe import DomainRecipe
 
 LOG = logging.getLogger(__name__)
 PICTURES = "images"
@@ -240,10 +238,8 @@ class GeneratedDomain(StoredFrames):
         return scale["offset_mm"] + scale["step_mm"] * self.optional("height_map", index).astype(np.float64)
 
     @cached_property
-    def recipe(self) -> "DomainRecipe":
+    def recipe(self) -> DomainRecipe:
         """The configuration that the domain was generated from."""
-        from gelgap.domains.recipe import DomainRecipe
-
         return DomainRecipe(**self.manifest["configuration"])
 
     @property

@@ -39,36 +39,6 @@ class Shard:
     interpolation: dict[str, Any] | None = None
 
 
-class ShardRows:
-    """The rows of one domain's shard while they are made; `refused` says by frame why there is no picture."""
-
-    def __init__(self, recipe: DomainRecipe):
-        self.recipe = recipe
-        self.label_cells = _label_cells_of(recipe)
-        self.rows: list[Row] = []
-        self.refused: dict[int, str] = {}
-
-    def shard(self, file: str, interpolation: dict[str, Any] | None) -> Shard:
-        """Return the rows as a shard, or raise RuntimeError if most of several frames cannot be rendered."""
-        if len(self.refused) > max(len(self.rows) / 2, 1):
-            frame, reason = next(iter(self.refused.items()))
-            raise RuntimeError(
-                f"domain {self.recipe.name}: {len(self.refused)} of {len(self.rows)} frames cannot be rendered; "
-                f"frame {frame}: {reason}"
-            )
-        forces = pd.DataFrame(self.rows).query("converged")[[*FORCE_COLUMNS]].to_numpy()
-        low, high = np.array(self.recipe.force_range_n).T
-        facts = {
-            "frames": len(self.rows),
-            "unconverged": len(self.rows) - len(forces),
-            "force_min_n": forces.min(axis=0).tolist() if len(forces) else None,
-            "force_max_n": forces.max(axis=0).tolist() if len(forces) else None,
-            "outside_range": int(((forces < low) | (forces > high)).any(axis=1).sum()),
-        }
-        data = encode_shard(self.rows, self.recipe.columns)
-        return Shard(self.recipe.name, file, data, facts, self.refused, interpolation)
-
-
 def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     """Render a batch's frames in the light of each of its domains, and encode one shard per domain.
 
@@ -76,23 +46,24 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     whatever goes wrong, is flagged as not converged; if that happens to most of several frames, something else is
     wrong: a RuntimeError.
     """
-    shards = [ShardRows(recipe) for recipe in batch.recipes]
-    alike: dict[Hashable, list[ShardRows]] = {}
-    for own in shards:
-        alike.setdefault(_rendering(own.recipe), []).append(own)
+    alike: dict[Hashable, list[DomainRecipe]] = {}
+    for recipe in batch.recipes:
+        alike.setdefault(_rendering(recipe), []).append(recipe)
+    labels_of = {recipe.name: _label_cells_of(recipe) for recipe in batch.recipes}
+    rows: dict[str, list[Row]] = {name: [] for name in labels_of}
+    refused: dict[str, dict[int, str]] = {name: {} for name in labels_of}
     # Contact by contact, so that a membrane is rastered once for all lights that fall on it.
     for place, frame in enumerate(range(batch.start, batch.start + len(batch))):
         source = solutions.get(batch.contacts.source_key(place))
         states: dict[tuple[float, float], MembraneState] = {}
-        for members in alike.values():
-            recipes = [own.recipe for own in members]
+        for recipes in alike.values():
             # Cameras with the same extent of view share their membranes, whose grid it decides.
             extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
             if extent not in states:
                 states[extent] = batch.contacts.state(place, source, extent)
-            cells: list[Row] = [{"image": None, "converged": False} for _ in members]
-            reason = None
-            if (state := states[extent]).converged:
+            state, reason = states[extent], None
+            cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
+            if state.converged:
                 try:
                     coarse_n = None
                     if any("traction" in recipe.columns for recipe in recipes):
@@ -105,13 +76,41 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
                     # Only a sentence of our own speaks for itself.
                     is_ours = isinstance(error, ValueError)
                     reason = str(error) if is_ours else f"{type(error).__name__}: {error}"
-            for own, own_cells in zip(members, cells, strict=True):
-                own.rows.append(own.label_cells(frame, state) | own_cells)
+            for recipe, own_cells in zip(recipes, cells, strict=True):
+                rows[recipe.name].append(labels_of[recipe.name](frame, state) | own_cells)
                 if reason is not None:
-                    own.refused[frame] = reason
+                    refused[recipe.name][frame] = reason
     libraries = (source for source in solutions.values() if isinstance(source, PoseLibrary))
     errors = next((library.errors for library in libraries if library.held_out is not None), None)
-    return [own.shard(batch.shard, errors) for own in shards]
+    return [
+        _shard(recipe, batch.shard, rows[recipe.name], refused[recipe.name], errors)
+        for recipe in batch.recipes
+    ]
+
+
+def _shard(
+    recipe: DomainRecipe,
+    file: str,
+    rows: list[Row],
+    refused: dict[int, str],
+    interpolation: dict[str, Any] | None,
+) -> Shard:
+    """Return rows as a shard, or raise RuntimeError if most of several frames cannot be rendered."""
+    if len(refused) > max(len(rows) / 2, 1):
+        frame, reason = next(iter(refused.items()))
+        raise RuntimeError(
+            f"domain {recipe.name}: {len(refused)} of {len(rows)} frames cannot be rendered; frame {frame}: {reason}"
+        )
+    forces_n = pd.DataFrame(rows).query("converged")[[*FORCE_COLUMNS]].to_numpy()
+    low, high = np.array(recipe.force_range_n).T
+    facts = {
+        "frames": len(rows),
+        "unconverged": len(rows) - len(forces_n),
+        "force_min_n": forces_n.min(axis=0).tolist() if len(forces_n) else None,
+        "force_max_n": forces_n.max(axis=0).tolist() if len(forces_n) else None,
+        "outside_range": int(((forces_n < low) | (forces_n > high)).any(axis=1).sum()),
+    }
+    return Shard(recipe.name, file, encode_shard(rows, recipe.columns), facts, refused, interpolation)
 
 
 def _rendering(recipe: DomainRecipe) -> Hashable:
