@@ -244,7 +244,7 @@ def _feats(frames: GeneratedDomain, folder: Path) -> None:
     A dictionary in an `.npy` is a pickle, which FEATS's own reader loads as such. `grid_x`, `grid_y` and `grid_z`, the
     force on each of 24×32 cells of the view, are there if the domain was generated with `--columns traction`.
     """
-    forces_n, bounds = _feats_forces_n(frames), {}
+    forces_n, bounds = _feats_forces_n(frames), dict[str, dict[str, float]]()
     for part, indices in indices_by_part(frames).items():
         (folder / _FEATS_PARTS[part]).mkdir()
         for index in indices.tolist():
@@ -382,7 +382,8 @@ def _episodes(frames: GeneratedDomain) -> tuple[dict[str, str], pd.DataFrame]:
     if not is_whole.all():
         counts = pd.Series({PARTS[0]: counts.sum()})
     ends = counts.cumsum()
-    return {part: f"{ends[part] - count}:{ends[part]}" for part, count in counts.items()}, table
+    ranges = zip(counts.index, ends - counts, ends, strict=True)
+    return {str(part): f"{start}:{end}" for part, start, end in ranges}, table
 
 
 def _lerobot_values(frames: GeneratedDomain, table: pd.DataFrame) -> dict[str, np.ndarray]:

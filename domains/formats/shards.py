@@ -215,27 +215,22 @@ COLUMNS = {column.name: column for column in (*LABELS, IMAGE, *(c for own in OPT
 """Every column that there is, by its name."""
 
 
-def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
-    """Return the Arrow schema of a shard, with the metadata by which Hugging Face `datasets` decodes pictures."""
-    chosen = (column for name in OPTIONAL if name in optional for column in OPTIONAL[name])
+def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
+    """Return the Parquet file that holds these rows: the same rows always give the same bytes.
+
+    Its metadata tell Hugging Face `datasets` which columns are pictures.
+    """
+    chosen = [column for name in OPTIONAL if name in optional for column in OPTIONAL[name]]
     columns = [*LABELS, IMAGE, *chosen]
     features = {column.name: KINDS[column.type].feature for column in columns}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
-    return pa.schema([pa.field(column.name, column.type) for column in columns], metadata=metadata)
-
-
-def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
-    """Return the Parquet file that holds these rows: the same rows always give the same bytes."""
+    schema = pa.schema([pa.field(column.name, column.type) for column in columns], metadata=metadata)
     # Labels are few, and noise leaves pictures nothing to gain: only optional columns are compressed.
-    packed = (column for name in optional for column in OPTIONAL[name] if KINDS[column.type].leaf)
-    table = pa.Table.from_pylist(list(rows), schema=frame_schema(optional))
+    leaves = (f"{column.name}.{leaf}" for column in chosen if (leaf := KINDS[column.type].leaf))
+    options = {"row_group_size": ROWS_PER_GROUP, "use_dictionary": False}
     sink = io.BytesIO()
     pq.write_table(
-        table,
-        sink,
-        compression={f"{column.name}.{KINDS[column.type].leaf}": "zstd" for column in packed},
-        row_group_size=ROWS_PER_GROUP,
-        use_dictionary=False,
+        pa.Table.from_pylist(list(rows), schema), sink, compression=dict.fromkeys(leaves, "zstd"), **options
     )
     return sink.getvalue()
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -14,9 +14,11 @@ from gelgap.domains.formats.pictures import resized, without_markers
 from gelgap.domains.frames.labels import (
     FORCE_COLUMNS,
     PAPER_FORCE_RANGE_N,
+    PAPER_RANGES,
     QUANTITIES,
     Labels,
     Range,
+    check_names,
     covering,
     hull,
     known_labels,
@@ -403,6 +405,65 @@ def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
     classes = np.searchsorted(inner, values, side="right")
     change = repr((train.labels, count)).encode() + train.label_values.tobytes() + classes.tobytes()
     return DerivedFrames(train, train.columns | {"contact_class": classes}, change, n_classes=count)
+
+
+def labels_of_run(
+    source: LabelledFrames,
+    target: LabelledFrames,
+    names: Sequence[str] | None = None,
+    ranges: Mapping[str, Range] | None = None,
+) -> tuple[Labels, tuple[str, ...]]:
+    """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
+
+    A range is the given one, or else spans what the two data sets declare (the paper's for forces that neither
+    declares). Where the source does not declare it, it is widened to cover the source's training labels. The target's
+    labels never move it; that some lie beyond it is only said.
+
+    Parameters
+    ----------
+    source, target
+        The source's training frames, and frames of the target.
+    names
+        By default the axes of the force that both domains have, or without any all labels that both have.
+    ranges
+        Given ranges by label, in its unit.
+
+    Raises
+    ------
+    ValueError
+        If a name or range is wrong, a range is given for another label, or a domain lacks a label.
+    """
+    if names is None:
+        names = usual_labels(set(source.columns) & set(target.columns))
+        if not names:
+            has = (f"{f.name} has {', '.join(known_labels(f.columns))}" for f in (source, target))
+            raise ValueError(f"source and target share no label: {'; '.join(has)}")
+    check_names(names)
+    for frames in (source, target):
+        frames.values_of(names)
+    ranges = dict(ranges or {})
+    if stray := [name for name in ranges if name not in names]:
+        raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
+    found, notes = {}, []
+    for name in names:
+        declared = hull(frames.declared_range(name) for frames in (source, target)) or PAPER_RANGES.get(name)
+        found[name] = ranges.get(name) or declared
+        if name not in ranges and (declared is None or not source.declares_ranges):
+            found[name] = covering(source.columns[name], declared)
+            if declared is not None and found[name] != declared:
+                (symbol, unit), (low, high) = QUANTITIES[name], found[name]
+                notes.append(
+                    f"the range of {symbol}, {declared[0]:g} to {declared[1]:g} {unit}, is widened to "
+                    f"{low:g} to {high:g} by source {source.name}"
+                )
+    labels = Labels.of(found)
+    for frames in (source, target):
+        if count := int(outside(frames, labels).sum()):
+            notes.append(
+                f"{count} of {len(frames)} frames of {frames.name} have a label beyond the range ({labels}), which no "
+                "prediction reaches: give a wider one"
+            )
+    return labels, tuple(notes)
 
 
 def join_domains(domains: Sequence[LabelledFrames]) -> LabelledFrames:

@@ -1,9 +1,9 @@
-"""What a run takes from its data sets: training, validation and test frames, contacts that both show, and labels.
+"""What a run takes from its data sets: training, validation and test frames, and contacts that both show.
 
 One seed gives one split, for a domain alone or for two.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,18 +11,7 @@ import pandas as pd
 
 from gelgap.assets.names import quoted
 from gelgap.domains.domain import random_stream
-from gelgap.domains.frames.dataset import LabelledFrames, outside
-from gelgap.domains.frames.labels import (
-    PAPER_RANGES,
-    QUANTITIES,
-    Labels,
-    Range,
-    check_names,
-    covering,
-    hull,
-    known_labels,
-    usual_labels,
-)
+from gelgap.domains.frames.dataset import LabelledFrames
 
 WAYS = ("random", "point", "given")
 Shares = Sequence[float]
@@ -307,62 +296,3 @@ def _numbered(keys: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     """Return a number for each row, from 0 in sorted order; rows that are equal, in any of the arrays, share it."""
     numbers = np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1)
     return tuple(np.split(numbers, np.cumsum([len(rows) for rows in keys])[:-1]))
-
-
-def labels_of_run(
-    source: LabelledFrames,
-    target: LabelledFrames,
-    names: Sequence[str] | None = None,
-    ranges: Mapping[str, Range] | None = None,
-) -> tuple[Labels, tuple[str, ...]]:
-    """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
-
-    A range is the given one, or else spans what the two data sets declare (the paper's for forces that neither
-    declares). Where the source does not declare it, it is widened to cover the source's training labels. The target's
-    labels never move it; that some lie beyond it is only said.
-
-    Parameters
-    ----------
-    source, target
-        The source's training frames, and frames of the target.
-    names
-        By default the axes of the force that both domains have, or without any all labels that both have.
-    ranges
-        Given ranges by label, in its unit.
-
-    Raises
-    ------
-    ValueError
-        If a name or range is wrong, a range is given for another label, or a domain lacks a label.
-    """
-    if names is None:
-        names = usual_labels(set(source.columns) & set(target.columns))
-        if not names:
-            has = (f"{f.name} has {', '.join(known_labels(f.columns))}" for f in (source, target))
-            raise ValueError(f"source and target share no label: {'; '.join(has)}")
-    check_names(names)
-    for frames in (source, target):
-        frames.values_of(names)
-    ranges = dict(ranges or {})
-    if stray := [name for name in ranges if name not in names]:
-        raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
-    found, notes = {}, []
-    for name in names:
-        declared = hull(frames.declared_range(name) for frames in (source, target)) or PAPER_RANGES.get(name)
-        found[name] = ranges.get(name) or declared
-        if name not in ranges and (declared is None or not source.declares_ranges):
-            found[name] = covering(source.columns[name], declared)
-            if declared is not None and found[name] != declared:
-                (symbol, unit), (low, high) = QUANTITIES[name], found[name]
-                notes.append(
-                    f"the range of {symbol}, {declared[0]:g} to {declared[1]:g} {unit}, is widened to "
-                    f"{low:g} to {high:g} by source {source.name}"
-                )
-    labels = Labels.of(found)
-    for frames in (source, target):
-        if count := int(outside(frames, labels).sum()):
-            notes.append(
-                f"{count} of {len(frames)} frames of {frames.name} have a label beyond the range ({labels}), which no "
-                "prediction reaches: give a wider one"
-            )
-    return labels, tuple(notes)
