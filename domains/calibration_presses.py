@@ -68,17 +68,14 @@ def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
         If `dataPack.npz` is not what it should be; nothing in it is executed.
     """
     folder = Path(name)
-    if name in NAMES:
-        found = find_spec("taxim")  # looks it up without running any of it
-        if found is None or not found.submodule_search_locations:
-            raise FileNotFoundError(
-                f"the package taxim, which holds {name}, is not installed; install it: {INSTALL}"
-            )
-        folder = Path(found.submodule_search_locations[0]) / "calib" / name
+    package = find_spec("taxim") if name in NAMES else None  # looks it up without running any of it
+    if package is not None and package.submodule_search_locations:
+        folder = Path(package.submodule_search_locations[0]) / "calib" / name
     path = folder / "dataPack.npz"
     if not path.is_file():
         raise FileNotFoundError(
-            f"{path} does not exist; give {' or '.join(NAMES)}, or a folder with a dataPack.npz"
+            f"{path} does not exist; give a folder with a dataPack.npz, or {' or '.join(NAMES)} where taxim is "
+            f"installed ({INSTALL})"
         )
     try:
         arrays = read_arrays(path, ("f0", "imgs", "touch_center", "touch_radius"))

@@ -70,11 +70,6 @@ class DrawnErrors:
     tilt_deg: tuple[float, float]
     force_bias_n: tuple[float, float, float]
 
-    @property
-    def displace(self) -> bool:
-        """Whether contacts are others than those that are commanded."""
-        return any((*self.point_offset_mm, self.depth_zero_mm, *self.tilt_deg))
-
     def actual(self, pose: Pose) -> Pose:
         """Return the contact that happens when this pose is commanded."""
         if pose.depth_mm == 0:
@@ -232,7 +227,7 @@ class DomainRecipe(Settings):
     def solved_path(self) -> ContactPath | PosePath:
         """Return the contacts of each indenter that really happen."""
         errors, poses = self.drawn_errors(), self.commanded_poses()
-        if errors.displace:
+        if any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg)):
             poses = tuple(errors.actual(pose) for pose in poses)
         return self.path if poses is self.path.poses else PosePath(self.path.name, poses)
 

@@ -17,7 +17,7 @@ from pydantic import Field
 from gelgap.assets.checksums import file_sha256, parse_json, sha256, with_checksum, without_checksum
 from gelgap.assets.locks import sole_use
 from gelgap.assets.settings import Settings
-from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
+from gelgap.assets.whole_file import write_whole
 
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
@@ -110,9 +110,6 @@ class DomainFolder:
         path = self.path / name
         if not path.exists():
             return "is missing"
-        size = path.stat().st_size
-        if size != entry["bytes"]:
-            return f"has {size} bytes, the manifest states {entry['bytes']}"
         if _sha256_of(path) != entry["sha256"]:
             return "has other bytes than the manifest states (SHA-256 differs)"
         return None
@@ -125,13 +122,6 @@ class DomainFolder:
             for (name, _), problem in zip(files, problems, strict=True):
                 if problem:
                     yield Damage(name, problem)
-
-    def keep_only(self, names: set[str]) -> None:
-        """Remove the files of a generation that are not among these, and nothing else."""
-        for pattern in (MANIFEST, REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}"):
-            for path in self.path.glob(pattern):
-                if path.name not in names:
-                    path.unlink()
 
     def damages(self) -> list[Damage]:
         """Return everything that differs from what the manifest states: missing, changed and unknown files."""
@@ -185,12 +175,11 @@ def new_folder(out_dir: Path) -> Iterator[Path]:
     RuntimeError
         If the disk does not take it, or another process is writing it; nothing of it is left.
     """
-    check_is_new(out_dir)
     building = out_dir.with_name(f".{out_dir.name}.building")
     with sole_use(building):
-        check_is_new(out_dir)
         content = building / "content"
         try:
+            check_is_new(out_dir)
             shutil.rmtree(content, ignore_errors=True)  # what a killed process has left
             content.mkdir()
             yield content

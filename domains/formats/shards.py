@@ -72,10 +72,6 @@ class Contact(NamedTuple):
     force_n: tuple[float, ...]
     indenter: str
 
-    @property
-    def angle_deg(self) -> float | None:
-        return self.pose.angle_deg if self.pose.radius_mm else None
-
 
 class View(NamedTuple):
     """One contact as a sensor sees it; `coarse_n` is its contact force by cells of the view, if that is wanted."""
@@ -153,7 +149,7 @@ LABELS = (
     Column("contact_class", _INT, "", _CLASS, lambda c: c.pose.contact_class),
     Column("depth_mm", _FLOAT, "mm", "commanded depth", lambda c: c.pose.depth_mm),
     Column("radius_mm", _FLOAT, "mm", "commanded travel sideways", lambda c: c.pose.radius_mm),
-    Column("angle_deg", _FLOAT, "°", _DIRECTION, lambda c: c.angle_deg),
+    Column("angle_deg", _FLOAT, "°", _DIRECTION, lambda c: c.pose.angle_deg if c.pose.radius_mm else None),
     Column("trajectory_id", _INT, "", "travel at one point, depth and direction", lambda c: c.trajectory),
     Column("step", _INT, "", "place on the trajectory", lambda c: c.step),
     Column("x_mm", _FLOAT, "mm", "commanded contact point, to the right", lambda c: c.pose.point_x_mm),

@@ -276,7 +276,10 @@ def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.
         elif ours in NUMBERS:
             found[ours] = _numbers(values, where)
         elif any(values):
-            found[ours] = _whole_numbers(values, where)
+            numbers = _numbers(values, where)
+            if not (np.abs(numbers) < 2**31).all():
+                raise ValueError(f"{where}: every row must hold a whole number")
+            found[ours] = numbers.astype(np.int64)
     return found
 
 
@@ -291,13 +294,6 @@ def _numbers(values: list[str], where: str) -> np.ndarray:
                 f"{quoted(value) if value else 'nothing'}"
             ) from None
     return numbers
-
-
-def _whole_numbers(values: list[str], where: str) -> np.ndarray:
-    numbers = _numbers(values, where)
-    if not (np.abs(numbers) < 2**31).all():
-        raise ValueError(f"{where}: every row must hold a whole number")
-    return numbers.astype(np.int64)
 
 
 def _plain(name: str) -> str:

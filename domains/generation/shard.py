@@ -48,7 +48,10 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     """
     alike: dict[Hashable, list[DomainRecipe]] = {}
     for recipe in batch.recipes:
-        alike.setdefault(_rendering(recipe), []).append(recipe)
+        # All that pictures depend on besides their contacts; they may be inpainted or not.
+        light = recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality
+        rendering = recipe.picture_name, recipe.seed, _shows_markers(recipe), *light
+        alike.setdefault(rendering, []).append(recipe)
     labels_of = {recipe.name: _label_cells_of(recipe) for recipe in batch.recipes}
     rows: dict[str, list[Row]] = {name: [] for name in labels_of}
     refused: dict[str, dict[int, str]] = {name: {} for name in labels_of}
@@ -111,12 +114,6 @@ def _shard(
         "outside_range": int(((forces_n < low) | (forces_n > high)).any(axis=1).sum()),
     }
     return Shard(recipe.name, file, encode_shard(rows, recipe.columns), facts, refused, interpolation)
-
-
-def _rendering(recipe: DomainRecipe) -> Hashable:
-    """Return what the pictures of a domain depend on besides its contacts, inpainted or not."""
-    light = (recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
-    return recipe.picture_name, recipe.seed, _shows_markers(recipe), *light
 
 
 def picture_cells(
