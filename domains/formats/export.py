@@ -231,10 +231,8 @@ LEROBOT_VERSION = "v3.0"
 FRAMES_PER_S = 10
 """Frames are equilibria without a time; this says how a policy's loader spaces them."""
 _POSE = ("x_mm", "y_mm", "depth_mm", "shear_x_mm", "shear_y_mm")
-_MOST_BYTES = 100 * 2**20
 _CAMERA = "observation.images.tactile"
 _DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-_EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 _VECTORS = {"observation.force": FORCE_COLUMNS, "observation.state": _POSE, "action": _POSE}
 
 
@@ -342,7 +340,8 @@ def _lerobot(frames: GeneratedDomain, folder: Path) -> None:
         "meta/episodes/chunk_index": [0] * n,
         "meta/episodes/file_index": [0] * n,
     }
-    pq.write_table(pa.table({name: list(own) for name, own in listed.items()}), folder / _EPISODES_PATH)
+    episodes = pa.table({name: list(own) for name, own in listed.items()})
+    pq.write_table(episodes, folder / "meta/episodes/chunk-000/file-000.parquet")
     pd.DataFrame({"task_index": [0]}, index=[task]).to_parquet(folder / "meta/tasks.parquet")
     width, height = frames.size_px
     picture = {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]}
@@ -357,7 +356,7 @@ def _lerobot(frames: GeneratedDomain, folder: Path) -> None:
         "total_frames": len(table),
         "total_tasks": 1,
         "chunks_size": 1000,
-        "data_files_size_in_mb": _MOST_BYTES // 2**20,
+        "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
         "fps": FRAMES_PER_S,
         "splits": parts,

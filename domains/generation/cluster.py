@@ -88,25 +88,18 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
 
     try:
         made = {key: client.submit(solve.run, key=f"solve-{key}") for key, solve in plan.solves.items()}
-        solving = list(made.values())
+        solves = {future.key for future in made.values()}
+        waiting = as_completed(made.values(), loop=client.loop)
         made |= {
             key: client.submit(source.checked, {one.key: made[one.key] for one in source.solves}, key=key)
             for key, source in plan.sources.items()
             if isinstance(source, LibraryPlan)
         }
-        rendering = [
-            client.submit(
-                _render_in_worker,
-                batch,
-                {key: made[key] for key in batch.solve_keys},
-                key=f"frames-{batch.key}",
-            )
-            for batch in plan.batches
-        ]
-        solves = {future.key for future in solving}
-        waiting = as_completed([*solving, *rendering], loop=client.loop)
+        for batch in plan.batches:
+            needed = {key: made[key] for key in batch.solve_keys}
+            waiting.add(client.submit(_render_in_worker, batch, needed, key=f"frames-{batch.key}"))
         # Only batches are results: a solution stays where it was made, until no batch needs it.
-        del made, solving, rendering
+        del made, needed
         for future in waiting:
             if future.key in solves:
                 if future.status == "error":
