@@ -27,7 +27,6 @@ from gelgap.domains.formats.shards import COLUMNS, FORCES, KINDS, OPTIONAL, PICT
 from gelgap.domains.frames.dataset import LabelledFrames
 from gelgap.domains.frames.folders import (
     PUBLISHED_FORCES,
-    PUBLISHED_LABEL,
     PUBLISHED_REFERENCE,
     UNSPLIT,
     domain_folders,
@@ -100,7 +99,7 @@ def _paper(frames: LabelledFrames, folder: Path) -> None:
     (folder / PUBLISHED_REFERENCE).write_bytes(encode_jpeg(frames.reference))
     table = pd.DataFrame(frames.force_n, columns=PUBLISHED_FORCES)
     if frames.has_classes:
-        table[PUBLISHED_LABEL] = frames.contact_class
+        table["label"] = frames.contact_class
     is_test = stated_split(frames) == "test"
     for part, rows in {UNSPLIT: is_test | ~is_test, "train": ~is_test, "test": is_test}.items():
         if not rows.any():

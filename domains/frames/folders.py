@@ -30,7 +30,6 @@ PUBLISHED_REFERENCE = "ref.jpg"
 UNSPLIT = "ori"
 PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
-PUBLISHED_LABEL = "label"
 _ALIASES = {"inpainting": "wmb0i0"}
 
 # Names under which people write the same thing; letters and digits alone count.
