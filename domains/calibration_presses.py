@@ -67,10 +67,15 @@ def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
     ValueError
         If `dataPack.npz` is not what it should be; nothing in it is executed.
     """
-    path = _folder(name) / "dataPack.npz"
+    folder = Path(name)
+    package = find_spec("taxim") if name in NAMES else None  # looks it up without running any of it
+    if package is not None and package.submodule_search_locations:
+        folder = Path(package.submodule_search_locations[0]) / "calib" / name
+    path = folder / "dataPack.npz"
     if not path.is_file():
         raise FileNotFoundError(
-            f"{path} does not exist; give {' or '.join(NAMES)}, or a folder with a dataPack.npz"
+            f"{path} does not exist; give a folder with a dataPack.npz, or {' or '.join(NAMES)} where taxim is "
+            f"installed ({INSTALL})"
         )
     try:
         arrays = read_arrays(path, ("f0", "imgs", "touch_center", "touch_radius"))
@@ -105,17 +110,6 @@ def taxim_presses(name: str, mm_per_px: float | None = None) -> PressSet:
         blurred = start.camera.model_copy(update={"point_spread_px": ROUGH_POINT_SPREAD_PX})
         start = start.model_copy(update={"camera": blurred})
     return PressSet(reference, presses, start)
-
-
-def _folder(name: str) -> Path:
-    if name not in NAMES:
-        return Path(name)
-    found = find_spec("taxim")  # looks it up without running any of it
-    if found is None or not found.submodule_search_locations:
-        raise FileNotFoundError(
-            f"the package taxim, which holds {name}, is not installed; install it: {INSTALL}"
-        )
-    return Path(next(iter(found.submodule_search_locations))) / "calib" / name
 
 
 def start_sensor(width_px: int, azimuths: Sequence[float], mm_per_px: float = MM_PER_PX) -> Sensor:

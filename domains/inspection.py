@@ -18,6 +18,7 @@ from gelgap.domains.frames.labels import QUANTITIES, Range, known_labels, usual_
 from gelgap.domains.frames.splits import paired_contacts
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.sweep import domain_gap, unseen_differences
+from gelgap.render import picture_gap
 
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
@@ -68,7 +69,7 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         notes.append(f"{len(damages)} pictures cannot be used, see --verify; first: {damages[0]}")
     files = (path for path in Path(folder).rglob("*") if path.is_file() and ".cache" not in path.parts)
     (width, height), size_mb = frames.size_px, sum(path.stat().st_size for path in files) / 1e6
-    points, classes = _distinct(frames.point_id), _distinct(frames.contact_class)
+    points, classes = (len(np.unique(own[own >= 0])) for own in (frames.point_id, frames.contact_class))
     outside_range = int(outside(frames, frames.labels).sum())
     groups = [f"{len(set(frames.columns[name]))} of {name}" for name in GROUPS if name in frames.columns]
     columns = frames.optional_columns if isinstance(frames, GeneratedDomain) else ()
@@ -96,10 +97,6 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
         notes=tuple(notes),
         rows=rows,
     )
-
-
-def _distinct(numbers: np.ndarray) -> int:
-    return len(np.unique(numbers[numbers >= 0]))
 
 
 def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
@@ -146,8 +143,6 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
     ValueError
         If their pictures have different sizes.
     """
-    from gelgap.render import picture_gap
-
     seen = picture_gap(base.reference, frames.reference)
     rows = [("reference pictures, CIEDE2000", _colours(seen.mean, seen.percentile_95))]
     if isinstance(frames, GeneratedDomain) and isinstance(base, GeneratedDomain):

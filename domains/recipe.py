@@ -20,6 +20,7 @@ from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.domains.domain import OWN_LIGHT, Domain, known_domains, random_stream
+from gelgap.domains.formats.domain_folder import DomainName
 from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
@@ -68,11 +69,6 @@ class DrawnErrors:
     depth_zero_mm: float
     tilt_deg: tuple[float, float]
     force_bias_n: tuple[float, float, float]
-
-    @property
-    def displace(self) -> bool:
-        """Whether contacts are others than those that are commanded."""
-        return any((*self.point_offset_mm, self.depth_zero_mm, *self.tilt_deg))
 
     def actual(self, pose: Pose) -> Pose:
         """Return the contact that happens when this pose is commanded."""
@@ -135,11 +131,7 @@ def _rounded(value_mm: float) -> float:
 class DomainRecipe(Settings):
     """One domain, completely: the same recipe and package versions give the same bytes."""
 
-    name: str = Field(
-        description="the domain's name, and its folder's",
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$",
-        max_length=128,
-    )
+    name: DomainName = Field(description="the domain's name, and its folder's")
     elastomer: Elastomer
     indenter: AnyIndenter = Sphere()
     further_indenters: tuple[AnyIndenter, ...] = Field(
@@ -243,7 +235,7 @@ class DomainRecipe(Settings):
     def solved_path(self) -> ContactPath | PosePath:
         """Return the contacts of each indenter that really happen."""
         errors, poses = self.drawn_errors(), self.commanded_poses()
-        if errors.displace:
+        if any((*errors.point_offset_mm, errors.depth_zero_mm, *errors.tilt_deg)):
             poses = tuple(errors.actual(pose) for pose in poses)
         return self.path if poses is self.path.poses else PosePath(self.path.name, poses)
 
@@ -441,14 +433,4 @@ def load_recipes(file: str | Path, **settings: object) -> tuple[DomainRecipe, ..
     with named_in_errors(file):
         content = RecipeFile(**read_with_path(file))
         check_named_once(entry.name for entry in content.domains)
-        return tuple(
-            own_recipe(
-                entry.name,
-                content.path,
-                base="mb0i0" if entry.markers else "wmb0i0",
-                elastomer=entry.elastomer,
-                illumination=entry.illumination,
-                **settings | {"sensor": entry.sensor},
-            )
-            for entry in content.domains
-        )
+        return tuple(own_recipe(path=content.path, **settings | dict(entry)) for entry in content.domains)

@@ -15,8 +15,9 @@ from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors
 from gelgap.assets.whole_file import write_whole
 from gelgap.domains.generation.shard import renderer_of
+from gelgap.domains.pretraining import RisingInterval
 from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
-from gelgap.render import Variation, vary_illumination, vary_sensor
+from gelgap.render import Variation, reference_gap, vary_illumination, vary_sensor
 
 Value = float | int | str | bool | None
 
@@ -32,17 +33,9 @@ class Factor(Settings):
     field: str
     change: Literal["set", "scale", "shift"] = "set"
     values: tuple[Value, ...] = Field(default=(), description="values for grid and one-at-a-time")
-    range: tuple[float, float] | None = Field(
+    range: RisingInterval | None = Field(
         default=None, description="lowest and highest value for a Latin hypercube"
     )
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if bool(self.values) == (self.range is not None):
-            raise ValueError(f"factor {self.field}: give either values or a range")
-        if self.range is not None and not self.range[0] < self.range[1]:
-            raise ValueError(f"factor {self.field}: range = {self.range}: the first must be below the second")
-        return self
 
 
 class Sweep(Settings):
@@ -84,12 +77,12 @@ class Sweep(Settings):
         if not self.factors and self.variation is None:
             raise ValueError("a sweep needs factors, a variation, or both")
         hypercube = self.method == "latin-hypercube"
-        wrong = [factor.field for factor in self.factors if (factor.range is None) == hypercube]
-        if wrong:
-            needed = "a range" if hypercube else "values"
-            raise ValueError(
-                f"method = {self.method!r} needs {needed} for every factor; not so: {', '.join(wrong)}"
-            )
+        needed, other = ("range", "values") if hypercube else ("values", "range")
+        for factor in self.factors:
+            if not getattr(factor, needed) or getattr(factor, other):
+                raise ValueError(
+                    f"factor {factor.field}: method = {self.method!r} needs its {needed}, and no {other}"
+                )
         return self
 
     def points(self) -> Iterator[dict[str, Value]]:
@@ -209,8 +202,6 @@ class DomainGap:
 
 def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
-    from gelgap.render import reference_gap
-
     colours = reference_gap(renderer_of(base), renderer_of(other))
     changed = (other.markers, base.markers)
     return DomainGap(

@@ -13,19 +13,16 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+import pandas as pd
 
 from gelgap.assets.names import is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import as_colour, decode_picture, encode_png, resized
 from gelgap.domains.frames.folders import GROUPS, known_columns, picture_path
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from cv2 import VideoCapture
 
 LOG = logging.getLogger(__name__)
 CONTACT_N = 0.3
@@ -80,7 +77,7 @@ class Selection:
     facts: ConvertedClip
     reference: np.ndarray
     pictures: Callable[[], Iterable[np.ndarray]]
-    table: "pd.DataFrame"
+    table: pd.DataFrame
 
 
 Layout = Callable[[Path, int], Iterable[Selection]]
@@ -112,8 +109,6 @@ def convert(
 
 def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[ConvertedClip]:
     """Write what is selected, a folder for each domain, and yield the facts of each clip."""
-    import pandas as pd
-
     for domain, members in groupby(selections, key=lambda own: own.facts.domain):
         if not is_plain_name(domain):
             raise ValueError(f"the session's name {domain!r} is not one of a folder")
@@ -136,7 +131,7 @@ def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[Converted
         write_picture_table(out_dir / domain, pd.concat(tables))
 
 
-def write_picture_table(folder: Path, table: "pd.DataFrame") -> None:
+def write_picture_table(folder: Path, table: pd.DataFrame) -> None:
     """Write the table of a picture folder, a row for each picture; columns are those of `COLUMNS` that it has."""
     if table.empty:
         raise ValueError(f"{folder.name}: no frame is left to be written")
@@ -167,7 +162,7 @@ class Clip:
     session: str
     pictures: Callable[[], Iterable[np.ndarray]]
     time_s: np.ndarray
-    labels: "pd.DataFrame"
+    labels: pd.DataFrame
     lags: range = _LAGS
 
     def selected(self, every: int) -> Selection:
@@ -205,13 +200,11 @@ class Clip:
         )
         return Selection(facts, reference, self.pictures, table)
 
-    def labels_at(self, lag: int) -> "pd.DataFrame":
+    def labels_at(self, lag: int) -> pd.DataFrame:
         """Return the labels of each picture at a lag in frames, interpolated in time.
 
         NaN where there are none, or the nearest value is NaN or more than half a frame away.
         """
-        import pandas as pd
-
         frame_s = float(np.median(np.diff(self.time_s)))
         time_s, measured_s = self.time_s + lag * frame_s, self.labels.index.to_numpy()
         nearest = np.searchsorted((measured_s[1:] + measured_s[:-1]) / 2, time_s)
@@ -224,34 +217,25 @@ class Clip:
 
     def _correlations(self) -> list[float]:
         """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
-        import pandas as pd
-
-        measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
-        if min(n, m) < _FEWEST_FRAMES:
-            raise ValueError(
-                f"clip {self.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are "
-                "needed"
-            )
-        if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
-            raise ValueError(
-                f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
-                f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
-            )
         pictures = (resized(picture, _SIGNAL_PX).astype(np.int16) for picture in self.pictures())
         first = next(pictures, None)
         change = pd.Series(np.array([0.0, *(np.abs(picture - first).mean() for picture in pictures)]))
-        if len(change) != n:
-            raise ValueError(f"clip {self.name} has {len(change)} pictures and {n} times of pictures")
+        if len(change) != len(self.time_s):
+            raise ValueError(
+                f"clip {self.name} has {len(change)} pictures and {len(self.time_s)} times of pictures"
+            )
         pressed_n = (pd.Series(_pressing_n(self.labels_at(lag))) for lag in self.lags)
         found = [_correlation(change, own) for own in pressed_n]
         if np.isnan(found).all():
+            pictures_at, labels_at = (f"{at[0]:g}…{at[-1]:g} s" for at in (self.time_s, self.labels.index))
             raise ValueError(
-                f"clip {self.name}: its force or its pictures do not change; take it out of the folder"
+                f"clip {self.name}: its force or its pictures do not change, or fewer than {_FEWEST_FRAMES} pictures "
+                f"(at {pictures_at}) have labels (at {labels_at}); count both from the same moment, or take it out"
             )
         return found
 
 
-def _correlation(change: "pd.Series", own: "pd.Series") -> float:
+def _correlation(change: pd.Series, own: pd.Series) -> float:
     """Return the correlation where both are known; NaN for too few, or if one does not change.
 
     Rounding would decide the latter.
@@ -263,7 +247,7 @@ def _correlation(change: "pd.Series", own: "pd.Series") -> float:
     return float(change.corr(own))
 
 
-def _pressing_n(labels: "pd.DataFrame") -> np.ndarray:
+def _pressing_n(labels: pd.DataFrame) -> np.ndarray:
     """Return how hard was pressed (n,): −Fz, or the size of what else of the force was measured, N."""
     if "fz_n" in labels:
         return -labels["fz_n"].to_numpy()
@@ -284,8 +268,6 @@ def _recordings(folder: Path, every: int) -> Iterator[Selection]:
 
 
 def _recorded_clip(table: Path) -> Clip:
-    import pandas as pd
-
     columns = known_columns(table, ("time_s", *QUANTITIES))
     names = known_labels(columns)
     if "time_s" not in columns or not set(names) & set(FORCE_COLUMNS):
@@ -316,8 +298,7 @@ def _recorded_clip(table: Path) -> Clip:
         time_s = of_pictures["time_s"]
         pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_picture, paths)
     else:
-        # 0 is OpenCV's CAP_PROP_POS_MSEC.
-        time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
+        time_s = np.array([video.get(cv2.CAP_PROP_POS_MSEC) / 1000 for video in _grabbed(source)])
         pictures = partial(video_pictures, source)
     for times, place in ((time_s, source), (columns["time_s"], table)):
         if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
@@ -342,10 +323,8 @@ def video_pictures(path: Path) -> Iterator[np.ndarray]:
         yield np.ascontiguousarray(picture[..., ::-1])
 
 
-def _grabbed(path: Path) -> "Iterator[VideoCapture]":
+def _grabbed(path: Path) -> Iterator[cv2.VideoCapture]:
     """Yield a video at each of its pictures, before it is decoded."""
-    import cv2
-
     video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
     try:
         if not video.isOpened():

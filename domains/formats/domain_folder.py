@@ -12,18 +12,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from gelgap.assets.checksums import file_sha256, parse_json, sha256, with_checksum, without_checksum
 from gelgap.assets.locks import sole_use
-from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import Settings
-from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
+from gelgap.assets.whole_file import write_whole
 
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
 SHARDS = "frames-*.parquet"
 _SETTLED_NS = 2_000_000_000
+DomainName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=128)]
 
 
 def shard_name(number: int) -> str:
@@ -110,9 +110,6 @@ class DomainFolder:
         path = self.path / name
         if not path.exists():
             return "is missing"
-        size = path.stat().st_size
-        if size != entry["bytes"]:
-            return f"has {size} bytes, the manifest states {entry['bytes']}"
         if _sha256_of(path) != entry["sha256"]:
             return "has other bytes than the manifest states (SHA-256 differs)"
         return None
@@ -125,13 +122,6 @@ class DomainFolder:
             for (name, _), problem in zip(files, problems, strict=True):
                 if problem:
                     yield Damage(name, problem)
-
-    def keep_only(self, names: set[str]) -> None:
-        """Remove the files of a generation that are not among these, and nothing else."""
-        for pattern in (MANIFEST, REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}"):
-            for path in self.path.glob(pattern):
-                if path.name not in names:
-                    path.unlink()
 
     def damages(self) -> list[Damage]:
         """Return everything that differs from what the manifest states: missing, changed and unknown files."""
@@ -149,18 +139,6 @@ class DomainFolder:
         return found
 
 
-def _plain(name: str) -> str:
-    if not is_plain_name(name):
-        raise ValueError("must be a plain name")
-    return name
-
-
-def _rising(interval: list[float]) -> list[float]:
-    if len(interval) != 2 or not interval[0] < interval[1]:
-        raise ValueError("must be a lower and a higher bound")
-    return interval
-
-
 class _Checked(Settings, extra="allow", strict=True):
     """What is checked of a manifest whose checksum is right; it may state more."""
 
@@ -175,14 +153,14 @@ class _Configuration(_Checked):
 
 
 class _Manifest(_Checked):
-    domain: Annotated[str, AfterValidator(_plain)]
+    domain: DomainName
     files: dict[Annotated[str, Field(pattern=r"^(reference\.png|frames-\d{5,}\.parquet)$")], _FileEntry]
     configuration: _Configuration
     versions: dict[str, Any]
     complete: bool
     schema_version: int
     force_range_n: Annotated[
-        list[Annotated[list[float], AfterValidator(_rising)]], Field(min_length=3, max_length=3)
+        list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=3, max_length=3)
     ]
 
 
@@ -197,12 +175,11 @@ def new_folder(out_dir: Path) -> Iterator[Path]:
     RuntimeError
         If the disk does not take it, or another process is writing it; nothing of it is left.
     """
-    check_is_new(out_dir)
     building = out_dir.with_name(f".{out_dir.name}.building")
     with sole_use(building):
-        check_is_new(out_dir)
         content = building / "content"
         try:
+            check_is_new(out_dir)
             shutil.rmtree(content, ignore_errors=True)  # what a killed process has left
             content.mkdir()
             yield content

@@ -3,7 +3,10 @@
 import io
 import struct
 
+import cv2
 import numpy as np
+from PIL import Image, UnidentifiedImageError
+from zlib_ng import zlib_ng
 
 MOST_PIXELS = 2**26
 _AVERAGE = 3  # the number of this filter (PNG, W3C Recommendation, 3rd edition, 9.2)
@@ -16,8 +19,6 @@ def encode_png(picture: np.ndarray) -> bytes:
     their neighbours, is faster and smaller than a compression level (docs/results/generation.md has the table).
     A ValueError if the picture has another shape or type.
     """
-    from zlib_ng import zlib_ng
-
     colour = picture.ndim == 3 and picture.shape[2] == 3
     if not (colour or picture.ndim == 2) or picture.dtype not in (np.uint8, np.uint16)[: 1 if colour else 2]:
         raise ValueError(f"no PNG is written of a picture of shape {picture.shape} and type {picture.dtype}")
@@ -48,8 +49,6 @@ def _less_average(picture: np.ndarray) -> np.ndarray:
 
 def encode_jpeg(picture: np.ndarray, quality: int = 95) -> bytes:
     """Encode an 8-bit RGB picture as JPEG; `quality` is 1 to 100."""
-    import cv2
-
     pixels = np.ascontiguousarray(picture[..., ::-1])
     _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return data.tobytes()
@@ -61,8 +60,6 @@ def stated_size_px(data: bytes) -> tuple[int, int]:
     A ValueError if it is none of these, has more than 64 million pixels, its end is missing, or a checksum of a PNG
     differs.
     """
-    from PIL import Image, UnidentifiedImageError
-
     try:
         with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "BMP")) as picture:
             size = picture.size
@@ -86,8 +83,6 @@ def decode_picture(data: bytes) -> np.ndarray:
 
     A ValueError where `stated_size_px` raises it, or if the pixels cannot be decoded.
     """
-    import cv2
-
     stated_size_px(data)
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -110,8 +105,6 @@ def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     area means first, then this one is interpolated linearly (320×240 to 256×256, say). A ValueError if the size has
     more pixels than the picture, or is longer on both sides: enlarging invents pixels.
     """
-    import cv2
-
     height, width = picture.shape[:2]
     if size_px == (width, height):
         return picture

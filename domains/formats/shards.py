@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from gelgap.domains.formats.pictures import encode_png
-from gelgap.sim import Diagnostics, Pose
+from gelgap.render import marker_rest_mm
+from gelgap.sim import Diagnostics, MembraneState, Pose
 
 if TYPE_CHECKING:
-    from pyarrow.parquet import ParquetFile
-
-    from gelgap.render import MembraneRenderer, Sensor
-    from gelgap.sim import MembraneState
+    from gelgap.render import MembraneRenderer
 
 SCHEMA_VERSION = 1
 # A row group is what a reader must take from disk to see one frame: small, so that random access stays cheap.
@@ -69,21 +68,16 @@ class Contact(NamedTuple):
     trajectory: int
     step: int
     split: str
-    state: "MembraneState"
+    state: MembraneState
     force_n: tuple[float, ...]
     indenter: str
-
-    @property
-    def angle_deg(self) -> float | None:
-        return self.pose.angle_deg if self.pose.radius_mm else None
 
 
 class View(NamedTuple):
     """One contact as a sensor sees it; `coarse_n` is its contact force by cells of the view, if that is wanted."""
 
     renderer: "MembraneRenderer"
-    sensor: "Sensor"
-    state: "MembraneState"
+    state: MembraneState
     coarse_n: np.ndarray | None = None
 
     @property
@@ -120,9 +114,7 @@ def _contact_mask(view: View) -> dict[str, Any]:
 
 
 def _marker_rest_mm(view: View) -> list[list[float]]:
-    from gelgap.render import marker_rest_mm
-
-    return _point_list(marker_rest_mm(view.sensor.markers))
+    return _point_list(marker_rest_mm(view.renderer.sensor.markers))
 
 
 def _marker_px(view: View) -> list[list[float]]:
@@ -157,7 +149,7 @@ LABELS = (
     Column("contact_class", _INT, "", _CLASS, lambda c: c.pose.contact_class),
     Column("depth_mm", _FLOAT, "mm", "commanded depth", lambda c: c.pose.depth_mm),
     Column("radius_mm", _FLOAT, "mm", "commanded travel sideways", lambda c: c.pose.radius_mm),
-    Column("angle_deg", _FLOAT, "°", _DIRECTION, lambda c: c.angle_deg),
+    Column("angle_deg", _FLOAT, "°", _DIRECTION, lambda c: c.pose.angle_deg if c.pose.radius_mm else None),
     Column("trajectory_id", _INT, "", "travel at one point, depth and direction", lambda c: c.trajectory),
     Column("step", _INT, "", "place on the trajectory", lambda c: c.step),
     Column("x_mm", _FLOAT, "mm", "commanded contact point, to the right", lambda c: c.pose.point_x_mm),
@@ -219,29 +211,22 @@ COLUMNS = {column.name: column for column in (*LABELS, IMAGE, *(c for own in OPT
 """Every column that there is, by its name."""
 
 
-def frame_schema(optional: Sequence[OptionalColumn] = ()) -> pa.Schema:
-    """Return the Arrow schema of a shard, with the metadata by which Hugging Face `datasets` decodes pictures."""
-    chosen = (column for name in OPTIONAL if name in optional for column in OPTIONAL[name])
+def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
+    """Return the Parquet file that holds these rows: the same rows always give the same bytes.
+
+    Its metadata tell Hugging Face `datasets` which columns are pictures.
+    """
+    chosen = [column for name in OPTIONAL if name in optional for column in OPTIONAL[name]]
     columns = [*LABELS, IMAGE, *chosen]
     features = {column.name: KINDS[column.type].feature for column in columns}
     metadata = {"huggingface": json.dumps({"info": {"features": features}})}
-    return pa.schema([pa.field(column.name, column.type) for column in columns], metadata=metadata)
-
-
-def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColumn] = ()) -> bytes:
-    """Return the Parquet file that holds these rows: the same rows always give the same bytes."""
-    import pyarrow.parquet as pq
-
+    schema = pa.schema([pa.field(column.name, column.type) for column in columns], metadata=metadata)
     # Labels are few, and noise leaves pictures nothing to gain: only optional columns are compressed.
-    packed = (column for name in optional for column in OPTIONAL[name] if KINDS[column.type].leaf)
-    table = pa.Table.from_pylist(list(rows), schema=frame_schema(optional))
+    leaves = (f"{column.name}.{leaf}" for column in chosen if (leaf := KINDS[column.type].leaf))
+    options = {"row_group_size": ROWS_PER_GROUP, "use_dictionary": False}
     sink = io.BytesIO()
     pq.write_table(
-        table,
-        sink,
-        compression={f"{column.name}.{KINDS[column.type].leaf}": "zstd" for column in packed},
-        row_group_size=ROWS_PER_GROUP,
-        use_dictionary=False,
+        pa.Table.from_pylist(list(rows), schema), sink, compression=dict.fromkeys(leaves, "zstd"), **options
     )
     return sink.getvalue()
 
@@ -298,9 +283,7 @@ class ShardFile:
         return np.cumsum([group.num_rows for group in groups])
 
     @cached_property
-    def _file(self) -> "ParquetFile":
-        import pyarrow.parquet as pq
-
+    def _file(self) -> pq.ParquetFile:
         with self._named_if_damaged():
             file = pq.ParquetFile(pa.memory_map(str(self.path)), **_FOOTER_LIMITS)
             _check_footer(file)
@@ -314,7 +297,7 @@ class ShardFile:
             raise damaged(self.path, str(error)) from None
 
 
-def _check_footer(file: "ParquetFile") -> None:
+def _check_footer(file: pq.ParquetFile) -> None:
     """Raise ValueError if a shard states other columns, more rows or more bytes than generation writes."""
     metadata, schema = file.metadata, file.schema_arrow
     names, needed = set(schema.names), {column.name for column in (*LABELS, IMAGE)}

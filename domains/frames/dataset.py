@@ -2,7 +2,7 @@
 
 import hashlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING
@@ -14,9 +14,11 @@ from gelgap.domains.formats.pictures import resized, without_markers
 from gelgap.domains.frames.labels import (
     FORCE_COLUMNS,
     PAPER_FORCE_RANGE_N,
+    PAPER_RANGES,
     QUANTITIES,
     Labels,
     Range,
+    check_names,
     covering,
     hull,
     known_labels,
@@ -46,26 +48,6 @@ class Frame:
     labels: dict[str, float]
 
 
-class RestPictures:
-    """The pictures without contact of a data set: each is read when it is asked for, and reduced once for each size."""
-
-    def __init__(self, readers: Sequence[Callable[[], np.ndarray]]):
-        self.readers = tuple(readers)
-        self._reduced: dict[tuple[tuple[int, int], bool], np.ndarray] = {}
-
-    @cached_property
-    def first(self) -> np.ndarray:
-        """The first one as stored, (h, w, 3) uint8."""
-        return self.readers[0]()
-
-    def at(self, size_px: tuple[int, int], markers: bool) -> np.ndarray:
-        """Return all of them (r, h, w, 3) uint8 of this width and height, or all with their markers filled in."""
-        if (size_px, markers) not in self._reduced:
-            pictures = (read() if markers else without_markers(read()) for read in self.readers)
-            self._reduced[size_px, markers] = np.stack([resized(picture, size_px) for picture in pictures])
-        return self._reduced[size_px, markers]
-
-
 class LabelledFrames(ABC):
     """The frames of one domain: labels as `columns` (n,), pictures on demand; `take` gives some of them.
 
@@ -87,22 +69,22 @@ class LabelledFrames(ABC):
     unconverged
         How many frames were left out because the simulation did not converge.
     rest_pictures
-        The reference pictures, one or several.
+        Functions that read the reference pictures (h, w, 3), one or several.
     """
 
     name: str
     columns: dict[str, np.ndarray]
-    rest_pictures: RestPictures
+    rest_pictures: Sequence[Callable[[], np.ndarray]]
     force_range_n: np.ndarray = np.array(PAPER_FORCE_RANGE_N)
     declares_ranges: bool = True
     n_classes: int = CONTACT_CLASSES
     notes: tuple[str, ...] = ()
     unconverged: int = 0
 
-    @property
+    @cached_property
     def reference(self) -> np.ndarray:
         """The picture without contact, (h, w, 3) uint8; the first one where frames have references of their own."""
-        return self.rest_pictures.first
+        return self.rest_pictures[0]()
 
     @property
     @abstractmethod
@@ -210,14 +192,12 @@ class LabelledFrames(ABC):
         wrong = ~((values >= labels.low) & (values <= labels.high))
         if wrong.any():
             frame, label = np.argwhere(wrong)[0]
-            value, (symbol, unit) = values[frame, label], labels.quantities[label]
-            how, advice = "outside the declared range", "labels are never clipped: give a wider one (--range)"
-            if not np.isfinite(value):
-                how, advice = "that is not a number", "take such frames out"
+            (symbol, unit), (low, high) = labels.quantities[label], labels.ranges[label]
             raise ValueError(
-                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have a label {how}; first: frame "
-                f"{frame}, {symbol} = {value:.4g} {unit}, allowed [{labels.low[label]:g}, {labels.high[label]:g}] "
-                f"{unit}; {advice}"
+                f"domain {self.name}: {wrong.any(axis=1).sum()} of {len(self)} frames have a label outside the "
+                f"declared range; first: frame {frame}, {symbol} = {values[frame, label]:.4g} {unit}, allowed "
+                f"[{low:g}, {high:g}] {unit}; labels are never clipped: give a wider one (--range), or take out what "
+                "is not a number"
             )
         classes = self.contact_class
         if len(self) and not (classes.min() >= -1 and classes.max() < self.n_classes):
@@ -252,7 +232,8 @@ class LabelledFrames(ABC):
 
         Without `markers`, their dots are inpainted.
         """
-        return self.rest_pictures.at(self.image_size_px(size_px), markers)
+        pictures = (read() if markers else without_markers(read()) for read in self.rest_pictures)
+        return np.stack([resized(picture, self.image_size_px(size_px)) for picture in pictures])
 
     def torch(
         self,
@@ -314,7 +295,7 @@ class ArrayFrames(LabelledFrames):
         self.name, self.n_classes = name, n_classes
         self.force_range_n = np.asarray(force_range_n, float)
         self._images = images
-        self.rest_pictures = RestPictures([partial(np.asarray, reference)])
+        self.rest_pictures = [partial(np.asarray, reference)]
         numbers = {"contact_class": contact_class, "point_id": point_id}
         columns |= {label: values for label, values in numbers.items() if values is not None}
         if images.ndim != 4 or images.shape[3] != 3 or images.dtype != np.uint8:
@@ -426,6 +407,65 @@ def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
     return DerivedFrames(train, train.columns | {"contact_class": classes}, change, n_classes=count)
 
 
+def labels_of_run(
+    source: LabelledFrames,
+    target: LabelledFrames,
+    names: Sequence[str] | None = None,
+    ranges: Mapping[str, Range] | None = None,
+) -> tuple[Labels, tuple[str, ...]]:
+    """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
+
+    A range is the given one, or else spans what the two data sets declare (the paper's for forces that neither
+    declares). Where the source does not declare it, it is widened to cover the source's training labels. The target's
+    labels never move it; that some lie beyond it is only said.
+
+    Parameters
+    ----------
+    source, target
+        The source's training frames, and frames of the target.
+    names
+        By default the axes of the force that both domains have, or without any all labels that both have.
+    ranges
+        Given ranges by label, in its unit.
+
+    Raises
+    ------
+    ValueError
+        If a name or range is wrong, a range is given for another label, or a domain lacks a label.
+    """
+    if names is None:
+        names = usual_labels(set(source.columns) & set(target.columns))
+        if not names:
+            has = (f"{f.name} has {', '.join(known_labels(f.columns))}" for f in (source, target))
+            raise ValueError(f"source and target share no label: {'; '.join(has)}")
+    check_names(names)
+    for frames in (source, target):
+        frames.values_of(names)
+    ranges = dict(ranges or {})
+    if stray := [name for name in ranges if name not in names]:
+        raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
+    found, notes = {}, []
+    for name in names:
+        declared = hull(frames.declared_range(name) for frames in (source, target)) or PAPER_RANGES.get(name)
+        found[name] = ranges.get(name) or declared
+        if name not in ranges and (declared is None or not source.declares_ranges):
+            found[name] = covering(source.columns[name], declared)
+            if declared is not None and found[name] != declared:
+                (symbol, unit), (low, high) = QUANTITIES[name], found[name]
+                notes.append(
+                    f"the range of {symbol}, {declared[0]:g} to {declared[1]:g} {unit}, is widened to "
+                    f"{low:g} to {high:g} by source {source.name}"
+                )
+    labels = Labels.of(found)
+    for frames in (source, target):
+        if count := int(outside(frames, labels).sum()):
+            notes.append(
+                f"{count} of {len(frames)} frames of {frames.name} have a label beyond the range ({labels}), which no "
+                "prediction reaches: give a wider one"
+            )
+    return labels, tuple(notes)
+
+
 def join_domains(domains: Sequence[LabelledFrames]) -> LabelledFrames:
     """Return the frames of several data sets, one after the other, as one; a single one is returned as it is.
 
@@ -456,7 +496,7 @@ class JoinedFrames(LabelledFrames):
         self.columns = {name: np.concatenate([frames.columns[name] for frames in domains]) for name in shared}
         self.columns["reference_id"] = _counted_on(
             [frames.reference_id for frames in domains],
-            [len(frames.rest_pictures.readers) for frames in domains],
+            [len(frames.rest_pictures) for frames in domains],
         )
         # What was left out keeps its number: a split at random counts it.
         self.columns["frame_id"] = _counted_on(
@@ -468,7 +508,7 @@ class JoinedFrames(LabelledFrames):
         self.declares_ranges = all(frames.declares_ranges for frames in domains)
         self.n_classes = max(frames.n_classes for frames in domains)
         self.unconverged = sum(frames.unconverged for frames in domains)
-        self.rest_pictures = RestPictures([read for own in domains for read in own.rest_pictures.readers])
+        self.rest_pictures = [read for frames in domains for read in frames.rest_pictures]
         self.notes = tuple(f"{frames.name}: {note}" for frames in domains for note in frames.notes)
 
     def declared_range(self, name: str) -> Range | None:

@@ -30,7 +30,6 @@ PUBLISHED_REFERENCE = "ref.jpg"
 UNSPLIT = "ori"
 PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
-PUBLISHED_LABEL = "label"
 _ALIASES = {"inpainting": "wmb0i0"}
 
 # Names under which people write the same thing; letters and digits alone count.
@@ -95,7 +94,7 @@ def domain_folders(folder: Path | str) -> tuple[Path, ...]:
 
 def layout_problem(folder: Path) -> str | None:
     """Return why a folder is not a data set, and what was looked for; None if it has a known layout."""
-    tables = _tables_in(folder)
+    tables = sorted(folder.glob("*.csv"))
     if (folder / MANIFEST).exists() or _is_published(folder) or len(tables) == 1:
         return None
     if tables:
@@ -167,10 +166,6 @@ def read_table(path: Path) -> list[dict[str, str]]:
         raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None
 
 
-def _tables_in(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.csv"))
-
-
 def _is_published(folder: Path) -> bool:
     parts = (folder / part / "images" for part in (*PUBLISHED_PARTS, UNSPLIT))
     return (folder / PUBLISHED_REFERENCE).is_file() and any(part.is_dir() for part in parts)
@@ -207,16 +202,11 @@ def _published(folder: Path) -> PictureFiles:
 
 
 def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
-    """Return the pictures of a part and its columns: forces, and contact classes where every row has one."""
+    """Return the pictures of a part and its columns: forces, and contact classes where there are any."""
     part = table.parents[1]
     if not table.is_file():
         raise FileNotFoundError(f"{table} is missing; every part has its forces there")
-    columns, classes = (
-        known_columns(table, FORCE_COLUMNS),
-        [row.get(PUBLISHED_LABEL) for row in read_table(table)],
-    )
-    if all(classes):
-        columns["contact_class"] = _whole_numbers(classes, f"{table}, column {PUBLISHED_LABEL!r}")
+    columns = known_columns(table, (*FORCE_COLUMNS, "contact_class"))
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
@@ -235,7 +225,7 @@ def _picture_folder(folder: Path) -> PictureFiles:
     Pictures lie in the folder or in its `images/`. Labels beyond the paper's ranges of forces widen them to the next
     0.1 N, which is noted.
     """
-    (table,) = _tables_in(folder)
+    (table,) = folder.glob("*.csv")
     columns, notes = known_columns(table), []
     if "picture" not in columns or not known_labels(columns):
         raise ValueError(
@@ -285,7 +275,10 @@ def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.
         elif ours in NUMBERS:
             found[ours] = _numbers(values, where)
         elif any(values):
-            found[ours] = _whole_numbers(values, where)
+            numbers = _numbers(values, where)
+            if not (np.abs(numbers) < 2**31).all():
+                raise ValueError(f"{where}: every row must hold a whole number")
+            found[ours] = numbers.astype(np.int64)
     return found
 
 
@@ -300,13 +293,6 @@ def _numbers(values: list[str], where: str) -> np.ndarray:
                 f"{quoted(value) if value else 'nothing'}"
             ) from None
     return numbers
-
-
-def _whole_numbers(values: list[str], where: str) -> np.ndarray:
-    numbers = _numbers(values, where)
-    if not (np.abs(numbers) < 2**31).all():
-        raise ValueError(f"{where}: every row must hold a whole number")
-    return numbers.astype(np.int64)
 
 
 def _plain(name: str) -> str:

@@ -63,8 +63,6 @@ class Labels:
 
     def __post_init__(self) -> None:
         check_names(self.names)
-        if len(self.names) != len(self.ranges):
-            raise ValueError(f"{len(self.names)} labels have {len(self.ranges)} ranges")
         for name, (low, high) in zip(self.names, self.ranges, strict=True):
             if not (np.isfinite([low, high]).all() and low < high):
                 raise ValueError(

@@ -1,27 +1,17 @@
-"""What a run takes from its data sets: training, validation and test frames, contacts that both show, and labels.
+"""What a run takes from its data sets: training, validation and test frames, and contacts that both show.
 
 One seed gives one split, for a domain alone or for two.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from gelgap.assets.names import quoted
 from gelgap.domains.domain import random_stream
-from gelgap.domains.frames.dataset import LabelledFrames, outside
-from gelgap.domains.frames.labels import (
-    PAPER_RANGES,
-    QUANTITIES,
-    Labels,
-    Range,
-    check_names,
-    covering,
-    hull,
-    known_labels,
-    usual_labels,
-)
+from gelgap.domains.frames.dataset import LabelledFrames
 
 WAYS = ("random", "point", "given")
 Shares = Sequence[float]
@@ -211,8 +201,6 @@ def _groups(domains: Sequence[LabelledFrames], column: str, what: str, known: st
 
 def _strata_of(domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], column: str) -> np.ndarray:
     """Return the stratum of each group; a ValueError if a group has frames of several."""
-    import pandas as pd
-
     strata = np.concatenate(_groups(domains, column, "stratify_by", "take a column"))
     of_group = pd.Series(strata).groupby(np.concatenate(groups))
     if (is_mixed := of_group.nunique() > 1).any():
@@ -228,13 +216,13 @@ def _strata_of(domains: Sequence[LabelledFrames], groups: Sequence[np.ndarray], 
 
 
 def _stated_parts(frames: LabelledFrames, stratify_by: str | None) -> np.ndarray:
-    stated, instead = set(frames.columns.get("split", ())), "split by random, point or a column"
     if stratify_by is not None:
         raise ValueError(f"data set {frames.name} states its split: it cannot be stratified by {stratify_by}")
-    if not stated or not stated <= set(PARTS):
-        raise ValueError(f"data set {frames.name} gives no split into {', '.join(PARTS)}; {instead}")
-    for part in {"train", "test"} - stated:
-        raise ValueError(f"data set {frames.name} states a split without {part} frames; {instead}")
+    if not {"train", "test"} <= set(frames.columns.get("split", ())) <= set(PARTS):
+        raise ValueError(
+            f"data set {frames.name} states no split into {', '.join(PARTS)}, with frames for training and tests; "
+            "split by random, point or a column"
+        )
     return np.array([PARTS.index(part) for part in frames.columns["split"]], dtype=np.int64)
 
 
@@ -265,14 +253,7 @@ def contact_points(*domains: LabelledFrames) -> tuple[np.ndarray, ...]:
     ValueError
         If a domain states neither.
     """
-    if all(name in frames.columns for frames in domains for name in _POINT):
-        return _numbered([_rounded(frames, _POINT) for frames in domains])
-    for frames in domains:
-        if (frames.point_id < 0).any():
-            raise ValueError(
-                f"data set {frames.name} does not say its contact points; split by random or given"
-            )
-    return _numbered([frames.point_id[:, None] for frames in domains])
+    return _numbered_contacts(domains, _POINT, ("point_id",), "split by random or given")
 
 
 def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
@@ -286,88 +267,32 @@ def paired_contacts(one: LabelledFrames, other: LabelledFrames) -> tuple[np.ndar
     ValueError
         If a data set states neither.
     """
-    domains = (one, other)
-    if all(name in frames.columns for frames in domains for name in _POSE):
-        first, second = _numbered([_rounded(frames, _POSE) for frames in domains])
-    elif all(frames.has_classes and (frames.point_id >= 0).all() for frames in domains):
-        labels = [np.stack([frames.point_id, frames.contact_class], axis=1) for frames in domains]
-        first, second = _numbered(labels)
-    else:
-        for frames in domains:
-            if missing := [name for name in _POSE if name not in frames.columns]:
-                raise ValueError(
-                    f"data set {frames.name} lacks {', '.join(missing)}: its contacts cannot be paired"
-                )
+    numbers = ("point_id", "contact_class")
+    first, second = _numbered_contacts((one, other), _POSE, numbers, "they cannot be paired")
     place = np.full(np.concatenate([first, second]).max(initial=-1) + 1, -1)
     place[second] = np.arange(len(second))
     paired = np.flatnonzero(place[first] >= 0)
     return paired, place[first[paired]]
 
 
-def _rounded(frames: LabelledFrames, columns: Sequence[str]) -> np.ndarray:
-    return np.rint(frames.values_of(columns) / _RESOLUTION_MM).astype(np.int64)
+def _numbered_contacts(
+    domains: Sequence[LabelledFrames], places: Sequence[str], numbers: Sequence[str], otherwise: str
+) -> tuple[np.ndarray, ...]:
+    """Return the number (n,) of each frame's contact: by columns in mm where all state them, else by their numbers."""
+    if all(name in frames.columns for frames in domains for name in places):
+        steps = [frames.values_of(places) / _RESOLUTION_MM for frames in domains]
+        return _numbered([np.rint(own).astype(np.int64) for own in steps])
+    stated = [np.stack([getattr(frames, name) for name in numbers], axis=1) for frames in domains]
+    for frames, own in zip(domains, stated, strict=True):
+        if (own < 0).any():
+            raise ValueError(
+                f"data set {frames.name} does not say its contacts by {', '.join(places)}, nor by "
+                f"{' and '.join(numbers)}: {otherwise}"
+            )
+    return _numbered(stated)
 
 
 def _numbered(keys: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     """Return a number for each row, from 0 in sorted order; rows that are equal, in any of the arrays, share it."""
     numbers = np.unique(np.concatenate(keys), axis=0, return_inverse=True)[1].reshape(-1)
     return tuple(np.split(numbers, np.cumsum([len(rows) for rows in keys])[:-1]))
-
-
-def labels_of_run(
-    source: LabelledFrames,
-    target: LabelledFrames,
-    names: Sequence[str] | None = None,
-    ranges: Mapping[str, Range] | None = None,
-) -> tuple[Labels, tuple[str, ...]]:
-    """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
-
-    A range is the given one, or else spans what the two data sets declare (the paper's for forces that neither
-    declares). Where the source does not declare it, it is widened to cover the source's training labels. The target's
-    labels never move it; that some lie beyond it is only said.
-
-    Parameters
-    ----------
-    source, target
-        The source's training frames, and frames of the target.
-    names
-        By default the axes of the force that both domains have, or without any all labels that both have.
-    ranges
-        Given ranges by label, in its unit.
-
-    Raises
-    ------
-    ValueError
-        If a name or range is wrong, a range is given for another label, or a domain lacks a label.
-    """
-    if names is None:
-        names = usual_labels(set(source.columns) & set(target.columns))
-        if not names:
-            has = (f"{f.name} has {', '.join(known_labels(f.columns))}" for f in (source, target))
-            raise ValueError(f"source and target share no label: {'; '.join(has)}")
-    check_names(names)
-    for frames in (source, target):
-        frames.values_of(names)
-    ranges = dict(ranges or {})
-    if stray := [name for name in ranges if name not in names]:
-        raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
-    found, notes = {}, []
-    for name in names:
-        declared = hull(frames.declared_range(name) for frames in (source, target)) or PAPER_RANGES.get(name)
-        found[name] = ranges.get(name) or declared
-        if name not in ranges and (declared is None or not source.declares_ranges):
-            found[name] = covering(source.columns[name], declared)
-            if declared is not None and found[name] != declared:
-                (symbol, unit), (low, high) = QUANTITIES[name], found[name]
-                notes.append(
-                    f"the range of {symbol}, {declared[0]:g} to {declared[1]:g} {unit}, is widened to "
-                    f"{low:g} to {high:g} by source {source.name}"
-                )
-    labels = Labels.of(found)
-    for frames in (source, target):
-        if count := int(outside(frames, labels).sum()):
-            notes.append(
-                f"{count} of {len(frames)} frames of {frames.name} have a label beyond the range ({labels}), which no "
-                "prediction reaches: give a wider one"
-            )
-    return labels, tuple(notes)

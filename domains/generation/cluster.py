@@ -4,7 +4,6 @@ import contextlib
 import logging
 import os
 import re
-from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -66,8 +65,7 @@ def run(
 
 
 def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Iterator[Shard]:
-    """Run a plan batch by batch; a solution is dropped after the last batch that needs it."""
-    needed = Counter(key for batch in plan.batches for key in batch.solve_keys)
+    """Run a plan batch by batch; solutions are kept, as they are small."""
     made: dict[str, Any] = {}
 
     def make(source: Solve | LibraryPlan) -> Any:
@@ -78,12 +76,8 @@ def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Itera
         return solution
 
     for batch in plan.batches:
-        for key in batch.solve_keys:
-            if key not in made:
-                made[key] = make(plan.sources[key])
+        made |= {key: make(plan.sources[key]) for key in batch.solve_keys if key not in made}
         yield from render_batch(batch, {key: made[key] for key in batch.solve_keys})
-        needed.subtract(batch.solve_keys)
-        made = {key: solution for key, solution in made.items() if needed[key]}
 
 
 def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: "Client") -> Iterator[Shard]:
@@ -94,25 +88,18 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
 
     try:
         made = {key: client.submit(solve.run, key=f"solve-{key}") for key, solve in plan.solves.items()}
-        solving = list(made.values())
+        solves = {future.key for future in made.values()}
+        waiting = as_completed(made.values(), loop=client.loop)
         made |= {
             key: client.submit(source.checked, {one.key: made[one.key] for one in source.solves}, key=key)
             for key, source in plan.sources.items()
             if isinstance(source, LibraryPlan)
         }
-        rendering = [
-            client.submit(
-                _render_in_worker,
-                batch,
-                {key: made[key] for key in batch.solve_keys},
-                key=f"frames-{batch.key}",
-            )
-            for batch in plan.batches
-        ]
-        solves = {future.key for future in solving}
-        waiting = as_completed([*solving, *rendering], loop=client.loop)
+        for batch in plan.batches:
+            needed = {key: made[key] for key in batch.solve_keys}
+            waiting.add(client.submit(_render_in_worker, batch, needed, key=f"frames-{batch.key}"))
         # Only batches are results: a solution stays where it was made, until no batch needs it.
-        del made, solving, rendering
+        del made, needed
         for future in waiting:
             if future.key in solves:
                 if future.status == "error":

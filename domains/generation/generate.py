@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ import numpy as np
 
 from gelgap.assets.locks import sole_use
 from gelgap.assets.names import comma_list, quoted
+from gelgap.assets.whole_file import TEMPORARY_SUFFIX
 from gelgap.domains.domain import Domain
-from gelgap.domains.formats.domain_folder import MANIFEST, REFERENCE, DomainFolder
+from gelgap.domains.formats.domain_folder import REFERENCE, SHARDS, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
 from gelgap.domains.generation.cluster import check_scheduler, run
 from gelgap.domains.generation.estimate import force_notes
@@ -157,7 +158,7 @@ def generate_recipes(
         for writer in writers.values():
             writer.check(overwrite)
         skipped = tuple(name for name in names if writers[name].skipped)
-        plan = plan.without({name: writer.finished for name, writer in writers.items()})
+        plan = plan.without({name: set(writer.files) for name, writer in writers.items()})
         solves, written, unrenderable = len(plan.solves), 0, 0
         progress.begin(solves, plan.frames)
         log = partial(_log_event, out_dir)
@@ -205,11 +206,6 @@ class DomainWriter:
         self.skipped = False
         self.interpolation: dict[str, Any] | None = None
 
-    @property
-    def finished(self) -> set[str]:
-        """Names of the shards that need no work."""
-        return set(self.files) - {REFERENCE}
-
     def check(self, overwrite: bool) -> None:
         """Refuse a folder that holds something else, before anything is changed; else see what is intact."""
         if overwrite or not self.folder.exists():
@@ -236,7 +232,10 @@ class DomainWriter:
     def prepare(self) -> None:
         """Make the folder ready, with its reference: remove what is replaced, and leftovers of an interrupted run."""
         self.folder.path.mkdir(parents=True, exist_ok=True)
-        self.folder.keep_only({MANIFEST, *self.files})
+        for pattern in (REFERENCE, SHARDS, f".*{TEMPORARY_SUFFIX}"):
+            for path in self.folder.path.glob(pattern):
+                if path.name not in self.files:
+                    path.unlink()
         if not self.skipped:
             shutil.rmtree(self.folder.path / ".cache", ignore_errors=True)  # of pictures that are made again
             self._write_manifest()
@@ -294,13 +293,7 @@ def _check_space(out_dir: Path, plan: GenerationPlan, writers: Mapping[str, Doma
 @lru_cache(maxsize=1)
 def package_versions() -> dict[str, str]:
     """Return the versions of the packages that a domain's bytes may depend on."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    return {name: version(name) for name in PACKAGES}
 
 
 def _log_event(out_dir: Path, what: str, **values: Any) -> None:

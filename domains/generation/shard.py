@@ -11,6 +11,7 @@ import pandas as pd
 from gelgap.domains.domain import random_stream
 from gelgap.domains.formats.pictures import encode_png, without_markers
 from gelgap.domains.formats.shards import LABELS, OPTIONAL, Column, Contact, View, encode_shard, picture_cell
+from gelgap.domains.frames.labels import FORCE_COLUMNS
 from gelgap.domains.frames.splits import PARTS, draw_parts
 from gelgap.domains.generation.plan import FrameBatch
 from gelgap.domains.library import PoseLibrary
@@ -19,9 +20,8 @@ from gelgap.render import MembraneRenderer, view_half_extent_mm
 from gelgap.sim import MembraneState, Pose, traction_map
 
 Row = dict[str, Any]
-# One renderer holds the light of the undeformed membrane, some 0.2 MB for three LEDs.
-KEPT_RENDERERS = 32
-_renderer = lru_cache(maxsize=KEPT_RENDERERS)(MembraneRenderer)
+# One renderer holds the light of the undeformed membrane, some 0.2 MB for three LEDs; a sweep has hundreds of lights.
+_renderer = lru_cache(maxsize=512)(MembraneRenderer)
 
 
 @dataclass(frozen=True)
@@ -39,37 +39,6 @@ class Shard:
     interpolation: dict[str, Any] | None = None
 
 
-class ShardRows:
-    """The rows of one domain's shard while they are made; `refused` says by frame why there is no picture."""
-
-    def __init__(self, recipe: DomainRecipe):
-        self.recipe = recipe
-        self.label_cells = _label_cells_of(recipe)
-        self.rows: list[Row] = []
-        self.refused: dict[int, str] = {}
-
-    def shard(self, file: str, interpolation: dict[str, Any] | None) -> Shard:
-        """Return the rows as a shard, or raise RuntimeError if most of several frames cannot be rendered."""
-        if len(self.refused) > max(len(self.rows) / 2, 1):
-            frame, reason = next(iter(self.refused.items()))
-            raise RuntimeError(
-                f"domain {self.recipe.name}: {len(self.refused)} of {len(self.rows)} frames cannot be rendered; "
-                f"frame {frame}: {reason}"
-            )
-        forces = np.array([[row["fx_n"], row["fy_n"], row["fz_n"]] for row in self.rows if row["converged"]])
-        forces = forces.reshape(-1, 3)
-        low, high = np.array(self.recipe.force_range_n).T
-        facts = {
-            "frames": len(self.rows),
-            "unconverged": len(self.rows) - len(forces),
-            "force_min_n": forces.min(axis=0).tolist() if len(forces) else None,
-            "force_max_n": forces.max(axis=0).tolist() if len(forces) else None,
-            "outside_range": int(((forces < low) | (forces > high)).any(axis=1).sum()),
-        }
-        data = encode_shard(self.rows, self.recipe.columns)
-        return Shard(self.recipe.name, file, data, facts, self.refused, interpolation)
-
-
 def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     """Render a batch's frames in the light of each of its domains, and encode one shard per domain.
 
@@ -77,39 +46,31 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     whatever goes wrong, is flagged as not converged; if that happens to most of several frames, something else is
     wrong: a RuntimeError.
     """
-    shards = [ShardRows(recipe) for recipe in batch.recipes]
-    alike: dict[Hashable, list[ShardRows]] = {}
-    for own in shards:
-        alike.setdefault(_rendering(own.recipe), []).append(own)
-    groups = list(alike.values())
-    # Contacts are the inner loop as long as the renderers of the outer one are kept.
-    for start in range(0, len(groups), KEPT_RENDERERS):
-        _add_rows(groups[start : start + KEPT_RENDERERS], batch, solutions)
-    libraries = (source for source in solutions.values() if isinstance(source, PoseLibrary))
-    errors = next((library.errors for library in libraries if library.held_out is not None), None)
-    return [own.shard(batch.shard, errors) for own in shards]
-
-
-def _add_rows(groups: Sequence[Sequence[ShardRows]], batch: FrameBatch, solutions: dict[str, Any]) -> None:
-    """Add every frame's row to shards in groups that share their pictures.
-
-    Contact by contact, so that a membrane is rastered once for all lights that fall on it. Cameras with the same extent
-    of view share their membranes, whose grid it decides.
-    """
-    contacts, first = batch.contacts, [members[0].recipe for members in groups]
-    extents = [view_half_extent_mm(recipe.sensor.camera, recipe.size_px) for recipe in first]
+    alike: dict[Hashable, list[DomainRecipe]] = {}
+    for recipe in batch.recipes:
+        # All that pictures depend on besides their contacts; they may be inpainted or not.
+        light = recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality
+        rendering = recipe.picture_name, recipe.seed, _shows_markers(recipe), *light
+        alike.setdefault(rendering, []).append(recipe)
+    labels_of = {recipe.name: _label_cells_of(recipe) for recipe in batch.recipes}
+    rows: dict[str, list[Row]] = {name: [] for name in labels_of}
+    refused: dict[str, dict[int, str]] = {name: {} for name in labels_of}
+    # Contact by contact, so that a membrane is rastered once for all lights that fall on it.
     for place, frame in enumerate(range(batch.start, batch.start + len(batch))):
-        source = solutions.get(contacts.source_key(place))
-        states = {extent: contacts.state(place, source, extent) for extent in set(extents)}
-        for members, extent in zip(groups, extents, strict=True):
-            recipes, state = [own.recipe for own in members], states[extent]
-            cells: list[Row] = [{"image": None, "converged": False} for _ in members]
-            reason = None
+        source = solutions.get(batch.contacts.source_key(place))
+        states: dict[tuple[float, float], MembraneState] = {}
+        for recipes in alike.values():
+            # Cameras with the same extent of view share their membranes, whose grid it decides.
+            extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
+            if extent not in states:
+                states[extent] = batch.contacts.state(place, source, extent)
+            state, reason = states[extent], None
+            cells: list[Row] = [{"image": None, "converged": False} for _ in recipes]
             if state.converged:
                 try:
                     coarse_n = None
                     if any("traction" in recipe.columns for recipe in recipes):
-                        traction = traction_map(contacts.own, place, source, state)
+                        traction = traction_map(batch.contacts.own, place, source, state)
                         coarse_n = traction.coarse_n(half_extent_mm=extent)
                     cells = picture_cells(recipes, frame, state, coarse_n)
                 except (MemoryError, OSError):
@@ -118,16 +79,41 @@ def _add_rows(groups: Sequence[Sequence[ShardRows]], batch: FrameBatch, solution
                     # Only a sentence of our own speaks for itself.
                     is_ours = isinstance(error, ValueError)
                     reason = str(error) if is_ours else f"{type(error).__name__}: {error}"
-            for own, own_cells in zip(members, cells, strict=True):
-                own.rows.append(own.label_cells(frame, state) | own_cells)
+            for recipe, own_cells in zip(recipes, cells, strict=True):
+                rows[recipe.name].append(labels_of[recipe.name](frame, state) | own_cells)
                 if reason is not None:
-                    own.refused[frame] = reason
+                    refused[recipe.name][frame] = reason
+    libraries = (source for source in solutions.values() if isinstance(source, PoseLibrary))
+    errors = next((library.errors for library in libraries if library.held_out is not None), None)
+    return [
+        _shard(recipe, batch.shard, rows[recipe.name], refused[recipe.name], errors)
+        for recipe in batch.recipes
+    ]
 
 
-def _rendering(recipe: DomainRecipe) -> Hashable:
-    """Return what the pictures of a domain depend on besides its contacts, inpainted or not."""
-    light = (recipe.sensor, recipe.illumination, recipe.size_px, recipe.render_quality)
-    return recipe.picture_name, recipe.seed, _shows_markers(recipe), *light
+def _shard(
+    recipe: DomainRecipe,
+    file: str,
+    rows: list[Row],
+    refused: dict[int, str],
+    interpolation: dict[str, Any] | None,
+) -> Shard:
+    """Return rows as a shard, or raise RuntimeError if most of several frames cannot be rendered."""
+    if len(refused) > max(len(rows) / 2, 1):
+        frame, reason = next(iter(refused.items()))
+        raise RuntimeError(
+            f"domain {recipe.name}: {len(refused)} of {len(rows)} frames cannot be rendered; frame {frame}: {reason}"
+        )
+    forces_n = pd.DataFrame(rows).query("converged")[[*FORCE_COLUMNS]].to_numpy()
+    low, high = np.array(recipe.force_range_n).T
+    facts = {
+        "frames": len(rows),
+        "unconverged": len(rows) - len(forces_n),
+        "force_min_n": forces_n.min(axis=0).tolist() if len(forces_n) else None,
+        "force_max_n": forces_n.max(axis=0).tolist() if len(forces_n) else None,
+        "outside_range": int(((forces_n < low) | (forces_n > high)).any(axis=1).sum()),
+    }
+    return Shard(recipe.name, file, encode_shard(rows, recipe.columns), facts, refused, interpolation)
 
 
 def picture_cells(
@@ -139,7 +125,7 @@ def picture_cells(
     """Return the picture columns of one contact for recipes that share their pictures, rendered once."""
     first = recipes[0]
     renderer = renderer_of(first)
-    view = View(renderer, first.sensor, state, coarse_n)
+    view = View(renderer, state, coarse_n)
     picture = renderer.picture(
         *view.membrane,
         markers=_shows_markers(first),

@@ -10,8 +10,7 @@ import pytest
 from gelgap.assets.checksums import file_sha256
 from gelgap.cli.main import main
 from gelgap.domains import generate
-from gelgap.domains.formats.export import export
-from gelgap.domains.formats.public_layouts import MINI_SCHEMA
+from gelgap.domains.formats.export import MINI_SCHEMA, export
 from gelgap.domains.frames.folders import open_domain
 from gelgap.sim import ContactPath
 

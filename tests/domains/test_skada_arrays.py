@@ -82,8 +82,8 @@ def test_skada_masks_labels_in_the_same_way(source, target):
 
 
 def test_an_unknown_axis_and_pictures_of_two_shapes_are_refused(source, target):
-    with pytest.raises(ValueError, match=r"axis 'fz' is unknown; known: x, y, z"):
-        to_skada(source, target, axis="fz")
+    with pytest.raises(ValueError, match="has no label ffz_n; its labels: fx_n, fy_n, fz_n"):
+        to_skada(source, target, axis="fz", size_px=8)
     square = coloured(5, seed=2, offset=10, size_px=(8, 8))
     with pytest.raises(ValueError, match=r"offset-0 and offset-10 become 4×3 and 4×4 px with size_px = 4"):
         to_skada(source, square, axis="z", size_px=4)

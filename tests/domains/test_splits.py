@@ -50,7 +50,7 @@ def test_the_seed_of_a_domain_draws_the_split_that_it_states(data):
 
 
 def test_a_stated_split_that_has_no_test_frames_is_refused():
-    with pytest.raises(ValueError, match="states a split without test frames"):
+    with pytest.raises(ValueError, match="states no split into train, validation, test"):
         split_frames(pressed_at(range(4), split=np.array(["train"] * 4, dtype=object)))
 
 
@@ -145,7 +145,7 @@ def test_without_poses_contacts_are_paired_by_point_and_class():
     first, second = paired_contacts(pressed_at([0, 0, 3]), pressed_at([0, 1, 3, 0]))
     assert first.tolist() == [0, 2]
     assert second.tolist() == [0, 2]
-    with pytest.raises(ValueError, match=r"points lacks x_mm, y_mm.*cannot be paired"):
+    with pytest.raises(ValueError, match=r"points does not say its contacts by x_mm, y_mm.*cannot be paired"):
         paired_contacts(pressed_at([-1, -1]), pressed_at([0, 1]))
 
 

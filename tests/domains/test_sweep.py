@@ -88,7 +88,7 @@ def test_one_at_a_time_changes_one_at_a_time(tmp_path: Path):
         ("[0.5, 2.0]", "[-1.0]", r"young_modulus_mpa = -0.7.*must lie in"),
         ("[0.5, 2.0]", '["stiff"]', "both must be numbers"),
         ('base = "mb0i0"', 'base = "mb9i9"', "domain 'mb9i9' is unknown"),
-        ('base = "mb0i0"', 'base = "mb0i0"\nmethod = "latin-hypercube"', "needs a range"),
+        ('base = "mb0i0"', 'base = "mb0i0"\nmethod = "latin-hypercube"', "needs its range"),
         ('base = "mb0i0"', "base = mb0i0", "is not valid TOML"),
         ('base = "mb0i0"', 'base = "mb0i0"\nlevels = 3', "levels"),
     ],
