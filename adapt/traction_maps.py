@@ -21,7 +21,7 @@ from gelgap.adapt.progress import Progress, silent
 from gelgap.domains import GeneratedDomain, LabelledFrames
 from gelgap.sim.traction import COARSE_SHAPE
 
-_HIDDEN, _LEARNING_RATE, _BATCH = 32, 5e-3, 32
+_HIDDEN, _LEARNING_RATE, _BATCH = 32, 2e-3, 32
 # The error of the sum over all cells counts by this beside that of the cells, both in what is usual there.
 _SUM_WEIGHT = 0.1
 

@@ -29,8 +29,8 @@ def domain() -> SimpleNamespace:
 def test_maps_are_learnt_and_told_by_cell_and_by_sum(domain: SimpleNamespace, stage1: ForceModel) -> None:
     seen, unseen = np.arange(64), np.arange(64, FRAMES)
     said: list[str] = []
-    maps = learn_traction_maps(stage1, domain, seen, epochs=60, progress=lambda *told: said.append(told[-1]))
-    assert len(said) == 60
+    maps = learn_traction_maps(stage1, domain, seen, epochs=100, progress=lambda *told: said.append(told[-1]))
+    assert len(said) == 100
     true_n, mean_n = traction_maps_n(domain, unseen), traction_maps_n(domain, seen).mean(axis=0)
     predicted_n = maps.predict_n(domain.take(unseen))
     errors = traction_errors(predicted_n, true_n, mean_n)
