@@ -19,8 +19,8 @@ from gelgap.adapt.model import ForceModel, estimate_statistics, input_map
 from gelgap.adapt.network import ResNet, torch_threads
 from gelgap.adapt.progress import Progress, silent
 from gelgap.domains import GeneratedDomain, LabelledFrames
-from gelgap.sim.traction import COARSE_SHAPE
 
+_SHAPE = 24, 32  # rows and columns of the column `traction`
 _HIDDEN, _LEARNING_RATE, _BATCH = 32, 2e-3, 32
 # The error of the sum over all cells counts by this beside that of the cells, both in what is usual there.
 _SUM_WEIGHT = 0.1
@@ -35,8 +35,8 @@ class TractionNetwork(nn.Module):
         stem = backbone.conv1.out_channels
         seen = stem + backbone.layer1[-1].out_features + backbone.layer3[-1].out_features
         self.head = nn.Sequential(
-            *(nn.Conv2d(seen, _HIDDEN, 3, padding=1), nn.BatchNorm2d(_HIDDEN), nn.ReLU(inplace=True)),
-            *(nn.Conv2d(_HIDDEN, _HIDDEN, 3, padding=1), nn.BatchNorm2d(_HIDDEN), nn.ReLU(inplace=True)),
+            *(nn.Conv2d(seen, _HIDDEN, 3, padding=1), nn.GroupNorm(4, _HIDDEN), nn.ReLU(inplace=True)),
+            *(nn.Conv2d(_HIDDEN, _HIDDEN, 3, padding=1), nn.GroupNorm(4, _HIDDEN), nn.ReLU(inplace=True)),
             nn.Conv2d(_HIDDEN, 3, 1),
         )
 
@@ -46,7 +46,7 @@ class TractionNetwork(nn.Module):
         stem = functional.relu(own.bn1(own.conv1(pictures)))
         where = own.layer1(own.maxpool(stem))
         what = own.layer3(own.layer2(where))
-        seen = [functional.interpolate(x, COARSE_SHAPE, mode="bilinear") for x in (stem, where, what)]
+        seen = [functional.interpolate(x, _SHAPE, mode="bilinear") for x in (stem, where, what)]
         return self.head(torch.cat(seen, dim=1))
 
 
@@ -87,7 +87,7 @@ def traction_maps_n(domain: GeneratedDomain, rows: Sequence[int]) -> np.ndarray:
     ValueError
         If the domain was generated without the column.
     """
-    return np.stack([domain.optional("traction", int(row)).reshape(*COARSE_SHAPE, 3) for row in rows])
+    return np.stack([domain.optional("traction", int(row)).reshape(*_SHAPE, 3) for row in rows])
 
 
 def learn_traction_maps(

@@ -171,4 +171,4 @@ def test_a_picture_bomb_that_its_manifest_vouches_for_is_found(
     assert reason in str(on_reading.value)
     assert f"{shard.name}: frame 1: " in str(damage)
     assert reason in str(damage)
-    assert "--overwrite makes it again" in refused("inspect", folder, "--verify", code=1)
+    assert "with --overwrite" in refused("inspect", folder, "--verify", code=1)
