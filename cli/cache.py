@@ -18,6 +18,8 @@ class Cache(opt.Command):
       gelgap cache --clear
     """
 
+    when_stopped = "what was deleted is gone; run the same command again to go on"
+
     clear: opt.Flag = False
     """Delete every cached solution, responses of cameras, and shrunken pictures that do not lie beside their data."""
 

@@ -101,6 +101,7 @@ class Generate(opt.Command):
 
     def run(self, started: float) -> None:
         """Plan and run the generation."""
+        self.generation.check()
         self._check_choices()
         recipes, variants = self._recipes()
         if self.generation.dry_run:

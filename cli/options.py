@@ -130,6 +130,13 @@ class GenerationOptions:
     overwrite: Flag = False
     """Replace domains under --out that hold another configuration."""
 
+    def check(self) -> None:
+        """Raise ValueError if options exclude each other."""
+        if self.workers is not None and self.scheduler is not None:
+            raise ValueError(
+                f"--workers = {self.workers}: is for the local cluster; leave it out with --scheduler {self.scheduler}"
+            )
+
     def generate(self, recipes: "Sequence[domains.DomainRecipe]", out: Path) -> None:
         """Generate domains with a progress bar, and print the report."""
         chosen = {"scheduler": self.scheduler, "workers": self.workers, "overwrite": self.overwrite}

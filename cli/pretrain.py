@@ -55,6 +55,7 @@ class Pretrain(opt.Command):
 
     def run(self, started: float) -> None:
         """Say what it takes, generate, train and print the errors."""
+        self.generation.check()
         profile = opt.named(adapt.Profile, self.profile)
         ranges = (
             domains.PretrainingRanges.load(self.ranges)

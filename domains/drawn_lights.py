@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.domains.formats.pictures import resized
-from gelgap.domains.library import PoseRanges
+from gelgap.domains.generation.plan import Contacts
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Variation, WhiteSpectrum, vary_illumination
 from gelgap.sim import PosePath
@@ -72,9 +72,17 @@ def in_drawn_lights(
     path, recipes = recipe.path, []
     if recipe.interpolated:
         # Each serves its own contacts from the library of all: they are solved once.
-        ranges = PoseRanges.of(path.poses, recipe.library_reach_mm)
-        reach_mm = ranges.shallowest_mm, ranges.deepest_mm, ranges.travel_mm
-        recipe = recipe.model_copy(update={"library_reach_mm": reach_mm})
+        whole = (
+            recipe.elastomer,
+            recipe.indenter,
+            recipe.solved_path(),
+            recipe.quality,
+            recipe.library_reach_mm,
+        )
+        if library := Contacts.interpolated(*whole).library:
+            ranges = library.ranges
+            reach_mm = ranges.shallowest_mm, ranges.deepest_mm, ranges.travel_mm
+            recipe = recipe.model_copy(update={"library_reach_mm": reach_mm})
     points = list(dict.fromkeys(pose.point_id for pose in path.poses if pose.depth_mm > 0))
     for place, number in enumerate(numbers[: len(points)]):
         own = set(points[place::LIGHTS])

@@ -6,6 +6,7 @@ import pytest
 from gelgap.domains import drawn_illumination, drawn_lights, in_drawn_lights, make_recipes
 from gelgap.domains.generation.plan import plan_generation
 from gelgap.render import Illumination, MembraneRenderer
+from gelgap.sim import Pose, PosePath
 
 KINDS = [Illumination.preset(name) for name in ("i0", "i1")]
 
@@ -42,6 +43,12 @@ def test_a_random_path_is_solved_once_for_all_lights():
     assert plan_generation(in_lights).solves.keys() == plan_generation((whole,)).solves.keys()
     assert plan_generation(in_lights[2:3]).solves.keys() == plan_generation((whole,)).solves.keys()
     assert "library_reach_mm" not in whole.configuration()
+
+
+def test_a_library_reaches_as_far_as_the_poses_that_it_serves(recipe):
+    poses = (Pose(depth_mm=0.2), Pose(depth_mm=0.4, point_id=1), Pose(depth_mm=0.9, twist_deg=5, point_id=2))
+    whole = recipe.model_copy(update={"path": PosePath("turned", poses), "interpolated": True})
+    assert in_drawn_lights(whole)[0].library_reach_mm == (0.2, 0.4, 0.0)
 
 
 def test_lights_like_a_picture_are_nearer_to_it(recipe, monkeypatch):
