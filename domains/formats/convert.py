@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import groupby, islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import pandas as pd
 
@@ -23,6 +23,9 @@ from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import as_colour, decode_picture, encode_png, resized
 from gelgap.domains.frames.folders import GROUPS, known_columns, picture_path
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
+
+if TYPE_CHECKING:
+    from cv2 import VideoCapture
 
 LOG = logging.getLogger(__name__)
 CONTACT_N = 0.3
@@ -217,20 +220,28 @@ class Clip:
 
     def _correlations(self) -> list[float]:
         """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
+        measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
+        if min(n, m) < _FEWEST_FRAMES:
+            raise ValueError(
+                f"clip {self.name} has {n} pictures and {m} rows of labels; at least {_FEWEST_FRAMES} of each are "
+                "needed"
+            )
+        if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
+            raise ValueError(
+                f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
+                f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
+            )
         pictures = (resized(picture, _SIGNAL_PX).astype(np.int16) for picture in self.pictures())
         first = next(pictures, None)
         change = pd.Series(np.array([0.0, *(np.abs(picture - first).mean() for picture in pictures)]))
-        if len(change) != len(self.time_s):
-            raise ValueError(
-                f"clip {self.name} has {len(change)} pictures and {len(self.time_s)} times of pictures"
-            )
+        if len(change) != n:
+            raise ValueError(f"clip {self.name} has {len(change)} pictures and {n} times of pictures")
         pressed_n = (pd.Series(_pressing_n(self.labels_at(lag))) for lag in self.lags)
         found = [_correlation(change, own) for own in pressed_n]
         if np.isnan(found).all():
-            pictures_at, labels_at = (f"{at[0]:g}…{at[-1]:g} s" for at in (self.time_s, self.labels.index))
             raise ValueError(
                 f"clip {self.name}: its force or its pictures do not change, or fewer than {_FEWEST_FRAMES} pictures "
-                f"(at {pictures_at}) have labels (at {labels_at}); count both from the same moment, or take it out"
+                "have labels; take it out of the folder"
             )
         return found
 
@@ -298,7 +309,8 @@ def _recorded_clip(table: Path) -> Clip:
         time_s = of_pictures["time_s"]
         pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_picture, paths)
     else:
-        time_s = np.array([video.get(cv2.CAP_PROP_POS_MSEC) / 1000 for video in _grabbed(source)])
+        # 0 is OpenCV's CAP_PROP_POS_MSEC.
+        time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
         pictures = partial(video_pictures, source)
     for times, place in ((time_s, source), (columns["time_s"], table)):
         if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
@@ -323,8 +335,10 @@ def video_pictures(path: Path) -> Iterator[np.ndarray]:
         yield np.ascontiguousarray(picture[..., ::-1])
 
 
-def _grabbed(path: Path) -> Iterator[cv2.VideoCapture]:
+def _grabbed(path: Path) -> "Iterator[VideoCapture]":
     """Yield a video at each of its pictures, before it is decoded."""
+    import cv2
+
     video = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
     try:
         if not video.isOpened():

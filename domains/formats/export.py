@@ -231,6 +231,7 @@ FRAMES_PER_S = 10
 """Frames are equilibria without a time; this says how a policy's loader spaces them."""
 _POSE = ("x_mm", "y_mm", "depth_mm", "shear_x_mm", "shear_y_mm")
 _CAMERA = "observation.images.tactile"
+_MOST_BYTES = 100 * 2**20
 _DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VECTORS = {"observation.force": FORCE_COLUMNS, "observation.state": _POSE, "action": _POSE}
 
@@ -321,19 +322,24 @@ def _lerobot(frames: GeneratedDomain, folder: Path) -> None:
     lengths = table.groupby("episode").size().to_numpy()
     ends = np.cumsum(lengths)
     starts, n = ends - lengths, len(ends)
-    with pq.ParquetWriter(folder / _DATA_PATH.format(chunk_index=0, file_index=0), schema) as writer:
-        for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-            pictures = (frames.encoded_picture(index) for index in table.index[start:end])
-            cells = {_CAMERA: [{"bytes": picture, "path": None} for picture in pictures]}
-            cells |= {name: own[start:end].tolist() for name, own in values.items()}
-            writer.write_table(pa.Table.from_pydict(cells, schema))
+    # An episode is in the file that its first frame falls into; frames take about as much as each other.
+    shard_bytes = sum(entry["bytes"] for entry in frames.manifest["files"].values())
+    _, files = np.unique(starts * shard_bytes // len(table) // _MOST_BYTES, return_inverse=True)
+    for number in range(files[-1] + 1):
+        path, own = folder / _DATA_PATH.format(chunk_index=0, file_index=number), files == number
+        with pq.ParquetWriter(path, schema) as writer:
+            for start, end in zip(starts[own].tolist(), ends[own].tolist(), strict=True):
+                pictures = (frames.encoded_picture(index) for index in table.index[start:end])
+                cells = {_CAMERA: [{"bytes": picture, "path": None} for picture in pictures]}
+                cells |= {name: of_frames[start:end].tolist() for name, of_frames in values.items()}
+                writer.write_table(pa.Table.from_pydict(cells, schema))
     task = f"press and drag: {frames.recipe.indenter.label} on gel {frames.name}"
     listed = {
         "episode_index": range(n),
         "tasks": [[task]] * n,
         "length": lengths,
         "data/chunk_index": [0] * n,
-        "data/file_index": [0] * n,
+        "data/file_index": files,
         "dataset_from_index": starts,
         "dataset_to_index": ends,
         "meta/episodes/chunk_index": [0] * n,
@@ -355,7 +361,7 @@ def _lerobot(frames: GeneratedDomain, folder: Path) -> None:
         "total_frames": len(table),
         "total_tasks": 1,
         "chunks_size": 1000,
-        "data_files_size_in_mb": 100,
+        "data_files_size_in_mb": _MOST_BYTES // 2**20,
         "video_files_size_in_mb": 200,
         "fps": FRAMES_PER_S,
         "splits": parts,

@@ -3,7 +3,6 @@
 import io
 import struct
 
-import cv2
 import numpy as np
 from PIL import Image, UnidentifiedImageError
 from zlib_ng import zlib_ng
@@ -49,6 +48,8 @@ def _less_average(picture: np.ndarray) -> np.ndarray:
 
 def encode_jpeg(picture: np.ndarray, quality: int = 95) -> bytes:
     """Encode an 8-bit RGB picture as JPEG; `quality` is 1 to 100."""
+    import cv2
+
     pixels = np.ascontiguousarray(picture[..., ::-1])
     _, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return data.tobytes()
@@ -83,6 +84,8 @@ def decode_picture(data: bytes) -> np.ndarray:
 
     A ValueError where `stated_size_px` raises it, or if the pixels cannot be decoded.
     """
+    import cv2
+
     stated_size_px(data)
     try:
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -105,6 +108,8 @@ def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     area means first, then this one is interpolated linearly (320×240 to 256×256, say). A ValueError if the size has
     more pixels than the picture, or is longer on both sides: enlarging invents pixels.
     """
+    import cv2
+
     height, width = picture.shape[:2]
     if size_px == (width, height):
         return picture

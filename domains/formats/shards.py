@@ -18,7 +18,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gelgap.domains.formats.pictures import encode_png
-from gelgap.render import marker_rest_mm
 from gelgap.sim import Diagnostics, MembraneState, Pose
 
 if TYPE_CHECKING:
@@ -114,6 +113,8 @@ def _contact_mask(view: View) -> dict[str, Any]:
 
 
 def _marker_rest_mm(view: View) -> list[list[float]]:
+    from gelgap.render import marker_rest_mm
+
     return _point_list(marker_rest_mm(view.renderer.sensor.markers))
 
 

@@ -232,8 +232,17 @@ class LabelledFrames(ABC):
 
         Without `markers`, their dots are inpainted.
         """
-        pictures = (read() if markers else without_markers(read()) for read in self.rest_pictures)
-        return np.stack([resized(picture, self.image_size_px(size_px)) for picture in pictures])
+        size_px = self.image_size_px(size_px)
+        if (size_px, markers) not in self._reduced_references:
+            pictures = (read() if markers else without_markers(read()) for read in self.rest_pictures)
+            reduced = np.stack([resized(picture, size_px) for picture in pictures])
+            self._reduced_references[size_px, markers] = reduced
+        return self._reduced_references[size_px, markers]
+
+    @cached_property
+    def _reduced_references(self) -> dict[tuple[tuple[int, int], bool], np.ndarray]:
+        """What `references_at` has made; frames that are taken from others share theirs."""
+        return {}
 
     def torch(
         self,
@@ -348,6 +357,7 @@ class DerivedFrames(LabelledFrames):
     ):
         self.whole, self.columns, self._change, self._indices = whole, columns, change, indices
         self.name, self.notes, self.rest_pictures = whole.name, whole.notes, whole.rest_pictures
+        self._reduced_references = whole._reduced_references
         self.force_range_n, self.declares_ranges = whole.force_range_n, whole.declares_ranges
         self.n_classes, self.labels = n_classes or whole.n_classes, labels or whole.labels
         self.unconverged = whole.unconverged if indices is None else 0

@@ -202,11 +202,13 @@ def _published(folder: Path) -> PictureFiles:
 
 
 def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
-    """Return the pictures of a part and its columns: forces, and contact classes where there are any."""
+    """Return the pictures of a part and its columns: forces, and contact classes where every row has one."""
     part = table.parents[1]
     if not table.is_file():
         raise FileNotFoundError(f"{table} is missing; every part has its forces there")
-    columns = known_columns(table, (*FORCE_COLUMNS, "contact_class"))
+    columns, classes = known_columns(table, FORCE_COLUMNS), [row.get("label") for row in read_table(table)]
+    if all(classes):
+        columns["contact_class"] = _whole_numbers(classes, f"{table}, column 'label'")
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
@@ -275,10 +277,7 @@ def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.
         elif ours in NUMBERS:
             found[ours] = _numbers(values, where)
         elif any(values):
-            numbers = _numbers(values, where)
-            if not (np.abs(numbers) < 2**31).all():
-                raise ValueError(f"{where}: every row must hold a whole number")
-            found[ours] = numbers.astype(np.int64)
+            found[ours] = _whole_numbers(values, where)
     return found
 
 
@@ -293,6 +292,13 @@ def _numbers(values: list[str], where: str) -> np.ndarray:
                 f"{quoted(value) if value else 'nothing'}"
             ) from None
     return numbers
+
+
+def _whole_numbers(values: list[str], where: str) -> np.ndarray:
+    numbers = _numbers(values, where)
+    if not (np.abs(numbers) < 2**31).all():
+        raise ValueError(f"{where}: every row must hold a whole number")
+    return numbers.astype(np.int64)
 
 
 def _plain(name: str) -> str:

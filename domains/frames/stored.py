@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +22,9 @@ from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, rememb
 from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
 from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, ShardFile, damaged
 from gelgap.domains.frames.dataset import LabelledFrames
-from gelgap.domains.recipe import DomainRecipe
+
+if TYPE_CHECKING:
+    from gelgap.domains.recipe import DomainRecipe
 
 LOG = logging.getLogger(__name__)
 PICTURES = "images"
@@ -85,11 +87,13 @@ class StoredFrames(LabelledFrames):
         resized(self.reference, size_px)
         path = self._cache_file(size_px, markers)
         shape = (len(self), size_px[1], size_px[0], 3)
-        with key_lock(path.parent, path.name):
-            pictures = open_kept_pictures(path, shape)
-            if pictures is None:
-                write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
+        pictures = open_kept_pictures(path, shape)
+        if pictures is None:
+            with key_lock(path.parent, path.name):
                 pictures = open_kept_pictures(path, shape)
+                if pictures is None:
+                    write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
+                    pictures = open_kept_pictures(path, shape)
         if pictures is None:
             raise RuntimeError(
                 f"{path} is not what was written: the disk is faulty, or another program changed it"
@@ -238,8 +242,10 @@ class GeneratedDomain(StoredFrames):
         return scale["offset_mm"] + scale["step_mm"] * self.optional("height_map", index).astype(np.float64)
 
     @cached_property
-    def recipe(self) -> DomainRecipe:
+    def recipe(self) -> "DomainRecipe":
         """The configuration that the domain was generated from."""
+        from gelgap.domains.recipe import DomainRecipe
+
         return DomainRecipe(**self.manifest["configuration"])
 
     @property

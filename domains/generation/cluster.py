@@ -65,7 +65,8 @@ def run(
 
 
 def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Iterator[Shard]:
-    """Run a plan batch by batch; solutions are kept, as they are small."""
+    """Run a plan batch by batch; what was solved is dropped after the last batch that needs it."""
+    last = {key: batch for batch in plan.batches for key in batch.solve_keys}
     made: dict[str, Any] = {}
 
     def make(source: Solve | LibraryPlan) -> Any:
@@ -78,6 +79,7 @@ def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Itera
     for batch in plan.batches:
         made |= {key: make(plan.sources[key]) for key in batch.solve_keys if key not in made}
         yield from render_batch(batch, {key: made[key] for key in batch.solve_keys})
+        made = {key: solution for key, solution in made.items() if last[key] is not batch}
 
 
 def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: "Client") -> Iterator[Shard]:

@@ -5,6 +5,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from gelgap.assets.names import comma_list
 from gelgap.domains.generation.cluster import check_scheduler
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation
@@ -76,7 +78,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     # One solve is not shared; frames are shared as shards.
     solving_s = max(sum(solve_s) / processes, *solve_s, 0.0)
     rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, plan.shards)
-    (sample,) = picture_cells(recipes[:1], 0, MembraneState.untouched(*grid_axes()))
+    (sample,) = picture_cells(recipes[:1], 0, _dent())
     frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
     has_libraries = any(isinstance(source, LibraryPlan) for source in plan.sources.values())
     exact = [recipe.model_copy(update={"interpolated": False}) for recipe in recipes]
@@ -117,3 +119,12 @@ def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:
         f"{recipe.force_range_n[2][0]:g} N: training refuses such frames; declare a wider range, as "
         f"--force-range fx_n=-{wide}:{wide} fy_n=-{wide}:{wide} fz_n=-{wide}:0"
     ]
+
+
+def _dent() -> MembraneState:
+    """Return a membrane that looks like a contact to the renderer; no physics."""
+    x_mm, y_mm = grid_axes()
+    distance2 = x_mm[None, :] ** 2 + y_mm[:, None] ** 2
+    displacement = np.zeros((len(y_mm), len(x_mm), 3), np.float32)
+    displacement[..., 2] = -0.6 * np.exp(-distance2)
+    return MembraneState(x_mm, y_mm, displacement, distance2 < 0.5, np.zeros(3))

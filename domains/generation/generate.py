@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -293,7 +293,11 @@ def _check_space(out_dir: Path, plan: GenerationPlan, writers: Mapping[str, Doma
 @lru_cache(maxsize=1)
 def package_versions() -> dict[str, str]:
     """Return the versions of the packages that a domain's bytes may depend on."""
-    return {name: version(name) for name in PACKAGES}
+    found = dict.fromkeys(PACKAGES, "not installed")
+    for name in PACKAGES:
+        with contextlib.suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _log_event(out_dir: Path, what: str, **values: Any) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ from gelgap.render import MembraneRenderer, view_half_extent_mm
 from gelgap.sim import MembraneState, Pose, traction_map
 
 Row = dict[str, Any]
-# One renderer holds the light of the undeformed membrane, some 0.2 MB for three LEDs; a sweep has hundreds of lights.
-_renderer = lru_cache(maxsize=512)(MembraneRenderer)
+# One renderer holds the light of the undeformed membrane, half a megabyte and more; a sweep has hundreds of lights.
+KEPT_RENDERERS = 32
+_renderer = lru_cache(maxsize=KEPT_RENDERERS)(MembraneRenderer)
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,13 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     labels_of = {recipe.name: _label_cells_of(recipe) for recipe in batch.recipes}
     rows: dict[str, list[Row]] = {name: [] for name in labels_of}
     refused: dict[str, dict[int, str]] = {name: {} for name in labels_of}
-    # Contact by contact, so that a membrane is rastered once for all lights that fall on it.
-    for place, frame in enumerate(range(batch.start, batch.start + len(batch))):
+    groups, frames = list(alike.values()), range(batch.start, batch.start + len(batch))
+    # Contact by contact, so that a membrane is rastered once for all lights that fall on it, but for no more lights at
+    # a time than renderers are kept.
+    for start, (place, frame) in product(range(0, len(groups), KEPT_RENDERERS), enumerate(frames)):
         source = solutions.get(batch.contacts.source_key(place))
         states: dict[tuple[float, float], MembraneState] = {}
-        for recipes in alike.values():
+        for recipes in groups[start : start + KEPT_RENDERERS]:
             # Cameras with the same extent of view share their membranes, whose grid it decides.
             extent = view_half_extent_mm(recipes[0].sensor.camera, recipes[0].size_px)
             if extent not in states:

@@ -5,12 +5,14 @@ import signal
 import socket
 import subprocess
 import sys
+import weakref
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from gelgap.domains import dask_client
+from gelgap.domains import GenerationProgress, dask_client
+from gelgap.domains.generation.cluster import run
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +127,21 @@ def test_a_local_cluster_that_does_not_start_says_that_nothing_is_lost(monkeypat
     told = r"TimeoutError.*what is written is safe: run the same command"
     with pytest.raises(RuntimeError, match=told), dask_client(None, 1):
         pass
+
+
+def test_a_solution_is_dropped_after_the_last_batch_that_needs_it(monkeypatch: pytest.MonkeyPatch):
+    class Solution:
+        pass
+
+    def solve() -> Solution:
+        alive.add(solution := Solution())
+        return solution
+
+    alive = weakref.WeakSet()
+    batches = [SimpleNamespace(solve_keys=keys) for keys in ("ab", "b", "c")]
+    plan = SimpleNamespace(batches=batches, sources={key: SimpleNamespace(run=solve) for key in "abc"})
+    monkeypatch.setattr("gelgap.domains.generation.cluster.render_batch", lambda *_: [len(alive)])
+    assert list(run(plan, GenerationProgress(), "synchronous", None)) == [2, 1, 1]
 
 
 def test_no_worker_is_started_that_has_nothing_to_do(make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -54,8 +54,14 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
             "do not change",
         ),
         (
-            lambda mine: write_table(
-                mine / "press-1.csv", [{"time_s": 1e9 + k / 30, "fz_n": -k} for k in range(40)]
+            lambda mine: write_table(mine / "press-1.csv", [{"time_s": k, "fz_n": -k} for k in range(2)]),
+            "2 rows of labels; at least 10 of each",
+        ),
+        (
+            # Before any picture is decoded.
+            lambda mine: (
+                (mine / "press-2/7.png").write_bytes(b"no"),
+                write_table(mine / "press-2.csv", [{"time_s": 1e9 + k / 30, "fz_n": -k} for k in range(40)]),
             ),
             "count both from the same moment",
         ),

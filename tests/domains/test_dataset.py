@@ -2,6 +2,8 @@ import dataclasses
 import os
 import pickle
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -88,6 +90,27 @@ def test_smaller_pictures_are_area_means_bit_for_bit(size_px: tuple[int, int]):
     assert np.array_equal(
         resized(picture, size_px), cv2.resize(picture, size_px, interpolation=cv2.INTER_AREA)
     )
+
+
+def test_what_is_made_once_is_kept(data: Path, monkeypatch: pytest.MonkeyPatch):
+    frames = open_domain(data / "mb0i0")
+    kept, pictures = frames.references_at(40, markers=False), frames.images(40)
+    assert frames.take(np.arange(3)).references_at(40, markers=False) is kept
+    # A complete cache is read without its lock.
+    monkeypatch.delattr("gelgap.domains.frames.stored.key_lock")
+    assert np.array_equal(open_domain(data / "mb0i0").images(40), pictures)
+
+
+def test_opening_a_data_set_imports_no_heavy_package(data: Path):
+    code = (
+        "import sys\n"
+        "from gelgap.domains import open_domain\n"
+        "open_domain(sys.argv[1])\n"
+        "heavy = {'torch', 'mujoco', 'colour', 'pyrender', 'cv2', 'numba', 'scipy', 'dask'}\n"
+        "print(sorted(heavy & set(sys.modules)))\n"
+    )
+    command = [sys.executable, "-c", code, str(data / "mb0i0")]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "[]\n"
 
 
 def test_no_size_has_more_pixels_than_the_picture():

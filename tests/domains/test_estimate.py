@@ -1,8 +1,10 @@
 """What a generation is expected to take: from its plan and sample frames."""
 
+import numpy as np
 import pytest
 
-from gelgap.domains import estimate, make_recipes, preset_recipes
+from gelgap.domains import estimate, make_recipes, open_domain, preset_recipes
+from gelgap.domains.formats.pictures import encode_png
 
 SMALL = {"size_px": (80, 60), "render_quality": "draft"}
 
@@ -31,3 +33,15 @@ def test_a_solve_is_not_shared_by_workers_and_known_solves_take_no_time(monkeypa
     known = estimate(recipes, workers=2)
     assert known.solves_cached == len(known.plan.solves)
     assert known.wall_s < few.wall_s
+
+
+def test_optional_columns_take_what_they_take_where_there_is_contact(data):
+    frames = open_domain(data / "mb0i0")
+    pressed = np.flatnonzero(frames.columns["depth_mm"])
+    map_bytes = np.mean([len(encode_png(frames.optional("height_map", index))) for index in pressed])
+    with_map, without = (
+        estimate(make_recipes(["mb0i0"], "smoke", columns=columns, **SMALL))
+        for columns in (["height_map"], [])
+    )
+    found = (with_map.disk_bytes - without.disk_bytes) / without.plan.frames
+    assert found == pytest.approx(map_bytes, rel=0.1)

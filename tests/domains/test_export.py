@@ -184,11 +184,14 @@ def test_the_mini_pretrain_columns_load_beside_those_of_the_set(data: Path, tmp_
     assert np.abs(picture.astype(int) - original.picture(index)).mean() < 8
 
 
-def test_lerobot_episodes_are_trajectories_and_its_metadata_agree_with_the_data(grid: Path, tmp_path: Path):
+def test_lerobot_episodes_are_trajectories_and_its_metadata_agree_with_the_data(
+    grid: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """Read as LeRobot v3.0 reads: features of info.json over the data files, episodes by their first and last index."""
     import datasets
     import pandas as pd
 
+    monkeypatch.setattr("gelgap.domains.formats.export._MOST_BYTES", 50_000)
     export(grid, "lerobot-v3", tmp_path / "out", split_by="point")
     root, original = tmp_path / "out" / "mb0i0", open_domain(grid)
     info = json.loads((root / "meta/info.json").read_text())
@@ -208,6 +211,10 @@ def test_lerobot_episodes_are_trajectories_and_its_metadata_agree_with_the_data(
     assert tasks.iloc[0].name.startswith("press and drag: sphere 3 mm")
     episodes = pd.read_parquet(root / "meta/episodes/chunk-000/file-000.parquet")
     assert len(episodes) == info["total_episodes"] == len(np.unique(original.columns["trajectory_id"]))
+    assert len(files) > 1
+    for number, path in enumerate(files):
+        inside = set(pd.read_parquet(path)["episode_index"])
+        assert inside == set(episodes["episode_index"][episodes["data/file_index"] == number])
     seen_points = []
     for part, bounds in info["splits"].items():
         first, last = map(int, bounds.split(":"))

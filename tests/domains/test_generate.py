@@ -2,6 +2,7 @@ import dataclasses
 import itertools
 import json
 import shutil
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from gelgap.assets.locks import sole_use
 from gelgap.domains.formats.domain_folder import DomainFolder
 from gelgap.domains.frames.folders import open_domain
 from gelgap.domains.frames.splits import split_frames
-from gelgap.domains.generation.generate import generate, generate_recipes
+from gelgap.domains.generation.generate import generate, generate_recipes, package_versions
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Pose, PosePath, SolvePlan
 
@@ -46,6 +47,28 @@ def test_domains_made_together_have_the_bytes_of_domains_made_alone(make, finish
     report = make(tmp_path, ("wmb0i0", "mb0i0", "mb0i1"))
     assert report.solves == 1
     assert contents(tmp_path / "mb0i0") == contents(finished / "mb0i0")
+
+
+def test_each_light_is_made_once_a_batch_however_few_renderers_are_kept(
+    make, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    made = []
+
+    def renderer(*light: object) -> MembraneRenderer:
+        made.append(light)
+        return MembraneRenderer(*light)
+
+    monkeypatch.setattr("gelgap.domains.generation.shard.KEPT_RENDERERS", 2)
+    monkeypatch.setattr("gelgap.domains.generation.shard._renderer", lru_cache(2)(renderer))
+    make(tmp_path, ("mb0i0", "mb0i1", "mb0i2"))
+    assert contents(tmp_path / "mb0i0") == contents(finished / "mb0i0")
+    # For the reference pictures, and for each of four batches.
+    assert len(made) <= 3 * (1 + 4)
+
+
+def test_a_package_that_is_not_there_has_no_version(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("gelgap.domains.generation.generate.PACKAGES", ("numpy", "no-such-package"))
+    assert package_versions.__wrapped__() == {"numpy": np.__version__, "no-such-package": "not installed"}
 
 
 def test_another_seed_changes_the_noise_and_not_the_forces(make, finished: Path, tmp_path: Path):

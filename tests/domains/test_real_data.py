@@ -49,6 +49,16 @@ def test_rows_belong_to_pictures_by_number_and_columns_to_their_names(tmp_path: 
     assert data.images(32).shape == (24, 24, 32, 3)
 
 
+def test_only_the_published_label_is_a_class_and_only_where_every_row_has_one(tmp_path: Path):
+    folder = published(tmp_path / "wmb1i1", parts=("ori",))
+    force = folder / "ori" / "forcePosition" / "force.csv"
+    rows = [{"class": "firm"} | row for row in csv.DictReader(force.open())]
+    table(force, rows)
+    assert open_domain(folder).contact_class.tolist()[5:8] == [360, 0, 1]
+    table(force, [rows[0] | {"label": ""}, *rows[1:]])
+    assert not open_domain(folder).has_classes
+
+
 def test_quirks_are_told(tmp_path: Path):
     folder = published(tmp_path / "inpainting", labels=False, parts=("ori",))
     force = folder / "ori" / "forcePosition" / "force.csv"
