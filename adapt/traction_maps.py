@@ -24,14 +24,20 @@ _SHAPE = 24, 32  # rows and columns of the column `traction`
 _HIDDEN, _LEARNING_RATE, _BATCH = 32, 2e-3, 32
 # The error of the sum over all cells counts by this beside that of the cells, both in what is usual there.
 _SUM_WEIGHT = 0.1
+# Where the sums of an axis cancel, as those of straight presses do, this share of the largest axis' is usual.
+_LEAST_SUM = 0.3
 
 
 class TractionNetwork(nn.Module):
-    """The first three stages of a ResNet, and a head: pictures (B, channels, h, w) become maps (B, 3, 24, 32)."""
+    """The first three stages of a ResNet, and a head: pictures (B, channels, h, w) become maps (B, 3, 24, 32).
 
-    def __init__(self, backbone: ResNet) -> None:
+    `places` (24, 32, 2) says where in the picture the cells' centres are: x and y from −1 to 1, beyond it outside.
+    """
+
+    def __init__(self, backbone: ResNet, places: np.ndarray) -> None:
         super().__init__()
         self.backbone = backbone
+        self.register_buffer("places", torch.tensor(places, dtype=torch.float32))
         stem = backbone.conv1.out_channels
         seen = stem + backbone.layer1[-1].out_features + backbone.layer3[-1].out_features
         self.head = nn.Sequential(
@@ -46,7 +52,8 @@ class TractionNetwork(nn.Module):
         stem = functional.relu(own.bn1(own.conv1(pictures)))
         where = own.layer1(own.maxpool(stem))
         what = own.layer3(own.layer2(where))
-        seen = [functional.interpolate(x, _SHAPE, mode="bilinear") for x in (stem, where, what)]
+        places = self.places.expand(len(pictures), -1, -1, -1)
+        seen = [functional.grid_sample(x, places, align_corners=False) for x in (stem, where, what)]
         return self.head(torch.cat(seen, dim=1))
 
 
@@ -60,7 +67,7 @@ class TractionModel:
 
     @torch.inference_mode()
     def predict_n(self, frames: LabelledFrames) -> np.ndarray:
-        """Return the force (n, 24, 32, 3) in N on each cell of the view."""
+        """Return the force (n, 24, 32, 3) in N on each cell."""
         self.network.eval()
         start = self.start
         pictures = network_inputs(frames, start.profile, start.device, start.input_map)
@@ -80,7 +87,9 @@ class TractionModel:
 
 
 def traction_maps_n(domain: GeneratedDomain, rows: Sequence[int]) -> np.ndarray:
-    """Return the forces (n, 24, 32, 3) in N on each cell of the view, of some frames of a domain.
+    """Return the forces (n, 24, 32, 3) in N on each cell, of some frames of a domain.
+
+    The cells divide what is within `GeneratedDomain.traction_half_extent_mm` of the sensor's centre.
 
     Raises
     ------
@@ -88,6 +97,17 @@ def traction_maps_n(domain: GeneratedDomain, rows: Sequence[int]) -> np.ndarray:
         If the domain was generated without the column.
     """
     return np.stack([domain.optional("traction", int(row)).reshape(*_SHAPE, 3) for row in rows])
+
+
+def cell_places(domain: GeneratedDomain) -> np.ndarray:
+    """Return where in a domain's pictures the centres of the cells are, as `TractionNetwork` takes it."""
+    y_mm, x_mm = (
+        half_mm * ((2 * np.arange(n) + 1) / n - 1)
+        for half_mm, n in zip(domain.traction_half_extent_mm[::-1], _SHAPE, strict=True)
+    )
+    cells_mm = np.stack([*np.meshgrid(x_mm, y_mm), np.zeros(_SHAPE)], axis=-1).reshape(-1, 3)
+    seen_px = domain.recipe.sensor.camera.project_px(cells_mm, domain.size_px)
+    return (2 * seen_px / domain.size_px - 1).reshape(*_SHAPE, 2)
 
 
 def learn_traction_maps(
@@ -112,14 +132,15 @@ def learn_traction_maps(
             f"{domain.name}: none of {len(maps_n)} frames carries load; there is nothing to learn"
         )
     usual_n = np.sqrt(np.square(maps_n[loaded]).mean(axis=0)).clip(min=1e-9)
-    usual_sum = np.sqrt(np.square(maps_n.sum(axis=(1, 2)) / usual_n).mean(axis=0)).clip(min=1e-9)
+    usual_sum = np.sqrt(np.square(maps_n.sum(axis=(1, 2)) / usual_n).mean(axis=0))
+    usual_sum = usual_sum.clip(min=_LEAST_SUM * usual_sum.max())
     device, profile = start.device, start.profile
     pictures = network_inputs(domain.take(np.asarray(rows)), profile, device, start.input_map)
     wanted = torch.tensor(maps_n / usual_n, dtype=torch.float32, device=device).permute(0, 3, 1, 2)
     of_sum = torch.tensor(usual_sum, dtype=torch.float32, device=device)
     with torch.random.fork_rng(devices=[]), torch_threads(profile.threads):
         torch.manual_seed(start.seed)
-        network = TractionNetwork(copy.deepcopy(start.network.backbone)).to(device)
+        network = TractionNetwork(copy.deepcopy(start.network.backbone), cell_places(domain)).to(device)
         optimizer = torch.optim.Adam(network.parameters(), _LEARNING_RATE)
         rate = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
         for epoch in range(epochs):

@@ -256,7 +256,9 @@ class Trainer(Adaptation):
             log = EpochLog()
             network.train()
             if self.frames_of_epoch is not None and epoch > 0:
-                source = TrainingDomain(self.frames_of_epoch(epoch), profile, network.device, labelled=True)
+                drawn = self.frames_of_epoch(epoch)
+                del source  # one domain's pictures at a time
+                source = TrainingDomain(drawn, profile, network.device, labelled=True)
             for number, batches in enumerate(self.batches(epoch, source, target), start=epoch * steps):
                 log.batch_is_made()
                 for group in optimizer.param_groups:  # the paper's schedule (section IV-B)

@@ -121,7 +121,10 @@ class MembraneState:
             raise ValueError(
                 f"{path} lacks {', '.join(missing)}: a membrane state needs {', '.join(_NEEDED)}"
             )
-        untouched = cls.untouched(arrays["x_mm"].ravel(), arrays["y_mm"].ravel())
+        for name in ("x_mm", "y_mm"):
+            if arrays[name].ndim != 1:
+                raise ValueError(f"{name} in {path} has shape {arrays[name].shape}: must be (n,)")
+        untouched = cls.untouched(arrays["x_mm"], arrays["y_mm"])
         found: dict[str, Any] = {}
         for name, values in arrays.items():
             like = getattr(untouched, name)

@@ -199,7 +199,7 @@ def load_solution(key: str) -> Solution | None:
     if solution is not None and solution.problem.key == key:
         return solution
     if solution is None and data.startswith(_MARK):
-        set_aside(path, "is damaged (its checksum does not match)")
+        set_aside(path, "is damaged, or of another version")
     return None
 
 

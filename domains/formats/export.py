@@ -240,7 +240,7 @@ def _feats(frames: GeneratedDomain, folder: Path) -> None:
     """`{train,val,test}/<frame>.npy`, a dictionary a frame, and `normalization.npy`.
 
     A dictionary in an `.npy` is a pickle, which FEATS's own reader loads as such. `grid_x`, `grid_y` and `grid_z`, the
-    force on each of 24×32 cells of the view, are there if the domain was generated with `--columns traction`.
+    force on each of 24×32 cells of the view and a margin, are there if the domain has the column `traction`.
     """
     forces_n, bounds = _feats_forces_n(frames), dict[str, dict[str, float]]()
     for part, indices in indices_by_part(frames).items():

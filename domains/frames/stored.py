@@ -249,6 +249,13 @@ class GeneratedDomain(StoredFrames):
         return DomainRecipe(**self.manifest["configuration"])
 
     @property
+    def traction_half_extent_mm(self) -> tuple[float, float]:
+        """How far from the sensor's centre, along x and y, the cells of `traction` reach: beyond the view."""
+        from gelgap.render import view_half_extent_mm
+
+        return view_half_extent_mm(self.recipe.sensor.camera, self.size_px)
+
+    @property
     def optional_columns(self) -> tuple[str, ...]:
         return tuple(self.manifest["configuration"]["columns"])
 

@@ -218,13 +218,13 @@ class LightFit:
             self._become(self._under_cameras(nearer, nearness, self.nearness_range, share))
 
     def _search_blur(self) -> None:
-        """Search the camera's point spread; it is none unless that leaves more error by `_LEAST_GAIN`."""
+        """Search the camera's point spread; it stays unless another leaves less error by `_LEAST_GAIN`."""
         if self.nearness_range is not None:
             blurred = lambda value: self.camera.model_copy(update={"point_spread_px": float(value)})  # noqa: E731
             tried = self._under_cameras(blurred, self.camera.point_spread_px, (0.0, _MOST_BLUR_PX), 1.0)
-            sharp, *others = sorted(tried, key=lambda own: own.camera.point_spread_px)
-            below = (1 - _LEAST_GAIN) * sharp.rms_code_values
-            self._become([own for own in others if own.rms_code_values < below] or [sharp])
+            kept = self._seen_by(self.camera)
+            below = (1 - _LEAST_GAIN) * kept.rms_code_values
+            self._become([own for own in tried if own.rms_code_values < below] or [kept])
 
     def _under_cameras(
         self, camera_of: Callable[[float], Camera], start: float, bounds: tuple[float, float], share: float
@@ -258,6 +258,7 @@ class LightFit:
         other._solve()
         other.refine_presses(1)
         other._solve()
+        other._solve()  # the gain of the light as it is now: cameras are compared by what they leave
         return other
 
     def refine_presses(self, rounds: int = 2) -> None:

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from gelgap.adapt import ForceModel, learn_traction_maps, traction_errors, traction_maps_n
+from gelgap.adapt.traction_maps import cell_places
 from gelgap.domains import ArrayFrames
+from gelgap.render import Sensor
 
 FRAMES = 96
 
@@ -23,7 +25,22 @@ def domain() -> SimpleNamespace:
     pictures = pictures.repeat(2, axis=1).repeat(2, axis=2)
     force_n = maps_n.sum(axis=(1, 2))
     frames = ArrayFrames("squares", pictures, pictures[0], force_n, force_range_n=np.array([[-2.0, 2.0]] * 3))
-    return SimpleNamespace(name="squares", take=frames.take, optional=lambda column, row: maps_n[row].ravel())
+    camera = Sensor.preset("paper").camera
+    return SimpleNamespace(
+        name="squares",
+        size_px=(64, 48),
+        take=frames.take,
+        optional=lambda column, row: maps_n[row].ravel(),
+        recipe=SimpleNamespace(sensor=SimpleNamespace(camera=camera)),
+        traction_half_extent_mm=tuple(side / 2 for side in camera.footprint_mm((64, 48))),
+    )
+
+
+def test_cells_are_sought_where_the_camera_sees_them(domain: SimpleNamespace) -> None:
+    places = cell_places(domain)
+    np.testing.assert_allclose(places[0, 0], (-31 / 32, -23 / 24), atol=1e-9)
+    beyond = cell_places(SimpleNamespace(**{**vars(domain), "traction_half_extent_mm": (7.0, 5.5)}))
+    np.testing.assert_allclose(beyond, places * (7 / 6, 5.5 / 4.5), atol=1e-9)  # the picture shows 12 × 9 mm
 
 
 def test_maps_are_learnt_and_told_by_cell_and_by_sum(domain: SimpleNamespace, stage1: ForceModel) -> None:
@@ -31,6 +48,7 @@ def test_maps_are_learnt_and_told_by_cell_and_by_sum(domain: SimpleNamespace, st
     said: list[str] = []
     maps = learn_traction_maps(stage1, domain, seen, epochs=100, progress=lambda *told: said.append(told[-1]))
     assert len(said) == 100
+    assert float(said[-1].split()[-1]) < 0.6  # although no sum is along y
     true_n, mean_n = traction_maps_n(domain, unseen), traction_maps_n(domain, seen).mean(axis=0)
     predicted_n = maps.predict_n(domain.take(unseen))
     errors = traction_errors(predicted_n, true_n, mean_n)
