@@ -41,8 +41,8 @@ class TractionNetwork(nn.Module):
         stem = backbone.conv1.out_channels
         seen = stem + backbone.layer1[-1].out_features + backbone.layer3[-1].out_features
         self.head = nn.Sequential(
-            *(nn.Conv2d(seen, _HIDDEN, 3, padding=1), nn.GroupNorm(4, _HIDDEN), nn.ReLU(inplace=True)),
-            *(nn.Conv2d(_HIDDEN, _HIDDEN, 3, padding=1), nn.GroupNorm(4, _HIDDEN), nn.ReLU(inplace=True)),
+            *(nn.Conv2d(seen, _HIDDEN, 3, padding=1), nn.ReLU(inplace=True)),
+            *(nn.Conv2d(_HIDDEN, _HIDDEN, 3, padding=1), nn.ReLU(inplace=True)),
             nn.Conv2d(_HIDDEN, 3, 1),
         )
 

@@ -46,8 +46,8 @@ def test_cells_are_sought_where_the_camera_sees_them(domain: SimpleNamespace) ->
 def test_maps_are_learnt_and_told_by_cell_and_by_sum(domain: SimpleNamespace, stage1: ForceModel) -> None:
     seen, unseen = np.arange(64), np.arange(64, FRAMES)
     said: list[str] = []
-    maps = learn_traction_maps(stage1, domain, seen, epochs=100, progress=lambda *told: said.append(told[-1]))
-    assert len(said) == 100
+    maps = learn_traction_maps(stage1, domain, seen, epochs=200, progress=lambda *told: said.append(told[-1]))
+    assert len(said) == 200
     assert float(said[-1].split()[-1]) < 0.6  # although no sum is along y
     true_n, mean_n = traction_maps_n(domain, unseen), traction_maps_n(domain, seen).mean(axis=0)
     predicted_n = maps.predict_n(domain.take(unseen))
