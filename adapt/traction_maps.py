@@ -20,7 +20,6 @@ from gelgap.adapt.network import ResNet, torch_threads
 from gelgap.adapt.progress import Progress, silent
 from gelgap.domains import GeneratedDomain, LabelledFrames
 
-_SHAPE = 24, 32  # rows and columns of the column `traction`
 _HIDDEN, _LEARNING_RATE, _BATCH = 32, 2e-3, 32
 # The error of the sum over all cells counts by this beside that of the cells, both in what is usual there.
 _SUM_WEIGHT = 0.1
@@ -89,25 +88,23 @@ class TractionModel:
 def traction_maps_n(domain: GeneratedDomain, rows: Sequence[int]) -> np.ndarray:
     """Return the forces (n, 24, 32, 3) in N on each cell, of some frames of a domain.
 
-    The cells divide what is within `GeneratedDomain.traction_half_extent_mm` of the sensor's centre.
-
     Raises
     ------
     ValueError
         If the domain was generated without the column.
     """
-    return np.stack([domain.optional("traction", int(row)).reshape(*_SHAPE, 3) for row in rows])
+    return np.stack([domain.traction_map_n(int(row)) for row in rows])
 
 
-def cell_places(domain: GeneratedDomain) -> np.ndarray:
-    """Return where in a domain's pictures the centres of the cells are, as `TractionNetwork` takes it."""
+def cell_places(domain: GeneratedDomain, shape: tuple[int, int]) -> np.ndarray:
+    """Return where in a domain's pictures the centres of rows and columns of cells are, for `TractionNetwork`."""
     y_mm, x_mm = (
         half_mm * ((2 * np.arange(n) + 1) / n - 1)
-        for half_mm, n in zip(domain.traction_half_extent_mm[::-1], _SHAPE, strict=True)
+        for half_mm, n in zip(domain.traction_half_extent_mm[::-1], shape, strict=True)
     )
-    cells_mm = np.stack([*np.meshgrid(x_mm, y_mm), np.zeros(_SHAPE)], axis=-1).reshape(-1, 3)
+    cells_mm = np.stack([*np.meshgrid(x_mm, y_mm), np.zeros(shape)], axis=-1).reshape(-1, 3)
     seen_px = domain.recipe.sensor.camera.project_px(cells_mm, domain.size_px)
-    return (2 * seen_px / domain.size_px - 1).reshape(*_SHAPE, 2)
+    return (2 * seen_px / domain.size_px - 1).reshape(*shape, 2)
 
 
 def learn_traction_maps(
@@ -140,7 +137,9 @@ def learn_traction_maps(
     of_sum = torch.tensor(usual_sum, dtype=torch.float32, device=device)
     with torch.random.fork_rng(devices=[]), torch_threads(profile.threads):
         torch.manual_seed(start.seed)
-        network = TractionNetwork(copy.deepcopy(start.network.backbone), cell_places(domain)).to(device)
+        network = TractionNetwork(
+            copy.deepcopy(start.network.backbone), cell_places(domain, maps_n.shape[1:3])
+        ).to(device)
         optimizer = torch.optim.Adam(network.parameters(), _LEARNING_RATE)
         rate = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
         for epoch in range(epochs):

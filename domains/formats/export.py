@@ -35,7 +35,6 @@ from gelgap.domains.frames.folders import (
 from gelgap.domains.frames.labels import FORCE_COLUMNS
 from gelgap.domains.frames.splits import PARTS, indices_by_part, split_frames, stated_split
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
-from gelgap.sim.traction import COARSE_SHAPE
 
 LOG = logging.getLogger(__name__)
 _SAMPLES_PER_TAR = 1000
@@ -248,7 +247,7 @@ def _feats(frames: GeneratedDomain, folder: Path) -> None:
         for index in indices.tolist():
             label = {"gs_img": frames.picture(index)}
             if "traction" in frames.optional_columns:
-                maps_n = frames.optional("traction", index).reshape(*COARSE_SHAPE, 3) * _FEATS_SIGNS + 0.0
+                maps_n = frames.traction_map_n(index) * _FEATS_SIGNS + 0.0
                 label |= {f"grid_{axis}": maps_n[..., k] for k, axis in enumerate("xyz")}
             label |= forces_n[index]
             np.save(folder / _FEATS_PARTS[part] / f"{int(frames.columns['frame_id'][index]):06d}.npy", label)

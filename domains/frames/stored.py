@@ -241,6 +241,12 @@ class GeneratedDomain(StoredFrames):
         scale = self.manifest["height_map"]
         return scale["offset_mm"] + scale["step_mm"] * self.optional("height_map", index).astype(np.float64)
 
+    def traction_map_n(self, index: int) -> np.ndarray:
+        """Return the force (24, 32, 3) in N on each cell; `traction_half_extent_mm` says what the cells divide."""
+        from gelgap.sim.traction import COARSE_SHAPE
+
+        return self.optional("traction", index).reshape(*COARSE_SHAPE, 3)
+
     @cached_property
     def recipe(self) -> "DomainRecipe":
         """The configuration that the domain was generated from."""

@@ -168,12 +168,12 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
     """
     alike: dict[tuple[Any, ...], list[DomainRecipe]] = {}
     for recipe in recipes:
-        library = recipe.interpolated, recipe.library_reach_mm
-        same = (recipe.elastomer, recipe.indenters, recipe.solved_path(), recipe.quality, library)
+        poses = recipe.solved_path(), recipe.quality, recipe.interpolated, recipe.library_reach_mm
+        same = (recipe.elastomer, recipe.indenters, *poses)
         alike.setdefault(same, []).append(recipe)
     sources: dict[str, Solve | LibraryPlan] = {}
     batches = []
-    for (elastomer, indenters, path, quality, (interpolated, reach_mm)), members in alike.items():
+    for (elastomer, indenters, path, quality, interpolated, reach_mm), members in alike.items():
         if interpolated:
             contacts = Contacts.interpolated(elastomer, indenters[0], path, quality, reach_mm)
         else:

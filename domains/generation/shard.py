@@ -58,8 +58,7 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
     rows: dict[str, list[Row]] = {name: [] for name in labels_of}
     refused: dict[str, dict[int, str]] = {name: {} for name in labels_of}
     groups, frames = list(alike.values()), range(batch.start, batch.start + len(batch))
-    # Contact by contact, so that a membrane is rastered once for all lights that fall on it, but for no more lights at
-    # a time than renderers are kept.
+    # A membrane is rastered once for all lights of a group; a group has as many lights as renderers are kept.
     for start, (place, frame) in product(range(0, len(groups), KEPT_RENDERERS), enumerate(frames)):
         source = solutions.get(batch.contacts.source_key(place))
         states: dict[tuple[float, float], MembraneState] = {}

@@ -20,7 +20,7 @@ from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
 RIDGE = 0.3
 # By how much the modelled flat light, of which the gain is made, is drawn to the reference.
 REFERENCE_WEIGHT = 0.1
-# Flat light is smooth: every so manyth pixel holds it.
+# Flat light is smooth, so that one pixel of this many is enough.
 _REFERENCE_STEP = 4
 PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall": 0.6}
 PRIOR_WEIGHT = 30.0
@@ -222,7 +222,9 @@ class LightFit:
         if self.nearness_range is not None:
             blurred = lambda value: self.camera.model_copy(update={"point_spread_px": float(value)})  # noqa: E731
             tried = self._under_cameras(blurred, self.camera.point_spread_px, (0.0, _MOST_BLUR_PX), 1.0)
-            kept = self._seen_by(self.camera)
+            kept = next((own for own in tried if own.camera == self.camera), None) or self._seen_by(
+                self.camera
+            )
             below = (1 - _LEAST_GAIN) * kept.rms_code_values
             self._become([own for own in tried if own.rms_code_values < below] or [kept])
 

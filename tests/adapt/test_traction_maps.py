@@ -30,16 +30,16 @@ def domain() -> SimpleNamespace:
         name="squares",
         size_px=(64, 48),
         take=frames.take,
-        optional=lambda column, row: maps_n[row].ravel(),
+        traction_map_n=lambda row: maps_n[row],
         recipe=SimpleNamespace(sensor=SimpleNamespace(camera=camera)),
         traction_half_extent_mm=tuple(side / 2 for side in camera.footprint_mm((64, 48))),
     )
 
 
 def test_cells_are_sought_where_the_camera_sees_them(domain: SimpleNamespace) -> None:
-    places = cell_places(domain)
+    places = cell_places(domain, (24, 32))
     np.testing.assert_allclose(places[0, 0], (-31 / 32, -23 / 24), atol=1e-9)
-    beyond = cell_places(SimpleNamespace(**{**vars(domain), "traction_half_extent_mm": (7.0, 5.5)}))
+    beyond = cell_places(SimpleNamespace(**{**vars(domain), "traction_half_extent_mm": (7.0, 5.5)}), (24, 32))
     np.testing.assert_allclose(beyond, places * (7 / 6, 5.5 / 4.5), atol=1e-9)  # the picture shows 12 × 9 mm
 
 
