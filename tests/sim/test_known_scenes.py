@@ -5,6 +5,7 @@ The bounds are what the guide says of the errors (docs/physics.md, Accuracy), an
 
 import math
 
+import numpy as np
 import pytest
 
 from gelgap.benchmarks.fem.spheres import solve_press
@@ -44,12 +45,16 @@ def test_a_slide_without_friction_changes_no_force(
 @pytest.mark.parametrize(
     "depth_mm", [0.02, *(pytest.param(mm, marks=pytest.mark.slow) for mm in (0.01, 0.05, 0.1))]
 )
-def test_a_touch_has_the_force_of_axisymmetric_elements(
+def test_a_touch_has_force_membrane_and_contact_of_axisymmetric_elements(
     quality: str, radius_mm: float, thickness_mm: float, depth_mm: float
 ) -> None:
     (state,) = solved(radius_mm, quality, Pose(depth_mm=depth_mm), thickness_mm=thickness_mm)
     (truth,) = solve_press(*axisymmetric_press(radius_mm, thickness_mm, 0.49, 0.0, depth_mm))
     assert state.force_n[2] == pytest.approx(truth.force_n, rel=0.015)
+    r_mm = np.hypot(*np.meshgrid(state.x_mm, state.y_mm))
+    off_mm = state.displacement_mm[..., 2] - np.interp(r_mm, truth.r_mm, truth.u_z_mm)
+    assert np.abs(off_mm).max() < 0.05 * depth_mm
+    assert r_mm[state.contact].max() < 1.05 * truth.contact_radius_mm
 
 
 @pytest.mark.slow
