@@ -30,7 +30,9 @@ def test_coefficients_of_the_estimate_give_the_variance_that_errors_were_drawn_w
     causes = rng.uniform(0.0, 1.0, (4000, len(CAUSES)))
     variance = 1e-4 + 4e-4 * causes[:, 1] ** 2
     causes[:, 0] = 1.0
-    rows = pd.DataFrame(causes, columns=list(CAUSES)).assign(Fz=rng.normal(0.0, np.sqrt(variance)))
+    rows = pd.DataFrame(causes, columns=list(CAUSES)).assign(
+        quality="draft", Fz=rng.normal(0.0, np.sqrt(variance))
+    )
     found = np.array(study.coefficients(rows, "Fz"))
     assert found[:2] == pytest.approx([1e-4, 4e-4], rel=0.15)
     assert found[2:].max() < 3e-5

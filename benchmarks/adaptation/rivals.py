@@ -32,7 +32,7 @@ GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0
 """Light alone, light and gel, markers."""
 BASE = "mb0i0"
 LIGHT_METHODS = (PLAIN, "adabn")
-_SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "Fz, N", "shear, N", *R2, "runs"]
+_SHOWN = ["closed", "interval", "closed Fz", "closed shear", "mean, N", "Fz, N", "shear, N", *R2, "runs"]
 
 
 def changes_of(name: str) -> board.Changes:
@@ -143,7 +143,7 @@ def _worth(
             renamed = own.assign(method=own["method"] + f" / {name}")
             rows = _summary(pd.concat([start, renamed]), ceilings)
             found.append(rows[rows.index.isin(renamed["method"])])
-    frame = pd.concat(found).reindex(columns=_SHOWN).rename_axis("method / input")
+    frame = pd.concat(found).reindex(columns=_SHOWN).dropna(axis=1, how="all").rename_axis("method / input")
     groups = ", ".join(sorted(runs["group"].unique()))
     return result_table(
         title, frame, f"{groups}; split by contact point. {note}", SUMMARY_FORMATS | {"runs": "{:.0f}"}

@@ -4,6 +4,8 @@ The bounds are what the guide says of the errors (docs/physics.md, Accuracy), an
 """
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +17,10 @@ from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere, solve_po
 QUALITIES = pytest.mark.parametrize("quality", ["draft", pytest.param("standard", marks=pytest.mark.slow)])
 
 
-def solved(radius_mm: float, quality: str, *poses: Pose, **gel: float) -> tuple[MembraneState, ...]:
+def solved(radius_mm: float, quality: str, *poses: Pose, **gel: Any) -> tuple[MembraneState, ...]:
     """Press a wide pad, without friction unless `gel` has one."""
     given = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.0} | gel
-    pad = Elastomer(**given, pad_size_mm=(100.0, 100.0), strain_energy="stable-neo-hookean")
+    pad = Elastomer(**{"strain_energy": "stable-neo-hookean"} | given, pad_size_mm=(100.0, 100.0))
     return solve_poses(pad, Sphere(diameter_mm=2 * radius_mm), poses, quality, Sharing(cache=False))
 
 
@@ -53,8 +55,35 @@ def test_a_touch_has_force_membrane_and_contact_of_axisymmetric_elements(
     assert state.force_n[2] == pytest.approx(truth.force_n, rel=0.015)
     r_mm = np.hypot(*np.meshgrid(state.x_mm, state.y_mm))
     off_mm = state.displacement_mm[..., 2] - np.interp(r_mm, truth.r_mm, truth.u_z_mm)
-    assert np.abs(off_mm).max() < 0.05 * depth_mm
+    assert np.abs(off_mm).max() < 0.03 * depth_mm
     assert r_mm[state.contact].max() < 1.05 * truth.contact_radius_mm
+
+
+@QUALITIES
+@pytest.mark.parametrize(
+    ("depth_mm", "travels_mm", "fx_n", "fz_n"),
+    [
+        (0.1, (0.005, 0.02, 0.05), (0.001609, 0.006436, 0.016086), (-0.030615, -0.030636, -0.030757)),
+        pytest.param(
+            *(0.3, (0.005, 0.02, 0.06), (0.002922, 0.011687, 0.035060), (-0.164392, -0.164413, -0.164591)),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_sticking_drag_of_a_narrow_contact_is_felupes(
+    quality: str, depth_mm: float, travels_mm: Sequence[float], fx_n: Sequence[float], fz_n: Sequence[float]
+) -> None:
+    """R 3 on 10 mm without slip beside felupe 11.3, whose energy is the isochoric one.
+
+    Its hexahedra of mean dilatation are a tenth of the contact's radius wide, in half a disc of 20 sectors; with a
+    seventh Fx is 2 % larger. Mindlin's half-space is 5 % softer than both: in so deep a press strains are not small.
+    """
+    poses = (Pose(depth_mm=depth_mm, shear_x_mm=travel) for travel in (0.0, *travels_mm))
+    gel = {"poisson_ratio": 0.495, "friction": 10.0, "thickness_mm": 10.0, "strain_energy": "isochoric"}
+    _, *dragged = solved(3.0, quality, *poses, **gel)
+    force_n = np.array([state.force_n for state in dragged])
+    assert force_n[:, 0] == pytest.approx(np.array(fx_n), rel=0.065 if quality == "draft" else 0.03)
+    assert force_n[:, 2] == pytest.approx(np.array(fz_n), rel=0.02)
 
 
 @pytest.mark.slow
