@@ -17,15 +17,7 @@ from scipy.sparse.linalg import spsolve
 from gelgap.benchmarks.common import show
 from gelgap.benchmarks.fem.spheres import Floats, Press, solve_press
 
-PRESSES = tuple(
-    Press(
-        indenter_radius_mm=radius_mm, thickness_mm=thick_mm, poisson_ratio=poisson_ratio, pad_radius_mm=14.0
-    )
-    for radius_mm, thick_mm, poisson_ratio in (
-        *((1.5, 3.0, 0.48), (1.5, 3.0, 0.495)),
-        *((4.0, 3.0, 0.49), (2.5, 6.0, 0.45)),
-    )
-)
+SCENES = ((1.5, 3.0, 0.48), (1.5, 3.0, 0.495), (4.0, 3.0, 0.49), (2.5, 6.0, 0.45))  # radius, thickness, ν
 DEPTHS_MM = (0.2, 0.4, 0.6)
 STEPS_PER_DEPTH = 16
 ELEMENTS = 40  # across √(R d), the radius at which contact is looked for
@@ -102,7 +94,9 @@ def main() -> None:
     if find_spec("felupe") is None:
         sys.exit("this check needs the package felupe; install it with: pip install felupe")
     tables = []
-    for press in PRESSES:
+    for radius_mm, thick_mm, nu in SCENES:
+        sizes_mm = {"indenter_radius_mm": radius_mm, "thickness_mm": thick_mm, "pad_radius_mm": 14.0}
+        press = Press(**sizes_mm, poisson_ratio=nu)
         own, pad = solve_press(press, DEPTHS_MM), PublicPad(press, DEPTHS_MM[-1])
         way_mm = np.linspace(0, DEPTHS_MM[-1], STEPS_PER_DEPTH * len(DEPTHS_MM) + 1)[1:]
         force_n = [pad.equilibrium(depth_mm) for depth_mm in way_mm][STEPS_PER_DEPTH - 1 :: STEPS_PER_DEPTH]
