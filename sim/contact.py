@@ -96,7 +96,7 @@ class FrictionalContacts:
         data.contact.dist[:] = nearest.distance_mm - NODE_RADIUS_MM
 
     def begin_load_step(self, slid_mm: Floats) -> None:
-        """Forget the last load step, since when geoms have slid by `slid_mm`; a new one starts at the next contacts."""
+        """Begin a new load step, at the next contacts, before which geoms have slid by `slid_mm` (n,)."""
         self._start_mm, self._slid_mm = None, slid_mm
 
     def turn(self, turn: Floats, indenter: Indenter) -> None:
