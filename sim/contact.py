@@ -21,7 +21,7 @@ _NOT_ALONG_Y = 0.5
 # Contacts with less than this share of the largest normal force are noise that says nothing about friction.
 _NEGLIGIBLE_LOAD_SHARE = 1e-2
 # Static friction falls to kinetic over this slip. If it fell at once, slip would run from the rim, where the pressure
-# vanishes, through any contact, the sooner the finer the mesh (Papangelo et al. 2015, Proc. R. Soc. A 471:20150271).
+# vanishes, through any contact, the sooner the finer the mesh (Papangelo et al. 2015, arXiv:1506.06043).
 _WEAKENING_SLIP_MM = 0.05
 
 # Newton's method on the condensed problem has converged once the residual is no more than the first share of all
