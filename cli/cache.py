@@ -44,13 +44,14 @@ def _line(entry: "sim.CacheEntry") -> str:
     if problem is None:
         return f"{head}  damaged, or of an older version"
     edges, mount_n_per_mm = problem.pad_mm, problem.mount_stiffness_n_per_mm
+    static = problem.static_friction
     parts = [
         problem.quality.name,
         f"{len(problem.waypoints_mm)} poses, deepest {max(-z for _, _, z in problem.waypoints_mm):g} mm",
         problem.indenter.label,
         f"gel {problem.thickness_mm:g} mm",
         f"MuJoCo's E {problem.moduli.young_modulus_mpa:.4g} MPa, ν {problem.moduli.poisson_ratio:.4g}",
-        f"friction {problem.friction:g}",
+        f"friction {problem.friction:g}" + (f", static {static:g}" if static is not None else ""),
         "rigid mount" if mount_n_per_mm is None else f"mount {mount_n_per_mm:g} N/mm",
         "edges far" if edges is None else "edges at x {:g} and {:g}, y {:g} and {:g} mm".format(*edges),
         *([] if entry.current else ["of another version: not used"]),

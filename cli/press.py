@@ -46,6 +46,8 @@ class Press(opt.Command):
     """Thickness of the pad in mm."""
     friction: Annotated[float | None, opt.optional("MU", "0.8, or the preset's")] = None
     """Coulomb friction coefficient between indenter and membrane."""
+    static_friction: Annotated[float | None, opt.optional("MU", "friction, or the preset's")] = None
+    """Friction coefficient before slip, at least --friction, to which it falls over 0.05 mm of slip."""
     pad_size_mm: Annotated[tuple[float, float] | None, opt.optional("MM MM", "24 20, or the preset's")] = None
     """Size of the pad along x and y in mm."""
     mount_stiffness_n_per_mm: Annotated[float | None, opt.optional("N/MM", "rigid, or the preset's")] = None

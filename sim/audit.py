@@ -64,12 +64,13 @@ def audit_contact(
     mesh: GelMesh,
     positions_mm: Floats,
     moduli: Moduli,
-    friction: float,
+    friction: float | Floats,
     indenter: Indenter,
     indenter_origin_mm: Floats,
 ) -> SolveDiagnostics:
     """Check the equilibrium of vertices at `positions_mm` (n, 3); `moduli` are those of MuJoCo's energy.
 
+    `friction` is the coefficient, of all vertices or of each (n,).
     SolveDiagnostics of the iteration (iterations, slip, sticking) are not known here and left out.
     """
     state = elastic_state(mesh.vertices_mm, mesh.tetrahedra, positions_mm, moduli)
@@ -90,8 +91,8 @@ def audit_contact(
     out_of_balance = float(np.abs(holding[free]).max(initial=0.0))
     strongest = float(push.max(initial=0.0))
     loaded = push > _NEGLIGIBLE_LOAD_SHARE * strongest
-    excess = -1.0
-    if friction > 0 and loaded.any():
+    excess, friction = -1.0, np.broadcast_to(friction, len(positions_mm))[touching][loaded]
+    if (friction > 0).any():
         # The largest force on a free vertex shows how uncertain the friction is.
         excess = float(((drag[loaded] - out_of_balance) / (friction * push[loaded]) - 1).max())
     return SolveDiagnostics(

@@ -20,6 +20,9 @@ _FRICTIONLESS = 1e-5
 _NOT_ALONG_Y = 0.5
 # Contacts with less than this share of the largest normal force are noise that says nothing about friction.
 _NEGLIGIBLE_LOAD_SHARE = 1e-2
+# Static friction falls to kinetic over this slip. If it fell at once, slip would run from the rim, where the pressure
+# vanishes, through any contact, the sooner the finer the mesh (Papangelo et al. 2015, arXiv:1506.06043).
+_WEAKENING_SLIP_MM = 0.05
 
 # Newton's method on the condensed problem has converged once the residual is no more than the first share of all
 # forces, or no more than the second and no longer halved, which is as good as rounding errors let it be.
@@ -40,13 +43,21 @@ class FrictionalContacts:
     when the step begins stick from where they are then. A node that becomes active within the step has landed, on
     average half way: its slip counts from half way between its position at the start of the step and the one that it
     reached without friction. Other nodes slide freely.
+
+    The coefficient falls, with the slip since a node touched, from `static_friction` (None: as low) to `friction`.
     """
 
-    def __init__(self, gel: GelModel, data: Any, indenter: Indenter, friction: float) -> None:
+    def __init__(
+        self, gel: GelModel, data: Any, indenter: Indenter, friction: float, static_friction: float | None
+    ) -> None:
         self._gel = gel
         self._data = data
         self._indenter = indenter
         self._friction = friction
+        self._static_excess = 0.0 if static_friction is None else static_friction - friction
+        # Each geom's coefficient, and how far it had slid before this load step.
+        self._friction_of = np.full(gel.model.ngeom, friction)
+        self._slid_mm = np.zeros(gel.model.ngeom)
         self._start_mm: Floats | None = None
         self._anchor_mm = np.zeros((0, 3))
         self._held = self._landed = np.zeros(0, dtype=bool)
@@ -84,9 +95,9 @@ class FrictionalContacts:
         data.contact.frame[:] = np.concatenate([normal, first, np.cross(normal, first)], axis=1)
         data.contact.dist[:] = nearest.distance_mm - NODE_RADIUS_MM
 
-    def begin_load_step(self) -> None:
-        """Forget the last load step; the new one starts where the next contacts are found."""
-        self._start_mm = None
+    def begin_load_step(self, slid_mm: Floats) -> None:
+        """Begin a new load step, at the next contacts, before which geoms have slid by `slid_mm` (n,)."""
+        self._start_mm, self._slid_mm = None, slid_mm
 
     def turn(self, turn: Floats, indenter: Indenter) -> None:
         """Go on with the indenter turned by a matrix (3, 3) about its origin; what sticks to it goes along."""
@@ -123,9 +134,14 @@ class FrictionalContacts:
             carried_mm = self.carried_mm(turn)
             data.contact.dist[:] -= carried_mm[:, 0]
             data.contact.surfacevel[held, :2] -= carried_mm[held, 1:]
+        if self._static_excess:
+            slid_mm = self._slid_mm[nodes] + np.linalg.norm(slip_mm, axis=1)
+            left = np.maximum(0.0, 1 - slid_mm / _WEAKENING_SLIP_MM)
+            self._friction_of[nodes] = self._friction + left * self._static_excess
+            data.contact.friction[:, :2] = self._friction_of[nodes, None]
         # Most nodes that landed go back and stick; a widened gap would press them into the indenter.
         slides_mm = np.where(self._landed[nodes], 0.0, np.linalg.norm(slip_mm, axis=1))
-        data.contact.dist[:] += self._friction * slides_mm
+        data.contact.dist[:] += self._friction_of[nodes] * slides_mm
         data.contact.friction[~held, :2] = _FRICTIONLESS
 
     def at_rest(self) -> bool:
@@ -148,15 +164,15 @@ class FrictionalContacts:
         force = (np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign())[loaded]
         normal_force = np.einsum("ni,ni->n", force, normal)
         tangential_force = np.linalg.norm(force - normal_force[:, None] * normal, axis=1)
-        return float((tangential_force / (self._friction * normal_force)).max()) - 1
+        return float((tangential_force / (self._friction_of[nodes] * normal_force)).max()) - 1
 
     def sticking_fraction(self) -> float:
         """Return the share of the normal force on nodes whose friction is below its limit."""
-        forces = self.forces_n
-        normal = forces[:, 0]
+        normal = self.normal_force_n
         if not normal.sum() > 0:
             return 1.0
-        sticking = sticks(np.linalg.norm(forces[:, 1:], axis=1), normal, self._friction)
+        tangential = np.linalg.norm(self.forces_n[:, 1:], axis=1)
+        sticking = sticks(tangential, normal, self._friction_of[self.nodes])
         return float(1.0 - normal[~sticking].sum() / normal.sum())
 
     def vertex_forces_n(self) -> tuple[Floats, Floats]:
@@ -168,6 +184,12 @@ class FrictionalContacts:
         frames = self._data.contact.frame.reshape(-1, 3, 3)
         whole[vertices] = np.einsum("ni,nij->nj", self.forces_n, frames) * self._sign()
         return normal, whole
+
+    def vertex_friction(self) -> Floats:
+        """Return each mesh vertex's coefficient of friction (n,)."""
+        friction = np.full(len(self._gel.mesh.vertices_mm), self._friction)
+        friction[self._gel.vertex_of_geom[self.nodes]] = self._friction_of[self.nodes]
+        return friction
 
     def _sign(self) -> Floats:
         """Return 1 where a contact's frame leads from the indenter to the node, −1 where it leads back, (contacts, 1).

@@ -98,7 +98,9 @@ def diagnose(
     force_n = modulus_ratio * float(np.linalg.norm(record.force_n))
     found = asdict(record.diagnostics)
     found["elastic_energy_mj"] *= modulus_ratio
-    if _turns_about_a_vertex(record, problem.friction):
+    # Where static friction holds many vertices, they may bear more than `friction` allows.
+    few_stick = found["sticking_fraction"] <= 2 * _LARGEST_CENTRE_SHARE
+    if few_stick and _turns_about_a_vertex(record, problem.friction):
         found["sticking_fraction"] = 0.0
     return Diagnostics(
         **found,

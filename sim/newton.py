@@ -92,7 +92,9 @@ class StaticNewton:
         self.problem = problem
         self.gel = gel = build_gel_model(problem, mesh, problem.mesh_moduli)
         self.data = mujoco.MjData(gel.model)
-        self.contacts = FrictionalContacts(gel, self.data, problem.indenter, problem.friction)
+        self.contacts = FrictionalContacts(
+            gel, self.data, problem.indenter, problem.friction, problem.static_friction
+        )
         self.body: Indenter = problem.indenter
         self.command = np.zeros(6)
         self.active = np.zeros(gel.model.ngeom, dtype=bool)
@@ -159,7 +161,7 @@ class StaticNewton:
         furthest_mm = _EXTRAPOLATION_SHARE * self.problem.indenter.feature_size_mm
         if not self._rigid:
             self.gel.model.qpos_spring[self.gel.indenter_qpos] = command[:3]
-        self.contacts.begin_load_step()
+        self.contacts.begin_load_step(self.slip_mm)
         force, series, converged = np.full(3, np.inf), GeometricSeries(), False
         motion: tuple[Any, ...] = (displacement_mm if self._rigid else 0.0, turn)
         for iteration in range(most_iterations):
@@ -312,9 +314,10 @@ class StaticNewton:
         finite = bool(np.isfinite(vertices_mm).all() and np.isfinite(force).all())
         found = SolveDiagnostics(iterations=self.iterations)
         if finite:
+            friction = self.contacts.vertex_friction()
             origin_mm = indenter_mm + np.array([0.0, 0.0, self.body.origin_height_mm])
             found = replace(
-                audit_contact(mesh, vertices_mm, gel.moduli, problem.friction, self.body, origin_mm),
+                audit_contact(mesh, vertices_mm, gel.moduli, friction, self.body, origin_mm),
                 iterations=self.iterations,
                 sticking_fraction=self.contacts.sticking_fraction(),
                 slip_mm=float(self.slip_mm.max()),

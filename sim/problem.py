@@ -139,7 +139,7 @@ class ContactProblem:
     commanded displacements (x, y, z) of the indenter from touching the gel; a state is recorded at each. `parents` says
     for each from which waypoint it is reached, by its index, −1 for the undeformed gel: several drags can branch off
     one press. `turns_deg` are rotation vectors by which the indenter is turned about its origin at each waypoint; none
-    if it never is.
+    if it never is. `static_friction` is larger than `friction`, None if they are equal.
     """
 
     moduli: Moduli
@@ -152,6 +152,7 @@ class ContactProblem:
     parents: tuple[int, ...]
     quality: Quality
     turns_deg: tuple[Waypoint, ...] = ()
+    static_friction: float | None = None
 
     @classmethod
     def of(
@@ -170,7 +171,7 @@ class ContactProblem:
         turns = tuple(command[3:] for command in commands)
         gel, moduli = scene.elastomer, scene.elastomer.mujoco_moduli
         scale = _SHARED_MODULUS_MPA / gel.young_modulus_mpa if scene.sharing.modulus else 1.0
-        mount = gel.mount_stiffness_n_per_mm
+        mount, static = gel.mount_stiffness_n_per_mm, gel.static_friction
         return cls(
             moduli=Moduli(round(moduli.young_modulus_mpa * scale, 12), moduli.poisson_ratio),
             friction=gel.friction,
@@ -182,6 +183,7 @@ class ContactProblem:
             parents=tuple(parents),
             quality=quality_named(scene.quality),
             turns_deg=turns if any(map(any, turns)) else (),
+            static_friction=static if static is not None and static > gel.friction else None,
         )
 
     @property
@@ -319,5 +321,7 @@ class ContactProblem:
         values = {"method": method, "shape": shape, **asdict(self)}
         if not self.turns_deg:
             del values["turns_deg"]
+        if self.static_friction is None:
+            del values["static_friction"]
         text = json.dumps(values, sort_keys=True, default=Indenter.model_dump)
         return hashlib.sha256(text.encode()).hexdigest()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
 from gelgap.assets.settings import PresetSettings, within
 from gelgap.sim.indenter import Floats, Indenter, Symmetry
@@ -104,6 +104,20 @@ class Elastomer(PresetSettings):
     strain_energy: StrainEnergy = Field(
         default="isochoric", description="The form of the neo-Hookean energy that the two moduli refer to."
     )
+    static_friction: Annotated[float, within(0.0, 1000.0, "")] | None = Field(
+        default=None,
+        description="Friction coefficient before slip, which lowers it to `friction` over 0.05 mm, up to 1000; "
+        "none: `friction`.",
+        exclude_if=lambda value: value is None,
+    )
+
+    @field_validator("static_friction")
+    @classmethod
+    def _check_static_friction(cls, value: float | None, info: ValidationInfo) -> float | None:
+        kinetic = info.data.get("friction", value)
+        if value is not None and (value < kinetic or value > kinetic == 0):
+            raise ValueError(f"must be at least friction, {kinetic:g}, and equal to it if that is 0")
+        return value
 
     @property
     def mujoco_moduli(self) -> Moduli:

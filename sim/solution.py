@@ -60,8 +60,8 @@ class SolveDiagnostics:
     tension: float = 0.0
 
 
-def sticks(tangential_n: NDArray, normal_n: NDArray, friction: float) -> NDArray[np.bool_]:
-    """Return which vertices (n,) stick, by the sizes of their friction and normal force."""
+def sticks(tangential_n: NDArray, normal_n: NDArray, friction: float | NDArray) -> NDArray[np.bool_]:
+    """Return which vertices (n,) stick, by the sizes of their friction and normal force, and their coefficient."""
     return tangential_n < _STICKING_SHARE * friction * normal_n
 
 

@@ -25,6 +25,7 @@ from gelgap.benchmarks.physics.references import (
     own_cases,
     press_cases,
     shape_cases,
+    solid_cases,
     tabled_sphere,
 )
 
@@ -67,6 +68,7 @@ TABLES = (  # study, title, columns, note
     ("drags", "Drags to 0.6 mm, ν 0.48, against 3-D finite elements", DRAG, DRAG_NOTE),
     ("shapes", "Indenters against independent finite elements", SHAPE, SHAPE_NOTE),
     ("across", "A long box in its middle, pressed and dragged across: per mm of length", ACROSS, SHAPE_NOTE),
+    ("solids", "A short box, pressed, and a cylinder, pressed and dragged", ACROSS, SHAPE_NOTE),
 )
 FZ_TARGET = 2.0  # %, rms
 
@@ -91,10 +93,10 @@ def run_shapes(quick: bool, out_dir: Path) -> None:
     """Print errors and run time of other indenters, and write `shapes.json` to `out_dir`.
 
     The quick form has two depths of each round body at `draft`; the full one all depths at `draft` and `standard`, the
-    lying cylinder, and a long box that is pressed and dragged across.
+    lying cylinder, a long box that is pressed and dragged across, and a short box and a dragged cylinder in space.
     """
     solver = Solver(None, out_dir / "shape-solves")
-    cases = at_both([*shape_cases(), *across_cases()])
+    cases = at_both([*shape_cases(), *across_cases(), *solid_cases()])
     if quick:
         *round_bodies, _ = shape_cases()
         shallow = [case.down_to(case.poses[QUICK_DEPTHS - 1].depth_mm) for case in round_bodies]

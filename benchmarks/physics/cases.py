@@ -35,8 +35,9 @@ SLOWEST_FIRST = ("fine", "standard", "draft")
 class Truth:
     """The solution that a case is compared with, by pose: forces (k, 3), N, NaN where they are not known.
 
-    Presses of round bodies have contact radii (k,), and presses `profiles` (r, u_r, u_z) of the surface. The truth may
-    be off itself by `uncertainty_percent`: in Fx of a drag, the contact radius of a sphere, Fz of another body.
+    Presses of round bodies have contact radii (k,), and presses `profiles` (r, u_r, u_z) of the surface, or scattered
+    points of it (x, y, u_x, u_y, u_z). The truth may be off itself by `uncertainty_percent`: in Fx of a drag, the
+    contact radius of a sphere, Fz of another body.
     """
 
     force_n: Floats
@@ -47,15 +48,22 @@ class Truth:
 
     def state(self, index: int, like: MembraneState) -> MembraneState:
         """Return the true membrane at a pose, centred on the contact, on the rest grid of another."""
-        r, u_r, u_z = self.profiles[index]
+        from scipy.interpolate import LinearNDInterpolator
+
+        profile, radius_mm = self.profiles[index], like.contact_radius_mm
         x, y = np.meshgrid(like.x_mm, like.y_mm)
-        radius = np.hypot(x, y)
-        outward = np.interp(radius, r, u_r) / np.maximum(radius, 1e-9)
+        if len(profile) == 5:
+            displacement_mm = LinearNDInterpolator(profile[:2].T, profile[2:].T)(x, y)
+        else:
+            r, u_r, u_z = profile
+            radius, radius_mm = np.hypot(x, y), float(self.radius_mm[index])
+            outward = np.interp(radius, r, u_r) / np.maximum(radius, 1e-9)
+            displacement_mm = np.stack([outward * x, outward * y, np.interp(radius, r, u_z)], axis=-1)
         return replace(
             like,
-            displacement_mm=np.stack([outward * x, outward * y, np.interp(radius, r, u_z)], axis=-1),
+            displacement_mm=displacement_mm,
             force_n=self.force_n[index],
-            contact_radius_mm=float(self.radius_mm[index]),
+            contact_radius_mm=radius_mm,
             converged=True,
         )
 

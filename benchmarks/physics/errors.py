@@ -38,7 +38,7 @@ def errors(case: Case, solved: Any, picture: Picture | None = None) -> dict[str,
     """
     truth, states = case.truth, solved.states
     force_n, surfaces = np.array([state.force_n for state in states]), []
-    if isinstance(case.indenter, Edge | Box):
+    if isinstance(case.indenter, Edge | Box) and len(truth.profiles[0]) == 3:
         along = int(isinstance(case.indenter, Box))  # axis x or y
         maps = [traction_map(case.plan, k, solved.solution, state) for k, state in enumerate(states)]
         force_n = np.array([middle_force_n(found, along) for found in maps])

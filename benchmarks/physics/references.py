@@ -167,6 +167,35 @@ def across_cases() -> tuple[Case, ...]:
     return tuple(cases)
 
 
+def solid_cases() -> tuple[Case, ...]:
+    """Return a short box that is pressed and an upright cylinder that is dragged, beside felupe's solids.
+
+    Each was solved on two meshes; the second is the truth, and uncertain by what it differs from the first.
+    """
+    forces, surfaces = (
+        pd.read_csv(asset_path("reference", "shapes", f"solid_{kind}.csv")) for kind in ("forces", "surfaces")
+    )
+    # The tables have a quarter of the box and half of the cylinder; across a plane of symmetry u turns with its place.
+    bodies = {
+        "box": (Box(size_mm=(3.0, 2.0), edge_radius_mm=0.4), ((1, 1), (1, -1), (-1, 1), (-1, -1))),
+        "cylinder": (Cylinder(diameter_mm=3.0, edge_radius_mm=0.3), ((1, 1), (1, -1))),
+    }
+    material = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.48, "friction": NO_SLIP_FRICTION}
+    gel, cases = Elastomer(**material, pad_size_mm=WIDE_PAD_MM), []
+    for name, (body, mirrors) in bodies.items():
+        coarse, fine = (mesh for _, mesh in forces[forces["case"] == name].groupby("element_mm", sort=False))
+        surface = surfaces[surfaces["case"] == name].groupby(["depth_mm", "travel_mm"])
+        parts = [rows[list(rows)[3:]].to_numpy() for _, rows in surface]
+        truth = Truth(
+            force_n=fine.assign(fy=np.nan)[["fx_n", "fy", "fz_n"]].to_numpy(),
+            uncertainty_percent=100 * float(np.abs(coarse["fz_n"].values / fine["fz_n"].values - 1).max()),
+            profiles=tuple(np.vstack([part * [x, y, x, y, 1] for x, y in mirrors]).T for part in parts),
+        )
+        poses = tuple(Pose(depth_mm=p.depth_mm, shear_x_mm=p.travel_mm) for p in fine.itertuples())
+        cases.append(Case("solids", name, gel, poses, indenter=body, truth=truth))
+    return tuple(cases)
+
+
 def own_cases(study: str, descents: Sequence[Descent], solver: Solver) -> list[Case]:
     """Return presses with what the project's own axisymmetric solver finds, named by scene and greatest depth."""
     named = {f"{press} to {depths_mm[-1]:g} mm": (press, depths_mm) for press, depths_mm in descents}

@@ -11,6 +11,7 @@ from gelgap.sim.indenter import Sphere
 from gelgap.sim.newton import StaticNewton, solve
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Elastomer, Scene, Sharing
+from gelgap.sim.shapes import Cylinder
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.5)
 # A load step down, one further, and two sideways, in which nodes slide.
@@ -52,6 +53,25 @@ def test_mujoco_starts_from_nothing_else() -> None:
     for one, other in zip(condensed, alone, strict=True):
         assert one.converged
         np.testing.assert_allclose(one.force_n, other.force_n, rtol=1e-6, atol=1e-9)
+
+
+def test_a_flat_end_lets_go_near_static_friction_and_slides_at_kinetic() -> None:
+    """Its rounded flanks change the ratio of the forces by some per cent."""
+    travels_mm = (0.04, 0.07, 0.12)
+    way = ((0.0, 0.0, -0.1), *((x, 0.0, -0.1) for x in travels_mm))
+    ratios = {}
+    for static in (None, 0.25, 0.3):
+        gel = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=0.2, static_friction=static)
+        scene = Scene(gel, Cylinder(diameter_mm=3.0, edge_radius_mm=0.4), "draft", Sharing())
+        records = solve(ContactProblem.of(scene, None, way, range(-1, 3))).records[1:]
+        assert all(record.diagnostics.coulomb_excess < 1e-3 for record in records)
+        ratios[static] = [-record.force_n[0] / record.force_n[2] for record in records]
+    kinetic, low, high = ratios.values()
+    assert max(kinetic) == pytest.approx(0.2, rel=0.08)
+    assert max(low) == pytest.approx(0.25, rel=0.08)
+    assert max(high) == pytest.approx(0.3, rel=0.08)
+    assert low[-1] == pytest.approx(kinetic[-1], rel=2e-3)
+    assert high[-1] == pytest.approx(kinetic[-1], rel=2e-3)
 
 
 def test_a_solve_takes_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:

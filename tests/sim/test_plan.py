@@ -85,6 +85,13 @@ def test_another_modulus_needs_no_new_solve_unless_the_mount_gives_way() -> None
 
     harder = GEL.model_copy(update={"young_modulus_mpa": 0.8})
     assert keys(harder) == keys(GEL)
+    as_low, higher = (GEL.model_copy(update={"static_friction": GEL.friction * by}) for by in (1.0, 1.5))
+    assert keys(as_low) == keys(GEL)
+    assert (
+        keys(harder.model_copy(update={"static_friction": higher.static_friction}))
+        == keys(higher)
+        != keys(GEL)
+    )
     mounted = {"mount_stiffness_n_per_mm": 20.0}
     assert keys(harder.model_copy(update=mounted)) != keys(GEL.model_copy(update=mounted))
 

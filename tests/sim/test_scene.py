@@ -57,6 +57,15 @@ def test_a_bad_value_is_named(field: str, value: object) -> None:
         Elastomer(**{**GEL, field: value})
 
 
+@pytest.mark.parametrize(("friction", "static"), [(0.5, 0.4), (0.0, 0.3)])
+def test_static_friction_is_no_less_than_kinetic_which_it_needs(friction: float, static: float) -> None:
+    with pytest.raises(
+        ValueError, match=f"static_friction = {static:g}: must be at least friction, {friction:g}"
+    ):
+        Elastomer(**{**GEL, "friction": friction, "static_friction": static})
+    assert "static_friction" not in Elastomer(**GEL).model_dump()
+
+
 def test_the_message_gives_value_and_range() -> None:
     with pytest.raises(ValueError, match=r"poisson_ratio = 0\.5: must lie in \[0, 0\.5\)"):
         Elastomer(**{**GEL, "poisson_ratio": 0.5})

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.benchmarks.physics.errors import errors, middle_errors, middle_force_n
-from gelgap.benchmarks.physics.references import across_cases, shape_cases
+from gelgap.benchmarks.physics.references import across_cases, shape_cases, solid_cases
 from gelgap.sim import Cone, Cylinder, Edge, MembraneState, Traction
 
 
@@ -29,6 +29,19 @@ def test_a_box_that_slides_drags_as_its_table_says() -> None:
         assert (np.diff(fx[1:]) > 0).all()
         for pose, (x, _, u_z) in zip(case.poses, case.truth.profiles, strict=True):
             assert u_z[np.abs(x - pose.shear_x_mm).argmin()] == pytest.approx(-pose.depth_mm, abs=2e-3)
+
+
+def test_a_short_box_and_a_dragged_cylinder_are_near_their_tables(coarse: None) -> None:
+    box, cylinder = (replace(case, quality="draft") for case in solid_cases())
+    assert 0 < box.truth.uncertainty_percent < 0.5
+    for case in (box, cylinder):
+        solution = case.solve.run()
+        solved = SimpleNamespace(states=case.states(solution), solution=solution, core_s=1.0, peak_mib=1.0)
+        found = errors(case, solved)
+        assert found["unconverged"] == 0
+        assert found["Fz worst %"] < 8
+        assert max(found["u_z rms µm"], found["in-plane rms µm"]) < 10
+    assert found["Fx rms %"] < 12
 
 
 def test_a_press_is_near_its_table() -> None:
