@@ -22,7 +22,7 @@ _FEWEST_CELLS = 0.25
 # friction, by up to 0.8 % of Fz at `draft`: as if this share of the force were tangential.
 _TANGENTIAL_OF_A_PATH = 0.1
 # The variance of each of `ERRORS`, as a share, over the square of each cause (`scripts/calibrate_estimate.py`): Fz and
-# radius are of presses among scenes 72 to 249 beside the axisymmetric solver, shear and membrane of scenes 300 to 359.
+# radius are of presses among scenes 72 to 249 beside the axisymmetric solver, shear and membrane of 300 to 341.
 # The scenes resolve their contacts: what few cells do to Fz is from the tables' shallowest presses, which share a mesh.
 _VARIANCE_PER_CAUSE = (
     (0.000393, 0.00134, 0.0284, 0.0, 0.0972),

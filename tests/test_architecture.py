@@ -31,13 +31,13 @@ ALLOWED = {
 CODE = (*ALLOWED, "tests", "examples", "scripts")
 LINES = {
     "assets": 600,
-    "sim": 5315,
+    "sim": 5365,
     "render": 5245,
     "domains": 7115,
     "adapt": 5610,
     "view": 1530,
-    "cli": 1995,
-    "benchmarks": 5955,
+    "cli": 2000,
+    "benchmarks": 6110,
     "scripts": 655,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.
