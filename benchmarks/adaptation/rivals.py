@@ -7,6 +7,7 @@ methods on gaps of gel, friction, markers and light that are crossed.
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ResultTable
@@ -19,12 +20,13 @@ from gelgap.benchmarks.adaptation.groups import (
     SUMMARY_FORMATS,
     ceilings_of,
     counted,
+    draws_of,
     load_ceilings,
     summary,
     with_rules,
 )
 from gelgap.benchmarks.adaptation.study import RUNS, Part, Study, adapt_run, grid, load_runs
-from gelgap.benchmarks.common import Setting, result_table
+from gelgap.benchmarks.common import Setting, interval, result_table
 
 METHODS = (PLAIN, "adabn", "dann", "dsan", "daregram")
 INPUT_RUNS, LIGHT_RUNS, CROSSED_RUNS = "inputs.jsonl", "lights.jsonl", "crossed.jsonl"
@@ -32,7 +34,7 @@ GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0
 """Light alone, light and gel, markers."""
 BASE = "mb0i0"
 LIGHT_METHODS = (PLAIN, "adabn")
-_SHOWN = ["closed", "interval", "closed Fz", "closed shear", "mean, N", "Fz, N", "shear, N", *R2, "runs"]
+_SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "95 %, N", "Fz, N", "shear, N", *R2, "runs"]
 
 
 def changes_of(name: str) -> board.Changes:
@@ -146,12 +148,19 @@ def _worth(
     frame = pd.concat(found).reindex(columns=_SHOWN).dropna(axis=1, how="all").rename_axis("method / input")
     groups = ", ".join(sorted(runs["group"].unique()))
     return result_table(
-        title, frame, f"{groups}; split by contact point. {note}", SUMMARY_FORMATS | {"runs": "{:.0f}"}
+        title,
+        frame,
+        f"{groups}; split by contact point. 95 %: bootstrap over pairs of sensors and seeds. {note}",
+        SUMMARY_FORMATS | {"runs": "{:.0f}", "95 %, N": "{:.3f}"},
     )
 
 
 def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
-    return summary(runs, ceilings).assign(runs=counted(runs).notna().any(axis=1).sum())
+    """Return `groups.summary` with a bootstrap interval of the mean error, over pairs of sensors and seeds."""
+    errors = counted(runs)
+    intervals = [None if np.isnan(own).any() else interval(own) for own in draws_of(errors).T]
+    intervals = pd.Series(intervals, errors.columns, dtype=object)
+    return summary(runs, ceilings).assign(**{"95 %, N": intervals, "runs": len(errors)})
 
 
 def crossed_tables(folder: Path) -> list[ResultTable]:

@@ -24,6 +24,8 @@ RANDOM_SCENES, QUICK_SCENES = 300, (0, 12)
 RADIUS_MM, THICKNESS_MM = (0.5, 6.0), (1.0, 10.0)
 SHALLOWEST_MM = 0.01
 WIDE_PAD_MM = (100.0, 100.0)
+PLOTTED = {"Fz": "Fz", "radius": "contact radius", "membrane": "membrane, of the depth"}
+PLOTTED_PERCENT = 0.01, 12.0
 SURFACE_REACH_RADII = 4.0  # the membrane's error is that within this many contact radii
 
 
@@ -159,11 +161,31 @@ def calibration_table(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def run(quick: bool, out_dir: Path) -> None:
-    """Run the benchmark, print its tables, and write `estimate.json` to `out_dir`."""
+    """Run the benchmark, print its tables, and write `estimate.json` and `estimates.png` to `out_dir`."""
     solver = Solver(None, out_dir / "estimate-solves")
     qualities = ("draft",) if quick else ("draft", "standard")
     rows = random_errors(QUICK_SCENES if quick else range(RANDOM_SCENES), qualities, solver)
     table = calibration_table(rows)
     write_json(out_dir / "estimate.json", {"random": table})
+    plot_estimates(rows, out_dir / "estimates.png")
     shutil.rmtree(solver.folder)
-    print(f"results in {out_dir / 'estimate.json'}")
+    print(f"results in {out_dir / 'estimate.json'}, plot in {out_dir / 'estimates.png'}")
+
+
+def plot_estimates(rows: pd.DataFrame, path: Path) -> None:
+    """Plot true errors of unflagged poses over their estimates, with lines at two estimates and at a fourth of one."""
+    from matplotlib.figure import Figure
+
+    unflagged = rows[rows["known"] & rows["converged"] & ~rows["coarse"]]
+    figure = Figure(figsize=(9, 3.1), layout="constrained")
+    for axes, error in zip(figure.subplots(1, len(PLOTTED)), PLOTTED, strict=True):
+        for quality, own in unflagged.groupby("quality"):
+            true, estimate = 100 * own[error].abs(), 100 * own[f"estimated {error}"]
+            axes.loglog(estimate, true.clip(lower=PLOTTED_PERCENT[0]), ".", markersize=3, label=quality)
+        ends = np.array(PLOTTED_PERCENT)
+        axes.loglog(ends, 2 * ends, "k-", ends, ends / 4, "k:", linewidth=0.8)
+        axes.set(
+            xlim=(0.2, 10), ylim=ends, xlabel="estimate, %", ylabel="true error, %", title=PLOTTED[error]
+        )
+        axes.legend(fontsize=8)
+    figure.savefig(path, dpi=100)

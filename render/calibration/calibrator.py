@@ -45,9 +45,9 @@ _SMALLEST_DIAMETER_MM, _LARGEST_DIAMETER_MM = 0.5, 50.0
 class HeldOut:
     """How a press that the fit had not seen was predicted, PSNR in dB: inside its contact, and from one to two radii.
 
-    `marked` takes the press where it was marked or found, and uses nothing of its picture but its level far from the
-    contact; `refined` moves its centre and depth in its own picture. `unchanged` is the reference, `table` a plain
-    table of the presses that were fitted.
+    `marked` takes the press as far off its mark as the fitted ones are off theirs in the median, and uses nothing of
+    its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. `unchanged`
+    is the reference, `table` a plain table of the presses that were fitted.
     """
 
     name: str

@@ -286,9 +286,8 @@ class LightFit:
                 self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
 
     def expected_mm(self, press: int) -> np.ndarray:
-        """Return (3,) where a press is expected: as marked, or off a rough mark as the fitted ones are off theirs."""
-        off = np.median(self.presses - self.start_presses, axis=0)
-        return self.placed.poses_mm[press] + off * self.placed.presses[press].has_rough_marks
+        """Return (3,) where a press is expected: off its mark as the fitted ones are off theirs in the median."""
+        return self.placed.poses_mm[press] + np.median(self.presses - self.start_presses, axis=0)
 
     def refined(self, press: int) -> "LightFit":
         """Return the light with one press only, moved to where the light explains its picture best."""

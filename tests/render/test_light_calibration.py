@@ -291,6 +291,21 @@ def test_marked_circles_are_refined(pictures):
     np.testing.assert_allclose(fit.poses_mm[:, 2], 0.6, atol=0.1)
 
 
+def test_a_new_press_is_as_far_off_its_mark_as_the_fitted_ones(pictures):
+    start, reference, shots = pictures
+    (x, y), radius_px = (0.12, -0.1), profiles({3.0}, None)[3.0].contact_radius_mm(0.6) * PX_PER_MM
+
+    def marked(off):
+        presses = pressed(shots[:-1], radius_px=radius_px)
+        moved = (
+            replace(one, point_mm=(one.point_mm[0] + off * x, one.point_mm[1] + off * y)) for one in presses
+        )
+        fit = calibrate_light(start, reference, tuple(moved), profiles, folds=2)
+        return np.median([press.marked for press in fit.held_out], axis=0)
+
+    assert (marked(1.0) > marked(0.0) - 1.5).all()
+
+
 def test_presses_far_out_of_the_others_are_named():
     errors = np.array([3.1, 3.3, 3.0, 31.0, 3.2, 4.6, 2.9, 3.4])
 

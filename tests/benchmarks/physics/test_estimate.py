@@ -1,5 +1,7 @@
 """What the benchmark of estimates measures with: random scenes, rows beside a truth, and how they are counted."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -36,7 +38,9 @@ def test_the_truth_of_a_press_has_its_own_gel_and_elements_as_small_as_its_conta
     assert press.element_mm <= 0.1 * case.indenter.penetration_radius_mm(depths_mm[0])
 
 
-def test_the_table_counts_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_counts_what_it_says_and_the_plot_shows_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     converged, known = [True, True, True, False, True], [True] * 4 + [False]
     rows = pd.DataFrame({"quality": "draft", "converged": converged, "known": known, "coarse": False})
     for error in ERRORS:
@@ -47,6 +51,8 @@ def test_the_table_counts_what_it_says(capsys: pytest.CaptureFixture[str]) -> No
     assert (fz["true < 2 estimates, %"], fz["estimate < 4 true, %"]) == (50, 75)
     assert (fz["flagged"], fz["worst unflagged %"]) == (1, 3)
     assert "Estimates of random scenes" in capsys.readouterr().out
+    estimate.plot_estimates(rows, tmp_path / "estimates.png")
+    assert (tmp_path / "estimates.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_rows_of_a_state_beside_itself_have_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
