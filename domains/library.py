@@ -172,7 +172,8 @@ class LibraryPlan:
     def _turn_mm(self, depth_mm: float) -> tuple[float, float]:
         """Return a travel from which the contact slides, less where that is beyond the ranges, and the farthest."""
         farthest_mm = self.ranges.farthest_mm(depth_mm)
-        slides_mm = _SLIDES_FROM * self.elastomer.friction * depth_mm
+        friction = self.elastomer.static_friction or self.elastomer.friction
+        slides_mm = _SLIDES_FROM * friction * depth_mm
         if farthest_mm == 0 or slides_mm == 0:
             return 0.5 * farthest_mm, farthest_mm
         return slides_mm * farthest_mm / (slides_mm + farthest_mm), farthest_mm

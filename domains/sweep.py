@@ -234,9 +234,13 @@ def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
             f"thickness {one.thickness_mm:g} and {other.thickness_mm:g} mm, Poisson's ratio {one.poisson_ratio:g} and "
             f"{other.poisson_ratio:g}: the same dent takes another force, and only the bulge around it looks different"
         )
-    if one.friction != other.friction:
+    frictions = [
+        f"{gel.friction:g}" + (f" (static {gel.static_friction:g})" if gel.static_friction else "")
+        for gel in (one, other)
+    ]
+    if frictions[0] != frictions[1]:
         notes.append(
-            f"friction {one.friction:g} and {other.friction:g}: as long as a contact sticks, no picture shows how much "
+            f"friction {' and '.join(frictions)}: as long as a contact sticks, no picture shows how much "
             "shear it would bear; where one gel slips and the other sticks, shear differs"
         )
     if bare := [recipe.name for recipe in (source, target) if not recipe.markers]:

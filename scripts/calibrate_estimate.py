@@ -4,7 +4,8 @@ python scripts/calibrate_estimate.py --first 300 --last 360    # an hour; one th
 
 Presses are compared with the axisymmetric solver, at draft and at standard; drags at draft with those at standard,
 whose own causes are added: the coefficients are those of all meshes. `gelgap benchmark physics --what estimate` takes
-scenes 0 to 299; those of Fz and radius are of presses among 72 to 249, so that it checks them on the others.
+scenes 0 to 299; those of Fz and radius that gelgap has are of its presses among 72 to 249 instead, since drags
+have no truth of their own; it checks them on the others.
 """
 
 import argparse

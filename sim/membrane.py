@@ -32,9 +32,9 @@ FOLDED_AREA = 0.05
 # A grid covers a contact as far as this many of the radii at which the indenter cuts the rest plane.
 _COVERED_RADII = 1.5
 # Points of the membrane this near the indenter touch it, since the cubic between two vertices leaves it a little: a
-# length, and that over the square of the radius at which the indenter cuts the rest membrane. Beside a narrow contact
-# the gap is no wider for some distance.
-_TOUCHING_GAP_MM, _TOUCHING_GAP_PER_MM = 0.004, 0.004
+# length, and a share of what the indenter cuts of the rest membrane, half its width squared over the indenter's radius.
+# Beside a narrow contact the gap is no wider for some distance.
+_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE = 0.004, 0.006
 # The gel bulges beside the indenter and can touch it this far outside of what it cuts.
 _BULGE_MM = 0.4
 
@@ -198,14 +198,15 @@ def press_onto(
     Their `displacement_mm` (…, 3) from `rest_mm` (…, 2) on the plane is changed in place; it has to be contiguous.
     """
     depth_mm = min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm)
-    cut_mm = indenter.penetration_radius_mm(max(depth_mm, 0.0))
-    reach_mm = cut_mm + _BULGE_MM
+    reach_mm = indenter.penetration_radius_mm(max(depth_mm, 0.0)) + _BULGE_MM
+    half_width_mm = np.ptp(np.reshape(indenter.cut_mm(max(depth_mm, 0.0)), (2, 2)), axis=1).min() / 2
+    gap_mm = min(_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE * half_width_mm**2 / indenter.feature_size_mm)
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))
     near = np.flatnonzero((along_x < reach_mm) & (along_y < reach_mm))
     from_origin = np.concatenate([rest[near], np.zeros((len(near), 1))], axis=1) - origin_mm
     nearest = indenter.project(from_origin + moved[near])
-    touches = nearest.distance_mm < min(_TOUCHING_GAP_MM, _TOUCHING_GAP_PER_MM * cut_mm**2)
+    touches = nearest.distance_mm < gap_mm
     moved[near[touches]] = (nearest.points_mm - from_origin)[touches]
     contact = np.zeros(len(rest), dtype=bool)
     contact[near[touches]] = True

@@ -33,7 +33,7 @@ LINES = {
     "assets": 600,
     "sim": 5365,
     "render": 5245,
-    "domains": 7115,
+    "domains": 7120,
     "adapt": 5610,
     "view": 1530,
     "cli": 2000,

@@ -170,7 +170,8 @@ def across_cases() -> tuple[Case, ...]:
 def solid_cases() -> tuple[Case, ...]:
     """Return a short box that is pressed and an upright cylinder that is dragged, beside felupe's solids.
 
-    Each was solved on two meshes; the second is the truth, and uncertain by what it differs from the first.
+    Each was solved on two meshes; forces of the second are the truth, and uncertain by what they differ from the first.
+    Surfaces are those of elements of 0.05 mm.
     """
     forces, surfaces = (
         pd.read_csv(asset_path("reference", "shapes", f"solid_{kind}.csv")) for kind in ("forces", "surfaces")

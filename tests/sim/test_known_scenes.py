@@ -76,7 +76,8 @@ def test_a_sticking_drag_of_a_narrow_contact_is_felupes(
     """R 3 on 10 mm without slip beside felupe 11.3, whose energy is the isochoric one.
 
     Its hexahedra of mean dilatation are a tenth of the contact's radius wide, in half a disc of 20 sectors; with a
-    seventh Fx is 2 % larger. Mindlin's half-space is 5 % softer than both: in so deep a press strains are not small.
+    seventh Fx is 2 % larger. Mindlin's half-space is 5 and 7 % softer: in so deep presses strains
+    are not small. The script that made the numbers is not part of the project.
     """
     poses = (Pose(depth_mm=depth_mm, shear_x_mm=travel) for travel in (0.0, *travels_mm))
     gel = {"poisson_ratio": 0.495, "friction": 10.0, "thickness_mm": 10.0, "strain_energy": "isochoric"}

@@ -27,7 +27,7 @@ def test_every_input_is_run_where_it_can_be_shown():
         (
             "board-lights",
             rivals.LIGHT_PART,
-            {"dann / calibrated": "64 %", "adabn / any light": "40 %", "adabn / like the target's": "87 %"},
+            {"dann / calibrated": "62 %", "adabn / any light": "44 %", "adabn / like the target's": "86 %"},
         ),
         (
             "board",
