@@ -53,10 +53,10 @@ class FrictionalContacts:
         self._gel = gel
         self._data = data
         self._indenter = indenter
-        self._friction = friction
+        self._friction = float(friction)
         self._static_excess = 0.0 if static_friction is None else static_friction - friction
         # Each geom's coefficient, and how far it had slid before this load step.
-        self._friction_of = np.full(gel.model.ngeom, float(friction))
+        self._friction_of = np.full(gel.model.ngeom, self._friction)
         self._slid_mm = np.zeros(gel.model.ngeom)
         self._start_mm: Floats | None = None
         self._anchor_mm = np.zeros((0, 3))
@@ -187,7 +187,7 @@ class FrictionalContacts:
 
     def vertex_friction(self) -> Floats:
         """Return each mesh vertex's coefficient of friction (n,)."""
-        friction = np.full(len(self._gel.mesh.vertices_mm), float(self._friction))
+        friction = np.full(len(self._gel.mesh.vertices_mm), self._friction)
         friction[self._gel.vertex_of_geom[self.nodes]] = self._friction_of[self.nodes]
         return friction
 

@@ -197,9 +197,9 @@ def press_onto(
 
     Their `displacement_mm` (…, 3) from `rest_mm` (…, 2) on the plane is changed in place; it has to be contiguous.
     """
-    depth_mm = min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm)
-    reach_mm = indenter.penetration_radius_mm(max(depth_mm, 0.0)) + _BULGE_MM
-    half_width_mm = np.ptp(np.reshape(indenter.cut_mm(max(depth_mm, 0.0)), (2, 2)), axis=1).min() / 2
+    depth_mm = max(min(indenter.origin_height_mm - origin_mm[2], indenter.deepest_mm), 0.0)
+    reach_mm = indenter.penetration_radius_mm(depth_mm) + _BULGE_MM
+    half_width_mm = np.ptp(np.reshape(indenter.cut_mm(depth_mm), (2, 2)), axis=1).min() / 2
     gap_mm = min(_TOUCHING_GAP_MM, _TOUCHING_GAP_SHARE * half_width_mm**2 / indenter.feature_size_mm)
     rest, moved = rest_mm.reshape(-1, 2), displacement_mm.reshape(-1, 3)
     along_x, along_y = (np.abs(rest[:, k] + moved[:, k] - origin_mm[k]) for k in range(2))

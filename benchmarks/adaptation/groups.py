@@ -178,6 +178,11 @@ def draws_of(values: pd.DataFrame) -> np.ndarray:
     return drawn_means(cells.T.reshape(-1, len(groups), len(seeds)), pairs)
 
 
+def intervals_of(draws: np.ndarray, names: pd.Index) -> pd.Series:
+    """Return the 95 % interval of each column of draws (RESAMPLES, columns) by name; None where a draw is NaN."""
+    return pd.Series([None if np.isnan(own).any() else interval(own) for own in draws.T], names, dtype=object)
+
+
 def p_value(draws: np.ndarray) -> float:
     """Return the two-sided p of a difference being 0, from its draws; never below 2/(draws + 1)."""
     if np.isnan(draws).any():
@@ -255,8 +260,7 @@ def closed(runs: pd.DataFrame, ceilings: pd.DataFrame, values: str = "error_n") 
     if means["ceiling"] > 0:
         found["share"] = 100 * means / means["ceiling"]
     shares = 100 * draws / np.where(draws[:, -1:] > 0, draws[:, -1:], math.nan)
-    intervals = [None if np.isnan(own).any() else interval(own) for own in shares.T[:-1]]
-    return found.assign(interval=pd.Series(intervals, found.index, dtype=object))
+    return found.assign(interval=intervals_of(shares[:, :-1], found.index))
 
 
 def summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:

@@ -7,7 +7,6 @@ methods on gaps of gel, friction, markers and light that are crossed.
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ResultTable
@@ -21,12 +20,13 @@ from gelgap.benchmarks.adaptation.groups import (
     ceilings_of,
     counted,
     draws_of,
+    intervals_of,
     load_ceilings,
     summary,
     with_rules,
 )
 from gelgap.benchmarks.adaptation.study import RUNS, Part, Study, adapt_run, grid, load_runs
-from gelgap.benchmarks.common import Setting, interval, result_table
+from gelgap.benchmarks.common import Setting, result_table
 
 METHODS = (PLAIN, "adabn", "dann", "dsan", "daregram")
 INPUT_RUNS, LIGHT_RUNS, CROSSED_RUNS = "inputs.jsonl", "lights.jsonl", "crossed.jsonl"
@@ -158,9 +158,8 @@ def _worth(
 def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
     """Return `groups.summary` with a bootstrap interval of the mean error, over pairs of sensors and seeds."""
     errors = counted(runs)
-    intervals = [None if np.isnan(own).any() else interval(own) for own in draws_of(errors).T]
-    intervals = pd.Series(intervals, errors.columns, dtype=object)
-    return summary(runs, ceilings).assign(**{"95 %, N": intervals, "runs": len(errors)})
+    shown = {"95 %, N": intervals_of(draws_of(errors), errors.columns), "runs": len(errors)}
+    return summary(runs, ceilings).assign(**shown)
 
 
 def crossed_tables(folder: Path) -> list[ResultTable]:

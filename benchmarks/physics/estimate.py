@@ -25,7 +25,7 @@ RADIUS_MM, THICKNESS_MM = (0.5, 6.0), (1.0, 10.0)
 SHALLOWEST_MM = 0.01
 WIDE_PAD_MM = (100.0, 100.0)
 PLOTTED = {"Fz": "Fz", "radius": "contact radius", "membrane": "membrane, of the depth"}
-PLOTTED_PERCENT = 0.01, 12.0
+PLOTTED_PERCENT = np.array([0.01, 12.0])
 SURFACE_REACH_RADII = 4.0  # the membrane's error is that within this many contact radii
 
 
@@ -177,12 +177,11 @@ def plot_estimates(rows: pd.DataFrame, path: Path) -> None:
     from matplotlib.figure import Figure
 
     unflagged = rows[rows["known"] & rows["converged"] & ~rows["coarse"]]
-    figure = Figure(figsize=(9, 3.1), layout="constrained")
+    figure, ends = Figure(figsize=(9, 3.1), layout="constrained"), PLOTTED_PERCENT
     for axes, error in zip(figure.subplots(1, len(PLOTTED)), PLOTTED, strict=True):
         for quality, own in unflagged.groupby("quality"):
             true, estimate = 100 * own[error].abs(), 100 * own[f"estimated {error}"]
-            axes.loglog(estimate, true.clip(lower=PLOTTED_PERCENT[0]), ".", markersize=3, label=quality)
-        ends = np.array(PLOTTED_PERCENT)
+            axes.loglog(estimate, true.clip(lower=ends[0]), ".", markersize=3, label=quality)
         axes.loglog(ends, 2 * ends, "k-", ends, ends / 4, "k:", linewidth=0.8)
         axes.set(
             xlim=(0.2, 10), ylim=ends, xlabel="estimate, %", ylabel="true error, %", title=PLOTTED[error]
