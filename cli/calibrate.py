@@ -218,9 +218,9 @@ def write_comparisons(
     folder.mkdir(parents=True, exist_ok=True)
     by_name = {press.name or f"press {number}": press for number, press in enumerate(presses, start=1)}
     for number, held_out in enumerate(fit.held_out, start=1):
-        real = by_name[held_out.name].picture
-        difference = render.difference_picture(held_out.picture, real, DIFFERENCE_GAIN)
+        real, predicted = by_name[held_out.name].picture, held_out.draw()
+        difference = render.difference_picture(predicted, real, DIFFERENCE_GAIN)
         path = folder / f"held-out-{number:02d}.png"
-        if not cv2.imwrite(str(path), np.hstack([real, held_out.picture, difference])[..., ::-1]):
+        if not cv2.imwrite(str(path), np.hstack([real, predicted, difference])[..., ::-1]):
             raise RuntimeError(f"{path} could not be written")
     print(f"wrote {len(fit.held_out)} comparisons to {folder}")

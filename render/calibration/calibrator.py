@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.light import Bars, Light, gain_of
 from gelgap.render.calibration.pictures import PlainTable, PressPicture, check_presses
-from gelgap.render.calibration.poses import MARGIN_MM, MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
+from gelgap.render.calibration.poses import MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
 from gelgap.render.calibration.profiles import PressProfiles
 from gelgap.render.flat_field import LOADED_BOUNDS, FlatField, FlatFieldMaps, save_maps
 from gelgap.render.light.leds import Illumination
@@ -45,9 +46,9 @@ _SMALLEST_DIAMETER_MM, _LARGEST_DIAMETER_MM = 0.5, 50.0
 class HeldOut:
     """How a press that the fit had not seen was predicted, PSNR in dB: inside its contact, and from one to two radii.
 
-    `marked` takes the press as far off its mark as the fitted ones are off theirs in the median, and uses nothing of
+    `marked` takes the press as far off its mark as the fitted ones say (`LightFit.expected_mm`), and uses nothing of
     its picture but its level far from the contact; `refined` moves its centre and depth in its own picture. `unchanged`
-    is the reference, `table` a plain table of the presses that were fitted.
+    is the reference, `table` a plain table of the presses that were fitted; `draw` draws the picture as marked.
     """
 
     name: str
@@ -55,7 +56,7 @@ class HeldOut:
     table: tuple[float, float]
     marked: tuple[float, float]
     refined: tuple[float, float]
-    picture: np.ndarray  # uint8 (h, w, 3), predicted as marked
+    draw: Callable[[], np.ndarray]  # uint8 (h, w, 3)
 
 
 @dataclass(frozen=True)
@@ -95,14 +96,13 @@ class LightCalibration:
     nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores several threads are many times slower
 def calibrate_light(
     sensor: Sensor,
     reference: np.ndarray,
     presses: Sequence[PressPicture],
     membranes: Membranes,
     *,
-    order: int | None = None,
-    degree: int | None = None,
     keep_camera: bool = False,
     folds: int = 3,
 ) -> LightCalibration:
@@ -120,8 +120,6 @@ def calibrate_light(
     membranes
         Gives by sphere diameter in mm the membrane around such a sphere, down to a depth in mm if one is known;
         called with all diameters once the pictures are known to be right. `gelgap.domains.sphere_profiles` is one.
-    order, degree
-        Of scattered light; by default 3 and 2 from 12 presses on, and 2 and 1 below.
     keep_camera
         Whether the camera stays as it is; otherwise its distance and blur are fitted, and it shows the same of the gel.
     folds
@@ -157,9 +155,7 @@ def calibrate_light(
         {press.sphere_diameter_mm for press in presses}, max(depths) if len(depths) == len(presses) else None
     )
     placed = place_presses(sensor.camera, reference, presses, profiles)
-    rich = len(presses) >= FEWEST_FOR_ORDER_3
-    order = (3 if rich else 2) if order is None else order
-    degree = (2 if rich else 1) if degree is None else degree
+    order, degree = (3, 2) if len(presses) >= FEWEST_FOR_ORDER_3 else (2, 1)
     task = LightTask(sensor, placed, order, degree, keep_camera=keep_camera)
     everything = np.arange(len(presses))
     fit = task.fit(everything)
@@ -305,11 +301,12 @@ class LightTask:
         placed, camera = self.placed, self.sensor.camera
         at_mm = placed.poses_mm[which, :2]
         far = placed.far_field(which) if self.far else placed.untouched
-        (x0, y0), (x1, y1) = at_mm.min(0) - MARGIN_MM, at_mm.max(0) + MARGIN_MM
+        around_mm = np.median(placed.mark_mm[which])
+        box_mm = np.column_stack([at_mm.min(0) - around_mm, at_mm.max(0) + around_mm])
         nearest_mm = 1.05 * max(camera.footprint_mm(placed.size_px)) / 2  # out of the view, upright ones too
         bars = Bars.of(self.sensor.illumination.leds, nearest_mm)
-        where = placed.scale_mm, (x0, x1, y0, y1)
-        light = Light(self.order, self.degree, self.shadows, *where, bars, theta=np.zeros((0, 3)))
+        where = placed.half_view_mm, tuple(box_mm.ravel().tolist()), bars
+        light = Light(self.order, self.degree, self.shadows, *where, theta=np.zeros((0, 3)))
         # The camera may look from as near as it was given, or nearer than most, to nearly parallel.
         range_mm = camera.farthest_mm(placed.size_px), min(NEAREST_CAMERA_MM, -camera.position_mm[2])
         nearness_range = None if self.keep_camera else (1 / range_mm[0], 1 / range_mm[1])
@@ -369,13 +366,12 @@ class LightTask:
 def _predicted(fit: LightFit, press: int, table: PlainTable) -> HeldOut:
     """Predict a press that the fit has not seen."""
     seen = fit.placed
-    scored_mm = SCORED_RADII * seen.radii_px[press] * 2 * seen.half_view_mm / seen.size_px[0] + MARGIN_MM
-    draw = partial(seen.picture_of, fit.light, fit.field, press)
-    marked = draw(fit.expected_mm(press), max(MODELLED_MM, scored_mm))
-    refined = draw(fit.refined(press).presses[0], scored_mm)
+    scored_mm = 1.25 * SCORED_RADII * seen.mark_mm[press]  # the press may be off its mark
+    draw, expected_mm = partial(seen.picture_of, fit.light, fit.field, press), fit.expected_mm(press)
+    marked, refined = (draw(pose_mm, scored_mm) for pose_mm in (expected_mm, fit.refined(press).presses[0]))
     plain = seen.at_level(press, table.picture(seen.centers_px[press]))
     scores = [seen.scores(press, picture) for picture in (seen.reference, plain, marked, refined)]
-    return HeldOut(seen.names[press], *scores, picture=marked)
+    return HeldOut(seen.names[press], *scores, draw=partial(draw, expected_mm, max(MODELLED_MM, scored_mm)))
 
 
 def save_calibration(calibration: LightCalibration, path: Path) -> Sensor:

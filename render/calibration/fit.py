@@ -17,7 +17,7 @@ from gelgap.render.calibration.poses import PlacedPresses
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import srgb_decode, srgb_encode, srgb_slope
 
-RIDGE = 0.3
+RIDGE = 0.1
 # By how much the modelled flat light, of which the gain is made, is drawn to the reference.
 REFERENCE_WEIGHT = 0.1
 # Flat light is smooth, so that one pixel of this many is enough.
@@ -29,6 +29,8 @@ _LEAST_DEPTH_MM = 0.02
 _MOST_BLUR_PX = 4.0
 # By what share the error must fall for a blur to be believed: less is what meshes and pixels blur.
 _LEAST_GAIN = 0.02
+# By which slopes of marks' errors over place (a wrong scale) and depth (marks exaggerate it) are drawn to 0.
+_HABIT_RIDGE_MM2 = 0.1
 
 
 def nonnegative_least_squares(normal: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:
@@ -286,8 +288,11 @@ class LightFit:
                 self.presses[k, 2] = np.clip(self.presses[k, 2], _LEAST_DEPTH_MM, profiles.deepest_mm)
 
     def expected_mm(self, press: int) -> np.ndarray:
-        """Return (3,) where a press is expected: off its mark as the fitted ones are off theirs in the median."""
-        return self.placed.poses_mm[press] + np.median(self.presses - self.start_presses, axis=0)
+        """Return (3,) where a press is expected: as far off its mark as fitted ones are at such a place and depth."""
+        off, middle = self.presses - self.start_presses, self.start_presses.mean(axis=0)
+        at, marked = self.start_presses - middle, self.placed.poses_mm[press]
+        slopes = np.linalg.solve(at.T @ at + _HABIT_RIDGE_MM2 * np.eye(3), at.T @ off)
+        return marked + off.mean(axis=0) + (marked - middle) @ slopes
 
     def refined(self, press: int) -> "LightFit":
         """Return the light with one press only, moved to where the light explains its picture best."""

@@ -30,7 +30,6 @@ SAMPLES = (220, 260, 120)
 REACH = 4.5
 MODELLED_MM = 8.0
 SCORED_RADII = 2.0
-MARGIN_MM = 0.5
 FEWEST_FOR_GAIN = 12
 _STEP_PX = 4
 _FAR, _LOADED_BEYOND, _SOFTNESS = 3.0, 2.5, 0.5  # contact radii
@@ -66,11 +65,10 @@ class PlacedPresses:
     def half_view_mm(self) -> float:
         return self.camera.footprint_mm(self.size_px)[0] / 2
 
-    @cached_property
-    def scale_mm(self) -> float:
-        """The unit of places: how far apart the presses are, half of the view at most."""
-        box_mm = np.ptp(self.poses_mm[:, :2], axis=0).max() + 2 * MARGIN_MM
-        return min(self.half_view_mm, float(box_mm))
+    @property
+    def mark_mm(self) -> np.ndarray:
+        """(n,): radii of the marks on the flat membrane."""
+        return self.radii_px * 2 * self.half_view_mm / self.size_px[0]
 
     def seen_by(self, camera: Camera) -> "PlacedPresses":
         """Return the presses as another camera sees them, which shows the same of the flat membrane."""
@@ -139,7 +137,7 @@ class PlacedPresses:
         import cv2
 
         untouched = srgb_decode(self.clean_reference / 255)
-        places = self.poses_mm[which, :2] / self.scale_mm
+        places = self.poses_mm[which, :2] / self.half_view_mm
         enough = len(which) >= FEWEST_FOR_GAIN
         gain = fit_gain(self.levels[which] - 1, places) if enough else np.zeros((6, 3))
         stack = np.empty((len(which), *self.reference.shape), np.float32)
