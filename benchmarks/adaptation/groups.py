@@ -219,7 +219,7 @@ def tables(folder: Path) -> list[ResultTable]:
     sets = {data: with_rules(runs) for data in DATA_SETS if len(runs := load_headline(folder, data))}
     ceilings = load_ceilings(folder)
     found = [
-        table(runs, data, ceilings)
+        table(runs, data, ceilings if data == designs.DATA else ceilings[:0])  # of whose targets they are
         for table in (method_table, control_table, group_table)
         for data, runs in sets.items()
     ]

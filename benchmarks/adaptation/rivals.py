@@ -20,8 +20,10 @@ from gelgap.benchmarks.adaptation.groups import (
     ceilings_of,
     counted,
     draws_of,
+    halves,
     intervals_of,
     load_ceilings,
+    load_headline,
     summary,
     with_rules,
 )
@@ -39,11 +41,8 @@ _SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "95 %, N", "Fz, N", 
 
 def changes_of(name: str) -> board.Changes:
     """Return the changes of the profile that show an input."""
-    shown = INPUTS[name]
-    if name == "pictures":
-        return BY_POINT
-    hiding = (("marker_hiding", 0.0),) if shown.shows_displacement else ()
-    return (*BY_POINT, ("input", name), *hiding)
+    hiding = (("marker_hiding", 0.0),) if INPUTS[name].shows_displacement else ()
+    return BY_POINT if name == "pictures" else (*BY_POINT, ("input", name), *hiding)
 
 
 def input_grid(groups: Sequence[board.Group], methods: Sequence[str], seeds: Sequence[int]) -> list[Setting]:
@@ -72,12 +71,12 @@ def measure_inputs(study: Study) -> None:
 
 
 def measure_lights(study: Study) -> None:
-    """Do the missing runs of sources in drawn lights, for every target without markers."""
+    """Do the missing runs of sources in drawn lights, for every target without markers, its labels shifted or not."""
     targets = dict.fromkeys(target for _, target in study.groups or GROUPS if target.startswith("wm"))
     sources = [(designs.ANY_LIGHT, target) for target in targets]
     sources += [(designs.LIKE + target, target) for target in targets]
-    methods = study.known_methods() or LIGHT_METHODS
-    runs = grid([(designs.DATA, group) for group in sources], methods, study.seeds or SEEDS)
+    cases = [(data, group) for data in board.BY_ROLE for group in sources]
+    runs = grid(cases, study.known_methods() or LIGHT_METHODS, study.seeds or SEEDS)
     _measure(study, runs, LIGHT_RUNS)
 
 
@@ -100,10 +99,8 @@ def input_tables(folder: Path) -> list[ResultTable]:
     light = runs["group"].isin([" → ".join(group) for group in board.LIGHT_GROUPS])
     for kind, own in (("only the light", runs[light]), ("other gaps", runs[~light])):
         if len(own):
-            note = "Runs: pairs of group and seed that all methods have."
-            tables.append(
-                _worth(f"What inputs are worth: {kind}", _by_input(own), own, load_ceilings(folder), note)
-            )
+            title = f"What inputs are worth: {kind}"
+            tables.append(_worth(title, _by_input(own), own, load_ceilings(folder)))
     return tables
 
 
@@ -111,19 +108,24 @@ def light_tables(folder: Path) -> list[ResultTable]:
     """Return what training in drawn lights closes, beside adaptation from one light to the same targets."""
     from gelgap.domains.drawn_lights import CANDIDATES, LIGHTS
 
-    drawn, adapted = load_runs(folder / LIGHT_RUNS), load_runs(folder / INPUT_RUNS)
-    group_of = dict(zip(adapted["target"], adapted["group"], strict=True))
-    drawn = drawn.assign(group=drawn["target"].map(group_of)).dropna(subset="group")
-    adapted = adapted[adapted["group"].isin(drawn["group"])]
-    if drawn.empty:
-        return []
-    anyone = drawn["source"] == designs.ANY_LIGHT
-    shown = _by_input(adapted) | {"any light": drawn[anyone], "like the target's": drawn[~anyone]}
     note = (
-        f"Drawn: {LIGHTS} lights on the source's gel, together as many frames as one source; those like the target's "
+        f" Drawn: {LIGHTS} lights on the source's gel, together as many frames as one source; those like the target's "
         f"are the nearest of {CANDIDATES} by its picture without contact."
     )
-    return [_worth("Adapt or randomise?", shown, adapted, load_ceilings(folder), note)]
+    lit, ceilings, tables = load_runs(folder / LIGHT_RUNS), load_ceilings(folder), []
+    for data, adapted in (
+        (designs.DATA, load_runs(folder / INPUT_RUNS)),
+        (board.LABEL_SHIFT, load_headline(folder, board.LABEL_SHIFT)),
+    ):
+        group_of = dict(zip(adapted["target"], adapted["group"], strict=True))
+        drawn = lit[lit["data"] == data].assign(group=lit["target"].map(group_of)).dropna(subset="group")
+        adapted = adapted[adapted["group"].isin(drawn["group"])]
+        if len(drawn):
+            anyone = drawn["source"] == designs.ANY_LIGHT
+            shown = _by_input(adapted) | {"any light": drawn[anyone], "like the target's": drawn[~anyone]}
+            own = ceilings if data == designs.DATA else ceilings[:0]
+            tables.append(_worth(f"Adapt or randomise? {data} contacts", shown, adapted, own, note))
+    return tables
 
 
 def _by_input(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
@@ -131,18 +133,18 @@ def _by_input(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def _worth(
-    title: str, shown: dict[str, pd.DataFrame], runs: pd.DataFrame, ceilings: pd.DataFrame, note: str
+    title: str, shown: dict[str, pd.DataFrame], runs: pd.DataFrame, ceilings: pd.DataFrame, note: str = ""
 ) -> ResultTable:
     """Return what methods close on whatever they are shown; start and rules are those of pictures in `runs`."""
     plain = with_rules(runs[runs["changes"].isin([BY_POINT])])
-    found = []
+    found, entries = [], []
     for name, own in shown.items():
         if len(own):
             start = plain[plain["group"].isin(own["group"])]
             if not found:
-                rules = _summary(start, ceilings)
-                found.append(rules.drop(own["method"].unique(), errors="ignore"))
+                found.append(_summary(start, ceilings).drop(own["method"].unique(), errors="ignore"))
             renamed = own.assign(method=own["method"] + f" / {name}")
+            entries.append(renamed)
             rows = _summary(pd.concat([start, renamed]), ceilings)
             found.append(rows[rows.index.isin(renamed["method"])])
     frame = pd.concat(found).reindex(columns=_SHOWN).dropna(axis=1, how="all").rename_axis("method / input")
@@ -150,7 +152,8 @@ def _worth(
     return result_table(
         title,
         frame,
-        f"{groups}; split by contact point. 95 %: bootstrap over pairs of sensors and seeds. {note}",
+        f"{groups}; split by contact point. 95 %: bootstrap over pairs of sensors and seeds. Runs: pairs of group and "
+        f"seed that all methods have. {halves(counted(pd.concat(entries)))}{note}",
         SUMMARY_FORMATS | {"runs": "{:.0f}", "95 %, N": "{:.3f}"},
     )
 

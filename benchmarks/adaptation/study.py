@@ -182,12 +182,8 @@ class Study:
 
     def stated(self, profile: "Profile", method: str, *data: Any) -> Results:
         """Return what a record states of a profile, of a method's settings, and of what says which data are used."""
-        settings = profile.settings.get(method, {})
-        return {
-            "profile": self.profile,
-            "configuration": configuration_of(profile, *data),
-            "settings": settings,
-        }
+        own = profile.settings.get(method, {})
+        return {"profile": self.profile, "configuration": configuration_of(profile, *data), "settings": own}
 
     def stage1(self, run: Setting, source_train: "LabelledFrames", weights: Path | None = None) -> "Stage1":
         """Return the first stage of a run; all methods of a group, split and seed share it: one trains, others wait."""
