@@ -48,7 +48,7 @@ def fitted_light() -> LightCalibration:
     maps = FlatFieldMaps(np.ones((24, 32, 3), np.float32))
     angles = np.array([[10.0, 2.0]] * len(sensor.illumination.leds))
     picture = np.zeros((24, 32, 3), np.uint8)
-    held_out = HeldOut("press 1 (p.png)", (18, 24), (29, 30), (30, 31), (33, 34), picture)
+    held_out = HeldOut("press 1 (p.png)", (18, 24), (29, 30), (30, 31), (33, 34), lambda: picture)
     poses, gain = np.array([[0, 0, 0.6]]), ((), (), ())
     illumination = sensor.illumination.model_copy(update={"scattered": Scattered()})
     return LightCalibration(
