@@ -113,11 +113,11 @@ def load_headline(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
     return runs
 
 
-def load_ceilings(folder: Path) -> pd.DataFrame:
-    """Return the runs of targets that were trained on themselves, by target and seed."""
+def load_ceilings(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
+    """Return a data set's runs of targets that were trained on themselves, by target and seed."""
     runs = load_runs(folder / RUNS)
-    own = runs[(runs["source"] == runs["target"]) & runs["changes"].isin([board.BY_POINT])]
-    return own.set_index(["target", "seed"]).sort_index()
+    runs = runs[(runs["data"] == data) & runs["changes"].isin([board.BY_POINT])]
+    return runs[runs["source"] == runs["target"]].set_index(["target", "seed"]).sort_index()
 
 
 def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
@@ -217,13 +217,14 @@ def tables(folder: Path) -> list[ResultTable]:
     if not is_benchmark(folder):
         return []
     sets = {data: with_rules(runs) for data in DATA_SETS if len(runs := load_headline(folder, data))}
-    ceilings = load_ceilings(folder)
+    ceilings = {data: load_ceilings(folder, data) for data in (designs.DATA, *sets)}
     found = [
-        table(runs, data, ceilings if data == designs.DATA else ceilings[:0])  # of whose targets they are
+        table(runs, data, ceilings[data])
         for table in (method_table, control_table, group_table)
         for data, runs in sets.items()
     ]
-    return [*found, ceiling_table(ceilings)] if len(ceilings) else found
+    own = ceilings[designs.DATA]
+    return [*found, ceiling_table(own)] if len(own) else found
 
 
 def usable(ceilings: pd.DataFrame) -> list[str]:

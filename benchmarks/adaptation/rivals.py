@@ -112,19 +112,19 @@ def light_tables(folder: Path) -> list[ResultTable]:
         f" Drawn: {LIGHTS} lights on the source's gel, together as many frames as one source; those like the target's "
         f"are the nearest of {CANDIDATES} by its picture without contact."
     )
-    lit, ceilings, tables = load_runs(folder / LIGHT_RUNS), load_ceilings(folder), []
+    lit, tables = load_runs(folder / LIGHT_RUNS), []
     for data, adapted in (
         (designs.DATA, load_runs(folder / INPUT_RUNS)),
         (board.LABEL_SHIFT, load_headline(folder, board.LABEL_SHIFT)),
     ):
         group_of = dict(zip(adapted["target"], adapted["group"], strict=True))
-        drawn = lit[lit["data"] == data].assign(group=lit["target"].map(group_of)).dropna(subset="group")
+        drawn = lit.assign(group=lit["target"].map(group_of))[lit["data"] == data].dropna(subset="group")
         adapted = adapted[adapted["group"].isin(drawn["group"])]
         if len(drawn):
             anyone = drawn["source"] == designs.ANY_LIGHT
             shown = _by_input(adapted) | {"any light": drawn[anyone], "like the target's": drawn[~anyone]}
-            own = ceilings if data == designs.DATA else ceilings[:0]
-            tables.append(_worth(f"Adapt or randomise? {data} contacts", shown, adapted, own, note))
+            title = f"Adapt or randomise? {data} contacts"
+            tables.append(_worth(title, shown, adapted, load_ceilings(folder, data), note))
     return tables
 
 

@@ -68,7 +68,7 @@ class PlacedPresses:
     @property
     def mark_mm(self) -> np.ndarray:
         """(n,): radii of the marks on the flat membrane."""
-        return self.radii_px * 2 * self.half_view_mm / self.size_px[0]
+        return self.radii_px * self.camera.footprint_mm(self.size_px)[0] / self.size_px[0]
 
     def seen_by(self, camera: Camera) -> "PlacedPresses":
         """Return the presses as another camera sees them, which shows the same of the flat membrane."""
