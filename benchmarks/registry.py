@@ -76,6 +76,7 @@ _MEASURED = {
         ("inputs", "what each input is worth, with five methods", "adaptation.rivals:INPUT_PART", LONG),
         ("lights", "training in drawn lights instead of adapting", "adaptation.rivals:LIGHT_PART", LONG),
         ("crossed", "gel, friction, markers and parts of the light", "adaptation.rivals:CROSSED_PART", LONG),
+        ("training", "longer, with more weight, on more pixels", "adaptation.rivals:TRAINING_PART", LONG),
         ("labels", "how many target labels close a gap", "adaptation.labels:PART", LONG),
     ],
     "real": [

@@ -71,7 +71,7 @@ NOT_RUN = {
     r"gelgap benchmark physics --what shapes": "tests/benchmarks/physics/test_shapes.py runs its parts",
     r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
     r"gelgap benchmark adaptation --what (tuning|labels)": "hours, no quick form",
-    r"gelgap benchmark adaptation --what (calm|inputs|lights|crossed)": "hours, no quick form",
+    r"gelgap benchmark adaptation --what (calm|inputs|lights|crossed|training)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
     r"python scripts/calibrate": "minutes to hours of solves",

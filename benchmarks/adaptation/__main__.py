@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from gelgap.adapt.inputs import INPUTS
 from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS
 from gelgap.benchmarks.adaptation.study import BOARD, Study
 from gelgap.benchmarks.registry import parts_of
@@ -16,6 +17,7 @@ from gelgap.benchmarks.registry import parts_of
 _BAD_INPUT, _INTERRUPTED = 2, 130
 PARTS = {entry.part: entry for entry in parts_of("adaptation")}
 KNOWN = {f"{source}:{target}": (source, target) for source, target in (*GROUPS, *LIGHT_GROUPS)}
+SHOWN = tuple(name for name, shown in INPUTS.items() if not shown.frozen)
 
 
 def run(
@@ -23,6 +25,7 @@ def run(
     seeds: tuple[int, ...] = (),
     methods: tuple[str, ...] = (),
     groups: tuple[Literal[*KNOWN], ...] = (),
+    inputs: tuple[Literal[*SHOWN], ...] = (),
     workers: int | None = None,
     minutes: float = math.inf,
     out: Path = Path("benchmark-results/adaptation") / BOARD,
@@ -34,11 +37,12 @@ def run(
         seeds: By default the part's own.
         methods: Names, or your own as module:Class or file.py:Class; by default the part's own.
         groups: SOURCE:TARGET; by default the part's own.
+        inputs: What the part `inputs` shows; by default all of them.
         workers: Processes; by default one per core.
         minutes: Begin no run after this time.
         out: Folder of the records, named after the profile; its data lie beside it.
     """
-    chosen = {"seeds": seeds, "methods": methods, "groups": tuple(KNOWN[name] for name in groups)}
+    chosen = {"seeds": seeds, "methods": methods, "inputs": inputs, "groups": tuple(KNOWN[g] for g in groups)}
     study = Study.at(out, workers=workers, stop=time.time() + 60 * minutes, **chosen)
     PARTS[part].load().carry_out(study)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from gelgap.adapt import ResultTable
-from gelgap.benchmarks.adaptation import board, designs
+from gelgap.benchmarks.adaptation import board, designs, rivals
 from gelgap.benchmarks.adaptation.board import PLAIN
 from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, trained
 from gelgap.benchmarks.common import Results, Setting, key_of, result_table
@@ -28,18 +28,25 @@ VARIANTS: dict[str, board.Changes] = {
     "board, calibrated": (*board.BY_POINT, CALIBRATED),
 }
 """Training as the profile cpu has it, with the average of the weights, and as the board has it."""
+LIT = "board, lights like the target's"
 
 
 def measure(study: Study) -> None:
     """Do the missing runs."""
-    cases = [(designs.DATA, group) for group in study.groups or GROUPS]
-    seeds, methods = study.seeds or SEEDS, study.known_methods() or METHODS
+    groups = study.groups or GROUPS
+    cases = [(designs.DATA, group) for group in groups]
+    lit = [(designs.DATA, (designs.LIKE + target, target)) for _, target in groups if target.startswith("wm")]
+    methods = study.known_methods() or METHODS
+    grids = [
+        *((cases, methods, changes) for changes in VARIANTS.values()),
+        (lit, rivals.LIGHT_METHODS, board.BY_POINT),
+    ]
     runs = [
         run | {"rounding": rounding}
-        for seed in seeds
-        for changes in VARIANTS.values()
+        for seed in study.seeds or SEEDS
+        for own, by, changes in grids
         for rounding in (0, 1)
-        for run in grid(cases, methods, [seed], changes)
+        for run in grid(own, by, [seed], changes)
     ]
     study.generate_for(runs)
     study.run(calm_run, runs, FILE)
@@ -68,7 +75,8 @@ def tables(folder: Path) -> list[ResultTable]:
     if runs.empty:
         return []
     names = {changes: name for name, changes in VARIANTS.items()}
-    runs = runs.assign(variant=pd.Categorical(runs["changes"].map(names), list(VARIANTS)))
+    variant = runs["changes"].map(names).mask(runs["source"].str.startswith(designs.LIKE), LIT)
+    runs = runs.assign(variant=pd.Categorical(variant, [*VARIANTS, LIT]))
     pairs = runs.pivot_table(
         values="error_n", index=["variant", "method", "group", "seed"], columns="rounding", observed=True
     ).dropna()

@@ -219,7 +219,7 @@ def tables(folder: Path) -> list[ResultTable]:
     sets = {data: with_rules(runs) for data in DATA_SETS if len(runs := load_headline(folder, data))}
     ceilings = {data: load_ceilings(folder, data) for data in (designs.DATA, *sets)}
     found = [
-        table(runs, data, ceilings[data])
+        table(runs, f"{data} contacts", ceilings[data])
         for table in (method_table, control_table, group_table)
         for data, runs in sets.items()
     ]
@@ -289,7 +289,7 @@ SUMMARY_FORMATS = (
 )
 
 
-def method_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
+def method_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> ResultTable:
     """Each method's share of the headroom, errors, R² per axis, ranks and time; in the note how stable the order is."""
     frame, errors = summary(runs, ceilings), counted(runs)
     frame["stage 2, s"] = runs.groupby("method")["stage2_s"].median()
@@ -297,15 +297,17 @@ def method_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resul
     collapsed = runs.groupby("method")["problem"].count()
     frame = frame.assign(collapsed=collapsed) if collapsed.any() else frame
     groups = closed(runs, ceilings)["groups"].max()
+    shares = (
+        f"Closed: of the headroom, from {PLAIN}'s error, or the constant mean's where less, to that of training on the "
+        f"target itself; {groups} groups, whose targets' ceilings have R² ≥ {LEAST_R2:g} on every axis. "
+    )
     return result_table(
-        f"All methods, {data} contacts: mean over {len(by_group(errors))} groups",
+        f"All methods, {shown}: mean over {len(by_group(errors))} groups",
         frame,
-        f"Split by contact point; {_seeds(runs)}. Closed: of the headroom, from {PLAIN}'s error, or the constant "
-        f"mean's where less, to that of training on the target itself; {groups} groups, whose targets' ceilings have "
-        f"R² ≥ {LEAST_R2:g} on every axis. No shear: the method's Fz beside the source's mean shear. Intervals: "
-        f"bootstrap, 95 %. {CAVEAT} A run that collapsed counts with the constant mean's error. Stage 2: median wall "
-        "time of one core; stage 1, which all methods of a source and seed share, took "
-        f"{cell(stage1_s, '{:.1f}') or '–'} s. {halves(errors)}",
+        f"Split by contact point; {_seeds(runs)}. {shares if groups else ''}No shear: the method's Fz beside the "
+        f"source's mean shear. Intervals: bootstrap, 95 %. {CAVEAT} A run that collapsed counts with the constant "
+        "mean's error. Stage 2: median wall time of one core; stage 1, which all methods of a source and seed share, "
+        f"took {cell(stage1_s, '{:.1f}') or '–'} s. {halves(errors)}",
         {**SUMMARY_FORMATS, "collapsed": "{:d}", "stage 2, s": "{:.1f}"},
     )
 
@@ -316,7 +318,7 @@ def _seeds(runs: pd.DataFrame) -> str:
     return f"{runs['seed'].nunique()} seed(s){finished if whole < pairs else ''}"
 
 
-def control_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
+def control_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> ResultTable:
     """What each method's loss brings: its error less that of its own control over the same groups and seeds."""
     errors, controls = counted(runs), runs.groupby("method")["control"].first()
     methods = [method for method in errors if controls.get(method) in errors]
@@ -327,7 +329,7 @@ def control_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resu
     without = pd.DataFrame([others.mean(skipna=False) for others in kept], columns=methods)
     p = pd.Series(map(p_value, draws), methods, dtype=float)
     return result_table(
-        f"Methods beside their own controls, {data} contacts",
+        f"Methods beside their own controls, {shown}",
         pd.DataFrame(
             {
                 "control": controls[methods],
@@ -345,7 +347,7 @@ def control_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Resu
     )
 
 
-def group_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
+def group_table(runs: pd.DataFrame, shown: str, ceilings: pd.DataFrame) -> ResultTable:
     """The main methods group by group, beside rules and the ceiling."""
     errors = counted(runs)
     errors = errors[[method for method in errors if method in (*RULES, *board.MAIN_METHODS)]]
@@ -355,7 +357,7 @@ def group_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> Result
         own = ceilings["error_n"].groupby(level="target").mean()
         frame["ceiling"] = [own.get(group.partition(" → ")[2]) for group in frame.index]
     return result_table(
-        f"Group by group, {data} contacts: mean MAE on the target's test frames, N",
+        f"Group by group, {shown}: mean MAE on the target's test frames, N",
         frame,
         f"± standard deviation over {_seeds(runs)}.",
         {"": "{:.3f}"},

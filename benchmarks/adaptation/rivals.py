@@ -1,10 +1,12 @@
-"""What inputs, drawn lights and losses are each worth, and which gaps they close.
+"""What inputs, drawn lights, losses and training are each worth, and which gaps they close.
 
-Three questions, each a grid: methods on every input; networks that were trained in drawn lights instead of adapted; and
-methods on gaps of gel, friction, markers and light that are crossed.
+Four questions, each a grid: methods on every input; networks that were trained in drawn lights instead of adapted;
+methods on gaps of gel, friction, markers and light that are crossed; and one method trained longer, with more weight
+and on more pixels.
 """
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import pandas as pd
@@ -18,6 +20,7 @@ from gelgap.benchmarks.adaptation.groups import (
     SEEDS,
     SUMMARY_FORMATS,
     ceilings_of,
+    control_table,
     counted,
     draws_of,
     halves,
@@ -31,11 +34,16 @@ from gelgap.benchmarks.adaptation.study import RUNS, Part, Study, adapt_run, gri
 from gelgap.benchmarks.common import Setting, result_table
 
 METHODS = (PLAIN, "adabn", "dann", "dsan", "daregram")
-INPUT_RUNS, LIGHT_RUNS, CROSSED_RUNS = "inputs.jsonl", "lights.jsonl", "crossed.jsonl"
+INPUT_RUNS, LIGHT_RUNS = "inputs.jsonl", "lights.jsonl"
+CROSSED_RUNS, TRAINING_RUNS = "crossed.jsonl", "training.jsonl"
 GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0i0", "wmb0i0"))
 """Light alone, light and gel, markers."""
 BASE = "mb0i0"
 LIGHT_METHODS = (PLAIN, "adabn")
+TRAINED = ("dann", "calibrated")
+"""Method and input that are trained otherwise."""
+EPOCHS, WEIGHTS, SIZES_PX = (28, 112, 448), (0.0003, 0.003, 0.03), ((64, 48), (128, 96), (256, 192))
+"""Of the second stage (18 steps an epoch), of the loss, and of the network's pictures; the board has 112, 0.003, 64."""
 _SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "95 %, N", "Fz, N", "shear, N", *R2, "runs"]
 
 
@@ -45,8 +53,13 @@ def changes_of(name: str) -> board.Changes:
     return BY_POINT if name == "pictures" else (*BY_POINT, ("input", name), *hiding)
 
 
-def input_grid(groups: Sequence[board.Group], methods: Sequence[str], seeds: Sequence[int]) -> list[Setting]:
-    """Return the runs of every input that a group can show; a pretrained backbone needs a file and is left out."""
+def input_grid(
+    groups: Sequence[board.Group], methods: Sequence[str], seeds: Sequence[int], inputs: Sequence[str] = ()
+) -> list[Setting]:
+    """Return the runs of some inputs, or of every one that a group can show.
+
+    A pretrained backbone needs a file and is left out.
+    """
     cases = {
         name: [
             (designs.DATA, group)
@@ -54,7 +67,7 @@ def input_grid(groups: Sequence[board.Group], methods: Sequence[str], seeds: Seq
             if not (shown.shows_displacement and any("wm" in domain for domain in group))
         ]
         for name, shown in INPUTS.items()
-        if not shown.frozen
+        if not shown.frozen and (name in inputs or not inputs)
     }
     return [
         run
@@ -65,9 +78,10 @@ def input_grid(groups: Sequence[board.Group], methods: Sequence[str], seeds: Seq
 
 
 def measure_inputs(study: Study) -> None:
-    """Do the missing runs of every input."""
+    """Do the missing runs of every input, or of those chosen."""
     methods = study.known_methods() or METHODS
-    _measure(study, input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS), INPUT_RUNS)
+    runs = input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS, study.inputs)
+    _measure(study, runs, INPUT_RUNS)
 
 
 def measure_lights(study: Study) -> None:
@@ -86,6 +100,26 @@ def measure_crossed(study: Study) -> None:
     _measure(study, grid(cases, study.known_methods() or METHODS, study.seeds or SEEDS[:3]), CROSSED_RUNS)
 
 
+def training_grid(groups: Sequence[board.Group], seeds: Sequence[int]) -> list[Setting]:
+    """Return the runs of `TRAINED` at every length and weight, the smallest pictures first."""
+    method, shown = TRAINED
+    cases = [(designs.DATA, group) for group in groups]
+    weights = [(("transfer_weight", weight),) for weight in WEIGHTS]
+    runs = []
+    for (width, height), epochs in product(SIZES_PX, EPOCHS):
+        own = {"image_size_px": (width, height), "shift_px": 3 * width // 64, "adapt_epochs": epochs}
+        changes = (*changes_of(shown), *own.items())
+        runs += grid(cases, [method], seeds, changes, lambda _: weights)
+    return runs
+
+
+def measure_training(study: Study) -> None:
+    """Do the missing runs of one method that is trained otherwise."""
+    runs = training_grid(study.groups or board.LIGHT_GROUPS[:3], study.seeds or SEEDS[:1])
+    study.generate_for(runs)
+    study.run(adapt_run, runs, TRAINING_RUNS)
+
+
 def _measure(study: Study, runs: list[Setting], file: str) -> None:
     ceilings = ceilings_of(runs)
     study.generate_for([*ceilings, *runs])
@@ -94,13 +128,18 @@ def _measure(study: Study, runs: list[Setting], file: str) -> None:
 
 
 def input_tables(folder: Path) -> list[ResultTable]:
-    """Return what each method closes on each input, by kind of gap."""
-    runs, tables = load_runs(folder / INPUT_RUNS), []
+    """Return what each method closes on each input, by kind of gap; where controls were run, what its loss brings."""
+    runs, ceilings, tables = load_runs(folder / INPUT_RUNS), load_ceilings(folder), []
     light = runs["group"].isin([" → ".join(group) for group in board.LIGHT_GROUPS])
     for kind, own in (("only the light", runs[light]), ("other gaps", runs[~light])):
         if len(own):
-            title = f"What inputs are worth: {kind}"
-            tables.append(_worth(title, _by_input(own), own, load_ceilings(folder)))
+            shown = _by_input(own)
+            tables.append(_worth(f"What inputs are worth: {kind}", shown, own, ceilings))
+            tables += [
+                control_table(with_input, f"{name}, {kind}", ceilings)
+                for name, with_input in shown.items()
+                if "no-transfer" in set(with_input["method"])
+            ]
     return tables
 
 
@@ -187,6 +226,27 @@ def crossed_tables(folder: Path) -> list[ResultTable]:
     ]
 
 
+def training_tables(folder: Path) -> list[ResultTable]:
+    """Return the mean error by width of the pictures and length of stage 2 (rows), and weight of the loss."""
+    runs = load_runs(folder / TRAINING_RUNS)
+    if runs.empty:
+        return []
+    own = pd.DataFrame((runs["changes"] + runs["settings"]).map(dict).tolist(), runs.index)
+    rows = [own["image_size_px"].str[0].rename("px"), own["adapt_epochs"].rename("epochs")]
+    means = runs["error_n"].groupby([*rows, own["transfer_weight"]]).mean().unstack()
+    groups = ", ".join(sorted(runs["group"].unique()))
+    return [
+        result_table(
+            f"Longer, heavier, sharper: {' on '.join(TRAINED)}, mean MAE, N",
+            means.rename(columns="weight {:g}".format),
+            f"{groups}; {runs['seed'].nunique()} seed(s), split by contact point. Px: width of the network's pictures; "
+            "epochs of stage 2, of 18 steps each.",
+            {"": "{:.3f}", "px": "{:d}", "epochs": "{:d}"},
+        )
+    ]
+
+
 INPUT_PART = Part(measure_inputs, input_tables)
 LIGHT_PART = Part(measure_lights, light_tables)
 CROSSED_PART = Part(measure_crossed, crossed_tables)
+TRAINING_PART = Part(measure_training, training_tables)

@@ -59,9 +59,9 @@ def grid(
 class Study:
     """Where runs find their data and leave their records, with which profile, and how much time they may take now.
 
-    Without `seeds`, `methods` or `groups` a part takes its own; methods may be places of one's own, `module:Class` or
-    `file.py:Class`. `workers` are processes, by default one per core; one means this process. No run is begun after
-    `stop`, a time of `time.time`.
+    Without `seeds`, `methods`, `groups` or `inputs` a part takes its own; methods may be places of one's own,
+    `module:Class` or `file.py:Class`. `workers` are processes, by default one per core; one means this process. No run
+    is begun after `stop`, a time of `time.time`.
     """
 
     data: Path
@@ -72,6 +72,7 @@ class Study:
     stop: float = math.inf
     methods: tuple[str, ...] = ()
     groups: tuple[board.Group, ...] = ()
+    inputs: tuple[str, ...] = ()
 
     @classmethod
     def at(cls, folder: Path, **limits: Any) -> "Study":

@@ -1,4 +1,4 @@
-"""Inputs, drawn lights and crossed gaps: what is run, and the tables of stored and of made-up records."""
+"""Inputs, drawn lights, crossed gaps, longer training: what is run; tables of stored and of made-up records."""
 
 from pathlib import Path
 
@@ -19,6 +19,8 @@ def test_every_input_is_run_where_it_can_be_shown():
     assert {name for target, name in shown if target == "wmb0i0"} == set(INPUTS) - {"pretrained", "markers"}
     study = Study(Path(), Path(), "board")
     assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained"}
+    (chosen,) = rivals.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
+    assert study.profile_of(chosen).input == "calibrated"
 
 
 @pytest.mark.parametrize(
@@ -73,6 +75,35 @@ def test_drawn_lights_are_compared_on_the_labels_that_both_were_judged_by(tmp_pa
     assert errors["source-only / like the target's"] == "0.150"
 
 
+def test_where_controls_were_run_the_table_says_what_losses_bring(tmp_path):
+    group, calibrated = ("wmb0i0", "wmb0i1"), rivals.changes_of("calibrated")
+    runs = [record(group, "source-only", 0.3, data=designs.DATA)]
+    errors = {"source-only": 0.2, "adabn": 0.15, "no-transfer": 0.14, "dann": 0.12}
+    runs += [record(group, method, error, 0, designs.DATA, calibrated) for method, error in errors.items()]
+    write_runs(tmp_path / rivals.INPUT_RUNS, runs)
+    _, table = rivals.INPUT_PART.tables(tmp_path)
+    assert "calibrated" in table.title
+    brought = {row[0]: row[list(table.columns).index("difference, N")] for row in table.cells}
+    assert brought == {"adabn": "-0.0500", "no-transfer": "-0.0100", "dann": "-0.0200"}
+
+
+def test_training_is_studied_at_every_length_weight_and_size(tmp_path):
+    runs = rivals.training_grid([("wmb0i0", "wmb0i1")], [0])
+    profiles = [Study(Path(), Path(), "board").profile_of(run) for run in runs]
+    assert {profile.input for profile in profiles} == {"calibrated"}
+    # Augmentation shifts by the same part of a picture at every size.
+    assert {profile.shift_px / profile.image_size_px[0] for profile in profiles} == {3 / 64}
+    records = []
+    for number, run in enumerate(runs):
+        changes, settings = run["changes"], run["settings"]
+        records.append(record(("wmb0i0", "wmb0i1"), "dann", number, 0, designs.DATA, changes, settings))
+    write_runs(tmp_path / rivals.TRAINING_RUNS, records)
+    (table,) = rivals.TRAINING_PART.tables(tmp_path)
+    sizes = [f"{size[0]}" for size in rivals.SIZES_PX for _ in rivals.EPOCHS]
+    assert [row[0] for row in table.cells] == sizes
+    assert [float(value) for row in table.cells for value in row[2:]] == list(range(len(runs)))
+
+
 def test_effects_of_crossed_gaps(tmp_path):
     runs = [
         record(("mb0i0", name), "adabn", 0.1 + 0.2 * cell["drive"] - 0.05 * cell["gel"], data=designs.DATA)
@@ -97,5 +128,13 @@ def test_runs_that_come_apart(tmp_path):
             setting, results = record(group, "adabn", 0.1 + apart * rounding, seed, designs.DATA, changes)
             pairs.append((setting | {"rounding": rounding}, results))
     write_runs(tmp_path / calm.FILE, pairs)
+    lit = (designs.LIKE + group[1], group[1])
+    for rounding in (0, 1):
+        setting, results = record(lit, "adabn", 0.08 + 0.002 * rounding, data=designs.DATA)
+        pairs.append((setting | {"rounding": rounding}, results))
+    write_runs(tmp_path / calm.FILE, pairs)
     (table,) = calm.PART.tables(tmp_path)
-    assert table.cells == [["board", "adabn", "0.110", "0.020", "0.030", "2"]]
+    assert table.cells == [
+        ["board", "adabn", "0.110", "0.020", "0.030", "2"],
+        [calm.LIT, "adabn", "0.081", "0.002", "0.002", "1"],
+    ]
