@@ -246,7 +246,7 @@ def training_tables(folder: Path) -> list[ResultTable]:
     ]
 
 
-INPUT_PART = Part(measure_inputs, input_tables)
+INPUT_PART = Part(measure_inputs, input_tables, chosen=("seeds", "methods", "groups", "inputs"))
 LIGHT_PART = Part(measure_lights, light_tables)
-CROSSED_PART = Part(measure_crossed, crossed_tables)
-TRAINING_PART = Part(measure_training, training_tables)
+CROSSED_PART = Part(measure_crossed, crossed_tables, chosen=("seeds", "methods"))
+TRAINING_PART = Part(measure_training, training_tables, chosen=("seeds", "groups"))

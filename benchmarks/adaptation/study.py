@@ -340,11 +340,15 @@ def with_errors(records: pd.DataFrame) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the benchmark: `measure` does what is missing; `tables` and `figures` show a folder's records."""
+    """One part of the benchmark: `measure` does what is missing; `tables` and `figures` show a folder's records.
+
+    `chosen` names what of a study `measure` follows.
+    """
 
     measure: Callable[[Study], None]
     tables: Callable[[Path], list[ResultTable]]
     figures: Callable[[Path], list[NamedFigure]] = lambda folder: []
+    chosen: tuple[str, ...] = ("seeds", "methods", "groups")
 
     def run(self, quick: bool, out_dir: Path) -> None:
         """Measure with the board's profile, or quickly with the smoke profile; print the tables, write the report."""
@@ -352,7 +356,17 @@ class Part:
         self.carry_out(Study.at(folder, workers=1 if quick else None))
 
     def carry_out(self, study: Study) -> None:
-        """Measure, print the tables and write the report of all parts."""
+        """Measure, print the tables and write the report of all parts.
+
+        Raises
+        ------
+        ValueError
+            If the study chooses what this part does not let one choose.
+        """
+        for name in ("seeds", "methods", "groups", "inputs"):
+            if getattr(study, name) and name not in self.chosen:
+                takes = ", ".join(f"--{one}" for one in self.chosen)
+                raise ValueError(f"--{name}: this part measures all it has of them; it takes {takes}")
         self.measure(study)
         for table in self.tables(study.out):
             table.show()

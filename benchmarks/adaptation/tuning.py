@@ -135,4 +135,4 @@ def tables(folder: Path) -> list[ResultTable]:
     return [table]
 
 
-PART = Part(tune, tables)
+PART = Part(tune, tables, chosen=("seeds", "methods"))

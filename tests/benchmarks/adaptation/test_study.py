@@ -23,6 +23,7 @@ from gelgap.benchmarks.adaptation.study import (
     is_benchmark,
     write_benchmark_report,
 )
+from gelgap.benchmarks.registry import parts_of
 
 CASES = [("paired", GROUPS[0])]
 OWN_METHOD = """
@@ -126,6 +127,21 @@ def test_runs_wait_for_the_first_stage_that_they_share(source, target, monkeypat
         seconds = [wall_s for _, wall_s in pool.map(lambda stage1: stage1.model(), (first, second))]
     assert len(trained) == 1
     assert min(seconds) == 0 < max(seconds)
+
+
+@pytest.mark.parametrize(
+    ("part", "choice", "takes"),
+    [
+        ("labels", {"methods": ("dann",)}, "it takes --seeds$"),
+        ("crossed", {"groups": (GROUPS[0],)}, "it takes --seeds, --methods$"),
+        ("groups", {"inputs": ("grey",)}, "it takes --seeds, --methods, --groups$"),
+    ],
+)
+def test_a_choice_that_a_part_does_not_follow_is_refused(part, choice, takes, tmp_path):
+    found = {entry.part: entry.load() for entry in parts_of("adaptation")}[part]
+    with pytest.raises(ValueError, match=takes):
+        found.carry_out(Study.at(tmp_path / "board", **choice))
+    assert not list(tmp_path.iterdir())
 
 
 def test_ctrl_c_ends_with_a_sentence(tmp_path):
