@@ -151,11 +151,10 @@ def light_tables(folder: Path) -> list[ResultTable]:
         f" Drawn: {LIGHTS} lights on the source's gel, together as many frames as one source; those like the target's "
         f"are the nearest of {CANDIDATES} by its picture without contact."
     )
-    lit, tables = load_runs(folder / LIGHT_RUNS), []
-    for data, adapted in (
-        (designs.DATA, load_runs(folder / INPUT_RUNS)),
-        (board.LABEL_SHIFT, load_headline(folder, board.LABEL_SHIFT)),
-    ):
+    lit, by_input, tables = load_runs(folder / LIGHT_RUNS), load_runs(folder / INPUT_RUNS), []
+    for data in board.BY_ROLE:
+        adapted = by_input[by_input["data"] == data]
+        adapted = load_headline(folder, data) if adapted.empty else adapted
         group_of = dict(zip(adapted["target"], adapted["group"], strict=True))
         drawn = lit.assign(group=lit["target"].map(group_of))[lit["data"] == data].dropna(subset="group")
         adapted = adapted[adapted["group"].isin(drawn["group"])]

@@ -1,5 +1,6 @@
 """Inputs, drawn lights, crossed gaps, longer training: what is run; tables of stored and of made-up records."""
 
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -50,10 +51,12 @@ def test_stored_measurements_are_the_published_tables(stored: str, part: Part, c
 
 
 def test_stored_errors_on_shifted_labels_are_the_published_ones():
-    tables = {table.title: table for table in groups.PART.tables(RUNS / "board-shifted")}
+    own = RUNS / "board-shifted"
+    tables = {table.title: table for table in (*groups.PART.tables(own), *rivals.LIGHT_PART.tables(own))}
     page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "")
-    for data in board.BY_ROLE:
-        table = tables[f"All methods, {data} contacts: mean over 2 groups"]
+    titles = ("All methods, {} contacts: mean over 2 groups", "Adapt or randomise? {} contacts")
+    for title, data in product(titles, board.BY_ROLE):
+        table = tables[title.format(data)]
         # Shifted labels have no ceiling, so that no share of a headroom can mislead.
         assert ("closed" in table.columns) == (data == designs.DATA)
         for cells in table.cells:
