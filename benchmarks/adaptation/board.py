@@ -38,8 +38,9 @@ MAIN_METHODS = (PLAIN, "adabn", "no-transfer", "classifier-only", "dann", "dareg
 LIGHT_GROUPS: tuple[Group, ...] = (
     *(("wmb0i0", "wmb0i1"), ("wmb0i1", "wmb0i0")),
     *(("wmb0i0", "wmb0i2"), ("wmb0i2", "wmb0i0")),
+    ("mb0i0", "mb0i1"),
 )
-"""Groups in which nothing but the light changes."""
+"""Groups in which nothing but the light changes; in the last one there are dots, whose displacement can be shown."""
 LABEL_SHIFT = "label-shift"
 BY_ROLE = (DATA, LABEL_SHIFT)
 """Data sets whose domains are pressed at other points as sources than as targets; the second's targets rarely deep."""
