@@ -1,8 +1,9 @@
 """The leaderboard: results of anyone's methods, whose errors are computed anew from the predictions of their runs.
 
 A record is a file of the benchmark's runs with the arrays beside it, named after who did them: `Ada.jsonl` and the
-folder `Ada`. The command opens the board's data, compares their hashes and configuration, computes every error from the
-predictions, and ranks what agrees. Former records (JSON, NPZ) are not ranked.
+folder `Ada`. The command opens the board's data, compares configuration and labels, computes every error from the
+predictions, and ranks what agrees. Pictures need not be the same to the byte, which another processor's are not: the
+table says so. Former records (JSON, NPZ) are not ranked.
 """
 
 import argparse
@@ -15,11 +16,12 @@ import numpy as np
 import pandas as pd
 
 from gelgap.adapt import ResultTable, evaluate_constant_mean, evaluate_predictions
+from gelgap.adapt.evaluation import evaluate_baselines
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.adaptation.board import PLAIN
-from gelgap.benchmarks.adaptation.groups import SUMMARY_FORMATS, summary
+from gelgap.benchmarks.adaptation.groups import RULES, SUMMARY_FORMATS, summary, with_rules
 from gelgap.benchmarks.adaptation.study import BOARD, RUNS, Study, grid, with_errors
 from gelgap.benchmarks.common import read_records, result_table
 
@@ -92,12 +94,14 @@ def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
             raise ValueError(
                 f"{where}, is of configuration {run['configuration']}, the board's is {expected}"
             )
-        for name, part in frames.parts.items():
-            if run.get(f"frames_sha256.{name}") != part.digest:
-                raise ValueError(
-                    f"{where}: its {name.replace('_', ' ')} frames are not those of the board's data"
-                )
         predicted, test = np.asarray(run["predicted_n"]), frames.target_test
+        constant = evaluate_constant_mean(frames.source_train, test)
+        if not np.allclose(run["constant_mean_n"], constant.mae_n, rtol=0, atol=_AGREE_N):
+            raise ValueError(
+                f"{where}: its frames are others: the source's mean force has a mean MAE of "
+                f"{np.mean(run['constant_mean_n']):.4f} N on them, on the board's {constant.mean_mae_n:.4f} N"
+            )
+        same = all(run[f"frames_sha256.{name}"] == part.digest for name, part in frames.parts.items())
         if predicted.shape != test.force_n.shape or not np.isfinite(predicted).all():
             raise ValueError(f"{where}: it has no finite prediction for each of the {len(test)} test frames")
         found = evaluate_predictions(test.force_n, predicted, test.force_range_n)
@@ -106,10 +110,17 @@ def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
                 f"{where}: it states a mean MAE of {np.mean(run['mae_n']):.4f} N, its predictions have "
                 f"{found.mean_mae_n:.4f} N"
             )
-        constant = evaluate_constant_mean(frames.source_train, test)
         own = {name.removeprefix(_SETTING): run[name] for name in run if name.startswith(_SETTING)}
         own = ", ".join(f"{name} = {value}" for name, value in own.items() if pd.notna(value))
-        computed = {"mae_n": found.mae_n, "r2": found.r2, "constant_mean_n": constant.mae_n}
+        computed = {
+            "mae_n": found.mae_n,
+            "r2": found.r2,
+            "constant_mean_n": constant.mae_n,
+            "same_frames": same,
+        }
+        if run["method"] in (PLAIN, "adabn"):  # whose rows have the rules that stand beside all methods
+            for rule, error in evaluate_baselines(frames).items():
+                computed |= {f"baselines_mae_n.{rule}": error.mae_n, f"baselines_r2.{rule}": error.r2}
         rows.append(run | computed | {"own_settings": own or None, "when": run.get("when")})
     return with_errors(pd.DataFrame(rows))
 
@@ -178,7 +189,7 @@ def _problem(runs: pd.DataFrame, plain: pd.DataFrame | None, ceilings: pd.DataFr
 
 def leaderboard_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> ResultTable:
     """All methods of a data set by their share of the headroom, or without ceilings by their mean error."""
-    frame = summary(runs, ceilings)
+    frame = summary(with_rules(runs), ceilings)
     by = "closed" if "closed" in frame else "mean, N"
     frame = frame.sort_values(by, kind="stable", ascending=by == "mean, N")
     of_method = runs.groupby("method")
@@ -187,13 +198,15 @@ def leaderboard_table(runs: pd.DataFrame, data: str, ceilings: pd.DataFrame) -> 
     starts = runs[runs["method"] == PLAIN].set_index(_PLACE)["stage1_sha256"]
     same = runs["stage1_sha256"].to_numpy() == starts[pd.MultiIndex.from_frame(runs[_PLACE])].to_numpy()
     frame["same stage 1"] = pd.Series(same, runs.index).groupby(runs["method"]).all()
-    named = {method: f"**{method}**" for method in frame.index if method not in board.METHODS}
+    frame["same frames"] = of_method["same_frames"].all()
+    named = {method: f"**{method}**" for method in frame.index if method not in (*board.METHODS, *RULES)}
     groups, seeds = runs[["source", "target"]].drop_duplicates(), runs["seed"].nunique()
     return result_table(
         f"{data.capitalize()} contacts",
         frame.rename(index=named),
         f"{len(groups)} groups, {seeds} seed(s), split by contact point. Errors are computed from each record's "
-        "predictions. Same stage 1: stage 2 began with the weights that source-only has.",
+        "predictions. Same stage 1: stage 2 began with source-only's weights. Same frames: to the byte; those "
+        "of another processor have the same labels, and pictures that differ in the last bit.",
         SUMMARY_FORMATS,
     )
 

@@ -9,6 +9,7 @@ from run_records import record, write_runs
 from gelgap.adapt.inputs import INPUTS
 from gelgap.benchmarks.adaptation import board, calm, designs, groups, rivals
 from gelgap.benchmarks.adaptation.study import Part, Study
+from gelgap.benchmarks.common import read_records
 
 RUNS = Path(__file__).parents[3] / "docs" / "results" / "runs"
 
@@ -62,6 +63,23 @@ def test_stored_errors_on_shifted_labels_are_the_published_ones():
         for cells in table.cells:
             row = dict(zip(table.columns, cells, strict=True))
             assert f" {row['mean, N']} | {row['Fz, N']} | {row['shear, N']} |" in page
+
+
+@pytest.mark.parametrize(
+    "file", sorted(RUNS.rglob("*.jsonl")), ids=lambda file: f"{file.parent.name}-{file.stem}"
+)
+def test_all_stored_records_can_be_read(file: Path):
+    assert len(read_records(file)) == len(file.read_text(encoding="utf-8").splitlines()) > 0
+
+
+def test_stored_effects_and_how_far_runs_come_apart_are_the_published_ones():
+    page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "").replace("−", "-")
+    (effects,) = rivals.CROSSED_PART.tables(RUNS / "board-crossed")
+    for _, adabn, plain in effects.cells:
+        assert f"| {plain} | {adabn} |" in page or f"| {plain[1:]} | {adabn[1:]} |" in page
+    (pairs,) = calm.PART.tables(RUNS / "board-calm")
+    for row in pairs.cells:
+        assert f" {row[2]}, {row[4]} |" in page
 
 
 def test_drawn_lights_are_compared_on_the_labels_that_both_were_judged_by(tmp_path):
