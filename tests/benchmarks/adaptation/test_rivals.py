@@ -38,6 +38,11 @@ def test_every_input_is_run_where_it_can_be_shown():
             rivals.INPUT_PART,
             {"adabn / pictures": "44 %", "dann / calibrated": "75 %", "source-only / calibrated": "65 %"},
         ),
+        (
+            "board-dots",
+            rivals.INPUT_PART,
+            {"adabn / calibrated": "79 %", "source-only / markers": "101 %", "adabn / markers": "99 %"},
+        ),
         ("board-back", rivals.INPUT_PART, {"adabn / calibrated": "55 %", "dann / calibrated": "58 %"}),
     ],
 )
