@@ -56,6 +56,23 @@ def test_stored_measurements_are_the_published_tables(stored: str, part: Part, c
         assert all(f"| {cell} |" in page for cell in cells)
 
 
+def test_stored_errors_of_all_methods_are_the_published_ones():
+    table, control = rivals.INPUT_PART.tables(RUNS / "board-methods")
+    page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "").replace("−", "-")
+    cells = {
+        row[0].removesuffix(" / calibrated"): dict(zip(table.columns, row, strict=True))
+        for row in table.cells
+    }
+    differences = {row[0]: row[2].replace("+0.0000", "0.0000") for row in control.cells}
+    assert len(differences) == len(board.METHODS) - 2
+    for method, difference in differences.items():
+        row = cells[method]
+        assert f"| {row['closed']} | {row['mean, N']} | {difference}" in page
+        assert (
+            f"| {row['Fz, N']} | {row['shear, N']} | {row['R² x']} | {row['R² y']} | {row['R² z']} |" in page
+        )
+
+
 def test_stored_errors_on_shifted_labels_are_the_published_ones():
     own = RUNS / "board-shifted"
     tables = {table.title: table for table in (*groups.PART.tables(own), *rivals.LIGHT_PART.tables(own))}
