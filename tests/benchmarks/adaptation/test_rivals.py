@@ -94,11 +94,13 @@ def test_all_stored_records_can_be_read(file: Path):
     assert len(read_records(file)) == len(file.read_text(encoding="utf-8").splitlines()) > 0
 
 
-def test_stored_effects_and_how_far_runs_come_apart_are_the_published_ones():
+def test_stored_effects_training_and_how_far_runs_come_apart_are_the_published_ones():
     page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "").replace("−", "-")
     (effects,) = rivals.CROSSED_PART.tables(RUNS / "board-crossed")
     for _, adabn, plain in effects.cells:
         assert f"| {plain} | {adabn} |" in page or f"| {plain[1:]} | {adabn[1:]} |" in page
+    (training,) = rivals.TRAINING_PART.tables(RUNS / "board-training")
+    assert all(f"| {' | '.join(row)} |" in page for row in training.cells)
     (pairs,) = calm.PART.tables(RUNS / "board-calm")
     for row in pairs.cells:
         assert f" {row[2]}, {row[4]} |" in page
