@@ -37,7 +37,7 @@ LINES = {
     "adapt": 5610,
     "view": 1530,
     "cli": 2000,
-    "benchmarks": 6243,
+    "benchmarks": 6253,
     "scripts": 655,
 }
 """How many lines of Python a room may have, so that one person can hold the house in the head.

@@ -78,9 +78,19 @@ def input_grid(
 
 
 def measure_inputs(study: Study) -> None:
-    """Do the missing runs of every input, or of those chosen."""
+    """Do the missing runs of every input, or of those chosen.
+
+    Raises
+    ------
+    ValueError
+        If no group can show what was chosen.
+    """
     methods = study.known_methods() or METHODS
     runs = input_grid(study.groups or GROUPS, methods, study.seeds or SEEDS, study.inputs)
+    if not runs:
+        raise ValueError(
+            f"--inputs {' '.join(study.inputs)}: no chosen group has dots on both sides, as in mb0i0:mb0i1"
+        )
     _measure(study, runs, INPUT_RUNS)
 
 

@@ -23,6 +23,10 @@ def test_every_input_is_run_where_it_can_be_shown():
     assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained"}
     (chosen,) = rivals.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
     assert study.profile_of(chosen).input == "calibrated"
+    with pytest.raises(ValueError, match="--inputs markers: no chosen group has dots on both sides"):
+        rivals.INPUT_PART.measure(
+            Study(Path(), Path(), "board", groups=(("wmb0i0", "wmb0i1"),), inputs=("markers",))
+        )
 
 
 @pytest.mark.parametrize(
