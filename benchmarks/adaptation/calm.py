@@ -19,13 +19,12 @@ ROUNDING = 1e-7
 METHODS = (PLAIN, "adabn")
 GROUPS = (("wmb0i0", "wmb0i1"), ("wmb0i1", "wmb0i0"))
 SEEDS = (0, 1, 2)
-CALIBRATED = ("input", "calibrated")
 _FORMER = (("source_epochs", 60), ("source_learning_rate", 0.2), ("rate_decay", 3e-4), ("averaging", 0.0))
 VARIANTS: dict[str, board.Changes] = {
     "as cpu": (*board.BY_POINT, *_FORMER),
     "as cpu, averaged": (*board.BY_POINT, *_FORMER[:3]),
     "board": board.BY_POINT,
-    "board, calibrated": (*board.BY_POINT, CALIBRATED),
+    "board, calibrated": rivals.changes_of("calibrated"),
 }
 """Training as the profile cpu has it, with the average of the weights, and as the board has it."""
 LIT = "board, lights like the target's"
@@ -35,7 +34,7 @@ def measure(study: Study) -> None:
     """Do the missing runs."""
     groups = study.groups or GROUPS
     cases = [(designs.DATA, group) for group in groups]
-    lit = [(designs.DATA, (designs.LIKE + target, target)) for _, target in groups if target.startswith("wm")]
+    lit = [(designs.DATA, group) for group in rivals.lit_groups(groups)]
     methods = study.known_methods() or METHODS
     grids = [
         *((cases, methods, changes) for changes in VARIANTS.values()),

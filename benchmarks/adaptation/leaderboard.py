@@ -112,16 +112,12 @@ def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
             )
         own = {name.removeprefix(_SETTING): run[name] for name in run if name.startswith(_SETTING)}
         own = ", ".join(f"{name} = {value}" for name, value in own.items() if pd.notna(value))
-        computed = {
-            "mae_n": found.mae_n,
-            "r2": found.r2,
-            "constant_mean_n": constant.mae_n,
-            "same_frames": same,
-        }
+        computed = {"mae_n": found.mae_n, "r2": found.r2, "constant_mean_n": constant.mae_n}
         if run["method"] in (PLAIN, "adabn"):  # whose rows have the rules that stand beside all methods
             for rule, error in evaluate_baselines(frames).items():
                 computed |= {f"baselines_mae_n.{rule}": error.mae_n, f"baselines_r2.{rule}": error.r2}
-        rows.append(run | computed | {"own_settings": own or None, "when": run.get("when")})
+        shown = {"same_frames": same, "own_settings": own or None, "when": run.get("when")}
+        rows.append(run | computed | shown)
     return with_errors(pd.DataFrame(rows))
 
 

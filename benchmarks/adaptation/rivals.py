@@ -94,11 +94,16 @@ def measure_inputs(study: Study) -> None:
     _measure(study, runs, INPUT_RUNS)
 
 
+def lit_groups(groups: Sequence[board.Group]) -> list[board.Group]:
+    """Return for every target without markers the group whose source is in lights like its."""
+    targets = dict.fromkeys(target for _, target in groups if target.startswith("wm"))
+    return [(designs.LIKE + target, target) for target in targets]
+
+
 def measure_lights(study: Study) -> None:
     """Do the missing runs of sources in drawn lights, for every target without markers, its labels shifted or not."""
-    targets = dict.fromkeys(target for _, target in study.groups or GROUPS if target.startswith("wm"))
-    sources = [(designs.ANY_LIGHT, target) for target in targets]
-    sources += [(designs.LIKE + target, target) for target in targets]
+    like = lit_groups(study.groups or GROUPS)
+    sources = [*((designs.ANY_LIGHT, target) for _, target in like), *like]
     cases = [(data, group) for data in board.BY_ROLE for group in sources]
     runs = grid(cases, study.known_methods() or LIGHT_METHODS, study.seeds or SEEDS)
     _measure(study, runs, LIGHT_RUNS)

@@ -342,7 +342,7 @@ def with_errors(records: pd.DataFrame) -> pd.DataFrame:
 class Part:
     """One part of the benchmark: `measure` does what is missing; `tables` and `figures` show a folder's records.
 
-    `chosen` names what of a study `measure` follows.
+    `chosen` names the fields of a study by which a user can narrow what is measured.
     """
 
     measure: Callable[[Study], None]
@@ -366,7 +366,7 @@ class Part:
         for name in ("seeds", "methods", "groups", "inputs"):
             if getattr(study, name) and name not in self.chosen:
                 takes = ", ".join(f"--{one}" for one in self.chosen)
-                raise ValueError(f"--{name}: this part measures all it has of them; it takes {takes}")
+                raise ValueError(f"--{name} does not narrow this part of the benchmark; it takes {takes}")
         self.measure(study)
         for table in self.tables(study.out):
             table.show()
