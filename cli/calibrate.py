@@ -111,7 +111,8 @@ class Calibrate(opt.Command):
             write_comparisons(fit, presses, folder)
 
     def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
-        from gelgap.render.calibration.pictures import read_picture, read_presses
+        from gelgap.assets.image_file import read_image
+        from gelgap.render.calibration.pictures import read_presses
 
         if self.from_taxim is not None:
             if self.presses or self.reference:
@@ -121,7 +122,7 @@ class Calibrate(opt.Command):
             found = domains.taxim_presses(self.from_taxim, self.mm_per_px)
             start, reference, presses = found.start, found.reference, found.presses
         elif self.presses and self.reference and (self.sensor is None) != (self.mm_per_px is None):
-            presses, reference = read_presses(self.presses), read_picture(self.reference)
+            presses, reference = read_presses(self.presses), read_image(self.reference)
             camera = render.Camera()
             if self.mm_per_px:
                 camera = render.Camera.showing(reference.shape[1] * self.mm_per_px)

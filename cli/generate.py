@@ -132,7 +132,7 @@ class Generate(opt.Command):
 
     def _recipes(self) -> "tuple[tuple[domains.DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
-        from gelgap.render.calibration.pictures import read_picture
+        from gelgap.assets.image_file import read_image
 
         settings = {
             "indenter": self.body.make(),
@@ -168,5 +168,5 @@ class Generate(opt.Command):
         )
         if self.lights_like is None:
             return (recipe,), ()
-        like = read_picture(self.lights_like)
+        like = read_image(self.lights_like)
         return domains.in_drawn_lights(recipe, like, self.illumination and [recipe.illumination]), ()

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets import html_page
+from gelgap.assets.image_file import decode_image, stated_size_px
 from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
-from gelgap.domains.formats.pictures import decode_picture, encode_png, stated_size_px
+from gelgap.domains.formats.pictures import encode_png
 from gelgap.domains.frames.dataset import LabelledFrames, outside
 from gelgap.domains.frames.folders import GROUPS, PictureFiles, open_domain
 from gelgap.domains.frames.labels import QUANTITIES, Range, known_labels, usual_labels
@@ -190,7 +191,7 @@ def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damag
             if size_px != (width, height):
                 raise ValueError(f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px")
             if decode:
-                decode_picture(data)
+                decode_image(data)
         except (OSError, ValueError) as error:
             found.append(Damage(frames.place_of(index), f"frame {index}: {error}"))
     return found

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from gelgap.assets.image_file import read_image
 from gelgap.domains import ConvertedClip, convert
-from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, read_picture, video_pictures
+from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, video_pictures
 from gelgap.domains.frames.folders import read_table
 
 LOG = logging.getLogger(__name__)
@@ -171,7 +172,7 @@ def _ball_presses(clone: Path, name: str, every: int) -> Selection:
         raise ValueError(
             f"{clone} is no clone of yanglh14/gelsight: it has no {folder}; get one: {BALL_CLONE}"
         )
-    pictures = np.stack([rectified(read_picture(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths])
+    pictures = np.stack([rectified(read_image(path), _BALL_CORNERS_PX, _BALL_PX) for path in paths])
     centers_px = np.array([_center_px(path) for path in paths])
     # As a ball touches each place in few of them. The repository's `bg-0.jpg` is the same file in all series: some
     # 4 grey levels from the untouched parts of the later two, of which this is 2 away.

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from gelgap.assets.image_file import read_image
 from gelgap.benchmarks.common import write_json
 from gelgap.benchmarks.render.sensors import show_scores
 from gelgap.domains import PressSet, lit_from_dents, sphere_profiles, taxim_presses
 from gelgap.render import Camera, Markers, PressPicture, Sensor, calibrate_light
-from gelgap.render.calibration.pictures import read_picture, read_presses
+from gelgap.render.calibration.pictures import read_presses
 
 MODELS = {
     "the reference, unchanged": "unchanged",
@@ -46,7 +47,7 @@ GELSLIM_MARKS = {
 
 def read_own(folder: Path) -> PressSet:
     """Read a folder of one's own; LEDs that its start does not have come from the dents."""
-    reference, presses = read_picture(folder / "reference.png"), read_presses(folder / "presses.toml")
+    reference, presses = read_image(folder / "reference.png"), read_presses(folder / "presses.toml")
     start = Sensor.load(folder / "start.toml")
     if start.illumination is None:
         start = lit_from_dents(start, reference, presses)
@@ -57,9 +58,9 @@ def marked_set(
     reference: Path, pictures: Sequence[Path], marks: np.ndarray, ball_mm: float, mm_per_px: float
 ) -> PressSet:
     """Return presses of one ball with marked circles (n, 3): x, y and radius in px. LEDs are sought in the dents."""
-    flat = read_picture(reference)
+    flat = read_image(reference)
     presses = tuple(
-        PressPicture(read_picture(path), ball_mm, radius_px=r, center_px=(x, y), name=path.stem)
+        PressPicture(read_image(path), ball_mm, radius_px=r, center_px=(x, y), name=path.stem)
         for path, (x, y, r) in zip(pictures, marks.tolist(), strict=True)
     )
     bare = Sensor(camera=Camera.showing(flat.shape[1] * mm_per_px), markers=Markers(layout="none"))

@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from gelgap.assets.image_file import read_image
 from gelgap.assets.names import is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
-from gelgap.domains.formats.pictures import as_colour, decode_picture, encode_png, resized
+from gelgap.domains.formats.pictures import encode_png, resized
 from gelgap.domains.frames.folders import GROUPS, known_columns, picture_path
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 
@@ -307,7 +308,7 @@ def _recorded_clip(table: Path) -> Clip:
             raise ValueError(f"{source} must hold one table with the columns picture, time_s")
         paths = [picture_path(tables[0], name) for name in of_pictures["picture"]]
         time_s = of_pictures["time_s"]
-        pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_picture, paths)
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_image, paths)
     else:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
@@ -316,14 +317,6 @@ def _recorded_clip(table: Path) -> Clip:
         if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
             raise ValueError(f"{place}: times must be finite and increase from row to row")
     return Clip(table.stem, table.parent.resolve().name, pictures, time_s, labels)
-
-
-def read_picture(path: Path) -> np.ndarray:
-    """Return the picture (h, w, 3) uint8 RGB of a file; a ValueError names one that is damaged."""
-    try:
-        return as_colour(decode_picture(path.read_bytes()))
-    except ValueError as error:
-        raise ValueError(f"{path} is not readable: {error}") from None
 
 
 def video_pictures(path: Path) -> Iterator[np.ndarray]:

@@ -1,13 +1,12 @@
-"""Pictures as arrays and as bytes: lossless coding, checks before decoding, reduction, and markers filled in."""
+"""Pictures as arrays and as bytes: lossless coding, reduction, and markers filled in."""
 
-import io
 import struct
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError
 from zlib_ng import zlib_ng
 
-MOST_PIXELS = 2**26
+from gelgap.assets.image_file import stated_size_px
+
 _AVERAGE = 3  # the number of this filter (PNG, W3C Recommendation, 3rd edition, 9.2)
 
 
@@ -55,50 +54,15 @@ def encode_jpeg(picture: np.ndarray, quality: int = 95) -> bytes:
     return data.tobytes()
 
 
-def stated_size_px(data: bytes) -> tuple[int, int]:
-    """Return the width and height that a PNG, JPEG or BMP states, without decoding it.
-
-    A ValueError if it is none of these, has more than 64 million pixels, its end is missing, or a checksum of a PNG
-    differs.
-    """
-    try:
-        with Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "BMP")) as picture:
-            size = picture.size
-            picture.verify()
-    except UnidentifiedImageError:
-        raise ValueError("it is neither PNG, JPEG nor BMP, or its header is damaged") from None
-    except (OSError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError) as error:
-        raise ValueError(f"it is not a readable picture: {error}") from None
-    # Pillow compares the checksums of a PNG; the other two have none.
-    if (data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-64:]) or (
-        data.startswith(b"BM") and int.from_bytes(data[2:6], "little") > len(data)
-    ):
-        raise ValueError("its end is missing")
-    if size[0] * size[1] > MOST_PIXELS:
-        raise ValueError(f"it states {size[0]}×{size[1]} px: allowed are {MOST_PIXELS} pixels")
-    return size
-
-
-def decode_picture(data: bytes) -> np.ndarray:
-    """Decode a PNG, JPEG or BMP to (h, w, 3) RGB uint8, or a grey picture to (h, w) in its own depth.
-
-    A ValueError where `stated_size_px` raises it, or if the pixels cannot be decoded.
-    """
+def decode_column(data: bytes) -> np.ndarray:
+    """Decode what `encode_png` made of a grey column of gelgap's own, (h, w) in its own depth."""
     import cv2
 
     stated_size_px(data)
-    try:
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        picture = None
-    if picture is None:
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
         raise ValueError("it cannot be decoded, so it is damaged")
-    return np.ascontiguousarray(picture[..., 2::-1]) if picture.ndim == 3 else picture
-
-
-def as_colour(picture: np.ndarray) -> np.ndarray:
-    """Return a picture (h, w, 3); a grey one (h, w) is repeated."""
-    return np.repeat(picture[..., None], 3, axis=2) if picture.ndim == 2 else picture
+    return pixels
 
 
 def resized(picture: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:

@@ -16,10 +16,11 @@ import numpy as np
 import pyarrow as pa
 
 from gelgap.assets.checksums import sha256
+from gelgap.assets.image_file import decode_image
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.whole_file import warn, whole_file
 from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, remembered
-from gelgap.domains.formats.pictures import as_colour, decode_picture, resized, without_markers
+from gelgap.domains.formats.pictures import decode_column, resized, without_markers
 from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, ShardFile, damaged
 from gelgap.domains.frames.dataset import LabelledFrames
 
@@ -64,7 +65,7 @@ class StoredFrames(LabelledFrames):
     def decoded(self, data: bytes, what: str, *, is_first: bool = False) -> np.ndarray:
         """Return a picture (h, w, 3) of the size of the first reference; a ValueError names what it is."""
         try:
-            picture = as_colour(decode_picture(data))
+            picture = decode_image(data)
         except ValueError as error:
             raise ValueError(
                 f"data set {self.name}: {what} is not readable: {error}; "
@@ -234,7 +235,7 @@ class GeneratedDomain(StoredFrames):
                 f"{', '.join(self.optional_columns) or 'no optional columns'}: generate it with --columns {column}"
             )
         cell = self._cell(index, OPTIONAL[column][0].name)
-        return decode_picture(cell) if isinstance(cell, bytes) else np.array(cell)
+        return decode_column(cell) if isinstance(cell, bytes) else np.array(cell)
 
     def height_map_mm(self, index: int) -> np.ndarray:
         """Return the height map (h, w) in mm."""

@@ -12,6 +12,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
+from gelgap.assets.image_file import read_image
 from gelgap.assets.names import stays_inside
 from gelgap.assets.settings import Settings
 from gelgap.assets.toml_file import named_in_errors, read_toml
@@ -94,24 +95,12 @@ def read_presses(path: Path) -> tuple[PressPicture, ...]:
         listed = _PressList(presses=read_toml(path).get("presses", ())).presses
     return tuple(
         PressPicture(
-            read_picture(path.parent / press.picture),
+            read_image(path.parent / press.picture),
             name=f"press {number} ({press.picture})",
             **press.model_dump(exclude={"picture"}),
         )
         for number, press in enumerate(listed, start=1)
     )
-
-
-def read_picture(path: Path) -> np.ndarray:
-    """Return a picture as uint8 (h, w, 3) RGB; a FileNotFoundError or ValueError if there is none."""
-    import cv2
-
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist or is not a file; a picture is needed")
-    picture = cv2.imread(str(path))
-    if picture is None:
-        raise ValueError(f"{path} is not a picture that OpenCV can read")
-    return picture[..., ::-1].copy()
 
 
 def press_names(presses: Sequence[PressPicture]) -> tuple[str, ...]:

@@ -1,0 +1,127 @@
+"""Opening an image that somebody brings: every command reads PNG, JPEG, BMP and TIFF here, as 8-bit RGB.
+
+What cannot become 8-bit RGB without a guess is refused: fewer than 16 bits in 16, transparency, floats, CMYK, several
+pages. Rotation that the file's EXIF states is applied, as viewers do.
+"""
+
+import io
+import struct
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF")
+MOST_PIXELS = 2**26
+MOST_BYTES = 2**29
+# A 16-bit image that ends below a quarter of its range is that of a camera of 10, 12 or 14 bits, stored as it is.
+_LEAST_16_BIT_PEAK = 2**14
+_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "I;16", "I;16B", "I;16L")
+_EXIF_ORIENTATION = 0x0112
+_QUARTER_TURNS = (5, 6, 7, 8)
+
+
+def read_image(path: Path | str) -> np.ndarray:
+    """Return the image of a file as (h, w, 3) uint8 RGB.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no image that `decode_image` decodes; the message names the file and says why.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} does not exist or is not a file; an image is needed")
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(
+            f"{path} has {path.stat().st_size >> 20} MiB; images have at most {MOST_BYTES >> 20} MiB"
+        )
+    try:
+        return decode_image(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path} is not readable: {error}") from None
+
+
+def decode_image(data: bytes) -> np.ndarray:
+    """Decode an image to (h, w, 3) uint8 RGB: grey is repeated, and 16 bits become 8, white staying white.
+
+    Raises
+    ------
+    ValueError
+        If it is none of `FORMATS`, is damaged, or cannot become 8-bit RGB without a guess.
+    """
+    import cv2
+
+    stated_size_px(data)
+    _check_opaque(data)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise ValueError("it cannot be decoded, so it is damaged")
+    if image.dtype == np.uint16:
+        image = _from_16_bits(image)
+    if image.dtype != np.uint8:
+        raise ValueError(f"its pixels are {image.dtype}: save it with 8 or 16 bits")
+    return np.ascontiguousarray(image[..., ::-1])
+
+
+def _from_16_bits(image: np.ndarray) -> np.ndarray:
+    peak = int(image.max())
+    if 0 < peak < _LEAST_16_BIT_PEAK:
+        raise ValueError(
+            f"its 16-bit values end at {peak} of 65535, as those of cameras of {max(8, peak.bit_length())} bits do: "
+            "scale them to the whole range, or save 8 bits"
+        )
+    return ((image.astype(np.uint32) * 255 + 32767) // 65535).astype(np.uint8)
+
+
+def _check_opaque(data: bytes) -> None:
+    with Image.open(io.BytesIO(data), formats=FORMATS) as image:
+        if image.has_transparency_data and image.convert("RGBA").getchannel("A").getextrema()[0] < 255:
+            raise ValueError("some of its pixels are transparent: save it without an alpha channel")
+
+
+def _kind_problem(image: Image.Image) -> str | None:
+    """Return why an open image cannot become 8-bit RGB without a guess; None if it can."""
+    if image.mode not in _MODES:
+        return f"its pixels are of the kind {image.mode}: save it as RGB or grey with 8 or 16 bits"
+    pages = getattr(image, "n_frames", 1)
+    return f"it holds {pages} images: save one of them alone" if pages > 1 else None
+
+
+def stated_size_px(data: bytes) -> tuple[int, int]:
+    """Return the width and height that an image states, turned as its EXIF says, without decoding it.
+
+    Raises
+    ------
+    ValueError
+        If it is none of `FORMATS`, has more than 64 million pixels, its end is missing, a checksum of a PNG differs, or
+        its kind (transparent, CMYK, floats, several pages) cannot become 8-bit RGB.
+    """
+    try:
+        with Image.open(io.BytesIO(data), formats=FORMATS) as image:
+            size, turned = image.size, image.getexif().get(_EXIF_ORIENTATION) in _QUARTER_TURNS
+            problem = _kind_problem(image)
+        # `verify` must be the first use of an open image, and compares the checksums of a PNG alone.
+        with Image.open(io.BytesIO(data), formats=FORMATS) as image:
+            image.verify()
+    except UnidentifiedImageError:
+        raise ValueError("it is neither PNG, JPEG, BMP nor TIFF, or its header is damaged") from None
+    except Image.DecompressionBombError:
+        raise ValueError(f"it has more than {MOST_PIXELS} pixels") from None
+    except (OSError, SyntaxError, ValueError, struct.error) as error:
+        raise ValueError(f"it is not a readable image: {error}") from None
+    if size[0] * size[1] > MOST_PIXELS:
+        problem = f"it states {size[0]}×{size[1]} px: allowed are {MOST_PIXELS} pixels"
+    if (data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-64:]) or (
+        data.startswith(b"BM") and int.from_bytes(data[2:6], "little") > len(data)
+    ):
+        problem = "its end is missing"
+    if problem:
+        raise ValueError(problem)
+    return size[::-1] if turned else size
