@@ -1,4 +1,4 @@
-"""A domain discriminator on the features: its gradient is reversed (DANN, CDAN), or its odds weigh frames.
+"""A domain discriminator on the features, whose gradient is reversed (DANN, CDAN).
 
 DANN [1]: the loss and its reversal are tllib's. Deviations: the discriminator is narrower (128, not 1024) and
 standardises its input instead of its hidden layers; λ_t ends at the method's weight, not at 1.
@@ -8,15 +8,8 @@ here it is the outer product of the feature with (1, F̂), F̂ the normalised fo
 that it sees the feature itself and how it goes with each axis. Entropy conditioning (CDAN+E) needs probabilities and is
 left out.
 
-Importance weighting [3]: source frames that look like target frames count more in the regression. The discriminator's
-odds are the ratio of the target's to the source's density [4]. It learns along and moves no feature, so that nothing is
-aligned: the method corrects another frequency of contacts, not another look of them.
-
 [1] Ganin et al., "Domain-adversarial training of neural networks", JMLR 17, 2016.
 [2] Long, Cao, Wang, Jordan, "Conditional adversarial domain adaptation", NeurIPS 2018.
-[3] Shimodaira, "Improving predictive inference under covariate shift by weighting the log-likelihood function", Journal
-    of Statistical Planning and Inference 90, 2000.
-[4] Bickel, Brückner, Scheffer, "Discriminative learning under covariate shift", JMLR 10, 2009.
 """
 
 import torch
@@ -107,29 +100,3 @@ class CDAN(DANN):
     def conditioned(self, features: Tensor, activations: Activations) -> Tensor:
         prediction = activations.prediction.detach()
         return multilinear_map(features, torch.cat([torch.ones_like(prediction[:, :1]), prediction], dim=1))
-
-
-def density_ratio(logits: Tensor, largest: float) -> Tensor:
-    """Return p_target/p_source (B,) at source frames from a discriminator's logits of "source".
-
-    Its mean over the batch is 1. Ratios above `largest` are cut: a few frames would else carry the whole regression.
-    """
-    ratio = torch.exp(-logits.detach()).clamp(max=largest)
-    return ratio / ratio.mean().clamp_min(torch.finfo(ratio.dtype).tiny)
-
-
-class ImportanceWeighting(DANN):
-    """Regression on the source with weights 1 + λ_t(w − 1): λ_t = 1 is the weighted risk, 0 the plain one."""
-
-    class Settings(DANN.Settings):
-        largest_ratio: float = Field(default=10.0, gt=1, description="density ratios are cut here")
-
-    grid = ("transfer_weight", (0.0, 0.01, 0.03, 0.1, 0.3, 0.6, 1.0))
-
-    def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss:
-        n = len(source.features)
-        logits = self.discriminator(torch.cat([source.features, target.features]).detach())[:, 0]
-        ratio = density_ratio(logits[:n], self.settings.largest_ratio)
-        error = (source.prediction - source.force).square().mean(dim=1)
-        value = domain_loss(logits[:n], logits[n:]) + step.weight * ((ratio - 1) * error).mean()
-        return TransferLoss(value, 1.0, {"effective_share": 1 / ratio.square().mean()})

@@ -7,7 +7,6 @@ entry points of installed packages, or as `module:Class` or `file.py:Class`.
 import hashlib
 import inspect
 import sys
-import warnings
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -29,31 +28,15 @@ METHODS = {
     "adabn": "controls:AdaBN",
     "no-transfer": "controls:NoTransfer",
     "classifier-only": "controls:ClassifierOnly",
-    "coral": "coral:DeepCORAL",
     "dan": "dan:DAN",
     "jan": "dan:JAN",
     "dann": "dann:DANN",
     "cdan": "dann:CDAN",
     "rsd": "rsd:RSD",
     "daregram": "daregram:DAREGRAM",
-    "daregram-published": "daregram:PublishedDAREGRAM",
-    "daregram-tikhonov": "daregram:TikhonovDAREGRAM",
     "dsan": "dsan:DSAN",
-    "dsan-unmasked": "dsan:UnmaskedDSAN",
-    "dsan-coarse": "dsan:CoarseDSAN",
-    "dsan-soft": "dsan:SoftDSAN",
-    "cod": "cod:COD",
-    "conditional-mmd": "cod:ConditionalMMD",
-    "ssa": "ssa:SSA",
-    "tasfar": "tasfar:TASFAR",
-    "mean-teacher": "mean_teacher:MeanTeacher",
     "uga": "uga:UGA",
-    "importance-weighting": "dann:ImportanceWeighting",
-    "label-shift": "label_shift:LabelShift",
-    "deep-jdot": "deep_jdot:DeepJDOT",
     "fourier-style": "fourier_style:FourierStyle",
-    "psc": "ssa:PSC",
-    "online-ssa": "ssa:OnlineSSA",
     "supervised": "controls:Supervised",
 }
 EXTRA: "dict[str, type[Method]]" = {}
@@ -150,15 +133,10 @@ def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3
     """Return a method with the profile's settings for it; what it owns as parameters is drawn by the seed."""
     import torch
 
-    kind = find_method(name)
-    given = [method_settings(name, profile), profile.feature_dim, n_classes, n_labels]
-    if len(inspect.signature(kind).parameters) == 3:
-        what = f"{kind.__name__}(settings, feature_dim, n_classes) is deprecated: let it take n_labels, too"
-        warnings.warn(what, DeprecationWarning, stacklevel=2)
-        del given[3]
+    settings = method_settings(name, profile)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return kind(*given)
+        return find_method(name)(settings, profile.feature_dim, n_classes, n_labels)
 
 
 def transfer_weight(name: str, profile: "Profile") -> float:
