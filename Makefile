@@ -10,11 +10,16 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 
-# Tests whose numbers depend on how a processor rounds, under code paths that other processors take.
-NUMERICAL_TESTS = $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m 'not slow' \
-	tests/sim tests/render tests/adapt --ignore=tests/render/test_light_calibration.py
+# Settings under which this processor computes as others do; the last one needs AVX-512.
+CODE_PATH_old-mkl := MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Haswell
+CODE_PATH_sse4 := MKL_ENABLE_INSTRUCTIONS=SSE4_2 ATEN_CPU_CAPABILITY=default ONEDNN_MAX_CPU_ISA=SSE41
+CODE_PATH_nehalem := OPENBLAS_CORETYPE=Nehalem NUMBA_CPU_NAME=generic NPY_DISABLE_CPU_FEATURES=X86_V3
+CODE_PATH_skylakex := OPENBLAS_CORETYPE=SkylakeX
+CODE_PATHS := old-mkl sse4 nehalem $(shell grep -q avx512 /proc/cpuinfo && echo skylakex)
+# Another one each day of the year.
+TODAY := $(word $(shell expr $$(date +%j) % $(words $(CODE_PATHS)) + 1),$(CODE_PATHS))
 
-.PHONY: help setup demo view test test-slow test-code-paths lint format docs links wheel-check clean
+.PHONY: help setup demo view test test-slow test-todays-code-path test-code-paths lint format docs links wheel-check clean
 
 help:
 	@echo "make setup        create .venv with gelgap, its tested dependencies and what tests need, and install libosmesa6 if missing"
@@ -22,7 +27,8 @@ help:
 	@echo "make view         create .venv with gelgap and viser, and open the page in the browser"
 	@echo "make test         set up, then lint and run the test suite"
 	@echo "make test-slow    the tests that make test leaves out: longer forms of some"
-	@echo "make test-code-paths  the tests of physics, light and adaptation as other processors compute them"
+	@echo "make test-code-paths  the numerical tests as other processors compute them, for a release"
+	@echo "make test-todays-code-path  the same as one other processor does, another one each day"
 	@echo "make lint         ruff check, ruff format --check, and mypy over the public names"
 	@echo "make docs         make the site in build/site; its examples and notebooks run (minutes)"
 	@echo "make links        make the site, and follow its links to other sites; its own are checked by make docs"
@@ -58,11 +64,14 @@ test: setup lint
 test-slow: setup
 	$(BIN)/python -m pytest -n $(WORKERS) -m slow
 
-test-code-paths: setup
-	MKL_CBWR=COMPATIBLE OPENBLAS_CORETYPE=Haswell $(NUMERICAL_TESTS)
-	MKL_ENABLE_INSTRUCTIONS=SSE4_2 ATEN_CPU_CAPABILITY=default ONEDNN_MAX_CPU_ISA=SSE41 $(NUMERICAL_TESTS)
-	OPENBLAS_CORETYPE=Nehalem NUMBA_CPU_NAME=generic NPY_DISABLE_CPU_FEATURES=X86_V3 $(NUMERICAL_TESTS)
-	! grep -q avx512 /proc/cpuinfo || OPENBLAS_CORETYPE=SkylakeX $(NUMERICAL_TESTS)
+test-code-paths: $(CODE_PATHS:%=test-code-path-%)
+
+test-todays-code-path: test-code-path-$(TODAY)
+
+test-code-path-%: setup
+	@echo "code path $*: $(CODE_PATH_$*)"
+	$(CODE_PATH_$*) $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m 'numerical and not slow' \
+		tests/sim tests/render tests/adapt
 
 lint: setup
 	$(BIN)/ruff check .

@@ -42,7 +42,7 @@ from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, wr
 from gelgap.assets.locks import sole_use
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
-from gelgap.assets.whole_file import set_aside, whole_file, write_whole
+from gelgap.assets.whole_file import warn, whole_file, write_whole
 from gelgap.domains import (
     FORCE_COLUMNS,
     GeneratedDomain,
@@ -275,7 +275,7 @@ class Stage1:
             try:
                 return ForceModel.load(self.checkpoint), 0.0
             except ValueError as error:
-                set_aside(self.checkpoint, f"cannot be used ({error})")
+                warn(f"{error}: stage 1 is trained again")
         folder = self.checkpoint and self.checkpoint.with_suffix("")
         resume_file = folder and folder / _RESUME
         with sole_use(folder) if folder else nullcontext():
@@ -503,22 +503,11 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
         raise _damaged(path, problem)
     try:
         arrays = read_arrays(path)
-        _check_predictions(arrays, len(run.labels))
+        if missing := [name for name in _ARRAYS if name not in arrays]:
+            raise ValueError(f"it lacks {', '.join(missing)}")
     except ValueError as error:
         raise _damaged(path, f"cannot be used: {error}") from None
     return arrays
-
-
-def _check_predictions(arrays: dict[str, np.ndarray], n_labels: int) -> None:
-    """Raise ValueError if an array is missing, has another shape, or holds what is not a finite number."""
-    if missing := [name for name in _ARRAYS if name not in arrays]:
-        raise ValueError(f"it lacks {', '.join(missing)}")
-    for name, values in arrays.items():
-        columns = values.shape[-1:] if name.endswith("_features") else (n_labels,)
-        shape = arrays.get(name.replace("_true_n", "_predicted_n"), values).shape[:1] + columns
-        fits = values.ndim == 2 and values.shape == shape and values.dtype.kind == "f"
-        if not (fits and np.isfinite(values).all()):
-            raise ValueError(f"{name} is {values.dtype} {values.shape}, expected {shape} finite numbers")
 
 
 def _damaged(path: Path, problem: str) -> RuntimeError:

@@ -44,7 +44,7 @@ from gelgap.adapt.network import (
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.selection import effective_rank
-from gelgap.assets.whole_file import set_aside, whole_file
+from gelgap.assets.whole_file import warn, whole_file
 from gelgap.domains import LabelledFrames, with_labels
 
 MAX_SKIPPED_IN_A_ROW = 20
@@ -384,7 +384,7 @@ class Trainer(Adaptation):
     def _resume(self, state: Mapping[str, Any]) -> list[EpochRecord]:
         """Take the state of an interrupted training, and return the records of its epochs.
 
-        Nothing is taken from a file that is damaged or of another training: it is set aside.
+        Nothing is taken from a file that cannot be read or is of another training: training begins anew.
         """
         if self.resume_file is None or not self.resume_file.is_file():
             return []
@@ -397,7 +397,8 @@ class Trainer(Adaptation):
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             for name, part in state.items():
                 part.load_state_dict(before[name])
-            set_aside(self.resume_file, f"cannot be resumed from ({' '.join(str(error).split())[:200]})")
+            reason = " ".join(str(error).split())[:200]
+            warn(f"{self.resume_file} cannot be resumed from ({reason}): training begins anew")
             return []
 
 

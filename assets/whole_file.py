@@ -1,4 +1,4 @@
-"""Files that are there completely or not at all, also after a crash or on a full disk; damaged ones are set aside."""
+"""Files that are there completely or not at all, also after a crash or on a full disk."""
 
 import contextlib
 import logging
@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 TEMPORARY_SUFFIX = ".tmp"
-DAMAGED_SUFFIX = ".damaged"
 
 
 @contextlib.contextmanager
@@ -57,10 +56,3 @@ def write_whole(path: Path, data: bytes) -> None:
 def warn(sentence: str) -> None:
     """Log what is wrong with a file that is made again; the command line prints it on standard error."""
     logging.getLogger("gelgap").warning(sentence)
-
-
-def set_aside(path: Path, why: str) -> None:
-    """Rename a cached file that cannot be used and say so on standard error; the caller makes it again."""
-    with contextlib.suppress(OSError):
-        path.replace(path.with_name(f"{path.name}{DAMAGED_SUFFIX}"))
-    warn(f"{path} {why}: set aside as {path.name}{DAMAGED_SUFFIX} and made again")

@@ -29,7 +29,7 @@ from gelgap.adapt import ResultTable
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import canonical_json, parse_json, with_checksum, without_checksum
 from gelgap.assets.locks import defer_signals
-from gelgap.assets.whole_file import set_aside, warn, write_whole
+from gelgap.assets.whole_file import warn, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -223,19 +223,14 @@ def _read(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def _read_arrays(file: Path, key: str, digest: str | None) -> dict[str, np.ndarray] | None:
-    """Return a record's arrays; None if they are gone, or damaged: then they are set aside."""
+    """Return a record's arrays; None if they are gone or are others: the setting is measured again."""
     if digest is None:
         return {}
     path = file.with_suffix("") / f"{key}.npz"
     try:
         content = path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != digest:
-            raise ValueError("its checksum does not match")
-        return read_arrays(content)
-    except FileNotFoundError:
-        return None
-    except ValueError as error:
-        set_aside(path, f"cannot be used ({error})")
+        return read_arrays(content) if hashlib.sha256(content).hexdigest() == digest else None
+    except (FileNotFoundError, ValueError):
         return None
 
 

@@ -3,7 +3,6 @@
 The cache has one file per key, safe for concurrent writers and for a crash.
 """
 
-import hashlib
 import io
 import time
 from dataclasses import astuple, dataclass, fields
@@ -15,24 +14,22 @@ from pydantic import TypeAdapter
 
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.locks import cache_folder
-from gelgap.assets.whole_file import DAMAGED_SUFFIX, TEMPORARY_SUFFIX, set_aside, write_whole
+from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 from gelgap.sim.problem import ContactProblem
 
 _SUFFIX = ".solution"
-# The bytes are this mark, the SHA-256 of all that follows, and arrays in NumPy's npz, which holds no code: `problem` is
-# the problem as JSON, others stack the records' fields. With another number in the mark, older files count as damaged.
-_MARK = b"gelgap solution 1\n"
+# A file is NumPy's npz, which holds no code and a CRC-32 of each array: `problem` is the problem as JSON, `rest_mm` and
+# `diagnostics` are the solution's, and these stack the fields of its records.
 _PROBLEM = TypeAdapter(ContactProblem)
-# The arrays of all records, in the file's order, and a record's shape in each, with the number of vertices for −1.
-_STACKED = {
-    "displacement_mm": (-1, 3),
-    "normal_force_n": (-1,),
-    "indenter_mm": (3,),
-    "force_n": (3,),
-    "converged": (),
-    "contact_force_n": (-1, 3),
-    "torque_n_mm": (3,),
-}
+_STACKED = (
+    "displacement_mm",
+    "normal_force_n",
+    "indenter_mm",
+    "force_n",
+    "converged",
+    "contact_force_n",
+    "torque_n_mm",
+)
 # A vertex sticks if its friction is below this share of Coulomb's bound.
 _STICKING_SHARE = 0.99
 
@@ -132,40 +129,26 @@ def solution_bytes(solution: Solution) -> bytes:
         diagnostics=diagnostics,
         **stacked,
     )
-    content = buffer.getvalue()
-    return _MARK + hashlib.sha256(content).digest() + content
+    return buffer.getvalue()
 
 
 def solution_from_bytes(data: bytes) -> Solution | None:
-    """Return the solution of a file's bytes; None if a single bit differs, or they are not of this version."""
-    start = len(_MARK) + hashlib.sha256().digest_size
-    content = data[start:]
-    if data[:start] != _MARK + hashlib.sha256(content).digest():
-        return None
+    """Return the solution of a file's bytes; None if they cannot be read, or are of another version."""
     try:
-        arrays = read_arrays(content)
+        arrays = read_arrays(data)
         problem = _PROBLEM.validate_json(arrays["problem"].tobytes())
-        _check_shapes(arrays, len(problem.waypoints_mm))
-    except (ValueError, KeyError):
+        records = tuple(_record(arrays, index) for index in range(len(problem.waypoints_mm)))
+        return Solution(problem, arrays["rest_mm"], records)
+    except (ValueError, KeyError, IndexError):
         return None
+
+
+def _record(arrays: dict[str, np.ndarray], index: int) -> Record:
+    of_record = {name: arrays[name][index] for name in _STACKED}
+    of_record["converged"] = bool(of_record["converged"])
     kinds = [type(field.default) for field in fields(SolveDiagnostics)]
-    records = []
-    for index, row in enumerate(arrays["diagnostics"]):
-        of_record = {name: arrays[name][index] for name in _STACKED}
-        of_record["converged"] = bool(of_record["converged"])
-        found = SolveDiagnostics(*(kind(value) for kind, value in zip(kinds, row, strict=True)))
-        records.append(Record(**of_record, diagnostics=found))
-    return Solution(problem, arrays["rest_mm"], tuple(records))
-
-
-def _check_shapes(arrays: dict[str, np.ndarray], n: int) -> None:
-    """Raise ValueError if arrays do not belong together; KeyError if one is missing."""
-    vertices = len(arrays["rest_mm"])
-    shapes = {name: (n, *(vertices if k < 0 else k for k in shape)) for name, shape in _STACKED.items()}
-    shapes |= {"rest_mm": (vertices, 2), "diagnostics": (n, len(fields(SolveDiagnostics)))}
-    for name, shape in shapes.items():
-        if arrays[name].shape != shape or arrays[name].dtype.kind not in "bf":
-            raise ValueError(f"{name} has another shape or type")
+    values = zip(kinds, arrays["diagnostics"][index], strict=True)
+    return Record(**of_record, diagnostics=SolveDiagnostics(*(kind(value) for kind, value in values)))
 
 
 @dataclass(frozen=True)
@@ -179,7 +162,7 @@ class CacheUse:
 
 @dataclass(frozen=True)
 class CacheEntry:
-    """One cached file: `problem` is None if it is damaged; `current` says whether this version would take it."""
+    """One cached file: `problem` is None if it cannot be read; `current` says whether this version would take it."""
 
     key: str
     bytes: int
@@ -189,22 +172,16 @@ class CacheEntry:
 
 
 def load_solution(key: str) -> Solution | None:
-    """Return the cached solution of that key, or None. A damaged file is named and set aside."""
-    path = _path(key)
+    """Return the cached solution of that key, or None if there is none that can be read."""
     try:
-        data = path.read_bytes()
+        solution = solution_from_bytes(_path(key).read_bytes())
     except OSError:
         return None
-    solution = solution_from_bytes(data)
-    if solution is not None and solution.problem.key == key:
-        return solution
-    if solution is None and data.startswith(_MARK):
-        set_aside(path, "is damaged, or of another version")
-    return None
+    return solution if solution is not None and solution.problem.key == key else None
 
 
 def has_solution(key: str) -> bool:
-    """Return whether there is a file for that key; only loading it says whether it is sound."""
+    """Return whether there is a file for that key; only loading it says whether it can be read."""
     return _path(key).is_file()
 
 
@@ -240,7 +217,7 @@ def cache_entries() -> tuple[CacheEntry, ...]:
 def clear_cache() -> CacheUse:
     """Delete all cached solutions and return what there was."""
     use = cache_use()
-    for suffix in (_SUFFIX, TEMPORARY_SUFFIX, DAMAGED_SUFFIX):
+    for suffix in (_SUFFIX, TEMPORARY_SUFFIX):
         for file in cache_folder().glob(f"*{suffix}"):
             file.unlink(missing_ok=True)
     return use

@@ -129,7 +129,7 @@ def profile() -> Profile:
 
 @pytest.fixture(scope="session")
 def valid_files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One valid file of every kind; the cache among them is not that of other tests."""
+    """One valid file of every kind that people exchange."""
     from valid_files import make_valid_files
 
     folder = tmp_path_factory.mktemp("valid") / "files"

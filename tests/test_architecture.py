@@ -1,4 +1,4 @@
-"""The arrows between the rooms point one way, no modules import each other in a circle, and every room keeps small."""
+"""The arrows between the rooms point one way, no modules import each other in a circle, and the doors stay few."""
 
 import ast
 import re
@@ -7,15 +7,19 @@ import sys
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import import_module
 from importlib.metadata import packages_distributions
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+
+from gelgap.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 ALLOWED = {
@@ -29,22 +33,11 @@ ALLOWED = {
     "cli": {"assets", "sim", "render", "domains", "view", "adapt", "benchmarks"},
 }
 CODE = (*ALLOWED, "tests", "examples", "scripts")
-LINES = {
-    "assets": 600,
-    "sim": 5365,
-    "render": 5245,
-    "domains": 7120,
-    "adapt": 5610,
-    "view": 1530,
-    "cli": 2000,
-    "benchmarks": 6253,
-    "scripts": 655,
-}
-"""How many lines of Python a room may have, so that one person can hold the house in the head.
-
-A room that grows gives something back first.
-"""
-MOST_FILES = 215
+# One person is to hold the house in the head: what counts first is its doors. Ceilings fall from release to release.
+MOST_PUBLIC_NAMES = 252
+MOST_ARGUMENTS = 155
+MOST_LINES = 34_400
+MOST_FILES = 205
 MOST_LINES_OF_A_FILE = 600
 LEAST_LINES_OF_A_FILE = 60
 STAND_ALONE = ("cli/", "adapt/methods/")
@@ -128,13 +121,27 @@ def line_count(source: Path) -> int:
     return len(source.read_text(encoding="utf-8").splitlines())
 
 
-@pytest.mark.parametrize("room", LINES)
-def test_a_room_keeps_to_its_budget_of_lines(room: str) -> None:
-    assert sum(map(line_count, sources(room))) <= LINES[room]
+def test_public_names_are_few() -> None:
+    names = [name for room in ALLOWED for name in getattr(import_module(f"gelgap.{room}"), "__all__", ())]
+    assert len(names) <= MOST_PUBLIC_NAMES
 
 
-def test_the_house_keeps_to_its_number_of_files() -> None:
-    assert sum(len(sources(folder)) for folder in (*LINES, "examples")) <= MOST_FILES
+def test_options_and_arguments_of_the_command_line_are_few() -> None:
+    assert sum(len(list(option_names(command))) for command in COMMANDS.values()) <= MOST_ARGUMENTS
+
+
+def option_names(options: type) -> Iterator[str]:
+    """Yield what can be typed behind a command, also of groups of options."""
+    hints = get_type_hints(options)
+    for field in fields(options):
+        hint = hints[field.name]
+        yield from option_names(hint) if is_dataclass(hint) else [field.name]
+
+
+def test_the_house_stays_small() -> None:
+    files = [source for folder in (*ALLOWED, "scripts") for source in sources(folder)]
+    assert sum(map(line_count, files)) <= MOST_LINES
+    assert len(files) <= MOST_FILES
 
 
 def test_no_file_is_longer_than_a_reader_can_hold() -> None:

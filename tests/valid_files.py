@@ -1,4 +1,4 @@
-"""One valid file of every kind that gelgap reads, made in seconds, and how each is read."""
+"""One valid file of every kind that people exchange, made in seconds, and how each is read."""
 
 import shutil
 from collections.abc import Callable
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from network_weights import weights
 from quick_solves import coarsen
 
 from gelgap.adapt import (
@@ -19,17 +18,14 @@ from gelgap.adapt import (
     load_predictions,
     load_runs,
     make_network,
-    train_source,
 )
 from gelgap.adapt.network import load_imagenet_weights
 from gelgap.assets import asset_path
-from gelgap.benchmarks.common import read_records, run_missing
 from gelgap.domains import Sweep, generate, open_domain
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
 from gelgap.render import Illumination, Sensor
 from gelgap.render.calibration.pictures import read_presses
 from gelgap.sim import ContactPath, MembraneState, grid_axes, load_path
-from gelgap.sim.solution import load_solution
 
 DOMAIN = "mb0i0"
 FRAMES = 12
@@ -58,14 +54,12 @@ picture = "0.png"
 sphere_diameter_mm = 3.0
 depth_mm = 0.6
 """
-KEPT = np.linspace(0, 1, 500)
 
 
 def make_valid_files(folder: Path) -> None:
-    """Write the files below a folder: solves to its own cache, decoded pictures beside the data."""
+    """Write the files below a folder."""
     with pytest.MonkeyPatch.context() as patch:
         coarsen(patch)
-        patch.setenv("GELGAP_CACHE", str(folder / "cache"))
         path = ContactPath("valid", (-0.75, 0.75), (0.0,), (0.2,), (0.1,), (0.0, 90.0, 180.0, 270.0))
         generate(
             [DOMAIN],
@@ -76,14 +70,10 @@ def make_valid_files(folder: Path) -> None:
             size_px=(80, 60),
             scheduler="synchronous",
         )
-        read_colours(folder)  # a renderer that an earlier test made would not ask for them again
-        _membrane(folder / "membrane")
-        _pictures(folder)
-        _runs(folder)
-        _settings(folder / "settings")
-        _records(folder / "records")
-        patch.delenv("GELGAP_CACHE")
-        open_domain(folder / "pictures").images()
+    _membrane(folder / "membrane")
+    _pictures(folder)
+    _runs(folder)
+    _settings(folder / "settings")
 
 
 def picture(number: int) -> np.ndarray:
@@ -124,15 +114,11 @@ def _pictures(folder: Path) -> None:
 
 
 def _runs(folder: Path) -> None:
-    """Write a finished run with its stage 1, a checkpoint of training, and weights as torchvision saves them."""
+    """Write a finished run, and weights as torchvision saves them."""
     runs = folder / "runs"
     source, target = open_domain(folder / "pictures"), open_domain(folder / "published")
     (run,) = adapt_frames(source, target, ["source-only"], PROFILE, out_dir=runs)
     run.folder.rename(runs / "run")
-    (stage1,) = (runs / "stage1").glob("*.pt")
-    shutil.move(stage1, runs / "stage1.pt")
-    shutil.rmtree(runs / "stage1")
-    train_source(source, PROFILE, resume_file=runs / "resume.pt")
     torch.save(make_network(PROFILE, 2, seed=0).backbone.state_dict(), runs / "weights.pt")
 
 
@@ -145,37 +131,16 @@ def _settings(folder: Path) -> None:
     (folder / "0.png").write_bytes(encode_png(picture(0)))
 
 
-def _records(folder: Path) -> None:
-    runs = [{"method": "dsan", "seed": seed} for seed in range(8)]
-    run_missing(lambda run: {"mae_n": (0.1, 0.2, 0.3)}, runs, folder / "runs.jsonl", workers=1)
-    run_missing(lambda run: {"curve": KEPT}, runs[:1], folder / "curves.jsonl", workers=1)
-
-
 @dataclass(frozen=True)
 class FileKind:
-    """A kind of file: a pattern below the folder of the valid ones, and what gelgap reads such a file with.
-
-    What gelgap itself writes `has_checksum`: no damage may pass unseen. Other people's tables, pictures and settings
-    have none: a changed digit is another number there.
-    """
+    """A kind of file: a pattern below the folder of the valid ones, and what gelgap reads such a file with."""
 
     pattern: str
     read: Callable[[Path], Any]
-    has_checksum: bool = True
 
     def file(self, files: Path) -> Path:
         """Return the file of this kind."""
         return next(files.glob(self.pattern))
-
-
-def read_colours(file: Path) -> Any:
-    """Return the colours of LEDs, which are computed again if those of the cache cannot be used."""
-    return Illumination.preset("i0").led_to_camera(Sensor.preset("paper").camera)
-
-
-def read_rows(file: Path) -> Any:
-    """Return the records of a study; those that cannot be used are left out, and measured again."""
-    return [tuple(map(repr, row)) for row in read_records(file).itertuples()]
 
 
 def read_frames(folder: Path) -> Any:
@@ -189,18 +154,6 @@ def read_runs(file: Path) -> Any:
     return [(repr(run), load_predictions(run)) for run in load_runs(file.parents[1])]
 
 
-def read_model(file: Path) -> Any:
-    """Return a model's weights and what is known of it."""
-    model = ForceModel.load(file)
-    described = model.profile, model.n_classes, model.seed, model.source, model.target, model.method
-    return weights(model), model.force_range_n, repr(described), repr(model.history)
-
-
-def read_resumed(file: Path) -> Any:
-    """Return the weights of training resumed from a checkpoint; it may begin anew."""
-    return weights(train_source(open_domain(file.parents[1] / "pictures"), PROFILE, resume_file=file))
-
-
 def read_weights(file: Path) -> Any:
     """Return a backbone with the weights of a file."""
     backbone = make_network(PROFILE, 2, seed=1).backbone
@@ -210,38 +163,21 @@ def read_weights(file: Path) -> Any:
 
 KINDS: dict[str, FileKind] = {
     "membrane": FileKind("membrane/state.npz", MembraneState.load),
-    "solution": FileKind("cache/*.solution", lambda file: load_solution(file.stem)),
-    "colours": FileKind("cache/*.led", read_colours),
     "manifest": FileKind(f"data/{DOMAIN}/manifest.json", lambda file: read_frames(file.parent)),
     "shard": FileKind(f"data/{DOMAIN}/frames-*.parquet", lambda file: read_frames(file.parent)),
     "reference": FileKind(f"data/{DOMAIN}/reference.png", lambda file: read_frames(file.parent)),
-    "picture cache": FileKind(
-        "pictures/.cache/*.npy", lambda file: np.array(open_domain(file.parents[1]).images())
-    ),
     "run record": FileKind("runs/run/run.json", read_runs),
     "predictions": FileKind("runs/run/predictions.npz", read_runs),
-    "checksums": FileKind("runs/run/SHA256SUMS", read_runs),
-    "model": FileKind("runs/run/model.pt", read_model),
-    "stage 1": FileKind("runs/stage1.pt", read_model),
-    "checkpoint": FileKind("runs/resume.pt", read_resumed),
+    "model": FileKind("runs/run/model.pt", ForceModel.load),
     "weights": FileKind("runs/weights.pt", read_weights),
-    "records": FileKind("records/runs.jsonl", read_rows),
-    "array of a record": FileKind(
-        "records/curves/*.npz", lambda file: read_rows(file.parents[1] / "curves.jsonl")
-    ),
     "picture": FileKind("pictures/3.png", lambda file: read_frames(file.parent)),
-    "published picture": FileKind(
-        "published/train/images/3.jpg", lambda file: read_frames(file.parents[2]), has_checksum=False
-    ),
-    "table": FileKind("pictures/table.csv", lambda file: read_frames(file.parent), has_checksum=False),
+    "table": FileKind("pictures/table.csv", lambda file: read_frames(file.parent)),
     "force.csv": FileKind(
-        "published/train/forcePosition/force.csv",
-        lambda file: read_frames(file.parents[2]),
-        has_checksum=False,
+        "published/train/forcePosition/force.csv", lambda file: read_frames(file.parents[2])
     ),
-    "sensor": FileKind("settings/sensors.toml", Sensor.load, has_checksum=False),
-    "illumination": FileKind("settings/illuminations.toml", Illumination.load, has_checksum=False),
-    "path": FileKind("settings/paths.toml", lambda file: load_path(str(file)), has_checksum=False),
-    "sweep": FileKind("settings/sweep.toml", Sweep.load, has_checksum=False),
-    "presses": FileKind("settings/presses.toml", read_presses, has_checksum=False),
+    "sensor": FileKind("settings/sensors.toml", Sensor.load),
+    "illumination": FileKind("settings/illuminations.toml", Illumination.load),
+    "path": FileKind("settings/paths.toml", lambda file: load_path(str(file))),
+    "sweep": FileKind("settings/sweep.toml", Sweep.load),
+    "presses": FileKind("settings/presses.toml", read_presses),
 }

@@ -3,12 +3,10 @@
 import json
 import os
 import shutil
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,29 +20,11 @@ from gelgap.assets.whole_file import write_whole
 MANIFEST = "manifest.json"
 REFERENCE = "reference.png"
 SHARDS = "frames-*.parquet"
-_SETTLED_NS = 2_000_000_000
 DomainName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=128)]
 
 
 def shard_name(number: int) -> str:
     return f"frames-{number:05d}.parquet"
-
-
-def remembered(check: Callable[[Path], Any]) -> Callable[[Path], Any]:
-    """Let a process check a file once: what `check` returns holds until its size or time changes."""
-    kept = lru_cache(maxsize=4096)(lambda path, size, modified_ns: check(path))
-
-    def checked(path: Path) -> Any:
-        about = path.stat()
-        # What was written a moment ago may be written again without a later time.
-        if time.time_ns() - about.st_mtime_ns < _SETTLED_NS:
-            return check(path)
-        return kept(path.absolute(), about.st_size, about.st_mtime_ns)
-
-    return checked
-
-
-_sha256_of = remembered(file_sha256)
 
 
 @dataclass(frozen=True)
@@ -110,7 +90,7 @@ class DomainFolder:
         path = self.path / name
         if not path.exists():
             return "is missing"
-        if _sha256_of(path) != entry["sha256"]:
+        if file_sha256(path) != entry["sha256"]:
             return "has other bytes than the manifest states (SHA-256 differs)"
         return None
 

@@ -236,9 +236,7 @@ def encode_shard(rows: Sequence[dict[str, Any]], optional: Sequence[OptionalColu
 _MOST_ROWS = 100_000
 # More entries than any list in the footer has, and more bytes than any text there.
 _FOOTER_LIMITS = {"thrift_container_size_limit": 10_000, "thrift_string_size_limit": 2**20}
-# A label is a number or the name of a part; headers come on top.
-_LABEL_BYTES, _HEADER_BYTES = 128, 2**16
-# Coded pictures hardly become smaller; those that are nearly empty do, but are small.
+# Labels are few, and coded pictures hardly become smaller; those that are nearly empty do, but are small.
 _MOST_GROWTH, _SMALL_BYTES = 8, 2**25
 
 
@@ -309,13 +307,12 @@ def _check_footer(file: pq.ParquetFile) -> None:
         raise ValueError(f"it states {metadata.num_rows} rows")
     for group in map(metadata.row_group, range(metadata.num_row_groups)):
         for chunk in map(group.column, range(group.num_columns)):
-            column, n_bytes = COLUMNS[chunk.path_in_schema.partition(".")[0]], chunk.total_uncompressed_size
-            most_bytes, most_values = _HEADER_BYTES + _LABEL_BYTES * group.num_rows, group.num_rows
-            if not column.value:
-                most_bytes = max(_SMALL_BYTES, _MOST_GROWTH * chunk.total_compressed_size)
-                most_values += n_bytes
+            n_bytes = chunk.total_uncompressed_size
+            most_bytes = max(_SMALL_BYTES, _MOST_GROWTH * chunk.total_compressed_size)
+            most_values = group.num_rows + n_bytes
             if chunk.has_dictionary_page or n_bytes > most_bytes or chunk.num_values > most_values:
-                raise ValueError(f"column {column.name} would take more memory than generated ones")
+                name = chunk.path_in_schema.partition(".")[0]
+                raise ValueError(f"column {name} would take more memory than generated ones")
 
 
 def damaged(path: Path, problem: str) -> RuntimeError:

@@ -1,8 +1,6 @@
 """Data sets on disk: pictures decoded once into a memory-mapped cache, and gelgap's own format."""
 
-import hashlib
 import io
-import itertools
 import logging
 import os
 from abc import abstractmethod
@@ -18,8 +16,8 @@ import pyarrow as pa
 from gelgap.assets.checksums import sha256
 from gelgap.assets.image_file import decode_image
 from gelgap.assets.locks import cache_folder, key_lock
-from gelgap.assets.whole_file import warn, whole_file
-from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder, remembered
+from gelgap.assets.whole_file import whole_file
+from gelgap.domains.formats.domain_folder import REFERENCE, DomainFolder
 from gelgap.domains.formats.pictures import decode_column, resized, without_markers
 from gelgap.domains.formats.shards import COLUMNS, OPTIONAL, ShardFile, damaged
 from gelgap.domains.frames.dataset import LabelledFrames
@@ -30,9 +28,6 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 PICTURES = "images"
 _CHUNK = 256
-# Behind the array of a cache stands its SHA-256; NumPy maps the array alone.
-_MARK = b"SHA-256\0"
-_CHECKSUM_BYTES = len(_MARK) + hashlib.sha256().digest_size
 
 
 class StoredFrames(LabelledFrames):
@@ -95,10 +90,6 @@ class StoredFrames(LabelledFrames):
                 if pictures is None:
                     write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
                     pictures = open_kept_pictures(path, shape)
-        if pictures is None:
-            raise RuntimeError(
-                f"{path} is not what was written: the disk is faulty, or another program changed it"
-            )
         return pictures
 
     def _cache_file(self, size_px: tuple[int, int], markers: bool) -> Path:
@@ -126,40 +117,23 @@ class StoredFrames(LabelledFrames):
 
 
 def write_kept_pictures(path: Path, shape: tuple[int, ...], pieces: Iterable[bytes]) -> None:
-    """Write uint8 pictures of this shape, given piece by piece, as one npy file with its checksum behind the array."""
-    header, digest = io.BytesIO(), hashlib.sha256()
+    """Write uint8 pictures of this shape, given piece by piece, as one npy file."""
+    header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": shape})
     # Plain writes, not a memory map: a full disk is then an error and not a crash.
     with whole_file(path) as temporary, temporary.open("wb") as file:
-        for piece in itertools.chain([header.getvalue()], pieces):
+        file.write(header.getvalue())
+        for piece in pieces:
             file.write(piece)
-            digest.update(piece)
-        file.write(_MARK + digest.digest())
 
 
 def open_kept_pictures(path: Path, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return the pictures, mapped so that changes never reach the file; None if there is no such file.
-
-    A damaged file is named and not used; the caller writes it again. A process checks a file once.
-    """
+    """Return the pictures, mapped so that changes never reach the file; None if no such file can be read."""
     try:
-        if _is_intact(path):
-            pictures = np.lib.format.open_memmap(path, mode="c")
-            if pictures.shape == shape and pictures.dtype == np.uint8:
-                return pictures
-    except FileNotFoundError:
+        pictures = np.lib.format.open_memmap(path, mode="c")
+    except (FileNotFoundError, ValueError):
         return None
-    except ValueError:  # empty, or no npy file
-        pass
-    warn(f"{path} is damaged (its checksum does not match): made again")
-    return None
-
-
-@remembered
-def _is_intact(path: Path) -> bool:
-    content = np.memmap(path, np.uint8, mode="r")
-    stated = _MARK + hashlib.sha256(content[:-_CHECKSUM_BYTES]).digest()
-    return bytes(content[-_CHECKSUM_BYTES:]) == stated
+    return pictures if pictures.shape == shape and pictures.dtype == np.uint8 else None
 
 
 def clear_picture_cache() -> int:

@@ -15,10 +15,10 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from gelgap.assets.checksums import read_json, with_checksum, without_checksum
+from gelgap.assets.checksums import read_json
 from gelgap.assets.locks import cache_folder, key_lock
 from gelgap.assets.settings import Settings
-from gelgap.assets.whole_file import DAMAGED_SUFFIX, set_aside, write_whole
+from gelgap.assets.whole_file import write_whole
 
 FIRST_NM, LAST_NM = 380, 780
 VISIBLE_NM = (400.0, 700.0)
@@ -127,8 +127,7 @@ def camera_rgb(
 def camera_response(sensitivity: str) -> np.ndarray:
     """Return (401, 3): how a camera's channels respond to light of 380 to 780 nm, kept in the user's cache folder.
 
-    A damaged file is named and set aside; one that cannot be written costs an import of colour-science and nothing
-    else.
+    A file that cannot be read or written costs an import of colour-science and nothing else.
     """
     text = json.dumps([sensitivity, version("colour-science"), _MODEL])
     key = hashlib.sha256(text.encode()).hexdigest()
@@ -138,7 +137,7 @@ def camera_response(sensitivity: str) -> np.ndarray:
             if (found := _kept(path)) is None:
                 found = _tabulated_response(sensitivity)
                 with contextlib.suppress(RuntimeError):
-                    write_whole(path, json.dumps(with_checksum({"response": found.tolist()})).encode())
+                    write_whole(path, json.dumps(found.tolist()).encode())
     return found
 
 
@@ -159,13 +158,12 @@ def _tabulated_response(sensitivity: str) -> np.ndarray:
 
 def clear_led_cache() -> None:
     """Delete the responses of cameras, and what earlier versions kept for each light."""
-    for pattern in ("*.led", f"*.led{DAMAGED_SUFFIX}"):
-        for path in cache_folder().glob(pattern):
-            path.unlink(missing_ok=True)
+    for path in cache_folder().glob("*.led"):
+        path.unlink(missing_ok=True)
 
 
 def _kept(path: Path) -> np.ndarray | None:
-    """Return the response in a file; None if there is none, or it was damaged and is now set aside."""
+    """Return the response in a file; None if there is none that can be read."""
     return _read(path, path.stat().st_mtime_ns) if path.is_file() else None
 
 
@@ -173,10 +171,7 @@ def _kept(path: Path) -> np.ndarray | None:
 @lru_cache(maxsize=8)
 def _read(path: Path, modified_ns: int) -> np.ndarray | None:
     try:
-        found = np.array(without_checksum(read_json(path)).get("response"), dtype=float)
-        if found.shape != (len(_WAVELENGTH_NM), 3) or not np.isfinite(found).all():
-            raise ValueError("it does not hold the response of three channels")
-    except (OSError, ValueError, TypeError) as error:
-        set_aside(path, f"is damaged ({error})")
+        found = np.array(read_json(path), dtype=float)
+    except (OSError, ValueError, TypeError):
         return None
-    return found
+    return found if found.shape == (len(_WAVELENGTH_NM), 3) else None

@@ -6,6 +6,7 @@ import torch
 
 from gelgap.adapt.methods.base import Step
 from gelgap.adapt.methods.dan import bandwidth, multi_gaussian, squared_distances
+from gelgap.adapt.methods.dsan import coarse_classes
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.network import Activations
 from gelgap.adapt.trainer import adapt, train_source
@@ -61,6 +62,16 @@ def test_dsan_aligns_the_classes_of_the_source_that_are_argmax_in_the_target(see
 def make_dsan(name, n_classes):
     kind = find_method(name)
     return kind(kind.Settings(), 12, n_classes)
+
+
+def test_coarse_classes():
+    group = coarse_classes(361, 1, 4)
+    assert group[0] == 0
+    assert len(np.unique(group)) == 1 + 5 * 4
+    first_depth = group[1:13]
+    assert first_depth[0] == first_depth[1] == first_depth[11]
+    assert len(set(first_depth.tolist())) == 4
+    assert np.bincount(group)[1:].tolist() == [18] * 20
 
 
 def test_coarse_groups_are_masked_as_groups():
