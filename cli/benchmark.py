@@ -7,22 +7,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from gelgap.benchmarks.registry import BENCHMARKS, find_benchmarks, parts_of, subjects
+from gelgap.benchmarks.registry import BENCHMARKS
 from gelgap.cli import options as opt
 
 LOG = logging.getLogger(__name__)
-ALONE = ", ".join(f"{b.subject} ({b.description})" for b in BENCHMARKS if b.part is None)
-
-
-def _help_on_parts() -> str:
-    sentences = []
-    for subject in subjects():
-        if parts := parts_of(subject):
-            usual = [p.part for p in parts if p.by_default]
-            default = "all" if len(usual) == len(parts) else usual[0]
-            names = ", ".join(f"{p.part} ({p.description})" for p in parts)
-            sentences.append(f"Of {subject} (default: {default}): {names}.")
-    return f"One part. {' '.join(sentences)}"
+LISTED = "; ".join(f"{name}: {benchmark.description}" for name, benchmark in BENCHMARKS.items())
 
 
 @dataclass(frozen=True)
@@ -38,32 +27,23 @@ class Benchmark(opt.Command):
     fills_cache = True
 
     subject: Annotated[
-        tyro.conf.Positional[Literal[*subjects()]],
-        tyro.conf.arg(help=f"What to measure: {ALONE}, or a subject with parts."),
+        tyro.conf.Positional[Literal[*BENCHMARKS]], tyro.conf.arg(help=f"What to measure. {LISTED}.")
     ]
-    what: Annotated[str | None, opt.optional("PART", help=_help_on_parts())] = None
     quick: opt.Flag = False
     """A short form: one or two small cases of each table; a minute or two, for adaptation more."""
     data: Annotated[
         Path | None, opt.optional("PATH"), opt.input_folder("a folder with clones of real data")
     ] = None
-    """For real, and for sensors: the folder with clones of published data sets, or presses of your own sensors."""
+    """For sensors and real: the folder with clones of published data sets, or presses of your own sensors."""
     out: Annotated[Path, opt.output_folder] = Path("benchmark-results")
     """Folder for JSON results and plots."""
 
     def run(self, started: float) -> None:
-        """Run the chosen benchmarks, one after the other."""
+        """Run the chosen benchmark."""
         from gelgap.assets.locks import sole_use
 
-        chosen = find_benchmarks(self.subject, self.what, self.quick, self.data is not None)
-        if any(benchmark.needs_data for benchmark in chosen) != (self.data is not None):
-            what = (
-                "is missing; name the folder with clones of real data"
-                if self.data is None
-                else "is for benchmarks of real data alone; leave it out"
-            )
-            raise ValueError(f"--data {what} (benchmark {self.subject})")
+        chosen = BENCHMARKS[self.subject]
+        chosen.check(self.quick, self.data)
         with sole_use(self.out, f".lock-{self.subject}"):
-            for benchmark in chosen:
-                LOG.info("measuring %s", benchmark.description)
-                benchmark.run(self.quick, self.out, self.data)
+            LOG.info("measuring %s", chosen.description)
+            chosen.run(self.quick, self.out, self.data)

@@ -12,11 +12,10 @@ from gelgap.cli import options as opt
 
 @dataclass(frozen=True)
 class Export(opt.Command):
-    """Write domains in another format: the paper's folders, WebDataset tars, Hugging Face, FEATS, LeRobot, ….
+    """Write domains in another format: the paper's folders, WebDataset tars, or a folder for Hugging Face.
 
     For example:
-      gelgap export data --format huggingface --split-by point --out upload
-      gelgap export data --format lerobot-v3 --out episodes
+      gelgap export data --format huggingface --split-by point --license cc-by-4.0 --out upload
     """
 
     folder: tyro.conf.Positional[Path]
@@ -24,14 +23,20 @@ class Export(opt.Command):
     out: Annotated[Path, opt.output_folder]
     """New folder for the export."""
     format_name: Annotated[
-        Literal["paper", "webdataset", "huggingface", "feats", "mini-pretrain", "lerobot-v3"],
+        Literal["paper", "webdataset", "huggingface"],
         tyro.conf.arg(name="format"),
     ] = "paper"
-    """The layout to write; mini-pretrain: the columns of the Hugging Face set yxma/gelsight-mini-pretrain."""
+    """The layout to write."""
     split_by: Annotated[str | None, opt.optional("COLUMN", "as the data state")] = None
     """Draw train, validation and test anew: at random, by contact point (point), or by a column; whole groups."""
 
+    license: Annotated[str | None, opt.optional("ID", "apache-2.0")] = None
+    """The licence that the card of a huggingface export states, as Hugging Face names it."""
+
     def run(self, started: float) -> None:
         """Export, and name what was written."""
-        for path in domains.export(self.folder, self.format_name, self.out, split_by=self.split_by):
+        written = domains.export(
+            self.folder, self.format_name, self.out, split_by=self.split_by, license=self.license
+        )
+        for path in written:
             print(f"wrote {path}")

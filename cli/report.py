@@ -38,7 +38,7 @@ class Report(opt.Command):
     def run(self, started: float) -> None:
         """Write the report and say where it is."""
         from gelgap.assets.locks import sole_use
-        from gelgap.benchmarks.adaptation.study import is_benchmark, write_benchmark_report
+        from gelgap.benchmarks.adaptation.report import is_benchmark, write_benchmark_report
 
         write = write_benchmark_report if is_benchmark(self.runs) else adapt.write_report
         LOG.info("drawing the report of %s", self.runs)

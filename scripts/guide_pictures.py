@@ -2,7 +2,6 @@
 
 python scripts/guide_pictures.py docs/pictures           # --quality draft: in seconds
 python scripts/guide_pictures.py docs/pictures --view    # needs Playwright and a Chromium (apt-get install chromium)
-python scripts/guide_pictures.py docs/pictures --real    # needs pip install gelgap[benchmark]; some minutes
 """
 
 import argparse
@@ -11,18 +10,14 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.benchmarks.render import rivals, sensors
 from gelgap.benchmarks.render.scenes import OWN_LIT_SENSORS, STORED_SCENES, stored_reference
-from gelgap.domains import taxim_presses
-from gelgap.render import Illumination, MembraneRenderer, PressPicture, Sensor, difference_picture
-from gelgap.render.calibration.calibrator import LightTask
+from gelgap.render import Illumination, MembraneRenderer, Sensor, difference_picture
 from gelgap.render.imaging import encode
 from gelgap.sim import Elastomer, MembraneState, Pose, QualityName, Sphere, solve_poses
 
@@ -30,16 +25,21 @@ Picture = NDArray[np.uint8]
 
 POSES = (Pose(depth_mm=0.2), Pose(depth_mm=0.5), Pose(depth_mm=0.8), Pose(depth_mm=0.8, shear_x_mm=0.3))
 LIGHTS = ("i0", "i1", "i2")
-SIZE_PX, SQUARE_PX = (320, 240), (200, 200)
-REACH = 2.2  # contact radii around a press that are shown
+SIZE_PX = (320, 240)
 PAGE_SIZE_PX = (1560, 860)
 PAGE_POSE = Pose(depth_mm=0.9, shear_x_mm=0.35, shear_y_mm=-0.15, point_x_mm=0.6, point_y_mm=0.3)
 PATIENCE_S = 900.0
 SETTLE_S = 15.0  # in which a browser draws the scene
 # Chromium without a screen, a GPU or a word with the network.
 FLAGS = (
-    *("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking"),
-    *("--disable-component-update", "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader"),
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )
 
@@ -65,52 +65,18 @@ def draw_presses(folder: Path, quality: QualityName) -> None:
         renderer = MembraneRenderer(scene.sensor(), scene.light(), reference.shape[1::-1])
         ours = renderer.linear(*scene.membrane(), markers=False)
         label = f"{scene.name}: path tracer, standard, 10 x difference"
-        sheet.append(compared(label, encode(reference), [encode(ours)], 10, SIZE_PX))
+        sheet.append(compared(label, encode(reference), encode(ours)))
     save(folder / "render-contact-sheet.jpg", sheet)
 
 
-def compared(
-    label: str, real: Picture, predicted: Sequence[Picture], contrast: float, size_px: tuple[int, int]
-) -> list[Picture]:
-    """Return a labelled picture, and what is predicted, each with 128 plus a multiple of its difference beside it."""
+def compared(label: str, reference: Picture, rendered: Picture) -> list[Picture]:
+    """Return a labelled picture, what is rendered, and 128 plus ten times their difference."""
     import cv2
 
-    shown = [real]
-    for picture in predicted:
-        shown += [picture, difference_picture(picture, real, contrast)]
-    row = [cv2.resize(each, size_px, interpolation=cv2.INTER_AREA) for each in shown]
+    shown = [reference, rendered, difference_picture(rendered, reference, 10)]
+    row = [cv2.resize(each, SIZE_PX, interpolation=cv2.INTER_AREA) for each in shown]
     cv2.putText(row[0], label, (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
     return row
-
-
-def draw_real(path: Path) -> None:
-    """Fit the even presses of a real sensor, and show the best, median and worst of the odd ones.
-
-    Columns: real, gelgap with the press as marked and Taxim, each with 128 + 4 times the difference.
-    """
-    found = taxim_presses(sensors.SET)
-    task = LightTask(found.start, sensors.placed_presses(found), **sensors.VARIANTS[sensors.WHOLE])
-    even, odd = range(0, len(found.presses), 2), range(1, len(found.presses), 2)
-    light, (taxim, _) = sensors.FittedLight(task, even), rivals.taxim(found, sensors.SET, None, even)
-    pictures = [[draw(press)() for press in odd] for draw in (partial(light.draw, "marked"), taxim)]
-    presses = [found.presses[press] for press in odd]
-    level = [sensors.scores(own, press)["within"] for own, press in zip(pictures[0], presses, strict=True)]
-    best_first, rows = np.argsort(level)[::-1], []
-    for label, rank in (("best", 0), ("median", len(level) // 2), ("worst", -1)):
-        number = best_first[rank]
-        squares = [
-            around(each, presses[number])
-            for each in (presses[number].picture, *(p[number] for p in pictures))
-        ]
-        rows.append(compared(f"{label}, {level[number]:.1f} dB", squares[0], squares[1:], 4, SQUARE_PX))
-    save(path, rows)
-
-
-def around(picture: Picture, press: PressPicture) -> Picture:
-    """Return what lies around a press, black beyond the picture's edge."""
-    side = round(2 * REACH * press.radius_px)
-    left, top = (round(at + side / 2) for at in press.center_px)
-    return np.pad(picture, ((side, side), (side, side), (0, 0)))[top : top + side, left : left + side]
 
 
 def under(light: str, states: Iterable[MembraneState]) -> list[Picture]:
@@ -196,13 +162,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="where the pictures go")
     parser.add_argument("--quality", choices=("draft", "standard"), default="standard")
     parser.add_argument("--view", action="store_true", help="take view.jpg instead")
-    parser.add_argument("--real", action="store_true", help="draw real-sensor.jpg instead")
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     if arguments.view:
         draw_view(arguments.folder / "view.jpg")
-    elif arguments.real:
-        draw_real(arguments.folder / "real-sensor.jpg")
     else:
         draw_presses(arguments.folder, arguments.quality)
 

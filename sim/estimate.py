@@ -1,8 +1,8 @@
 """How far a pose may be off because its mesh is no finer: what a user may trust in a state that is in equilibrium.
 
-Each cause of error is a number that the solve has anyway; how much error comes with it is calibrated on random scenes
-(`scripts/calibrate_estimate.py`) beside finer meshes and an axisymmetric solver: an estimate is the standard deviation
-of the true errors of scenes with the same causes.
+Each cause of error is a number that the solve has anyway; how much error comes with it was calibrated on random scenes
+beside finer meshes and an axisymmetric solver: an estimate is the standard deviation of the true errors of scenes with
+the same causes.
 """
 
 import math
@@ -21,8 +21,9 @@ _FEWEST_CELLS = 0.25
 # A mesh that is drawn out along a path differs before and behind the contact, and pushes it sideways even without
 # friction, by up to 0.8 % of Fz at `draft`: as if this share of the force were tangential.
 _TANGENTIAL_OF_A_PATH = 0.1
-# The variance of each of `ERRORS`, as a share, over the square of each cause (`scripts/calibrate_estimate.py`): Fz and
-# radius are of presses among scenes 72 to 249 beside the axisymmetric solver, shear and membrane of 300 to 341.
+# The variance of each of `ERRORS`, as a share, over the square of each cause (`scripts/calibrate_estimate.py` of
+# commit 032934a, the last that has it): Fz and radius are of presses among scenes 72 to 249 beside the axisymmetric
+# solver, shear and membrane of 300 to 341.
 # The scenes resolve their contacts: what few cells do to Fz is from the tables' shallowest presses, which share a mesh.
 _VARIANCE_PER_CAUSE = (
     (0.000393, 0.00134, 0.0284, 0.0, 0.0972),

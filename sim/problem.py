@@ -65,9 +65,9 @@ class MeshSize:
         Linear tetrahedra are too stiff by a factor that hardly depends on depth, nor on the scene's size, since meshes
         scale with the contact. It grows with the bulk modulus, as what is left of volumetric locking does, and with
         each coarser ring of cells around a contact that is small beside the gel's thickness:
-        (a + b / (1 − 2ν)) (1 − c ln w), w the contact's width in thicknesses. `scripts/calibrate_mesh.py` derives a, b
-        and c against locking-free solutions of the same energy, and checks them on radii, thicknesses, ν and friction
-        that it did not use.
+        (a + b / (1 − 2ν)) (1 − c ln w), w the contact's width in thicknesses. They were derived
+        against locking-free solutions of the same energy, and checked on radii, thicknesses, ν and friction that were
+        not used (`scripts/calibrate_mesh.py` of commit 032934a, the last that has it).
         """
         a, b, c = self.stiffness
         poisson_ratio = min(gel.poisson_ratio, LARGEST_POISSON_RATIO)

@@ -14,7 +14,7 @@ StrainEnergy = Literal["isochoric", "stable-neo-hookean"]
 Length = Annotated[float, within(1.0, 100.0, "mm")]
 PadEdges = tuple[float, float, float, float]
 
-# `scripts/calibrate_material.py` prints these coefficients of `equivalent_moduli`.
+# Of `equivalent_moduli`, printed by `scripts/calibrate_material.py` of commit 032934a, the last that has it.
 SMALLEST_CALIBRATED_POISSON_RATIO = 0.3
 MODULUS_COEFFICIENTS = (0.2294, -0.0290)
 POISSON_COEFFICIENTS = (0.0452, -0.1176)

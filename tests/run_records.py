@@ -8,7 +8,6 @@ from typing import Any
 
 from gelgap.adapt import find_method
 from gelgap.adapt.evaluation import BASELINES
-from gelgap.benchmarks.adaptation import labels
 from gelgap.benchmarks.adaptation.board import BY_POINT
 from gelgap.benchmarks.adaptation.groups import load_headline
 from gelgap.benchmarks.adaptation.study import RUNS, control_of, grid
@@ -31,10 +30,18 @@ def record(
     """Return a run whose error is the same on each axis."""
     (run,) = grid([(data, group)], [method], [seed], changes, lambda method: [candidate])
     found = {
-        **{"profile": "cpu", "configuration": "c", "versions": "gelgap 1", "settings": {}, "problem": None},
+        "profile": "cpu",
+        "configuration": "c",
+        "versions": "gelgap 1",
+        "settings": {},
+        "problem": None,
         "control": control_of(method) if "." not in method else None,
-        **{"mae_n": (error_n,) * 3, "r2": (0.85, 0.85, 0.95), "constant_mean_n": (0.4,) * 3},
-        **{"source_held_out_r2": (0.9, 0.7, 0.95), "stage1_s": 60.0, "stage2_s": 30.0},
+        "mae_n": (error_n,) * 3,
+        "r2": (0.85, 0.85, 0.95),
+        "constant_mean_n": (0.4,) * 3,
+        "source_held_out_r2": (0.9, 0.7, 0.95),
+        "stage1_s": 60.0,
+        "stage2_s": 30.0,
         "baselines_mae_n": dict.fromkeys(BASELINES, (0.4,) * 3),
         "baselines_r2": dict.fromkeys(BASELINES, (0.0,) * 3),
     }
@@ -63,13 +70,3 @@ def look_up_method(study, run: dict[str, Any]) -> dict[str, Any]:
     time.sleep(0.5)
     results = {"problem": None, "mae_n": [0.1] * 3, "r2": [0.5] * 3}
     return results | {"found": find_method(run["method"]).__name__, "pid": os.getpid()}
-
-
-def label_record(group: tuple[str, str], method: str, errors: dict[int, float], changes=BY_POINT) -> Record:
-    """Return a run with a few labels; its error is the same on each axis and with labels used in each way."""
-    points = [
-        {"way": way, "labels": n, "mae_n": (error,) * 3, "r2": (0.5,) * 3}
-        for n, error in errors.items()
-        for way in (labels.WAYS if n else ("none",))
-    ]
-    return record(group, method, errors[0], changes=changes, points=points)

@@ -11,11 +11,10 @@ import tyro
 
 from gelgap.adapt.inputs import INPUTS
 from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS
+from gelgap.benchmarks.adaptation.report import PARTS, measure
 from gelgap.benchmarks.adaptation.study import BOARD, Study
-from gelgap.benchmarks.registry import parts_of
 
 _BAD_INPUT, _INTERRUPTED = 2, 130
-PARTS = {entry.part: entry for entry in parts_of("adaptation")}
 KNOWN = {f"{source}:{target}": (source, target) for source, target in (*GROUPS, *LIGHT_GROUPS)}
 SHOWN = tuple(name for name, shown in INPUTS.items() if not shown.frozen)
 
@@ -42,9 +41,16 @@ def run(
         minutes: Begin no run after this time.
         out: Folder of the records, named after the profile; its data lie beside it.
     """
-    chosen = {"seeds": seeds, "methods": methods, "inputs": inputs, "groups": tuple(KNOWN[g] for g in groups)}
-    study = Study.at(out, workers=workers, stop=time.time() + 60 * minutes, **chosen)
-    PARTS[part].load().carry_out(study)
+    study = Study.at(
+        out,
+        seeds=seeds,
+        methods=methods,
+        groups=tuple(KNOWN[group] for group in groups),
+        inputs=inputs,
+        workers=workers,
+        stop=time.time() + 60 * minutes,
+    )
+    measure(part, study)
 
 
 def main() -> None:

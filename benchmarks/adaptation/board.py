@@ -3,6 +3,7 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from gelgap.adapt.methods import registry as known
 from gelgap.benchmarks.adaptation.designs import DATA
 
 if TYPE_CHECKING:
@@ -16,37 +17,41 @@ BY_POINT: Changes = (("split_by", "point"),)
 AXES = ("x", "y", "z")
 
 GROUPS: tuple[Group, ...] = (
-    *(("mb0i0", "wmb0i0"), ("wmb0i0", "mb0i0"), ("wmb0i0", "wmb1i1")),
-    *(("wmb0i0", "wmb2i2"), ("wmb1i1", "wmb0i0"), ("wmb1i1", "wmb2i2")),
-    *(("mb0i0", "wmb1i1"), ("mb0i0", "wmb2i2"), ("wmb1i1", "mb0i0")),
+    ("mb0i0", "wmb0i0"),
+    ("wmb0i0", "mb0i0"),
+    ("wmb0i0", "wmb1i1"),
+    ("wmb0i0", "wmb2i2"),
+    ("wmb1i1", "wmb0i0"),
+    ("wmb1i1", "wmb2i2"),
+    ("mb0i0", "wmb1i1"),
+    ("mb0i0", "wmb2i2"),
+    ("wmb1i1", "mb0i0"),
 )
 """The paper's adaptation groups (its table I)."""
 
 PLAIN, CEILING = "source-only", "supervised"
 SOURCE_FREE = ("ssa", "tasfar", "psc", "online-ssa")
 """Methods that adapt without source frames: AdaBN is what they must beat."""
-METHODS = (
-    *(PLAIN, "adabn", "no-transfer", "classifier-only"),
-    *("coral", "dan", "jan", "dann", "cdan", "rsd", "daregram", "cod", "dsan", "dsan-soft"),
-    *("mean-teacher", "uga", "importance-weighting", "label-shift", "deep-jdot", "fourier-style"),
-    *("tasfar", "ssa", "psc", "online-ssa", CEILING),
-)
-"""All methods: controls, alignment of distributions, other ways to adapt, source-free ones, training on both."""
+_VARIANTS = ("daregram-published", "daregram-tikhonov", "dsan-unmasked", "dsan-coarse", "conditional-mmd")
+METHODS = tuple(name for name in known.METHODS if name not in ("constant-mean", *_VARIANTS))
+"""All methods of gelgap but the constant mean, which is a row of every table, and variants of one paper."""
 MAIN_METHODS = (PLAIN, "adabn", "no-transfer", "classifier-only", "dann", "daregram", "dsan", CEILING)
 """The paper's methods, their controls, and training on the labels of both domains."""
 
 LIGHT_GROUPS: tuple[Group, ...] = (
-    *(("wmb0i0", "wmb0i1"), ("wmb0i1", "wmb0i0")),
-    *(("wmb0i0", "wmb0i2"), ("wmb0i2", "wmb0i0")),
+    ("wmb0i0", "wmb0i1"),
+    ("wmb0i1", "wmb0i0"),
+    ("wmb0i0", "wmb0i2"),
+    ("wmb0i2", "wmb0i0"),
     ("mb0i0", "mb0i1"),
 )
 """Groups in which nothing but the light changes; in the last one there are dots, whose displacement can be shown."""
 LABEL_SHIFT = "label-shift"
 BY_ROLE = (DATA, LABEL_SHIFT)
 """Data sets whose domains are pressed at other points as sources than as targets; the second's targets rarely deep."""
-DESIGNS = ("paired", "independent")
-"""Data sets of the former board, in which both domains have the same contact points; by poses, or near them."""
-DATA_SETS = (*BY_ROLE, *DESIGNS)
+PAIRED = "paired"
+"""The quick form's data set, in which both domains have the same contacts."""
+DATA_SETS = (*BY_ROLE, PAIRED)
 TUNING_DOMAINS = ("mb3i3", "wmb3i3", "wmb4i4")
 """Gels and lights by which hyperparameters are chosen: no group that is compared has one of them."""
 TUNING_CASES = (
@@ -58,18 +63,17 @@ TUNING_CASES = (
 """Data set and group of each case of a choice: markers, gel and light, all three; half of them with paired contacts."""
 
 
-def recipes_of(data: str) -> "tuple[DomainRecipe, ...]":
-    """Return the domains of a data set: of a design, or of the tuning groups in a design."""
-    from gelgap.domains import make_recipes, preset_recipes
+def tuning_recipes(data: str) -> "tuple[DomainRecipe, ...]":
+    """Return the domains of the tuning groups in one of their data sets."""
+    from gelgap.domains import make_recipes
 
-    options = {"contacts": data.removeprefix("tune-"), "quality": "standard", "seed": 0}
-    if options["contacts"] == "independent":
-        options["inpainted"] = ()  # inpainting a domain's pictures would keep its contacts
-    if data in DESIGNS:
-        recipes = preset_recipes("cpu", **options)
-    else:
-        recipes = make_recipes(TUNING_DOMAINS, "cpu", **{"inpainted": ("wmb3i3",), **options})
-    return tuple(map(_away_from_edges, recipes)) if options["contacts"] == "independent" else recipes
+    if data == "tune-paired":
+        return make_recipes(TUNING_DOMAINS, "cpu", inpainted=("wmb3i3",), quality="standard", seed=0)
+    # Inpainting a domain's pictures would keep its contacts.
+    recipes = make_recipes(
+        TUNING_DOMAINS, "cpu", contacts="independent", inpainted=(), quality="standard", seed=0
+    )
+    return tuple(map(_away_from_edges, recipes))
 
 
 def _away_from_edges(recipe: "DomainRecipe") -> "DomainRecipe":

@@ -1,4 +1,4 @@
-"""The board's data: contacts that source and target do not share, lights drawn at random, gaps crossed, labels shifted.
+"""The board's data: contacts that source and target do not share, lights drawn at random, labels shifted.
 
 Contact points lie on a lattice coloured like a chessboard. As a source a domain is pressed on one colour, as a target
 on the other, so that no target point lies within 0.83 mm of a source point. Depths and travels are drawn
@@ -7,8 +7,7 @@ direction, so that a gel takes minutes of a core.
 """
 
 import math
-from collections.abc import Iterable, Iterator
-from itertools import product
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -35,19 +34,8 @@ ANY_LIGHT, LIKE = "wmb0-any-light", "wmb0-light-like-"
 
 SHALLOW_MM, DEEP_SHARE = 0.45, 0.1
 """The shifted target keeps every contact down to this depth, and this share of the deeper ones."""
-FACTORS: dict[str, tuple[str, ...]] = {
-    "gel": (),
-    "friction": (),
-    "markers": (),
-    "geometry": ("position_mm", "facing", "kind", "diameter_mm"),
-    "drive": ("drive",),
-    "spectrum": ("spectrum",),
-}
-"""Crossed gaps; the last three are the fields of the LEDs in which a light differs."""
-FACTORIAL = "crossed-"
 DRAWN = (ANY_LIGHT, LIKE)
 """How the names of sources in drawn light begin."""
-_GENERATORS = {"drive": ("gel", "friction", "markers"), "spectrum": ("friction", "markers", "geometry")}
 
 
 def contact_path(role: Role) -> "PosePath":
@@ -92,14 +80,13 @@ def contact_class(depth_mm: float, travel_mm: float, angle: float) -> int:
 
 
 def role_recipes(names: Iterable[str], role: Role) -> "tuple[DomainRecipe, ...]":
-    """Return the recipes of domains as sources or as targets: presets', or targets of crossed gaps."""
+    """Return the recipes of domains as sources or as targets."""
     from gelgap.domains import make_recipes
 
-    presets = [name for name in names if not name.startswith(FACTORIAL)]
-    how = {"inpainted": (), "quality": QUALITY, "seed": ROLES.index(role)}
-    recipes = make_recipes(presets, contact_path(role), **how) if presets else ()
-    crossed = set(names) - set(presets)
-    return (*recipes, *(one for one in factorial_recipes() if one.name in crossed))
+    names = list(names)
+    if not names:
+        return ()
+    return make_recipes(names, contact_path(role), inpainted=(), quality=QUALITY, seed=ROLES.index(role))
 
 
 def random_light_recipes(target: "LabelledFrames | None" = None) -> "tuple[DomainRecipe, ...]":
@@ -109,49 +96,6 @@ def random_light_recipes(target: "LabelledFrames | None" = None) -> "tuple[Domai
     name = ANY_LIGHT if target is None else LIKE + target.name
     recipe = own_recipe(name, contact_path("source"), base="wmb0i0", quality=QUALITY, seed=0)
     return in_drawn_lights(recipe, None if target is None else target.reference)
-
-
-def factorial_cells() -> Iterator[tuple[str, dict[str, bool]]]:
-    """Yield the targets of the crossed gaps and in what they differ: a 2^(6−2) design of resolution IV.
-
-    No main effect is confounded with an interaction of two factors.
-    """
-    free = [factor for factor in FACTORS if factor not in _GENERATORS]
-    for levels in product((False, True), repeat=len(free)):
-        cell = dict(zip(free, levels, strict=True))
-        for factor, words in _GENERATORS.items():
-            cell[factor] = bool(sum(cell[word] for word in words) % 2)
-        cell = {factor: cell[factor] for factor in FACTORS}
-        yield FACTORIAL + "".join(str(int(differs)) for differs in cell.values()), cell
-
-
-def factorial_recipes() -> "tuple[DomainRecipe, ...]":
-    """Return the targets of the crossed gaps from mb0i0: modulus × 0.7, friction × 2, no dots, parts of light i1."""
-    from gelgap.domains import own_recipe
-    from gelgap.render import Illumination
-    from gelgap.sim import Elastomer
-
-    gel, lights = Elastomer.preset("b0"), [Illumination.preset(name) for name in ("i0", "i1")]
-    found = []
-    for name, cell in factorial_cells():
-        elastomer = gel.model_copy(
-            update={
-                "young_modulus_mpa": gel.young_modulus_mpa * (0.7 if cell["gel"] else 1.0),
-                "friction": gel.friction * (2.0 if cell["friction"] else 1.0),
-            }
-        )
-        differing = [field for factor, fields in FACTORS.items() if cell[factor] for field in fields]
-        leds = [
-            led.model_copy(update={field: getattr(other, field) for field in differing})
-            for led, other in zip(lights[0].leds, lights[1].leds, strict=True)
-        ]
-        own = {
-            "elastomer": elastomer,
-            "illumination": lights[0].model_copy(update={"leds": tuple(leds)}),
-            "base": "wmb0i0" if cell["markers"] else "mb0i0",
-        }
-        found.append(own_recipe(name, contact_path("target"), **own, quality=QUALITY, seed=1))
-    return tuple(found)
 
 
 def with_shifted_labels(target: "LabelledFrames") -> "LabelledFrames":

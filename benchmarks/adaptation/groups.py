@@ -67,7 +67,7 @@ def measure(study: Study) -> None:
         path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))
         options = {"quality": "draft", "render_quality": "draft", "size_px": (160, 120), "seed": 0}
         study.generate(make_recipes(QUICK_GROUP, path, **options))
-        runs = grid([("paired", QUICK_GROUP)], chosen or QUICK_METHODS, study.seeds or SEEDS[:1])
+        runs = grid([(board.PAIRED, QUICK_GROUP)], chosen or QUICK_METHODS, study.seeds or SEEDS[:1])
     else:
         runs = headline_grid(chosen, study.seeds or SEEDS, study.groups)
         study.generate_for(runs)

@@ -1,4 +1,4 @@
-"""One run of the board, its record, and the report of all studies.
+"""One run of the board, and its record.
 
 A run is a setting: a method on a group of a data set with a seed. `adapt_run` trains it and returns the results for its
 record. A study is a grid of settings, a file of records, and tables that are queries on them: a `Part`.
@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt import NamedFigure, ResultTable, write_pages
+from gelgap.adapt import NamedFigure, ResultTable
 from gelgap.assets.checksums import canonical_json
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board, designs
 from gelgap.benchmarks.common import Results, Setting, read_records, run_missing
-from gelgap.benchmarks.registry import parts_of
 
 if TYPE_CHECKING:
     from gelgap.adapt import ForceModel, Profile, SplitFrames, Stage1
@@ -47,7 +46,15 @@ def grid(
     """
     cases, methods = list(cases), list(methods)
     return [
-        dict(zip(_RUN, (source, target, method, seed, data, changes, own), strict=True))
+        {
+            "source": source,
+            "target": target,
+            "method": method,
+            "seed": seed,
+            "data": data,
+            "changes": changes,
+            "settings": own,
+        }
         for seed in seeds
         for method in methods
         for own in settings(method)
@@ -96,16 +103,18 @@ class Study:
 
         if not recipes:
             return
-        where = {"scheduler": "synchronous" if self.workers == 1 else None, "workers": self.workers}
+        scheduler = "synchronous" if self.workers == 1 else None
         with shown_progress() as progress:
-            report = generate_recipes(recipes, self.data / data, **where, progress=progress)
+            report = generate_recipes(
+                recipes, self.data / data, scheduler=scheduler, workers=self.workers, progress=progress
+            )
         print(report, flush=True)
 
     def generate_for(self, runs: Iterable[Setting]) -> None:
         """Generate what is missing of the domains of runs; lights like a target's are drawn by its picture."""
         runs = list(runs)
         for data in dict.fromkeys(run["data"] for run in runs if run["data"] not in board.BY_ROLE):
-            self.generate(board.recipes_of(data), data)
+            self.generate(board.tuning_recipes(data), data)
         by_role = [run for run in runs if run["data"] in board.BY_ROLE]
         as_source = dict.fromkeys(run["source"] for run in by_role if run["source"] != run["target"])
         drawn = [name for name in as_source if name.startswith(designs.DRAWN)]
@@ -186,16 +195,21 @@ class Study:
         own = profile.settings.get(method, {})
         return {"profile": self.profile, "configuration": configuration_of(profile, *data), "settings": own}
 
-    def stage1(self, run: Setting, source_train: "LabelledFrames", weights: Path | None = None) -> "Stage1":
-        """Return the first stage of a run; all methods of a group, split and seed share it: one trains, others wait."""
+    def stage1(self, run: Setting, source_train: "LabelledFrames") -> "Stage1":
+        """Return the first stage of a run, whose checkpoint all methods of a group, split and seed share."""
         from gelgap.adapt import Stage1
 
-        class SharedStage1(Stage1):
-            def model(self) -> "tuple[ForceModel, float]":
-                with key_lock(self.checkpoint.parent, self.checkpoint.name):
-                    return super().model()
+        return Stage1(source_train, self.profile_of(run), run["seed"], None, self.out)
 
-        return SharedStage1(source_train, self.profile_of(run), run["seed"], weights, self.out)
+
+def train_once(stage1: "Stage1", method: str) -> float:
+    """Train the first stage that a method needs, or wait until another run has; return the time it took now, s."""
+    from gelgap.adapt import find_method
+
+    if not find_method(method).needs_stage_1:
+        return 0.0
+    with key_lock(stage1.checkpoint.parent, stage1.checkpoint.name):
+        return stage1.model()[1]
 
 
 def configuration_of(profile: "Profile", *data: Any) -> str:
@@ -221,21 +235,19 @@ def adapt_run(study: Study, run: Setting) -> Results:
     return trained(study, run)[2]
 
 
-def trained(
-    study: Study, run: Setting, weights: Path | None = None
-) -> "tuple[SplitFrames, ForceModel | None, Results]":
+def trained(study: Study, run: Setting) -> "tuple[SplitFrames, ForceModel | None, Results]":
     """Train both stages of a run; return its frames, its model, and errors on the target's test frames, by axis.
 
-    Stage 1 starts from weights, if there are some. A run that stopped with a problem (its features collapsed, or its
-    losses were not finite) has no model, and counts with the errors of the source's mean force. `stage1_s` is 0 where
-    another run had trained the checkpoint.
+    A run that stopped with a problem (its features collapsed, or its losses were not finite) has no model, and counts
+    with the errors of the source's mean force. `stage1_s` is 0 where another run had trained the checkpoint.
     """
     from gelgap.adapt import find_method
     from gelgap.adapt.methods.registry import method_code
     from gelgap.adapt.runs import run_method
 
     frames = study.frames_of(run)
-    stage1 = study.stage1(run, frames.source_train, weights)
+    stage1 = study.stage1(run, frames.source_train)
+    stage1_s = train_once(stage1, run["method"])
     done, model = run_method(frames, stage1, run["method"])
     results = {
         "versions": versions_line(),
@@ -247,7 +259,7 @@ def trained(
         "r2": short(done.target_test.r2),
         "constant_mean_n": short(done.target_constant_mean.mae_n),
         "source_held_out_r2": done.source_held_out and short(done.source_held_out.r2),
-        "stage1_s": round(done.wall_s["stage1"], 2),
+        "stage1_s": round(stage1_s, 2),
         "stage2_s": round(done.wall_s["stage2"], 2),
         "skipped_steps": done.skipped_steps,
         "diagnostics": short(done.history[-1].get("diagnostics", {}) if done.history else {}),
@@ -280,25 +292,6 @@ def versions_line() -> str:
     from gelgap.adapt.runs import versions
 
     return "gelgap {gelgap}, torch {torch}".format_map(versions())
-
-
-def scored_run(study: Study, run: Setting) -> Results:
-    """Do one run, and score it by the selectors, which see no target label; `alarm`: it may predict a constant."""
-    from gelgap.adapt import Candidate, as_judged_on_source
-    from gelgap.adapt.selection import alarm, scores
-
-    frames, model, results = trained(study, run)
-    if model is None:
-        return results | {"scores": None, "alarm": False}
-    on_source = as_judged_on_source(model, frames.source_train)
-    candidate = Candidate(
-        source_features=on_source.features(frames.source_held_out),
-        source_force_n=frames.source_held_out.force_n,
-        source_prediction_n=on_source.predict_n(frames.source_held_out),
-        target_features=model.features(frames.target_validation),
-        target_prediction_n=model.predict_n(frames.target_validation),
-    )
-    return results | {"scores": short(scores(candidate)), "alarm": bool(alarm(candidate))}
 
 
 def control_of(method: str) -> str | None:
@@ -350,50 +343,7 @@ class Part:
     figures: Callable[[Path], list[NamedFigure]] = lambda folder: []
     chosen: tuple[str, ...] = ("seeds", "methods", "groups")
 
-    def run(self, quick: bool, out_dir: Path) -> None:
-        """Measure with the board's profile, or quickly with the smoke profile; print the tables, write the report."""
-        folder = out_dir / "adaptation" / ("smoke" if quick else BOARD)
-        self.carry_out(Study.at(folder, workers=1 if quick else None))
-
-    def carry_out(self, study: Study) -> None:
-        """Measure, print the tables and write the report of all parts.
-
-        Raises
-        ------
-        ValueError
-            If the study chooses what this part does not let one choose.
-        """
-        for name in ("seeds", "methods", "groups", "inputs"):
-            if getattr(study, name) and name not in self.chosen:
-                takes = ", ".join(f"--{one}" for one in self.chosen)
-                raise ValueError(f"--{name} does not narrow this part of the benchmark; it takes {takes}")
-        self.measure(study)
-        for table in self.tables(study.out):
-            table.show()
-        if is_benchmark(study.out):
-            print(f"wrote {write_benchmark_report(study.out)}")
-
 
 def is_benchmark(folder: Path) -> bool:
     """Return whether a folder holds the records of the benchmark."""
     return (folder / RUNS).is_file()
-
-
-def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
-    """Write adaptation.md, .tex, .html and the figures of all parts that were run; return the HTML's path.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder holds no records of the benchmark.
-    """
-    if not is_benchmark(folder):
-        raise FileNotFoundError(
-            f"{folder} holds no records of the adaptation benchmark ({RUNS}); "
-            "`gelgap benchmark adaptation` writes them"
-        )
-    parts = [entry.load() for entry in parts_of("adaptation")]
-    tables = [table for part in parts for table in part.tables(folder)]
-    figures = [figure for part in parts for figure in part.figures(folder)]
-    title = f"Adaptation benchmark, profile {folder.name}"
-    return write_pages(out_dir or folder, "adaptation", title, tables, figures)

@@ -14,8 +14,8 @@ import pandas as pd
 
 from gelgap.adapt import ResultTable
 from gelgap.benchmarks.adaptation import board
-from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, scored_run, with_errors
-from gelgap.benchmarks.common import Setting, result_table
+from gelgap.benchmarks.adaptation.study import Part, Study, grid, load_runs, short, trained, with_errors
+from gelgap.benchmarks.common import Results, Setting, result_table
 
 SELECTOR = "reverse validation"
 """Fixed by argument: of the six it alone goes by the target's predictions back to known forces, so that features which
@@ -94,6 +94,25 @@ def tune(study: Study) -> None:
     runs = grid_runs(board.TUNING_CASES, tuned_methods(study.methods), study.seeds or SEEDS)
     study.generate_for(runs)
     print(settings_toml(with_errors(study.run(scored_run, runs, TUNED))))
+
+
+def scored_run(study: Study, run: Setting) -> Results:
+    """Do one run, and score it by the selectors, which see no target label; `alarm`: it may predict a constant."""
+    from gelgap.adapt import Candidate, as_judged_on_source
+    from gelgap.adapt.selection import alarm, scores
+
+    frames, model, results = trained(study, run)
+    if model is None:
+        return results | {"scores": None, "alarm": False}
+    on_source = as_judged_on_source(model, frames.source_train)
+    candidate = Candidate(
+        source_features=on_source.features(frames.source_held_out),
+        source_force_n=frames.source_held_out.force_n,
+        source_prediction_n=on_source.predict_n(frames.source_held_out),
+        target_features=model.features(frames.target_validation),
+        target_prediction_n=model.predict_n(frames.target_validation),
+    )
+    return results | {"scores": short(scores(candidate)), "alarm": bool(alarm(candidate))}
 
 
 def settings_toml(runs: pd.DataFrame) -> str:

@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 
 from gelgap.assets.image_file import read_image
-from gelgap.benchmarks.common import write_json
-from gelgap.benchmarks.render.sensors import show_scores
+from gelgap.benchmarks.common import show, write_json
 from gelgap.domains import PressSet, lit_from_dents, sphere_profiles, taxim_presses
 from gelgap.render import Camera, Markers, PressPicture, Sensor, calibrate_light
 from gelgap.render.calibration.pictures import read_presses
@@ -131,5 +130,13 @@ def run(quick: bool, out_dir: Path, data: Path) -> None:
     records = pd.DataFrame(rows, columns=["set", "presses", "model", "inside", "ring", "fit, s"])
     note = f"ring: from one to two radii; fit: of all presses, and {folds} folds. {' '.join(refused)}"
     title = "real sensors, presses predicted by fits of others; PSNR in dB, median (worst)"
-    show_scores(title, records, ("set", "presses", "model", "fit, s"), note)
+    table = records.assign(
+        inside=records["inside"].map(median_and_worst), ring=records["ring"].map(median_and_worst)
+    )
+    show(title, table, note, {"fit, s": "{:.1f}"})
     write_json(out_dir / "sensor-sets.json", {"predictions": records, "refused": refused})
+
+
+def median_and_worst(levels: Sequence[float]) -> str:
+    """Return levels of several presses in words."""
+    return f"{np.median(levels):.1f} ({np.min(levels):.1f})"

@@ -1,42 +1,56 @@
-"""The registry of benchmarks: what it says is there, and the command line measures what was asked for."""
+"""The registry of benchmarks: what it says is there, no study knows it, and the command measures what was asked for."""
 
+import ast
 import inspect
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
-from gelgap.benchmarks.registry import BENCHMARKS, Benchmark, find_benchmarks, parts_of, subjects
+from gelgap.benchmarks.registry import BENCHMARKS, Benchmark
 from gelgap.cli.main import main
 
-
-@pytest.mark.parametrize("benchmark", BENCHMARKS, ids=lambda benchmark: benchmark.place)
-def test_every_benchmark_has_the_protocol(benchmark):
-    data = {"data": Path("clones")} if benchmark.needs_data else {}
-    place = benchmark.load()
-    assert inspect.signature(getattr(place, "run", place)).bind(quick=True, out_dir=Path("out"), **data)
-    assert benchmark.description
-    assert (benchmark.part is None) == (not parts_of(benchmark.subject))
+REGISTRY = Path(inspect.getfile(Benchmark))
 
 
-def test_every_subject_has_something_to_measure_in_both_forms():
-    for subject in subjects():
-        for quick in (False, True):
-            assert find_benchmarks(subject, None, quick)
+@pytest.mark.parametrize("benchmark", BENCHMARKS.values(), ids=BENCHMARKS)
+def test_every_benchmark_has_the_protocol(benchmark: Benchmark):
+    names = ["quick", "out_dir", "data"] if benchmark.needs_data else ["quick", "out_dir"]
+    function = resolve_name(f"gelgap.benchmarks.{benchmark.place}")
+    assert list(inspect.signature(function).parameters) == names
+
+
+def test_no_study_imports_the_registry():
+    for source in REGISTRY.parent.rglob("*.py"):
+        imported = {
+            node.module for node in ast.walk(ast.parse(source.read_text())) if hasattr(node, "module")
+        }
+        assert "gelgap.benchmarks.registry" not in imported, source
+
+
+def test_the_command_measures_what_was_asked_for(monkeypatch, tmp_path):
+    reached = []
+    monkeypatch.setattr(
+        "gelgap.benchmarks.physics.stability.run", lambda quick, out_dir: reached.append((quick, out_dir))
+    )
+    main(["benchmark", "stability", "--quick", "--out", str(tmp_path)])
+    assert reached == [(True, tmp_path)]
 
 
 @pytest.mark.parametrize(
-    ("arguments", "places"),
+    ("arguments", "message"),
     [
-        (["physics"], ["physics.accuracy"]),
-        (["stability"], ["physics.stability"]),
-        (["stability", "--what", "physics"], ["physics.stability"]),
-        (["adaptation", "--what", "crossed"], ["adaptation.rivals:CROSSED_PART"]),
-        (["adaptation", "--quick"], ["adaptation.groups:PART"]),
-        (["adaptation"], [part.place for part in parts_of("adaptation")]),
+        (["real"], "--data is missing"),
+        (["physics", "--data", "."], "--data is for benchmarks of real data alone"),
+        (["adaptation-tuning", "--quick"], "this benchmark has no quick form"),
+        (["few-labels"], "invalid choice 'few-labels'"),
     ],
 )
-def test_the_command_measures_what_was_asked_for(arguments, places, monkeypatch, tmp_path):
-    reached = []
-    monkeypatch.setattr(Benchmark, "run", lambda benchmark, *given: reached.append(benchmark.place))
-    main(["benchmark", *arguments, "--out", str(tmp_path)])
-    assert reached == places
+def test_what_a_benchmark_does_not_take_is_refused_before_anything_is_written(
+    arguments, message, tmp_path, capsys
+):
+    with pytest.raises(SystemExit) as stopped:
+        main(["benchmark", *arguments, "--out", str(tmp_path / "out")])
+    assert stopped.value.code == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

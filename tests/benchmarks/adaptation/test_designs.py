@@ -1,4 +1,4 @@
-"""The board's data: points apart, depths that are drawn, lights, crossed gaps and shifted labels."""
+"""The board's data: points apart, depths that are drawn, lights and shifted labels."""
 
 import numpy as np
 import pytest
@@ -35,30 +35,6 @@ def test_a_gel_takes_few_solves():
 )
 def test_the_class_is_that_of_the_nearest_contact_of_the_grid(depth, travel, angle, expected):
     assert designs.contact_class(depth, travel, angle) == expected
-
-
-def test_the_design_of_crossed_gaps_is_balanced():
-    cells = np.array([list(cell.values()) for _, cell in designs.factorial_cells()])
-    assert cells.shape == (16, 6)
-    signs = 2 * cells.astype(int) - 1
-    assert (signs.T @ signs == 16 * np.eye(6)).all()
-    # Resolution IV: no product of two gaps is a third.
-    for i in range(6):
-        for j in range(i):
-            assert not np.abs((signs[:, i] * signs[:, j]) @ signs).any()
-
-
-def test_crossed_gaps_change_what_they_say():
-    recipes = {recipe.name: recipe for recipe in designs.factorial_recipes()}
-    assert len(recipes) == 16
-    base = recipes["crossed-000000"]
-    for name, cell in designs.factorial_cells():
-        one = recipes[name]
-        assert (one.elastomer.friction != base.elastomer.friction) == cell["friction"]
-        assert one.markers != cell["markers"]
-        for part, field in (("geometry", "position_mm"), ("drive", "drive"), ("spectrum", "spectrum")):
-            of_both = zip(one.illumination.leds, base.illumination.leds, strict=True)
-            assert any(getattr(a, field) != getattr(b, field) for a, b in of_both) == cell[part]
 
 
 def test_a_source_in_any_light_has_the_contacts_of_one_light():

@@ -97,20 +97,6 @@ def test_a_missing_clone_comes_with_the_line_that_gets_it(tmp_path: Path, capsys
     assert f"git clone https://github.com/GelSight-lab/EstimateModulus {tmp_path / 'EstimateModulus'}" in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["real"], "--data is missing"),
-        (["physics", "--data", "."], "--data is for benchmarks of real data alone"),
-    ],
-)
-def test_data_are_named_where_they_are_needed(arguments, message, tmp_path: Path, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(["benchmark", *arguments, "--out", str(tmp_path)])
-    assert stopped.value.code == 2
-    assert message in capsys.readouterr().err
-
-
 def test_the_rules_are_measured_from_the_command_line(wedge: Path, tmp_path: Path, capsys):
     main(["benchmark", "real", "--quick", "--data", str(wedge.parent), "--out", str(tmp_path)])
     assert "2023-12-16 → 2023-12-06" in capsys.readouterr().out

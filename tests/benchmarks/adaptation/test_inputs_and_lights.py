@@ -1,4 +1,4 @@
-"""Inputs, drawn lights, crossed gaps, longer training: what is run; tables of stored and of made-up records."""
+"""Inputs and drawn lights: what is run; tables of stored and of made-up records."""
 
 from itertools import product
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 from run_records import record, write_runs
 
 from gelgap.adapt.inputs import INPUTS
-from gelgap.benchmarks.adaptation import board, calm, designs, groups, rivals
+from gelgap.benchmarks.adaptation import board, designs, groups, inputs_and_lights
 from gelgap.benchmarks.adaptation.study import Part, Study
 from gelgap.benchmarks.common import read_records
 
@@ -15,16 +15,16 @@ RUNS = Path(__file__).parents[3] / "docs" / "results" / "runs"
 
 
 def test_every_input_is_run_where_it_can_be_shown():
-    runs = rivals.input_grid([("mb0i0", "mb1i1"), ("mb0i0", "wmb0i0")], ["adabn"], [0])
+    runs = inputs_and_lights.input_grid([("mb0i0", "mb1i1"), ("mb0i0", "wmb0i0")], ["adabn"], [0])
     shown = {(run["target"], dict(run["changes"]).get("input", "pictures")) for run in runs}
     assert {name for target, name in shown if target == "mb1i1"} == set(INPUTS) - {"pretrained"}
     assert {name for target, name in shown if target == "wmb0i0"} == set(INPUTS) - {"pretrained", "markers"}
     study = Study(Path(), Path(), "board")
     assert {study.profile_of(run).input for run in runs} == set(INPUTS) - {"pretrained"}
-    (chosen,) = rivals.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
+    (chosen,) = inputs_and_lights.input_grid([("wmb0i0", "wmb0i1")], ["adabn"], [0], ["calibrated"])
     assert study.profile_of(chosen).input == "calibrated"
     with pytest.raises(ValueError, match="--inputs markers: no chosen group has dots on both sides"):
-        rivals.INPUT_PART.measure(
+        inputs_and_lights.INPUT_PART.measure(
             Study(Path(), Path(), "board", groups=(("wmb0i0", "wmb0i1"),), inputs=("markers",))
         )
 
@@ -34,20 +34,24 @@ def test_every_input_is_run_where_it_can_be_shown():
     [
         (
             "board-lights",
-            rivals.LIGHT_PART,
+            inputs_and_lights.LIGHT_PART,
             {"dann / calibrated": "62 %", "adabn / any light": "44 %", "adabn / like the target's": "86 %"},
         ),
         (
             "board",
-            rivals.INPUT_PART,
+            inputs_and_lights.INPUT_PART,
             {"adabn / pictures": "44 %", "dann / calibrated": "75 %", "source-only / calibrated": "65 %"},
         ),
         (
             "board-dots",
-            rivals.INPUT_PART,
+            inputs_and_lights.INPUT_PART,
             {"adabn / calibrated": "79 %", "source-only / markers": "101 %", "adabn / markers": "99 %"},
         ),
-        ("board-back", rivals.INPUT_PART, {"adabn / calibrated": "55 %", "dann / calibrated": "58 %"}),
+        (
+            "board-back",
+            inputs_and_lights.INPUT_PART,
+            {"adabn / calibrated": "55 %", "dann / calibrated": "58 %"},
+        ),
     ],
 )
 def test_stored_measurements_are_the_published_tables(stored: str, part: Part, closed: dict[str, str]):
@@ -61,7 +65,7 @@ def test_stored_measurements_are_the_published_tables(stored: str, part: Part, c
 
 
 def test_stored_errors_of_all_methods_are_the_published_ones():
-    table, control = rivals.INPUT_PART.tables(RUNS / "board-methods")
+    table, control = inputs_and_lights.INPUT_PART.tables(RUNS / "board-methods")
     page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "").replace("−", "-")
     cells = {
         row[0].removesuffix(" / calibrated"): dict(zip(table.columns, row, strict=True))
@@ -79,7 +83,9 @@ def test_stored_errors_of_all_methods_are_the_published_ones():
 
 def test_stored_errors_on_shifted_labels_are_the_published_ones():
     own = RUNS / "board-shifted"
-    tables = {table.title: table for table in (*groups.PART.tables(own), *rivals.LIGHT_PART.tables(own))}
+    tables = {
+        table.title: table for table in (*groups.PART.tables(own), *inputs_and_lights.LIGHT_PART.tables(own))
+    }
     page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "")
     titles = ("All methods, {} contacts: mean over 2 groups", "Adapt or randomise? {} contacts")
     for title, data in product(titles, board.BY_ROLE):
@@ -98,92 +104,31 @@ def test_all_stored_records_can_be_read(file: Path):
     assert len(read_records(file)) == len(file.read_text(encoding="utf-8").splitlines()) > 0
 
 
-def test_stored_effects_training_and_how_far_runs_come_apart_are_the_published_ones():
-    page = (RUNS.parent / "README.md").read_text(encoding="utf-8").replace("*", "").replace("−", "-")
-    (effects,) = rivals.CROSSED_PART.tables(RUNS / "board-crossed")
-    for _, adabn, plain in effects.cells:
-        assert f"| {plain} | {adabn} |" in page or f"| {plain[1:]} | {adabn[1:]} |" in page
-    (training,) = rivals.TRAINING_PART.tables(RUNS / "board-training")
-    assert all(f"| {' | '.join(row)} |" in page for row in training.cells)
-    (pairs,) = calm.PART.tables(RUNS / "board-calm")
-    for row in pairs.cells:
-        assert f" {row[2]}, {row[4]} |" in page
-
-
 def test_drawn_lights_are_compared_on_the_labels_that_both_were_judged_by(tmp_path):
     pair, drawn = ("wmb0i0", "wmb0i1"), (designs.LIKE + "wmb0i1", "wmb0i1")
-    write_runs(tmp_path / rivals.INPUT_RUNS, [record(pair, "source-only", 0.3, data=designs.DATA)])
+    write_runs(tmp_path / inputs_and_lights.INPUT_RUNS, [record(pair, "source-only", 0.3, data=designs.DATA)])
     write_runs(tmp_path / groups.RUNS, [record(pair, "source-only", 0.2, data=board.LABEL_SHIFT)])
-    write_runs(tmp_path / rivals.LIGHT_RUNS, [record(drawn, "source-only", 0.1, data=designs.DATA)])
-    (unshifted,) = rivals.LIGHT_PART.tables(tmp_path)
+    write_runs(
+        tmp_path / inputs_and_lights.LIGHT_RUNS, [record(drawn, "source-only", 0.1, data=designs.DATA)]
+    )
+    (unshifted,) = inputs_and_lights.LIGHT_PART.tables(tmp_path)
     assert designs.DATA in unshifted.title
-    write_runs(tmp_path / rivals.LIGHT_RUNS, [record(drawn, "source-only", 0.15, data=board.LABEL_SHIFT)])
-    _, shifted = rivals.LIGHT_PART.tables(tmp_path)
+    write_runs(
+        tmp_path / inputs_and_lights.LIGHT_RUNS, [record(drawn, "source-only", 0.15, data=board.LABEL_SHIFT)]
+    )
+    _, shifted = inputs_and_lights.LIGHT_PART.tables(tmp_path)
     errors = {row[0]: row[list(shifted.columns).index("mean, N")] for row in shifted.cells}
     assert errors["source-only / pictures"] == "0.200"
     assert errors["source-only / like the target's"] == "0.150"
 
 
 def test_where_controls_were_run_the_table_says_what_losses_bring(tmp_path):
-    group, calibrated = ("wmb0i0", "wmb0i1"), rivals.changes_of("calibrated")
+    group, calibrated = ("wmb0i0", "wmb0i1"), inputs_and_lights.changes_of("calibrated")
     runs = [record(group, "source-only", 0.3, data=designs.DATA)]
     errors = {"source-only": 0.2, "adabn": 0.15, "no-transfer": 0.14, "dann": 0.12}
     runs += [record(group, method, error, 0, designs.DATA, calibrated) for method, error in errors.items()]
-    write_runs(tmp_path / rivals.INPUT_RUNS, runs)
-    _, table = rivals.INPUT_PART.tables(tmp_path)
+    write_runs(tmp_path / inputs_and_lights.INPUT_RUNS, runs)
+    _, table = inputs_and_lights.INPUT_PART.tables(tmp_path)
     assert "calibrated" in table.title
     brought = {row[0]: row[list(table.columns).index("difference, N")] for row in table.cells}
     assert brought == {"adabn": "-0.0500", "no-transfer": "-0.0100", "dann": "-0.0200"}
-
-
-def test_training_is_studied_at_every_length_weight_and_size(tmp_path):
-    runs = rivals.training_grid([("wmb0i0", "wmb0i1")], [0])
-    profiles = [Study(Path(), Path(), "board").profile_of(run) for run in runs]
-    assert {profile.input for profile in profiles} == {"calibrated"}
-    # Augmentation shifts by the same part of a picture at every size.
-    assert {profile.shift_px / profile.image_size_px[0] for profile in profiles} == {3 / 64}
-    records = []
-    for number, run in enumerate(runs):
-        changes, settings = run["changes"], run["settings"]
-        records.append(record(("wmb0i0", "wmb0i1"), "dann", number, 0, designs.DATA, changes, settings))
-    write_runs(tmp_path / rivals.TRAINING_RUNS, records)
-    (table,) = rivals.TRAINING_PART.tables(tmp_path)
-    sizes = [f"{size[0]}" for size in rivals.SIZES_PX for _ in rivals.EPOCHS]
-    assert [row[0] for row in table.cells] == sizes
-    assert [float(value) for row in table.cells for value in row[2:]] == list(range(len(runs)))
-
-
-def test_effects_of_crossed_gaps(tmp_path):
-    runs = [
-        record(("mb0i0", name), "adabn", 0.1 + 0.2 * cell["drive"] - 0.05 * cell["gel"], data=designs.DATA)
-        for name, cell in designs.factorial_cells()
-    ]
-    write_runs(tmp_path / rivals.CROSSED_RUNS, runs)
-    (table,) = rivals.CROSSED_PART.tables(tmp_path)
-    effects = {row[0]: row[1] for row in table.cells}
-    found = {name: float(value) for name, value in effects.items()}
-    assert found["drive"] == 0.2
-    assert found["gel"] == -0.05
-    assert found["mean of all cells"] == 0.175
-    assert {found[name] for name in ("friction", "markers", "geometry", "spectrum")} == {0}
-
-
-def test_runs_that_come_apart(tmp_path):
-    changes = calm.VARIANTS["board"]
-    group = calm.GROUPS[0]
-    pairs = []
-    for seed, apart in ((0, 0.01), (1, 0.03)):
-        for rounding in (0, 1):
-            setting, results = record(group, "adabn", 0.1 + apart * rounding, seed, designs.DATA, changes)
-            pairs.append((setting | {"rounding": rounding}, results))
-    write_runs(tmp_path / calm.FILE, pairs)
-    lit = (designs.LIKE + group[1], group[1])
-    for rounding in (0, 1):
-        setting, results = record(lit, "adabn", 0.08 + 0.002 * rounding, data=designs.DATA)
-        pairs.append((setting | {"rounding": rounding}, results))
-    write_runs(tmp_path / calm.FILE, pairs)
-    (table,) = calm.PART.tables(tmp_path)
-    assert table.cells == [
-        ["board", "adabn", "0.110", "0.020", "0.030", "2"],
-        [calm.LIT, "adabn", "0.081", "0.002", "0.002", "1"],
-    ]

@@ -1,12 +1,6 @@
-"""What inputs, drawn lights, losses and training are each worth, and which gaps they close.
-
-Four questions, each a grid: methods on every input; networks that were trained in drawn lights instead of adapted;
-methods on gaps of gel, friction, markers and light that are crossed; and one method trained longer, with more weight
-and on more pixels.
-"""
+"""What inputs and drawn lights are worth: methods on every input, and networks trained in drawn lights instead."""
 
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 
 import pandas as pd
@@ -35,15 +29,9 @@ from gelgap.benchmarks.common import Setting, result_table
 
 METHODS = (PLAIN, "adabn", "dann", "dsan", "daregram")
 INPUT_RUNS, LIGHT_RUNS = "inputs.jsonl", "lights.jsonl"
-CROSSED_RUNS, TRAINING_RUNS = "crossed.jsonl", "training.jsonl"
 GROUPS = (*board.LIGHT_GROUPS, ("wmb0i0", "wmb1i1"), ("wmb1i1", "wmb2i2"), ("mb0i0", "wmb0i0"))
 """Light alone, light and gel, markers."""
-BASE = "mb0i0"
 LIGHT_METHODS = (PLAIN, "adabn")
-TRAINED = ("dann", "calibrated")
-"""Method and input that are trained otherwise."""
-EPOCHS, WEIGHTS, SIZES_PX = (28, 112, 448), (0.0003, 0.003, 0.03), ((64, 48), (128, 96), (256, 192))
-"""Of the second stage (18 steps an epoch), of the loss, and of the network's pictures; the board has 112, 0.003, 64."""
 _SHOWN = ["closed", "closed Fz", "closed shear", "mean, N", "95 %, N", "Fz, N", "shear, N", *R2, "runs"]
 
 
@@ -107,32 +95,6 @@ def measure_lights(study: Study) -> None:
     cases = [(data, group) for data in board.BY_ROLE for group in sources]
     runs = grid(cases, study.known_methods() or LIGHT_METHODS, study.seeds or SEEDS)
     _measure(study, runs, LIGHT_RUNS)
-
-
-def measure_crossed(study: Study) -> None:
-    """Do the missing runs of the crossed gaps."""
-    cases = [(designs.DATA, (BASE, name)) for name, _ in designs.factorial_cells()]
-    _measure(study, grid(cases, study.known_methods() or METHODS, study.seeds or SEEDS[:3]), CROSSED_RUNS)
-
-
-def training_grid(groups: Sequence[board.Group], seeds: Sequence[int]) -> list[Setting]:
-    """Return the runs of `TRAINED` at every length and weight, the smallest pictures first."""
-    method, shown = TRAINED
-    cases = [(designs.DATA, group) for group in groups]
-    weights = [(("transfer_weight", weight),) for weight in WEIGHTS]
-    runs = []
-    for (width, height), epochs in product(SIZES_PX, EPOCHS):
-        own = {"image_size_px": (width, height), "shift_px": 3 * width // 64, "adapt_epochs": epochs}
-        changes = (*changes_of(shown), *own.items())
-        runs += grid(cases, [method], seeds, changes, lambda _: weights)
-    return runs
-
-
-def measure_training(study: Study) -> None:
-    """Do the missing runs of one method that is trained otherwise."""
-    runs = training_grid(study.groups or board.LIGHT_GROUPS[:3], study.seeds or SEEDS[:1])
-    study.generate_for(runs)
-    study.run(adapt_run, runs, TRAINING_RUNS)
 
 
 def _measure(study: Study, runs: list[Setting], file: str) -> None:
@@ -218,49 +180,5 @@ def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
     return summary(runs, ceilings).assign(**shown)
 
 
-def crossed_tables(folder: Path) -> list[ResultTable]:
-    """Return the main effects of the crossed gaps on each method's error, and the mean."""
-    runs = load_runs(folder / CROSSED_RUNS)
-    cells = pd.DataFrame(dict(designs.factorial_cells())).T.astype(bool)
-    errors = runs.pivot_table(values="error_n", index="target", columns="method").reindex(cells.index)
-    errors = errors.dropna(axis=1)
-    if errors.empty or not len(errors.columns):
-        return []
-    signs = cells.map(lambda differs: 1 if differs else -1)
-    found = {"mean of all cells": errors.mean()}
-    found |= {factor: errors.mul(signs[factor], axis=0).sum() / (len(cells) / 2) for factor in cells}
-    return [
-        result_table(
-            f"Crossed gaps from {BASE}: main effects on the mean MAE, N",
-            pd.DataFrame(found).T.rename_axis("gap"),
-            f"{len(cells)} targets, {runs['seed'].nunique()} seed(s). An effect is the mean error with the gap less "
-            "that without. No main effect is confounded with an interaction of two gaps.",
-            {"": "{:+.3f}"},
-        )
-    ]
-
-
-def training_tables(folder: Path) -> list[ResultTable]:
-    """Return the mean error by width of the pictures and length of stage 2 (rows), and weight of the loss."""
-    runs = load_runs(folder / TRAINING_RUNS)
-    if runs.empty:
-        return []
-    own = pd.DataFrame((runs["changes"] + runs["settings"]).map(dict).tolist(), runs.index)
-    rows = [own["image_size_px"].str[0].rename("px"), own["adapt_epochs"].rename("epochs")]
-    means = runs["error_n"].groupby([*rows, own["transfer_weight"]]).mean().unstack()
-    groups = ", ".join(sorted(runs["group"].unique()))
-    return [
-        result_table(
-            f"Longer, heavier, sharper: {' on '.join(TRAINED)}, mean MAE, N",
-            means.rename(columns="weight {:g}".format),
-            f"{groups}; {runs['seed'].nunique()} seed(s), split by contact point. Px: width of the network's pictures; "
-            "epochs of stage 2, of 18 steps each.",
-            {"": "{:.3f}", "px": "{:d}", "epochs": "{:d}"},
-        )
-    ]
-
-
 INPUT_PART = Part(measure_inputs, input_tables, chosen=("seeds", "methods", "groups", "inputs"))
 LIGHT_PART = Part(measure_lights, light_tables)
-CROSSED_PART = Part(measure_crossed, crossed_tables, chosen=("seeds", "methods"))
-TRAINING_PART = Part(measure_training, training_tables, chosen=("seeds", "groups"))
