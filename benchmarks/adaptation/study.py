@@ -92,13 +92,12 @@ class Study:
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
         """Generate what is missing of some domains of a data set, if there are any."""
-        from gelgap.domains import generate_recipes, shown_progress
+        from gelgap.domains import generate_recipes
 
         if not recipes:
             return
         where = {"scheduler": "synchronous" if self.workers == 1 else None, "workers": self.workers}
-        with shown_progress() as progress:
-            report = generate_recipes(recipes, self.data / data, **where, progress=progress)
+        report = generate_recipes(recipes, self.data / data, **where)
         print(report, flush=True)
 
     def generate_for(self, runs: Iterable[Setting]) -> None:

@@ -10,7 +10,7 @@ from gelgap.cli.speaking import Speaker
 
 def test_a_damaged_file_is_named_once_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "a.led").write_bytes(b"damaged")
-    with Speaker("working"):
+    with Speaker():
         set_aside(tmp_path / "a.led", "is damaged")
     sentence = f"{tmp_path / 'a.led'} is damaged: set aside as a.led.damaged and made again"
     assert capsys.readouterr().err == f"gelgap: {sentence}\n"
