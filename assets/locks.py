@@ -1,4 +1,4 @@
-"""Processes side by side: who writes to a folder, who fills a cache, and Ctrl-C that waits for a step to end.
+"""Processes side by side: who writes to a folder, who fills a cache, and when Ctrl-C takes effect.
 
 The kernel gives a lock back however its process ends.
 """
@@ -6,14 +6,17 @@ The kernel gives a lock back however its process ends.
 import contextlib
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 
 from gelgap.assets.checksums import sha256
 from gelgap.assets.whole_file import warn
 
 LOCK = ".lock"
+_SECONDS_BETWEEN_STOPS = 0.2
 
 
 def cache_folder() -> Path:
@@ -112,3 +115,51 @@ def defer_signals() -> Iterator[None]:
         signal.signal(signal.SIGINT, handler)
         if deferred:
             signal.raise_signal(signal.SIGINT)
+
+
+@contextlib.contextmanager
+def counted_stops() -> Iterator[list[int]]:
+    """Let Ctrl-C raise KeyboardInterrupt until the block ends, and yield a list that gets an entry each time.
+
+    The list tells a stop from an error that a library makes of it. A KeyboardInterrupt that is lost, as in a callback
+    from C, is raised again a moment later. None is raised within an import, which torch would answer by aborting the
+    process, nor while one is handled, so that what has to be cleaned up is.
+    """
+    stops: list[int] = []
+    # Where it is ignored, as in a background job, it stays ignored.
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    if not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield stops
+        return
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        stops.append(number)
+        again = threading.Timer(_SECONDS_BETWEEN_STOPS, os.kill, (os.getpid(), number))
+        again.daemon = True
+        again.start()
+        if not _ends_already(sys.exc_info()[1]) and not _within_import(frame):
+            raise KeyboardInterrupt
+
+    hook = sys.unraisablehook
+    # What is broken off complains, and the stop itself where it is lost.
+    sys.unraisablehook = lambda lost: None if stops else hook(lost)
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield stops
+    finally:
+        # One that comes now has nothing left to stop.
+        signal.signal(signal.SIGINT, signal.SIG_IGN if stops else signal.default_int_handler)
+        sys.unraisablehook = hook
+
+
+def _ends_already(handled: BaseException | None) -> bool:
+    """Return whether an exception that is handled is a KeyboardInterrupt, or came while one was handled."""
+    while handled is not None and not isinstance(handled, KeyboardInterrupt):
+        handled = handled.__context__
+    return handled is not None
+
+
+def _within_import(frame: FrameType | None) -> bool:
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    return frame is not None

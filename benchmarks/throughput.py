@@ -23,7 +23,6 @@ from gelgap.domains import (
     open_domain,
     plan_generation,
     preset_recipes,
-    shown_progress,
 )
 from gelgap.sim import ContactPath
 
@@ -63,8 +62,7 @@ def recipes_of(preset: str, quality: str) -> tuple[DomainRecipe, ...]:
 def generation(recipes: Sequence[DomainRecipe], folder: Path, workers: int) -> pd.DataFrame:
     """Generate domains from nothing; return what this process and its workers took."""
     start, own_s = time.perf_counter(), time.process_time()
-    with shown_progress() as progress:
-        generate_recipes(recipes, folder, workers=workers, progress=progress)
+    generate_recipes(recipes, folder, workers=workers)
     wall_s, own_s = time.perf_counter() - start, time.process_time() - own_s
     ended = resource.getrusage(resource.RUSAGE_CHILDREN)
     manifests = [DomainFolder(folder / recipe.name).read_manifest() for recipe in recipes]

@@ -50,18 +50,16 @@ class Demo(opt.Command):
 
         path, profile = sim.load_path(self.path), adapt.Profile.preset(self.profile)
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {self.path}")
-        with domains.shown_progress() as progress:
-            report = domains.generate(
-                (SOURCE, TARGET),
-                path,
-                self.out / "data",
-                quality=self.quality,
-                seed=SEED,
-                scheduler=self.scheduler,
-                size_px=self.size,
-                columns=("height_map",),
-                progress=progress,
-            )
+        report = domains.generate(
+            (SOURCE, TARGET),
+            path,
+            self.out / "data",
+            quality=self.quality,
+            seed=SEED,
+            scheduler=self.scheduler,
+            size_px=self.size,
+            columns=("height_map",),
+        )
         print(report)
 
         print(

@@ -1,18 +1,22 @@
 """`gelgap`: parse the command line, run one command, turn errors into one line and an exit code."""
 
+import contextlib
 import os
-import signal
+import re
+import shlex
 import sys
-import threading
 import time
 from collections.abc import Sequence
-from types import FrameType
-from typing import NoReturn
+from importlib.metadata import version
+from typing import Annotated, NoReturn, Union
+
+import tyro
 
 from gelgap.cli.adapt import Adapt
 from gelgap.cli.benchmark import Benchmark
 from gelgap.cli.cache import Cache
 from gelgap.cli.calibrate import Calibrate
+from gelgap.cli.checks import check_values
 from gelgap.cli.convert import Convert
 from gelgap.cli.demo import Demo
 from gelgap.cli.export import Export
@@ -20,7 +24,6 @@ from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
 from gelgap.cli.options import Command, output_folder
-from gelgap.cli.parser import check_values, parse_words
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
 from gelgap.cli.pretrain import Pretrain
@@ -45,21 +48,27 @@ traceback."""
 
 MAKE = (Demo, Press, Render, View, Generate)
 USE = (Inspect, Export, Convert, Calibrate, Pretrain, Adapt, Finetune, Report, Benchmark, Presets, Cache)
+# As MuJoCo, OpenCV, torch, NumPy and the loader of shared libraries say it, each by an error of its own.
+_OUT_OF_MEMORY = re.compile(r"\ballocate\b|failed to map segment", re.IGNORECASE)
 COMMANDS = {command.__name__.lower(): command for command in (*MAKE, *USE)}
-_LOOK_AGAIN_S = 0.1
 
 
 def parse(words: Sequence[str]) -> Command:
-    """Return the command that the words describe; on bad ones print one line and exit with code 2."""
-    try:
-        return parse_words(words, COMMANDS, DESCRIPTION)
-    except ValueError as error:
-        fail(str(error), EXIT_BAD_INPUT)
+    """Return the command that the words describe; on bad ones print what is wrong and exit with code 2."""
+    # As a shell's variable that is not set leaves it; as a path it would be the working folder.
+    if any(re.fullmatch(r"(--[\w-]+=)?", word) for word in words):
+        fail(f"a value is empty: gelgap {shlex.join(words)}", EXIT_BAD_INPUT)
+    listed = [
+        Annotated[command, tyro.conf.subcommand(name, description=command.__doc__.partition("\n")[0])]
+        for name, command in COMMANDS.items()
+    ]
+    return tyro.cli(Union[tuple(listed)], prog="gelgap", description=DESCRIPTION, args=words)  # noqa: UP007
 
 
 def fail(message: str, exit_code: int) -> NoReturn:
     """Print one line to standard error and exit."""
-    print(f"gelgap: {' '.join(message.split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):
+        print(f"gelgap: {' '.join(message.split())}", file=sys.stderr)
     raise SystemExit(exit_code)
 
 
@@ -71,63 +80,63 @@ def check_cache() -> None:
     try:
         output_folder(folder)
     except ValueError as error:
-        raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {error}") from None
+        if os.environ.get("GELGAP_CACHE"):
+            raise ValueError(f"GELGAP_CACHE = {str(folder)!r}: {error}") from None
+        raise ValueError(f"the folder of the cache, {str(folder)!r}: {error} in GELGAP_CACHE") from None
 
 
-def _counted_stops() -> list[int]:
-    """Return a list that gets an entry for each Ctrl-C, which libraries sometimes turn into errors of their own.
+def _drop_lost_output() -> None:
+    """Drop what standard output does not take, of which Python would complain as it ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    One that comes within an import waits for its end: some packages catch it, and torch would abort the process.
+
+def main(
+    arguments: Sequence[str] | None = None, started: float | None = None, stops: Sequence[int] = ()
+) -> None:
+    """Run the command line.
+
+    `started` is when the process began, by `time.perf_counter`; `stops` has an entry for each Ctrl-C, which libraries
+    sometimes turn into errors of their own.
     """
-    stops: list[int] = []
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        stops.append(number)
-        if _within_import(frame):
-            threading.Timer(_LOOK_AGAIN_S, os.kill, (os.getpid(), number)).start()
-            return
-        raise KeyboardInterrupt
-
-    # Where it is ignored, as in a background job, it stays ignored.
-    in_main_thread = threading.current_thread() is threading.main_thread()
-    if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, stop)
-    return stops
-
-
-def _within_import(frame: FrameType | None) -> bool:
-    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
-        frame = frame.f_back
-    return frame is not None
-
-
-def main(arguments: Sequence[str] | None = None, started: float | None = None) -> None:
-    """Run the command line; `started` is when the process began, by `time.perf_counter`."""
     started = time.perf_counter() if started is None else started
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in arguments
-    if arguments == ["--version"]:
-        from importlib.metadata import version
-
-        print(f"gelgap {version('gelgap')}")
-        return
-    command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
-    stops = _counted_stops()
+    command, at_work = None, False
     try:
-        check_values(command)
-        if command.fills_cache:
-            check_cache()
-        with Speaker(command.doing):
-            command.run(started)
-    except BrokenPipeError:
-        raise SystemExit(EXIT_FAILED_RUN) from None
+        try:
+            if arguments == ["--version"]:
+                print(f"gelgap {version('gelgap')}")
+                return
+            command = parse([argument for argument in arguments if argument != "--debug"] or ["--help"])
+            check_values(command)
+            if command.fills_cache:
+                check_cache()
+            at_work = True
+            with Speaker():
+                command.run(started)
+            at_work = False
+        finally:
+            sys.stdout.flush()
     except (KeyboardInterrupt, Exception) as error:
+        after = command.when_stopped if command else "run the same command again"
         if stops or isinstance(error, KeyboardInterrupt):
-            fail(f"interrupted; {command.when_stopped}", EXIT_INTERRUPTED)
-        if debug:
+            fail(f"interrupted; {after}", EXIT_INTERRUPTED)
+        _drop_lost_output()
+        if isinstance(error, BrokenPipeError) and not at_work:
+            return  # Whoever reads what is printed has seen enough.
+        if "--debug" in arguments:
             raise
+        message = str(error) or type(error).__name__
+        if isinstance(error, MemoryError) or _OUT_OF_MEMORY.search(message):
+            fail(
+                f"out of memory ({message}): a coarser quality, or fewer workers, need less", EXIT_FAILED_RUN
+            )
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            fail(f"what is printed cannot be written ({error.strerror}); {after}", EXIT_FAILED_RUN)
         is_bad_input = isinstance(error, ValueError | FileNotFoundError | PermissionError)
-        fail(str(error) or type(error).__name__, EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED_RUN)
+        fail(message, EXIT_BAD_INPUT if is_bad_input else EXIT_FAILED_RUN)
 
 
 if __name__ == "__main__":

@@ -23,8 +23,6 @@ need none here.
 class Command:
     """What the command line parses to: a frozen dataclass whose fields are its options."""
 
-    doing = "reading and preparing"
-    """What is said of it while nothing else is known and it takes long."""
     when_stopped = "only solved physics is sure to be kept; run the same command again to start over"
     """What is left of it after Ctrl-C, and what to do; commands that resume say what."""
     fills_cache = False
@@ -138,10 +136,10 @@ class GenerationOptions:
             )
 
     def generate(self, recipes: "Sequence[domains.DomainRecipe]", out: Path) -> None:
-        """Generate domains with a progress bar, and print the report."""
-        chosen = {"scheduler": self.scheduler, "workers": self.workers, "overwrite": self.overwrite}
-        with domains.shown_progress() as progress:
-            report = domains.generate_recipes(recipes, out, progress=progress, **chosen)
+        """Generate domains, and print the report."""
+        report = domains.generate_recipes(
+            recipes, out, scheduler=self.scheduler, workers=self.workers, overwrite=self.overwrite
+        )
         print(report)
 
 

@@ -1,19 +1,30 @@
-"""The `gelgap` script, which ends with a sentence also where it is stopped while it still loads its parts."""
+"""The `gelgap` script: standard streams, and Ctrl-C from the first moment."""
 
+import os
 import sys
 import time
 
+from gelgap.assets.locks import counted_stops
+
 
 def start() -> None:
-    """Load the command line and run it; a stop that does not come from a running command came before any work."""
+    """Load the command line and run it."""
     started = time.perf_counter()
-    try:
-        from gelgap.cli.main import main
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    if sys.stdout is None:
+        print("gelgap: standard output is closed, and results are printed there; open it", file=sys.stderr)
+        raise SystemExit(2)
+    # Where the terminal is ASCII, a result with a µ is still a result.
+    sys.stdout.reconfigure(errors="backslashreplace")
+    with counted_stops() as stops:
+        try:
+            from gelgap.cli.main import main
 
-        main(started=started)
-    except KeyboardInterrupt:
-        print("gelgap: interrupted before anything was done; run the same command again", file=sys.stderr)
-        raise SystemExit(130) from None  # EXIT_INTERRUPTED of a module that is not loaded yet
+            main(started=started, stops=stops)
+        except KeyboardInterrupt:
+            print("gelgap: interrupted before anything was done; run the same command again", file=sys.stderr)
+            raise SystemExit(130) from None  # EXIT_INTERRUPTED of a module that may not be loaded yet
 
 
 if __name__ == "__main__":

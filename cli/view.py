@@ -21,8 +21,7 @@ class View(opt.Command):
       gelgap view --elastomer b1 --illumination i2 --port 9000 --no-browser
     """
 
-    # An open page is not work that takes long.
-    doing = ""
+    when_stopped = "the page is closed, and solved physics is kept"
     fills_cache = True
 
     elastomer: str = "e04"
@@ -52,8 +51,5 @@ class View(opt.Command):
             if not self.no_browser:
                 webbrowser.open(page.address)
             page.wait()
-        except KeyboardInterrupt:
-            pass
         finally:
             page.close()
-        print("the page is closed; solved physics is kept")

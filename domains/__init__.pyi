@@ -47,8 +47,6 @@ from .generation.generate import generate as generate
 from .generation.generate import generate_recipes as generate_recipes
 from .generation.generate import package_versions as package_versions
 from .generation.plan import plan_generation as plan_generation
-from .generation.progress import GenerationProgress as GenerationProgress
-from .generation.progress import shown_progress as shown_progress
 from .inspection import gap_rows as gap_rows
 from .inspection import inspect_domain as inspect_domain
 from .inspection import label_notes as label_notes

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.checksums import canonical_json, sha256
+from gelgap.assets.progress import shown_progress
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.sim import (
     Diagnostics,
@@ -35,6 +36,7 @@ from gelgap.sim import (
     covered_extent_mm,
     equilibrium,
     grid_axes,
+    has_solution,
     is_folded,
     is_interior,
     joined,
@@ -223,8 +225,18 @@ class LibraryPlan:
             deeper = (depth, worst[1])
             plans[deeper] = self.held_out_between(*deeper)
             added.append(self.plan_of((depth,)))
-            for solve in (*added[-1].solves, *plans[deeper].solves):
-                solutions[solve.key] = solve.run()
+            solutions |= solve_all((*added[-1].solves, *plans[deeper].solves))
+
+
+def solve_all(solves: Sequence[Solve]) -> dict[str, Solution]:
+    """Return the solutions of solves by their keys, and show how far that is."""
+    solutions = {}
+    with shown_progress() as progress:
+        for number, solve in enumerate(solves, start=1):
+            if not has_solution(solve.key):
+                progress("solves of a library", number - 1, len(solves))
+            solutions[solve.key] = solve.run()
+    return solutions
 
 
 def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gelgap.domains.domain import word
 from gelgap.domains.frames.dataset import ArrayFrames, LabelledFrames, join_domains, within_range
-from gelgap.domains.library import LibraryPlan, PoseLibrary, PoseRanges
+from gelgap.domains.library import LibraryPlan, PoseLibrary, PoseRanges, solve_all
 from gelgap.domains.pretraining import SHARE_OF_VIEW, Draws, PretrainingRanges
 from gelgap.render import MembraneRenderer
 from gelgap.sim import Elastomer, Pose, QualityName, has_solution
@@ -151,8 +151,7 @@ class PressStream(IterableDataset):
             # Workers that wait for the same library begin with different solves of it.
             solves, info = plan.solved.solves, get_worker_info()
             first = info.id % len(solves) if info else 0
-            solutions = {solve.key: solve.run() for solve in (*solves[first:], *solves[:first])}
-            self._libraries[press] = plan.build(solutions)
+            self._libraries[press] = plan.build(solve_all((*solves[first:], *solves[:first])))
         return self._libraries[press]
 
     def plan(self, press: int) -> LibraryPlan:

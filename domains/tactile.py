@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.domains.library import LibraryPlan, PoseLibrary, PoseRanges
+from gelgap.domains.library import LibraryPlan, PoseLibrary, PoseRanges, solve_all
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, Indenter, MembraneState, Pose, QualityName, Sphere
 
@@ -84,7 +84,7 @@ class TactileSensor:
         light = light or sensor.illumination or Illumination.preset("i0")
         ranges = PoseRanges(deepest_mm / 8, deepest_mm, farthest_mm)
         plan = LibraryPlan(self.elastomer, indenter or Sphere(), ranges, quality)
-        self.library: PoseLibrary = plan.checked({solve.key: solve.run() for solve in plan.solves})
+        self.library: PoseLibrary = plan.checked(solve_all(plan.solves))
         self.renderer = MembraneRenderer(sensor, light, size_px, quality)
         self.markers = markers
         self._rng = None if noise_seed is None else np.random.default_rng(noise_seed)

@@ -2,7 +2,6 @@
 
 import logging
 import math
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -11,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gelgap.assets.locks import cache_folder, key_lock
+from gelgap.assets.progress import shown_progress
 from gelgap.sim.estimate import diagnose
 from gelgap.sim.grading import check_sharpness
 from gelgap.sim.indenter import Floats, Indenter
@@ -88,18 +88,17 @@ class Solve:
     def _solved(self, progress: SolveProgress) -> Solution:
         from gelgap.sim import newton
 
-        problem, started = self.problem, time.perf_counter()
+        problem = self.problem
         half = "half " if problem.symmetric else ""
         what = f"{problem.quality.name} {half}{'pad' if problem.pad_mm or not half else 'disc'}"
 
-        def tell(done: int, total: int) -> None:
-            progress(done, total)
-            if done < total:
-                left_s = (time.perf_counter() - started) * (total - done) / max(done, 1)
-                left = f", about {left_s:.0f} s left" if done else ""
-                LOG.info("solving (%s): %d of %d load steps%s", what, done, total, left)
+        with shown_progress() as show:
 
-        return newton.solve(problem, tell)
+            def tell(done: int, total: int) -> None:
+                progress(done, total)
+                show(f"load steps ({what})", done, total)
+
+            return newton.solve(problem, tell)
 
 
 @dataclass(frozen=True)

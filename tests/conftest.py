@@ -1,5 +1,6 @@
 """A small domain drawn with NumPy, whose pictures determine the force, a profile that learns it, and valid files."""
 
+import logging
 import os
 import shutil
 import signal
@@ -33,10 +34,10 @@ def users_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def patient_commands():
-    """Commands of a busy test machine do not say that they are still at it."""
+def quiet_commands():
+    """Commands say what goes wrong, not what they begin."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gelgap.cli.speaking.QUIET_S", 600.0)
+        patch.setattr("gelgap.cli.speaking.SPOKEN", logging.WARNING)
         yield
 
 

@@ -1,7 +1,6 @@
 """One part of the adaptation benchmark in pieces: `python -m gelgap.benchmarks.adaptation groups --minutes 4`."""
 
 import math
-import signal
 import sys
 import time
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gelgap.adapt.inputs import INPUTS
+from gelgap.assets.locks import counted_stops
 from gelgap.benchmarks.adaptation.board import GROUPS, LIGHT_GROUPS
 from gelgap.benchmarks.adaptation.report import PARTS, measure
 from gelgap.benchmarks.adaptation.study import BOARD, Study
@@ -55,22 +55,20 @@ def run(
 
 def main() -> None:
     """Run what the command line asks for; bad input and Ctrl-C end with one sentence."""
-    stops: list[int] = []
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(
-            signal.SIGINT,
-            lambda number, frame: stops.append(number) or signal.default_int_handler(number, frame),
-        )
-    try:
-        tyro.cli(run, prog="python -m gelgap.benchmarks.adaptation")
-    except (KeyboardInterrupt, Exception) as error:
-        if stops:  # some libraries turn Ctrl-C into an error of their own
-            print("interrupted; finished runs are kept, run the same command again to go on", file=sys.stderr)
-            sys.exit(_INTERRUPTED)
-        if not isinstance(error, ValueError):
-            raise
-        print(" ".join(str(error).split()), file=sys.stderr)
-        sys.exit(_BAD_INPUT)
+    with counted_stops() as stops:
+        try:
+            tyro.cli(run, prog="python -m gelgap.benchmarks.adaptation")
+        except (KeyboardInterrupt, Exception) as error:
+            if stops:  # some libraries turn Ctrl-C into an error of their own
+                print(
+                    "interrupted; finished runs are kept, run the same command again to go on",
+                    file=sys.stderr,
+                )
+                sys.exit(_INTERRUPTED)
+            if not isinstance(error, ValueError):
+                raise
+            print(" ".join(str(error).split()), file=sys.stderr)
+            sys.exit(_BAD_INPUT)
 
 
 if __name__ == "__main__":

@@ -99,15 +99,12 @@ class Study:
 
     def generate(self, recipes: "Sequence[DomainRecipe]", data: str = "paired") -> None:
         """Generate what is missing of some domains of a data set, if there are any."""
-        from gelgap.domains import generate_recipes, shown_progress
+        from gelgap.domains import generate_recipes
 
         if not recipes:
             return
         scheduler = "synchronous" if self.workers == 1 else None
-        with shown_progress() as progress:
-            report = generate_recipes(
-                recipes, self.data / data, scheduler=scheduler, workers=self.workers, progress=progress
-            )
+        report = generate_recipes(recipes, self.data / data, scheduler=scheduler, workers=self.workers)
         print(report, flush=True)
 
     def generate_for(self, runs: Iterable[Setting]) -> None:

@@ -5,12 +5,13 @@ import logging
 import os
 import re
 from collections.abc import Iterator
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 from gelgap.assets.locks import defer_signals
 from gelgap.assets.names import quoted
+from gelgap.assets.progress import Progress
 from gelgap.domains.generation.plan import FrameBatch, GenerationPlan
-from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, render_batch
 from gelgap.domains.library import LibraryPlan
 from gelgap.sim import Solve
@@ -47,7 +48,7 @@ def check_scheduler(scheduler: str | None, workers: int | None = None) -> None:
 
 
 def run(
-    plan: GenerationPlan, progress: GenerationProgress, scheduler: str | None, workers: int | None
+    plan: GenerationPlan, progress: Progress, scheduler: str | None, workers: int | None
 ) -> Iterator[Shard]:
     """Run a plan and yield the shards as they come; see `dask_client` for scheduler and workers.
 
@@ -64,16 +65,17 @@ def run(
         yield from _run_on_cluster(plan, progress, client)
 
 
-def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Iterator[Shard]:
+def _run_in_process(plan: GenerationPlan, progress: Progress) -> Iterator[Shard]:
     """Run a plan batch by batch; what was solved is dropped after the last batch that needs it."""
     last = {key: batch for batch in plan.batches for key in batch.solve_keys}
     made: dict[str, Any] = {}
+    solved = count(1)
 
     def make(source: Solve | LibraryPlan) -> Any:
         if isinstance(source, LibraryPlan):
             return source.checked({solve.key: make(solve) for solve in source.solves})
         solution = source.run()
-        progress.solved()
+        progress("solves", next(solved), len(plan.solves))
         return solution
 
     for batch in plan.batches:
@@ -82,7 +84,7 @@ def _run_in_process(plan: GenerationPlan, progress: GenerationProgress) -> Itera
         made = {key: solution for key, solution in made.items() if last[key] is not batch}
 
 
-def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: "Client") -> Iterator[Shard]:
+def _run_on_cluster(plan: GenerationPlan, progress: Progress, client: "Client") -> Iterator[Shard]:
     """Run a plan on a Dask cluster; keys are content, so no work is done twice."""
     from distributed import as_completed
     from distributed.client import FutureCancelledError
@@ -102,11 +104,12 @@ def _run_on_cluster(plan: GenerationPlan, progress: GenerationProgress, client: 
             waiting.add(client.submit(_render_in_worker, batch, needed, key=f"frames-{batch.key}"))
         # Only batches are results: a solution stays where it was made, until no batch needs it.
         del made, needed
+        solved = count(1)
         for future in waiting:
             if future.key in solves:
                 if future.status == "error":
                     future.result()
-                progress.solved()
+                progress("solves", next(solved), len(solves))
             else:
                 shards = future.result()
                 future.release()

@@ -17,6 +17,7 @@ import numpy as np
 
 from gelgap.assets.locks import sole_use
 from gelgap.assets.names import comma_list, quoted
+from gelgap.assets.progress import shown_progress
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX
 from gelgap.domains.domain import Domain
 from gelgap.domains.formats.domain_folder import REFERENCE, SHARDS, DomainFolder
@@ -24,7 +25,6 @@ from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_
 from gelgap.domains.generation.cluster import check_scheduler, run
 from gelgap.domains.generation.estimate import force_notes
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
-from gelgap.domains.generation.progress import GenerationProgress
 from gelgap.domains.generation.shard import Shard, reference_png
 from gelgap.domains.recipe import DomainRecipe, check_named_once, differences, make_recipes
 from gelgap.sim import ContactPath, PosePath
@@ -96,7 +96,6 @@ def generate(
     scheduler: str | None = None,
     workers: int | None = None,
     overwrite: bool = False,
-    progress: GenerationProgress | None = None,
     **settings: Any,
 ) -> GenerationReport:
     """Generate domains by their names into one folder each under `out_dir`.
@@ -104,9 +103,7 @@ def generate(
     See `make_recipes` for the settings (quality, seed, …), `generate_recipes` for what is resumed, refused and raised.
     """
     recipes = make_recipes(domains, path, **settings)
-    return generate_recipes(
-        recipes, out_dir, scheduler=scheduler, workers=workers, overwrite=overwrite, progress=progress
-    )
+    return generate_recipes(recipes, out_dir, scheduler=scheduler, workers=workers, overwrite=overwrite)
 
 
 def generate_recipes(
@@ -116,9 +113,8 @@ def generate_recipes(
     scheduler: str | None = None,
     workers: int | None = None,
     overwrite: bool = False,
-    progress: GenerationProgress | None = None,
 ) -> GenerationReport:
-    """Generate domains; what an earlier, interrupted run finished is kept if its bytes are intact.
+    """Generate domains, and show how far that is; what an earlier, interrupted run finished is kept if it is intact.
 
     Parameters
     ----------
@@ -132,8 +128,6 @@ def generate_recipes(
         Processes of the local cluster; by default one per core.
     overwrite
         Replace domains that hold another configuration.
-    progress
-        Told what is done; silent by default.
 
     Raises
     ------
@@ -144,34 +138,33 @@ def generate_recipes(
         If another process writes to the folder, the disk is full, or the cluster is lost; finished shards are kept.
     """
     start = time.monotonic()
-    out_dir, progress = Path(out_dir), progress or GenerationProgress()
+    out_dir = Path(out_dir)
     names = tuple(recipe.name for recipe in recipes)
     check_named_once(names)
     check_scheduler(scheduler, workers)
-    LOG.info("planning %s", comma_list(names))
     plan = plan_generation(recipes)  # refuses contacts that cannot be solved before anything is written
     for note in force_notes(recipes):
         LOG.warning("%s", note)
-    with sole_use(out_dir):
+    with sole_use(out_dir), shown_progress() as progress:
         writers = {recipe.name: DomainWriter(recipe, out_dir / recipe.name) for recipe in recipes}
         # Nothing is changed on disk unless all folders are free or resumable.
         for writer in writers.values():
             writer.check(overwrite)
         skipped = tuple(name for name in names if writers[name].skipped)
         plan = plan.without({name: set(writer.files) for name, writer in writers.items()})
-        solves, written, unrenderable = len(plan.solves), 0, 0
-        progress.begin(solves, plan.frames)
+        solves, frames, written, unrenderable = len(plan.solves), 0, 0, 0
+        progress("solves", 0, solves)
+        progress("frames", 0, plan.frames)
         log = partial(_log_event, out_dir)
         log("begin", domains=names, solves=solves, frames=plan.frames, scheduler=scheduler)
         try:
-            LOG.info("rendering the reference pictures")
             for writer in writers.values():
                 writer.prepare()
             _check_space(out_dir, plan, writers)
-            LOG.info("starting workers")
             for shard in run(plan, progress, scheduler, workers):
                 written += writers[shard.domain].write_shard(shard)
-                progress.written(shard.facts["frames"])
+                frames += shard.facts["frames"]
+                progress("frames", frames, plan.frames)
                 unrenderable += len(shard.unrenderable)
                 if shard.unrenderable:
                     log("not rendered", domain=shard.domain, frames=shard.unrenderable)
