@@ -55,9 +55,5 @@ from .runs import load_runs as load_runs
 from .selection import SELECTORS as SELECTORS
 from .selection import Candidate as Candidate
 from .selection import select as select
-from .traction_maps import TractionModel as TractionModel
-from .traction_maps import learn_traction_maps as learn_traction_maps
-from .traction_maps import traction_errors as traction_errors
-from .traction_maps import traction_maps_n as traction_maps_n
 from .trainer import adapt as adapt
 from .trainer import train_source as train_source

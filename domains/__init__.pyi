@@ -52,9 +52,6 @@ from .inspection import inspect_domain as inspect_domain
 from .inspection import label_notes as label_notes
 from .inspection import verify_domain as verify_domain
 from .inspection import write_overview as write_overview
-from .library import LibraryPlan as LibraryPlan
-from .library import PoseLibrary as PoseLibrary
-from .library import PoseRanges as PoseRanges
 from .pretraining import RANDOM_FACTORS as RANDOM_FACTORS
 from .pretraining import PretrainingRanges as PretrainingRanges
 from .pretraining import pretraining_recipes as pretraining_recipes

@@ -241,7 +241,7 @@ class DomainRecipe(Settings):
 
     def suits_a_library(self) -> bool:
         """Return whether a library of poses serves the path, and takes fewer solves than its depths do."""
-        from gelgap.domains.library import MOST_SOLVES
+        from gelgap.sim.library import MOST_SOLVES
 
         if not self._has_what_a_library_serves:
             return False
@@ -292,7 +292,7 @@ def make_recipes(
         Optional columns.
     exact
         Solve each pose; by default a path of more depths than a library takes, as a random one, is interpolated
-        (`gelgap.domains.PoseLibrary`).
+        (`gelgap.sim.PoseLibrary`).
     settings
         Fields of `DomainRecipe`: seed, quality, size_px, contacts, acquisition, …; also in place of what names say.
 

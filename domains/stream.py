@@ -14,10 +14,11 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from gelgap.domains.domain import word
 from gelgap.domains.frames.dataset import ArrayFrames, LabelledFrames, join_domains, within_range
-from gelgap.domains.library import LibraryPlan, PoseLibrary, PoseRanges, solve_all
 from gelgap.domains.pretraining import SHARE_OF_VIEW, Draws, PretrainingRanges
 from gelgap.render import MembraneRenderer
-from gelgap.sim import Elastomer, Pose, QualityName, has_solution
+from gelgap.sim import Elastomer, LibraryPlan, Pose, PoseLibrary, PoseRanges, QualityName
+from gelgap.sim.library import solve_all
+from gelgap.sim.solution import has_solution
 
 LOG = logging.getLogger(__name__)
 # Samples until the next gel and sphere joins those that are drawn from: the first picture waits for one alone.
@@ -139,7 +140,7 @@ class PressStream(IterableDataset):
             self.library(press)
 
     def library(self, press: int) -> PoseLibrary:
-        """Return the library of poses of a gel and sphere; `.plan.checked` would tell its error on held-out poses."""
+        """Return the library of poses of a gel and sphere; `.plan.served_by` would tell its error on held-out poses."""
         if press not in self._libraries:
             plan = self.plan(press)
             left_s = [solve.expected_core_s for solve in plan.solved.solves if not has_solution(solve.key)]

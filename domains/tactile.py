@@ -7,9 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gelgap.domains.library import LibraryPlan, PoseLibrary, PoseRanges, solve_all
 from gelgap.render import Illumination, MembraneRenderer, Sensor
-from gelgap.sim import Elastomer, Indenter, MembraneState, Pose, QualityName, Sphere
+from gelgap.sim import (
+    Elastomer,
+    Indenter,
+    LibraryPlan,
+    MembraneState,
+    Pose,
+    PoseLibrary,
+    PoseRanges,
+    QualityName,
+    Sphere,
+)
+from gelgap.sim.library import solve_all
 
 # A contact slides as a whole where a longer drag would raise its sideways force by less than this share.
 _SLIDES_WITHIN = 0.03
@@ -84,7 +94,7 @@ class TactileSensor:
         light = light or sensor.illumination or Illumination.preset("i0")
         ranges = PoseRanges(deepest_mm / 8, deepest_mm, farthest_mm)
         plan = LibraryPlan(self.elastomer, indenter or Sphere(), ranges, quality)
-        self.library: PoseLibrary = plan.checked(solve_all(plan.solves))
+        self.library: PoseLibrary = plan.served_by(solve_all(plan.solves))
         self.renderer = MembraneRenderer(sensor, light, size_px, quality)
         self.markers = markers
         self._rng = None if noise_seed is None else np.random.default_rng(noise_seed)

@@ -1,13 +1,10 @@
-from .deprecated import PATH_DEPTHS_MM as PATH_DEPTHS_MM
-from .deprecated import PATH_TRAVELS_MM as PATH_TRAVELS_MM
-from .deprecated import SolvedPath as SolvedPath
-from .deprecated import known_pace as known_pace
-from .deprecated import measured_pace as measured_pace
-from .deprecated import plan_path as plan_path
 from .estimate import Diagnostics as Diagnostics
 from .indenter import Indenter as Indenter
 from .indenter import Sphere as Sphere
 from .indenter import Symmetry as Symmetry
+from .library import LibraryPlan as LibraryPlan
+from .library import PoseLibrary as PoseLibrary
+from .library import PoseRanges as PoseRanges
 from .membrane import MembraneState as MembraneState
 from .membrane import SolvedPose as SolvedPose
 from .membrane import covered_extent_mm as covered_extent_mm

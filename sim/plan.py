@@ -2,10 +2,10 @@
 
 import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -44,6 +44,23 @@ _TRAVEL_FACTOR = 1.3
 _SECONDS_TO_BUILD = 0.4
 
 
+class PoseSource(Protocol):
+    """What poses follow from: a solve, or a library of poses, which is made of several."""
+
+    @property
+    def key(self) -> str:
+        """A hash of all that the poses follow from."""
+
+    @property
+    def solves(self) -> "tuple[Solve, ...]":
+        """What has to be solved for it."""
+
+    def served_by(
+        self, solutions: Mapping[str, Solution], picture: Callable[[MembraneState], Floats] | None = None
+    ) -> Any:
+        """Return what the poses are made of, from the solutions of its solves by their keys."""
+
+
 @dataclass(frozen=True)
 class Solve:
     """One problem to solve, perhaps found in the cache."""
@@ -54,6 +71,16 @@ class Solve:
     @cached_property
     def key(self) -> str:
         return self.problem.key
+
+    @property
+    def solves(self) -> "tuple[Solve, ...]":
+        return (self,)
+
+    def served_by(
+        self, solutions: Mapping[str, Solution], picture: Callable[[MembraneState], Floats] | None = None
+    ) -> Solution:
+        """Return its own solution; a picture is not asked for."""
+        return solutions[self.key]
 
     @property
     def expected_core_s(self) -> float:

@@ -9,12 +9,12 @@ from gelgap.sim.problem import QUALITIES
 from gelgap.view import state
 
 FEWEST_POSES = {
-    "library._DEPTHS": 2,
-    "library.MOST_SOLVES": 4,
-    "library._STICKING_TRAVELS": 1,
-    "library._SLIDING_TRAVELS": 1,
-    "library._HELD_OUT_TRAVELS": (0.0, 1.5),
-    "stream._DEPTHS": 2,
+    "sim.library._DEPTHS": 2,
+    "sim.library.MOST_SOLVES": 4,
+    "sim.library._STICKING_TRAVELS": 1,
+    "sim.library._SLIDING_TRAVELS": 1,
+    "sim.library._HELD_OUT_TRAVELS": (0.0, 1.5),
+    "domains.stream._DEPTHS": 2,
 }
 
 
@@ -32,4 +32,4 @@ def coarsen(patch: pytest.MonkeyPatch) -> None:
 def shrink_libraries(patch: pytest.MonkeyPatch) -> None:
     """Give libraries two depths, two drags at each, and a held-out depth between."""
     for name, value in FEWEST_POSES.items():
-        patch.setattr(f"gelgap.domains.{name}", value)
+        patch.setattr(f"gelgap.{name}", value)

@@ -159,8 +159,8 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
     "gelgap benchmark view --quick": {
         "benchmarks.view.QUICK_REPEATS": lambda real: 1,
         "view.state._DEPTHS": lambda real: 2,
-        "domains.library._STICKING_TRAVELS": lambda real: 1,
-        "domains.library._SLIDING_TRAVELS": lambda real: 1,
+        "sim.library._STICKING_TRAVELS": lambda real: 1,
+        "sim.library._SLIDING_TRAVELS": lambda real: 1,
     },
     "gelgap benchmark stability --what physics --quick": {
         "benchmarks.physics.stability.QUICK_SCENES": lambda real: real[:1],

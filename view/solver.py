@@ -8,8 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from gelgap.domains import PoseLibrary
-from gelgap.sim import SolvedPose, plan_visit, solved_pose
+from gelgap.sim import PoseLibrary, SolvedPose, plan_visit, solved_pose
 from gelgap.view.state import LibraryRequest, PoseRequest
 
 Request = LibraryRequest | PoseRequest

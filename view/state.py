@@ -6,9 +6,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import Elastomer, Pose, QualityName, SolvedPose, Sphere, is_interior
+from gelgap.sim import (
+    Elastomer,
+    LibraryPlan,
+    Pose,
+    PoseLibrary,
+    PoseRanges,
+    QualityName,
+    SolvedPose,
+    Sphere,
+    is_interior,
+)
 from gelgap.view.pictures import Light, Picture, PictureMaker
 
 SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6

@@ -12,9 +12,8 @@ from gelgap.assets.locks import defer_signals
 from gelgap.assets.names import quoted
 from gelgap.assets.progress import Progress
 from gelgap.domains.generation.plan import FrameBatch, GenerationPlan
-from gelgap.domains.generation.shard import Shard, render_batch
-from gelgap.domains.library import LibraryPlan
-from gelgap.sim import Solve
+from gelgap.domains.generation.shard import Shard, paper_picture, render_batch
+from gelgap.sim.plan import PoseSource
 
 if TYPE_CHECKING:
     from distributed import Client, LocalCluster
@@ -71,12 +70,12 @@ def _run_in_process(plan: GenerationPlan, progress: Progress) -> Iterator[Shard]
     made: dict[str, Any] = {}
     solved = count(1)
 
-    def make(source: Solve | LibraryPlan) -> Any:
-        if isinstance(source, LibraryPlan):
-            return source.checked({solve.key: make(solve) for solve in source.solves})
-        solution = source.run()
-        progress("solves", next(solved), len(plan.solves))
-        return solution
+    def make(source: PoseSource) -> Any:
+        solutions = {}
+        for solve in source.solves:
+            solutions[solve.key] = solve.run()
+            progress("solves", next(solved), len(plan.solves))
+        return source.served_by(solutions, paper_picture)
 
     for batch in plan.batches:
         made |= {key: make(plan.sources[key]) for key in batch.solve_keys if key not in made}
@@ -95,9 +94,11 @@ def _run_on_cluster(plan: GenerationPlan, progress: Progress, client: "Client") 
         solves = {future.key for future in made.values()}
         waiting = as_completed(made.values(), loop=client.loop)
         made |= {
-            key: client.submit(source.checked, {one.key: made[one.key] for one in source.solves}, key=key)
+            key: client.submit(
+                source.served_by, {one.key: made[one.key] for one in source.solves}, paper_picture, key=key
+            )
             for key, source in plan.sources.items()
-            if isinstance(source, LibraryPlan)
+            if key not in made
         }
         for batch in plan.batches:
             needed = {key: made[key] for key in batch.solve_keys}

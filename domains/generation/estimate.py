@@ -11,7 +11,6 @@ from gelgap.assets.names import comma_list
 from gelgap.domains.generation.cluster import check_scheduler
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation
 from gelgap.domains.generation.shard import picture_cells
-from gelgap.domains.library import LibraryPlan
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import MembraneState, expected_force_n, grid_axes, has_solution
 
@@ -80,7 +79,7 @@ def estimate(recipes: Sequence[DomainRecipe], workers: int | None = None) -> Est
     rendering_s = (_FRAME_S + _FRAME_PIXEL_S * pixels) * plan.frames / min(processes, plan.shards)
     (sample,) = picture_cells(recipes[:1], 0, _dent())
     frame_bytes = sum(len(cell["bytes"]) for cell in sample.values() if isinstance(cell, dict))
-    has_libraries = any(isinstance(source, LibraryPlan) for source in plan.sources.values())
+    has_libraries = any(batch.contacts.library for batch in plan.batches)
     exact = [recipe.model_copy(update={"interpolated": False}) for recipe in recipes]
     return Estimate(
         plan,

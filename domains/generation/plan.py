@@ -8,22 +8,22 @@ from typing import Any
 
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.domains.formats.domain_folder import shard_name
-from gelgap.domains.library import LibraryPlan, PoseLibrary, PoseRanges
 from gelgap.domains.recipe import DomainRecipe
 from gelgap.sim import (
     ContactPath,
     Elastomer,
     Indenter,
+    LibraryPlan,
     MembraneState,
     Pose,
     PosePath,
-    Solution,
+    PoseRanges,
     Solve,
     SolvePlan,
-    is_interior,
-    joined,
     plan_solves,
 )
+from gelgap.sim.plan import PoseSource, joined
+from gelgap.sim.scene import is_interior
 
 FRAMES_PER_SHARD = 128
 
@@ -60,24 +60,25 @@ class Contacts:
         return cls(path.poses, plan_solves(gel, indenter, PosePath(path.name, left), quality), library)
 
     @property
-    def sources(self) -> dict[str, Solve | LibraryPlan]:
+    def sources(self) -> dict[str, PoseSource]:
         """What the poses follow from, by key."""
         libraries = {} if self.library is None else {self.library.key: self.library}
         return {solve.key: solve for solve in self.own.solves} | libraries
 
     def source_key(self, index: int) -> str | None:
         """Return the key of what a pose follows from; None without contact."""
-        if self.own.placements[index] is not None:
-            return self.own.solve_key(index)
-        return self.library.key if self.library and self.poses[index].depth_mm > 0 else None
+        if self._is_interpolated(index):
+            return self.library.key
+        return self.own.solve_key(index) if self.own.placements[index] is not None else None
 
-    def state(
-        self, index: int, source: PoseLibrary | Solution | None, half_extent_mm: tuple[float, float]
-    ) -> MembraneState:
-        """Return the membrane of a pose from what `source_key` names."""
-        if isinstance(source, PoseLibrary):
+    def state(self, index: int, source: Any, half_extent_mm: tuple[float, float]) -> MembraneState:
+        """Return the membrane of a pose from what the source that `source_key` names is served by."""
+        if self._is_interpolated(index):
             return source.state(self.own.elastomer, self.poses[index], half_extent_mm)
         return self.own.state(index, source, half_extent_mm)
+
+    def _is_interpolated(self, index: int) -> bool:
+        return self.own.placements[index] is None and self.poses[index].depth_mm > 0
 
     def part(self, start: int, stop: int) -> "Contacts":
         """Return the contacts of some frames."""
@@ -114,16 +115,13 @@ class GenerationPlan:
     """Batches of frames, and by key what they wait for: solves, and libraries of poses, which are made of some."""
 
     recipes: tuple[DomainRecipe, ...]
-    sources: dict[str, Solve | LibraryPlan] = field(repr=False)
+    sources: dict[str, PoseSource] = field(repr=False)
     batches: tuple[FrameBatch, ...] = field(repr=False)
 
     @cached_property
     def solves(self) -> dict[str, Solve]:
         """All solves, those of libraries among them, by the hash of their physics."""
-        solves: list[Solve] = []
-        for source in self.sources.values():
-            solves += source.solves if isinstance(source, LibraryPlan) else [source]
-        return {solve.key: solve for solve in solves}
+        return {solve.key: solve for source in self.sources.values() for solve in source.solves}
 
     @property
     def frames(self) -> int:
@@ -171,7 +169,7 @@ def plan_generation(recipes: Sequence[DomainRecipe]) -> GenerationPlan:
         poses = recipe.solved_path(), recipe.quality, recipe.interpolated, recipe.library_reach_mm
         same = (recipe.elastomer, recipe.indenters, *poses)
         alike.setdefault(same, []).append(recipe)
-    sources: dict[str, Solve | LibraryPlan] = {}
+    sources: dict[str, PoseSource] = {}
     batches = []
     for (elastomer, indenters, path, quality, interpolated, reach_mm), members in alike.items():
         if interpolated:

@@ -15,9 +15,8 @@ from gelgap.domains.formats.shards import LABELS, OPTIONAL, Column, Contact, Vie
 from gelgap.domains.frames.labels import FORCE_COLUMNS
 from gelgap.domains.frames.splits import PARTS, draw_parts
 from gelgap.domains.generation.plan import FrameBatch
-from gelgap.domains.library import PoseLibrary
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.render import MembraneRenderer, view_half_extent_mm
+from gelgap.render import Illumination, MembraneRenderer, Sensor, view_half_extent_mm
 from gelgap.sim import MembraneState, Pose, traction_map
 
 Row = dict[str, Any]
@@ -86,12 +85,22 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
                 rows[recipe.name].append(labels_of[recipe.name](frame, state) | own_cells)
                 if reason is not None:
                     refused[recipe.name][frame] = reason
-    libraries = (source for source in solutions.values() if isinstance(source, PoseLibrary))
-    errors = next((library.errors for library in libraries if library.held_out is not None), None)
+    library = batch.contacts.library and solutions.get(batch.contacts.library.key)
+    errors = library.errors if library and library.held_out is not None else None
     return [
         _shard(recipe, batch.shard, rows[recipe.name], refused[recipe.name], errors)
         for recipe in batch.recipes
     ]
+
+
+@lru_cache(maxsize=1)
+def _paper_renderer() -> MembraneRenderer:
+    return MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"))
+
+
+def paper_picture(state: MembraneState) -> np.ndarray:
+    """Return the picture (h, w, 3) of the paper's sensor in the light i0, by which a library's error is judged."""
+    return _paper_renderer().picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
 
 
 def _shard(

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gelgap.domains import PoseLibrary
 from gelgap.render import Illumination, Sensor
-from gelgap.sim import Elastomer, Sphere
+from gelgap.sim import Elastomer, PoseLibrary, Sphere
 from gelgap.sim.membrane import _SECTORS, table_radius_mm
 from gelgap.view import Configuration, LiveModel
 from gelgap.view.state import LibraryRequest

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from gelgap.domains import PoseLibrary
 from gelgap.render import Camera
-from gelgap.sim import Elastomer, Pose, SolvedPose, Sphere
+from gelgap.sim import Elastomer, Pose, PoseLibrary, SolvedPose, Sphere
 from gelgap.view import save_mesh
 from gelgap.view.meshes import coloured_mesh, membrane_mesh
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 from loaded_file import load_file
 
-from gelgap.domains import PoseLibrary
-from gelgap.sim import Pose, SolvedPose
+from gelgap.sim import Pose, PoseLibrary, SolvedPose
 from gelgap.view import Configuration
 from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
 from gelgap.view.state import LibraryRequest

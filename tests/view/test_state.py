@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelgap.domains import PoseLibrary
 from gelgap.render import Illumination, MembraneRenderer, Sensor
-from gelgap.sim import Elastomer, Pose, SolvedPose
+from gelgap.sim import Elastomer, Pose, PoseLibrary, SolvedPose
 from gelgap.view import Configuration, LiveModel
 from gelgap.view.pictures import SIZE_PX
 

@@ -10,10 +10,22 @@ from distributed import Client, LocalCluster
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelgap.domains import LibraryPlan, PoseLibrary, PoseRanges, estimate, library, make_recipes, open_domain
+from gelgap.domains import estimate, make_recipes, open_domain
 from gelgap.domains.generation.generate import generate_recipes
 from gelgap.domains.generation.plan import Contacts
-from gelgap.sim import Edge, Elastomer, Pose, PosePath, Sphere, solve_in_full, solve_pose
+from gelgap.sim import (
+    Edge,
+    Elastomer,
+    LibraryPlan,
+    Pose,
+    PoseLibrary,
+    PosePath,
+    PoseRanges,
+    Sphere,
+    library,
+    solve_in_full,
+    solve_pose,
+)
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 RANGES = PoseRanges(0.05, 0.1, travel_mm=0.06)
@@ -30,7 +42,7 @@ def plan(few_solves: None, solve_cache: None) -> LibraryPlan:
 
 @pytest.fixture(scope="module")
 def checked(plan: LibraryPlan) -> PoseLibrary:
-    return plan.checked({solve.key: solve.run() for solve in plan.solves})
+    return plan.served_by({solve.key: solve.run() for solve in plan.solves})
 
 
 def test_a_solved_pose_is_given_back(plan: LibraryPlan, checked: PoseLibrary) -> None:
@@ -130,7 +142,7 @@ def test_where_the_error_is_too_large_a_depth_is_added(
 ) -> None:
     monkeypatch.setattr(library, "MEMBRANE_BOUND_UM", 1e-6)
     monkeypatch.setattr(library, "MOST_SOLVES", checked.solves + 2)
-    refined = plan.checked({solve.key: solve.run() for solve in plan.solves})
+    refined = plan.served_by({solve.key: solve.run() for solve in plan.solves})
     assert set(checked.depths_mm) < set(refined.depths_mm)
     assert refined.solves <= checked.solves + 2
     assert not refined.errors["within_bounds"]

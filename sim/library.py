@@ -9,9 +9,9 @@ in a straight line, as `gelgap.sim.Pose` is.
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -21,35 +21,28 @@ from numpy.typing import NDArray
 
 from gelgap.assets.checksums import canonical_json, sha256
 from gelgap.assets.progress import shown_progress
-from gelgap.render import Illumination, MembraneRenderer, Sensor
-from gelgap.sim import (
-    Diagnostics,
-    Elastomer,
-    Indenter,
+from gelgap.sim.estimate import Diagnostics
+from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.membrane import (
     MembraneState,
-    Pose,
-    PosePath,
-    Solution,
-    Solve,
     SolvedPose,
-    SolvePlan,
     covered_extent_mm,
-    equilibrium,
     grid_axes,
-    has_solution,
     is_folded,
-    is_interior,
-    joined,
-    plan_solves,
     press_onto,
     table_radius_mm,
 )
+from gelgap.sim.path import PosePath
+from gelgap.sim.plan import Solve, SolvePlan, equilibrium, joined, plan_solves
+from gelgap.sim.scene import Elastomer, Pose, is_interior
+from gelgap.sim.solution import Solution, has_solution
 
 if TYPE_CHECKING:
     import pandas as pd
 
 LOG = logging.getLogger(__name__)
-Floats = NDArray[np.float64]
+PictureOf = Callable[[MembraneState], Floats]
+"""Draws a membrane, in code values; what it is for is to say how much a library's error is seen."""
 
 MOST_SOLVES = 8
 """A library takes no more solves than this, those of its held-out poses among them."""
@@ -200,8 +193,8 @@ class LibraryPlan:
         """Return the library of the solutions of `solved` by their keys, its error unknown."""
         return PoseLibrary.of(self, self.solved, solutions)
 
-    def checked(self, solutions: Mapping[str, Solution]) -> "PoseLibrary":
-        """Return the library of all `solves`, with its errors on held-out poses.
+    def served_by(self, solutions: Mapping[str, Solution], picture: PictureOf | None = None) -> "PoseLibrary":
+        """Return the library of all `solves`, with its errors on held-out poses, of pictures too if one can be drawn.
 
         As long as they are above the bounds, the interval of depths where they are largest is halved. That takes two
         more solves, in this process: the depth between, and a held-out depth in the deeper half. No more than
@@ -214,7 +207,7 @@ class LibraryPlan:
         added: list[SolvePlan] = [self.solved]
         while True:
             library = PoseLibrary.of(self, joined(added), solutions)
-            errors = [library.errors_of(plan, solutions) for plan in plans.values()]
+            errors = [library.errors_of(plan, solutions, picture) for plan in plans.values()]
             table = pd.concat(errors, ignore_index=True) if errors else None
             library = replace(library, held_out=table, solves=len(solutions))
             if library.holds or len(solutions) + 2 > MOST_SOLVES or not table["converged"].any():
@@ -365,11 +358,12 @@ class PoseLibrary:
         modulus = np.float32(elastomer.mujoco_moduli.young_modulus_mpa)
         return SolvedPose(state, modulus * pressure_mpa, near.indenter_mm)
 
-    def errors_of(self, plan: SolvePlan, solutions: Mapping[str, Solution]) -> "pd.DataFrame":
+    def errors_of(
+        self, plan: SolvePlan, solutions: Mapping[str, Solution], picture: PictureOf | None = None
+    ) -> "pd.DataFrame":
         """Return how far off the library is on a plan's poses, a row for each: force, membrane and picture.
 
-        The membrane's error is rms within four contact radii, the picture's in code values of 255, of the paper's
-        sensor in the light i0.
+        The membrane's error is rms within four contact radii, the picture's in its code values.
         """
         import pandas as pd
 
@@ -381,16 +375,16 @@ class PoseLibrary:
             near = np.hypot(exact.x_mm, exact.y_mm[:, None]) < 4 * exact.contact_radius_mm
             off_mm = np.linalg.norm(served.displacement_mm - exact.displacement_mm, axis=-1)
             seen = exact.converged and served.converged
-            codes = [_picture(state) if seen else np.full(1, np.nan) for state in (served, exact)]
             row = {
                 "depth_mm": pose.depth_mm,
                 "travel_mm": pose.radius_mm,
                 "force_n": float(np.linalg.norm(exact.force_n)),
                 "force_share": float(np.linalg.norm(off_n) / np.linalg.norm(exact.force_n)),
                 "membrane_um": 1e3 * _rms(off_mm[near]),
-                "picture_codes": _rms(codes[0] - codes[1]),
                 "converged": seen,
             }
+            if picture is not None:
+                row["picture_codes"] = _rms(picture(served) - picture(exact)) if seen else math.nan
             rows.append(row)
         return pd.DataFrame(rows)
 
@@ -400,7 +394,7 @@ class PoseLibrary:
         table = self.held_out[self.held_out["converged"]]
         force_rms, membrane_rms_um = _rms(table["force_share"]), _rms(table["membrane_um"])
         within_bounds = force_rms <= FORCE_BOUND and membrane_rms_um <= MEMBRANE_BOUND_UM
-        return {
+        errors = {
             "solves": self.solves,
             "depths_mm": self.depths_mm.tolist(),
             "held_out_poses": len(table),
@@ -409,9 +403,11 @@ class PoseLibrary:
             "force_largest_percent": 100 * float(table["force_share"].max()),
             "membrane_rms_um": membrane_rms_um,
             "membrane_largest_um": float(table["membrane_um"].max()),
-            "picture_rms_codes": _rms(table["picture_codes"]),
             "within_bounds": len(table) > 0 and within_bounds,
         }
+        if "picture_codes" in table:
+            errors["picture_rms_codes"] = _rms(table["picture_codes"])
+        return errors
 
     @property
     def holds(self) -> bool:
@@ -421,15 +417,6 @@ class PoseLibrary:
 
 def _rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(np.asarray(values, float)))))
-
-
-@lru_cache(maxsize=1)
-def _paper_sensor() -> MembraneRenderer:
-    return MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"))
-
-
-def _picture(state: MembraneState) -> Floats:
-    return _paper_sensor().picture(state.x_mm, state.y_mm, state.displacement_mm).astype(float)
 
 
 class _Neighbours:
