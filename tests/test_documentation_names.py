@@ -42,12 +42,20 @@ def linked_files(page: str) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_commands_in_sentences_exist(page: str) -> None:
+def test_what_a_page_names_exists(page: str) -> None:
+    """Commands and their flags, dotted names, files, and the sections that it links to."""
     for line in inline_commands(page):
         _, command, *words = line.split()
         assert command.startswith("-") or command in COMMANDS, line
         flags = {word for word in words if word.startswith("--")}
         assert flags <= flags_of(command) | {"--help"}, line
+    missing = [name for name in named_objects(page) if not exists(name)]
+    missing += [path for path in linked_files(page) if not Path(path).exists()]
+    assert missing == []
+    for target, section in re.findall(r"\]\(([\w./-]*)#([\w-]+)\)", page_text(page)):
+        path = (ROOT / page).parent / target if target else ROOT / page
+        headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+        assert section in {slug(heading) for heading in headings}, f"{target}#{section}"
 
 
 @functools.cache
@@ -57,13 +65,6 @@ def flags_of(command: str) -> set[str]:
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
         main([command, "--help"])
     return set(re.findall(r"--[a-z][a-z-]*", text.getvalue()))
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_names_and_files_exist(page: str) -> None:
-    missing = [name for name in named_objects(page) if not exists(name)]
-    missing += [path for path in linked_files(page) if not Path(path).exists()]
-    assert missing == []
 
 
 def exists(name: str) -> bool:
@@ -85,14 +86,6 @@ def test_every_picture_has_its_command() -> None:
     pictures = {path for kind in ("*.png", "*.jpg", "*.svg") for path in (ROOT / "docs").rglob(kind)}
     shown = {str(path.relative_to(ROOT)) for path in pictures if "gallery" not in path.parts}
     assert told == shown
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_links_to_sections_meet_a_heading(page: str) -> None:
-    for target, section in re.findall(r"\]\(([\w./-]*)#([\w-]+)\)", page_text(page)):
-        path = (ROOT / page).parent / target if target else ROOT / page
-        headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
-        assert section in {slug(heading) for heading in headings}, f"{target}#{section}"
 
 
 def slug(heading: str) -> str:

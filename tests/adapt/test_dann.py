@@ -9,6 +9,8 @@ from gelgap.adapt.methods.dann import DANN, domain_loss
 from gelgap.adapt.network import Activations
 from gelgap.adapt.trainer import adapt, train_source
 
+pytestmark = pytest.mark.numerical
+
 
 def activations(features: torch.Tensor) -> Activations:
     return Activations(features=features, prediction=features[:, :3].sigmoid())

@@ -11,6 +11,8 @@ from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.network import Activations
 from gelgap.adapt.trainer import adapt, train_source
 
+pytestmark = pytest.mark.numerical
+
 STEP = Step(number=0, weight=0.5, rng=np.random.default_rng(0))
 
 

@@ -1,9 +1,12 @@
 """A view that reaches behind the LEDs: where no light arrives, none can be shared."""
 
 import numpy as np
+import pytest
 
 from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.render import Illumination, MembraneRenderer, Sensor
+
+pytestmark = pytest.mark.numerical
 
 
 def test_a_large_sphere_is_rendered_where_the_view_reaches_behind_the_lights():

@@ -9,6 +9,8 @@ from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.render import renderer as module
 
+pytestmark = pytest.mark.numerical
+
 SIZE_PX = (64, 48)
 FITTED = Sensor.preset("gelsight-mini-fitted")
 

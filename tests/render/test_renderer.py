@@ -12,6 +12,8 @@ from gelgap.render.renderer import QUALITIES, MembraneRenderer
 from gelgap.render.sensor import Coating, Sensor
 from gelgap.render.surface import _world_heights, deformed_surface
 
+pytestmark = pytest.mark.numerical
+
 
 def centroid_px(darkness):
     rows, columns = np.indices(darkness.shape)

@@ -19,7 +19,7 @@ PLACES_MM = ((0.0, 0.0, -0.1), (0.0, 0.0, -0.3), (0.08, 0.0, -0.3), (0.16, 0.0, 
 COMMANDS = tuple((*place, 0.0, 0.0, 0.0) for place in PLACES_MM)
 
 
-pytestmark = pytest.mark.usefixtures("coarse")
+pytestmark = [pytest.mark.usefixtures("coarse"), pytest.mark.numerical]
 
 
 def _problem(mount_stiffness_n_per_mm: float | None = None) -> ContactProblem:

@@ -13,6 +13,8 @@ from scipy.sparse.linalg import spsolve
 from gelgap.sim.fronts import Condensation, assembly_tree
 from gelgap.sim.mesh import DiscGrid, GelMesh, layer_heights_mm, ordered_for_elimination, pad_mesh
 
+pytestmark = pytest.mark.numerical
+
 KEPT = 12
 FOREIGN_DOFS = 3
 

@@ -14,6 +14,8 @@ from gelgap.benchmarks.fem.spheres import solve_press
 from gelgap.benchmarks.physics.references import axisymmetric_press
 from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Sphere, solve_poses
 
+pytestmark = pytest.mark.numerical
+
 QUALITIES = pytest.mark.parametrize("quality", ["draft", pytest.param("standard", marks=pytest.mark.slow)])
 
 

@@ -12,6 +12,8 @@ from gelgap.sim.problem import ContactProblem
 from gelgap.sim.scene import Elastomer, Scene, Sharing
 from gelgap.sim.solution import Solution
 
+pytestmark = pytest.mark.numerical
+
 NO_SLIP = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.45, friction=10)
 
 

@@ -20,6 +20,8 @@ from gelgap.sim.press import (
 from gelgap.sim.scene import Elastomer, Pose, Sharing
 from gelgap.sim.solution import cache_use
 
+pytestmark = pytest.mark.numerical
+
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
 BALL = Sphere()
 ALONE = Sharing(cache=False)

@@ -8,6 +8,8 @@ import pytest
 from gelgap.sim import Elastomer, Pose, Sphere, Traction, plan_visit, traction_map
 from gelgap.sim.solution import solution_bytes, solution_from_bytes
 
+pytestmark = pytest.mark.numerical
+
 GEL = Elastomer(young_modulus_mpa=0.6, poisson_ratio=0.47, friction=0.4)
 POSES = (Pose(depth_mm=0.3), Pose(depth_mm=0.3, shear_x_mm=-0.05, shear_y_mm=0.2))
 
