@@ -21,7 +21,9 @@ PAGES = (
 ROOMS = "sim|render|domains|adapt|benchmarks|assets|cli|tests|examples|scripts|docs"
 
 
-OF_ANOTHER_COMMIT = re.compile(r"at\s+commit\s+[0-9a-f]{7}\s+by\s+`[^`]+`|`[^`]+`\s+at\s+commit\s+[0-9a-f]{7}")
+OF_ANOTHER_COMMIT = re.compile(
+    r"at\s+commit\s+[0-9a-f]{7}\s+by\s+`[^`]+`|`[^`]+`\s+at\s+commit\s+[0-9a-f]{7}"
+)
 """A command of a study that has left: made at commit 1234567 by `…`."""
 
 

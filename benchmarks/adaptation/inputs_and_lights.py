@@ -177,8 +177,9 @@ def _worth(
 def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
     """Return `groups.summary` with a bootstrap interval of the mean error, over pairs of sensors and seeds."""
     errors = counted(runs)
-    shown = {"95 %, N": intervals_of(draws_of(errors), errors.columns), "runs": len(errors)}
-    return summary(runs, ceilings).assign(**shown)
+    frame = summary(runs, ceilings)
+    frame["95 %, N"], frame["runs"] = intervals_of(draws_of(errors), errors.columns), len(errors)
+    return frame
 
 
 INPUT_PART = Part(measure_inputs, input_tables, chosen=("seeds", "methods", "groups", "inputs"))

@@ -153,7 +153,7 @@ def test_report_of_all_parts(tmp_path):
     write_benchmark(folder, found)
     write_runs(folder / INPUT_RUNS, [record(GROUPS[0], "dsan", 0.2, data=DATA)])
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 1
+    assert "What inputs are worth" in page
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
     for expected in ("Kendall's τ", "What inputs are worth"):
         assert expected in text
