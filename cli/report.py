@@ -24,7 +24,7 @@ def finished_runs(folder: Path) -> None:
 class Report(opt.Command):
     """Write tables and figures of the runs that `gelgap adapt` and `gelgap benchmark adaptation` left in a folder.
 
-    A folder with the benchmark's records gets the benchmark's report: tables and figures of all parts that were run.
+    A folder with the benchmark's records gets the benchmark's report: tables of all parts that were run.
 
     For example:
       gelgap report runs

@@ -54,8 +54,7 @@ QUICKEST = {
     r"own/mine --clips 5": "own/mine --clips 1",
     r"source_epochs=150": "source_epochs=4",
     r"guide_pictures.py docs/pictures(?! --)": "guide_pictures.py pictures --quality draft",
-    r"^gelgap benchmark adaptation$": "gelgap benchmark adaptation --what groups",
-    r"^gelgap benchmark adaptation(?= --what (groups|speed)$)": "gelgap benchmark adaptation --quick",
+    r"^gelgap benchmark adaptation$": "gelgap benchmark adaptation --quick",
     r"adaptation/(cpu|board)": "adaptation/smoke",
     r'"cpu", "data"': '"tiny.toml", "data", quality="draft", size_px=(64, 48), scheduler="synchronous"',
     r"Pose\(depth_mm=0.6, shear_x_mm=0.3\)\)": 'Pose(depth_mm=0.6, shear_x_mm=0.3), "draft")',
@@ -67,18 +66,15 @@ NOT_RUN = {
     r"gelgap cache --clear": "would make the next pages solve again; tests/cli/test_cache.py runs it",
     r"gelgap demo": "tests/cli/test_demo.py runs it",
     r"gelgap benchmark real": "tests/benchmarks/real runs each form",
-    r"gelgap benchmark physics --what estimate": "hours; tests/benchmarks/physics/test_estimate.py runs its parts",
-    r"gelgap benchmark physics --what shapes": "tests/benchmarks/physics/test_shapes.py runs its parts",
+    r"gelgap benchmark physics-shapes": "tests/benchmarks/physics/test_shapes.py runs its parts",
     r"gelgap benchmark render --quick": "tests/benchmarks/render/test_accuracy.py runs it",
-    r"gelgap benchmark adaptation --what (tuning|labels)": "hours, no quick form",
-    r"gelgap benchmark adaptation --what (calm|inputs|lights|crossed|training)": "hours, no quick form",
+    r"gelgap benchmark adaptation-(tuning|inputs|lights)": "hours, no quick form",
     r"python -m gelgap.benchmarks.adaptation(?!.* --help)": "hours; its modules are looked up",
     r"python -m gelgap.benchmarks.physics.stability --only": "repeats a scene of the command before",
-    r"python scripts/calibrate": "minutes to hours of solves",
     r"gelgap (generate .*--path shapes|adapt --source round)": "minutes; tests/domains has several indenters",
     r"gelgap (generate .*--lights-like|adapt --source drawn)": "needs a picture; tests/cli has one",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
-    r"pip install (--no-deps taxim|\"taxim|'gelgap\[view\]')": "installs a package",
+    r"pip install (--no-deps taxim|'gelgap\[view\]')": "installs a package",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",
     r"python scripts/guide_pictures.py docs/pictures --view": "needs a browser; tests/view/test_page.py opens one",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",
@@ -88,7 +84,7 @@ NOT_RUN = {
 }
 """What does not run, and why. Commands of gelgap are parsed nevertheless, code is compiled."""
 
-RUN_SLOWLY = re.compile(r"gelgap benchmark (throughput|physics|stability --what physics) --quick")
+RUN_SLOWLY = re.compile(r"gelgap benchmark (throughput|physics|stability) --quick")
 """Run by the slow form of a page's test alone: tests/benchmarks runs the parts of these."""
 
 
@@ -126,13 +122,6 @@ def smallest_recipes(_: Callable) -> Callable:
     return lambda *_, **__: make_recipes(["mb0i0"], "tiny.toml", quality="draft", size_px=(64, 48))
 
 
-def few_shallow_contacts(_: Callable) -> Callable:
-    """Draw a few contacts of a tenth of a millimetre at most."""
-    from gelgap.sim import PosePath
-
-    return lambda: PosePath.random("few", number=30, depth_mm=(0.05, 0.1), radius_mm=(0.0, 0.05))
-
-
 def data_of_the_readme(_: Callable) -> Callable:
     """Take the domains that the README's commands have made instead of generating some."""
     return lambda bench, recipes, data="paired": shutil.copytree(
@@ -149,20 +138,7 @@ SMALLEST: dict[str, dict[str, Callable[[Any], Any]]] = {
         "benchmarks.throughput.recipes_of": smallest_recipes,
         "benchmarks.throughput.processor_s": lambda real: lambda work, repeats=0: real(work),
     },
-    "gelgap benchmark throughput --what frames --quick": {
-        "benchmarks.frames.random_path": few_shallow_contacts,
-        "benchmarks.frames.SIZE_PX": lambda real: (48, 36),
-        "benchmarks.frames.FRAMES": lambda real: (25, real[1]),
-        "benchmarks.frames.library_and_own_solves": lambda real: lambda quality, own: real(quality, 1),
-        "benchmarks.frames.stream_rates": lambda real: lambda frames, workers: real(frames, (0,)),
-    },
-    "gelgap benchmark view --quick": {
-        "benchmarks.view.QUICK_REPEATS": lambda real: 1,
-        "view.state._DEPTHS": lambda real: 2,
-        "sim.library._STICKING_TRAVELS": lambda real: 1,
-        "sim.library._SLIDING_TRAVELS": lambda real: 1,
-    },
-    "gelgap benchmark stability --what physics --quick": {
+    "gelgap benchmark stability --quick": {
         "benchmarks.physics.stability.QUICK_SCENES": lambda real: real[:1],
     },
     "gelgap benchmark adaptation --quick": {

@@ -21,15 +21,26 @@ PAGES = (
 ROOMS = "sim|render|domains|adapt|benchmarks|assets|cli|tests|examples|scripts|docs"
 
 
+OF_ANOTHER_COMMIT = re.compile(
+    r"at\s+commit\s+[0-9a-f]{7}\s+by\s+`[^`]+`|`[^`]+`\s+at\s+commit\s+[0-9a-f]{7}"
+)
+"""A command of a study that has left: made at commit 1234567 by `…`."""
+
+
+def text_of_today(page: str) -> str:
+    """Return a page without the commands that run at another commit alone."""
+    return OF_ANOTHER_COMMIT.sub("", page_text(page))
+
+
 def inline_commands(page: str) -> set[str]:
     """Return the `gelgap …` commands that a page's sentences name between backticks."""
-    sentences = FENCE.sub("", page_text(page))
+    sentences = FENCE.sub("", text_of_today(page))
     return {" ".join(found.split()) for found in re.findall(r"`(gelgap [^`]+)`", sentences)}
 
 
 def named_objects(page: str) -> set[str]:
     """Return the dotted names under gelgap that a page mentions."""
-    return set(re.findall(r"\bgelgap(?:\.[a-zA-Z_]\w*)+", page_text(page)))
+    return set(re.findall(r"\bgelgap(?:\.[a-zA-Z_]\w*)+", text_of_today(page)))
 
 
 def linked_files(page: str) -> set[str]:

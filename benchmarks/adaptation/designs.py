@@ -52,11 +52,14 @@ def contact_path(role: Role) -> "PosePath":
     cells = [(i, j) for j in range(rows) for i in range(columns) if (i + j) % 2 == ROLES.index(role)]
     poses = []
     for number, (i, j) in enumerate(cells):
-        place = {"point_x_mm": round(float(x_mm[i]), 4), "point_y_mm": round(float(y_mm[j]), 4)}
+        point_x_mm, point_y_mm = round(float(x_mm[i]), 4), round(float(y_mm[j]), 4)
         levels = np.concatenate([rng.permutation(LEVELS) for _ in range(math.ceil(PER_POINT / LEVELS))])
         angles = 2 * math.pi * (np.arange(PER_POINT) + rng.random(PER_POINT)) / PER_POINT
         if not poses:
-            poses = [Pose(depth_mm=0.0, contact_class=0, point_id=number, **place)]
+            at_rest = Pose(
+                depth_mm=0.0, contact_class=0, point_id=number, point_x_mm=point_x_mm, point_y_mm=point_y_mm
+            )
+            poses.append(at_rest)
         for level, angle in zip(levels[:PER_POINT], rng.permutation(angles), strict=True):
             shear = travels[level] * np.array([math.cos(angle), math.sin(angle)])
             poses.append(
@@ -66,7 +69,8 @@ def contact_path(role: Role) -> "PosePath":
                     shear_y_mm=float(shear[1]),
                     point_id=number,
                     contact_class=contact_class(depths[level], travels[level], angle),
-                    **place,
+                    point_x_mm=point_x_mm,
+                    point_y_mm=point_y_mm,
                 )
             )
     return PosePath(f"board-{role}", tuple(poses))

@@ -11,13 +11,12 @@ groups their split and weights: intervals and p-values draw pairs of sensors, wi
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from scipy.stats import kendalltau
 
-from gelgap.adapt import NamedFigure, ResultTable
+from gelgap.adapt import ResultTable
 from gelgap.adapt.evaluation import BASELINES, CONSTANT
 from gelgap.adapt.report import mean_and_deviation
 from gelgap.adapt.result_table import cell
@@ -34,9 +33,6 @@ from gelgap.benchmarks.adaptation.study import (
     with_errors,
 )
 from gelgap.benchmarks.common import RESAMPLES, Setting, drawn_means, interval, result_table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 SEEDS = (0, 1, 2, 3, 4)
 QUICK_GROUP = ("mb0i0", "wmb1i1")
@@ -65,8 +61,10 @@ def measure(study: Study) -> None:
     chosen = study.known_methods()
     if study.is_quick:  # the domains at their least: nine points of four poses at draft quality
         path = ContactPath("quick", (-2.25, 0.0, 2.25), (-1.3, 0.0, 1.3), (0.6,), (0.4,), (0, 90, 180, 270))
-        options = {"quality": "draft", "render_quality": "draft", "size_px": (160, 120), "seed": 0}
-        study.generate(make_recipes(QUICK_GROUP, path, **options))
+        recipes = make_recipes(
+            QUICK_GROUP, path, quality="draft", render_quality="draft", size_px=(160, 120), seed=0
+        )
+        study.generate(recipes)
         runs = grid([(board.PAIRED, QUICK_GROUP)], chosen or QUICK_METHODS, study.seeds or SEEDS[:1])
     else:
         runs = headline_grid(chosen, study.seeds or SEEDS, study.groups)
@@ -122,17 +120,17 @@ def load_ceilings(folder: Path, data: str = designs.DATA) -> pd.DataFrame:
 
 def with_rules(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs, and the rules of `RULES` as further methods; what a record does not have is left out."""
-    plain, adabn = (runs[runs["method"] == name] for name in (PLAIN, "adabn"))
+    plain, adabn = runs[runs["method"] == PLAIN], runs[runs["method"] == "adabn"]
     rules = []
     for name in BASELINES:
-        columns = {what: f"baselines_{what}.{name}" for what in ("mae_n", "r2")}
-        if set(columns.values()) <= set(plain):
-            known = plain.dropna(subset=list(columns.values()))
-            rules.append(known.assign(method=name, **{what: known[own] for what, own in columns.items()}))
+        error, r2 = f"baselines_mae_n.{name}", f"baselines_r2.{name}"
+        if error in plain and r2 in plain:
+            known = plain.dropna(subset=[error, r2])
+            rules.append(known.assign(method=name, mae_n=known[error], r2=known[r2]))
     if len(adabn):
-        constant = {"mae_n": "constant_mean_n", "r2": f"baselines_r2.{CONSTANT}"}
-        own = {what: adabn[of].str[:2] + adabn[what].str[2:] for what, of in constant.items()}
-        rules.append(adabn.assign(method=SHRUNK, **own))
+        error = adabn["constant_mean_n"].str[:2] + adabn["mae_n"].str[2:]
+        r2 = adabn[f"baselines_r2.{CONSTANT}"].str[:2] + adabn["r2"].str[2:]
+        rules.append(adabn.assign(method=SHRUNK, mae_n=error, r2=r2))
     rules = [rule for rule in rules if len(rule)]
     if not rules:
         return runs
@@ -274,8 +272,10 @@ def summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
     means = of_groups.mean(skipna=False).unstack(level=0)
     shares = {name: closed(runs, ceilings, column) for name, column in VALUES.items()}
     frame = shares["mean"][["share", "interval"]].rename(columns={"share": "closed"}).rename_axis("method")
-    frame = frame.assign(**{f"closed {name}": shares[name]["share"] for name in ("Fz", "shear")})
-    frame = frame.assign(**{name: means[column] for name, column in columns.items()}).join(means[R2])
+    frame["closed Fz"], frame["closed shear"] = shares["Fz"]["share"], shares["shear"]["share"]
+    for name, column in columns.items():
+        frame[name] = means[column]
+    frame = frame.join(means[R2])
     for name, column in VALUES.items():
         frame[f"rank {name}"] = of_groups[column].drop(columns=CEILING, errors="ignore").rank(axis=1).mean()
     return frame.dropna(axis=1, how="all")
@@ -378,31 +378,4 @@ def ceiling_table(ceilings: pd.DataFrame) -> ResultTable:
     )
 
 
-def figures(folder: Path) -> list[NamedFigure]:
-    """Return errors by group, of the first data set that has any."""
-    for data in DATA_SETS:
-        if len(runs := load_headline(folder, data)):
-            return [NamedFigure("groups", "Target MAE by group and method", plot_groups(runs))]
-    return []
-
-
-def plot_groups(runs: pd.DataFrame) -> "Figure":
-    """Draw the main methods' errors in each group as bars beside the constant mean."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 3.8), layout="constrained")
-    axes, errors = figure.subplots(), counted(runs)
-    shown = [method for method in errors if method in board.MAIN_METHODS]
-    means = by_group(errors[shown])
-    deviations = errors[shown].groupby(level="group", sort=False).std().fillna(0.0)
-    means.plot.bar(ax=axes, yerr=deviations, width=0.8, rot=0, legend=False, fontsize=8, xlabel="")
-    place = np.arange(len(means))
-    level = runs["constant_mean_n"].map(np.mean).groupby(runs["group"]).mean()[means.index]
-    axes.hlines(level, place - 0.4, place + 0.4, "k", "dotted", label=CONSTANT)
-    axes.set_xticklabels([group.replace(" → ", "\n→ ") for group in means.index])
-    axes.set_ylabel("target MAE, N")
-    figure.legend(loc="outside upper center", fontsize=8, ncols=(len(shown) + 3) // 2)
-    return figure
-
-
-PART = Part(measure, tables, figures)
+PART = Part(measure, tables)

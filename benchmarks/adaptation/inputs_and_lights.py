@@ -152,14 +152,15 @@ def _worth(
 ) -> ResultTable:
     """Return what methods close on whatever they are shown; start and rules are those of pictures in `runs`."""
     plain = with_rules(runs[runs["changes"].isin([BY_POINT])])
-    found, entries = [], []
+    found, orders = [], []
     for name, own in shown.items():
         if len(own):
             start = plain[plain["group"].isin(own["group"])]
             if not found:
                 found.append(_summary(start, ceilings).drop(own["method"].unique(), errors="ignore"))
             renamed = own.assign(method=own["method"] + f" / {name}")
-            entries.append(renamed)
+            if order := halves(counted(own)):
+                orders.append(f"On {name}: {order}")
             rows = _summary(pd.concat([start, renamed]), ceilings)
             found.append(rows[rows.index.isin(renamed["method"])])
     frame = pd.concat(found).reindex(columns=_SHOWN).dropna(axis=1, how="all").rename_axis("method / input")
@@ -168,7 +169,7 @@ def _worth(
         title,
         frame,
         f"{groups}; split by contact point. 95 %: bootstrap over pairs of sensors and seeds. Runs: pairs of group and "
-        f"seed that all methods have. {halves(counted(pd.concat(entries)))}{note}",
+        f"seed that all methods have. {' '.join(orders)}{note}",
         SUMMARY_FORMATS | {"runs": "{:.0f}", "95 %, N": "{:.3f}"},
     )
 
@@ -176,8 +177,9 @@ def _worth(
 def _summary(runs: pd.DataFrame, ceilings: pd.DataFrame) -> pd.DataFrame:
     """Return `groups.summary` with a bootstrap interval of the mean error, over pairs of sensors and seeds."""
     errors = counted(runs)
-    shown = {"95 %, N": intervals_of(draws_of(errors), errors.columns), "runs": len(errors)}
-    return summary(runs, ceilings).assign(**shown)
+    frame = summary(runs, ceilings)
+    frame["95 %, N"], frame["runs"] = intervals_of(draws_of(errors), errors.columns), len(errors)
+    return frame
 
 
 INPUT_PART = Part(measure_inputs, input_tables, chosen=("seeds", "methods", "groups", "inputs"))

@@ -3,7 +3,7 @@
 A record is a file of the benchmark's runs with the arrays beside it, named after who did them: `Ada.jsonl` and the
 folder `Ada`. The command opens the board's data, compares configuration and labels, computes every error from the
 predictions, and ranks what agrees. Pictures need not be the same to the byte, which another processor's are not: the
-table says so. Former records (JSON, NPZ) are not ranked.
+table says so.
 """
 
 import argparse
@@ -124,8 +124,7 @@ def checked(runs: pd.DataFrame, study: Study) -> pd.DataFrame:
 def ranked(folder: Path, study: Study) -> tuple[list[ResultTable], dict[str, str]]:
     """Return the tables of all records that hold, and of the others why they do not, by file and method."""
     found: dict[tuple[str, str], pd.DataFrame] = {}
-    former = [path for path in folder.glob("*") if path.suffix in (".json", ".npz")]
-    refused = {f"{len(former)} files": "are of a former format: run them anew"} if former else {}
+    refused: dict[str, str] = {}
     for file in sorted(folder.glob("*.jsonl")):
         compared = list(headline_runs(file))
         if not compared:

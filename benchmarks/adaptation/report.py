@@ -58,7 +58,7 @@ def measure(name: str, study: Study) -> None:
 
 
 def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
-    """Write adaptation.md, .tex, .html and the figures of all parts that were run; return the HTML's path.
+    """Write adaptation.md, .tex and .html of all parts that were run; return the HTML's path.
 
     Raises
     ------
@@ -71,6 +71,5 @@ def write_benchmark_report(folder: Path, out_dir: Path | None = None) -> Path:
             "`gelgap benchmark adaptation` writes them"
         )
     tables = [table for part in PARTS.values() for table in part.tables(folder)]
-    figures = [figure for part in PARTS.values() for figure in part.figures(folder)]
     title = f"Adaptation benchmark, profile {folder.name}"
-    return write_pages(out_dir or folder, "adaptation", title, tables, figures)
+    return write_pages(out_dir or folder, "adaptation", title, tables, [])

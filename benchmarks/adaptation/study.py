@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt import NamedFigure, ResultTable
+from gelgap.adapt import ResultTable
 from gelgap.assets.checksums import canonical_json
 from gelgap.assets.locks import key_lock
 from gelgap.benchmarks.adaptation import board, designs
@@ -330,14 +330,13 @@ def with_errors(records: pd.DataFrame) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the benchmark: `measure` does what is missing; `tables` and `figures` show a folder's records.
+    """One part of the benchmark: `measure` does what is missing; `tables` show a folder's records.
 
     `chosen` names the fields of a study by which a user can narrow what is measured.
     """
 
     measure: Callable[[Study], None]
     tables: Callable[[Path], list[ResultTable]]
-    figures: Callable[[Path], list[NamedFigure]] = lambda folder: []
     chosen: tuple[str, ...] = ("seeds", "methods", "groups")
 
 

@@ -32,30 +32,21 @@ from gelgap.benchmarks.physics.references import (
 QUICK_CASE = FINE_CASE = "nh49_no_slip"
 QUICK_DEPTH_MM = 0.4
 QUICK_DEPTHS = 2  # of each shape
-PRESS = (
-    *("case", "quality", "Fz rms %", "Fz by pose %", "radius worst %", "ref ± %", "core s/pose", "MiB"),
-    "unconverged",
-)
-MEMBRANE = ("case", "quality", *SURFACE, "PSNR dB")
+CASE, COST = ("case", "quality"), ("core s/pose", "unconverged")
+FX, FZ = ("Fx rms %", "Fx by pose %"), ("Fz rms %", "Fz by pose %")
+OVER_THE_LIMIT = "|f_t|/μf_n − 1"
+PRESS = (*CASE, *FZ, "radius worst %", "ref ± %", "MiB", *COST)
+MEMBRANE = (*CASE, *SURFACE, "PSNR dB")
 MEMBRANE_NOTE = (
     "displacement within 5 mm of the contact point, normals within 3 mm of the contact; PSNR: worst depth"
 )
-DRAG = (
-    *("reference", "case", "quality", "Fx rms %", "Fx by pose %", "ref ± %", "Fz rms %", "Fz by pose %"),
-    *("Fx/|Fz|", "reference's", "|f_t|/μf_n − 1", "core s/pose", "unconverged"),
-)
+DRAG = ("reference", *CASE, *FX, "ref ± %", *FZ, "Fx/|Fz|", "reference's", OVER_THE_LIMIT, *COST)
 DRAG_NOTE = (
     f"friction {NO_SLIP_FRICTION:g} does not slip; ratios at the end of the drag; the contact points' own friction "
     "stays within μ of their normal force, the ratio of the whole contact need not"
 )
-SHAPE = (
-    *("case", "quality", "Fz rms %", "Fz worst %", "Fz by pose %", "ref ± %", *SURFACE[:2]),
-    *("core s/pose", "vertices", "unconverged"),
-)
-ACROSS = (
-    *("case", "quality", "Fz rms %", "Fz by pose %", "Fx rms %", "Fx by pose %", *SURFACE[:2]),
-    *("|f_t|/μf_n − 1", "core s/pose", "unconverged"),
-)
+SHAPE = (*CASE, *FZ, "Fz worst %", "ref ± %", *SURFACE[:2], "vertices", *COST)
+ACROSS = (*CASE, *FZ, *FX, *SURFACE[:2], OVER_THE_LIMIT, *COST)
 SHAPE_NOTE = (
     "displacement within 5 mm; ref ±: the references' own; targets at standard: round bodies 3 % rms, 6 % worst, 8 µm; "
     "lying cylinder and box 4 % rms, 10 µm, Fx 6 % rms"

@@ -181,8 +181,10 @@ def solid_cases() -> tuple[Case, ...]:
         "box": (Box(size_mm=(3.0, 2.0), edge_radius_mm=0.4), ((1, 1), (1, -1), (-1, 1), (-1, -1))),
         "cylinder": (Cylinder(diameter_mm=3.0, edge_radius_mm=0.3), ((1, 1), (1, -1))),
     }
-    material = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.48, "friction": NO_SLIP_FRICTION}
-    gel, cases = Elastomer(**material, pad_size_mm=WIDE_PAD_MM), []
+    gel = Elastomer(
+        young_modulus_mpa=0.3, poisson_ratio=0.48, friction=NO_SLIP_FRICTION, pad_size_mm=WIDE_PAD_MM
+    )
+    cases = []
     for name, (body, mirrors) in bodies.items():
         coarse, fine = (mesh for _, mesh in forces[forces["case"] == name].groupby("element_mm", sort=False))
         surface = surfaces[surfaces["case"] == name].groupby(["depth_mm", "travel_mm"])

@@ -39,8 +39,10 @@ _WEDGE_PX = (320, 240)
 _WEDGE_LAGS = range(6)
 _MOST_PICKLE_BYTES = 2**28
 _ARRAY_NAMES = (
-    *("numpy.core.multiarray._reconstruct", "numpy._core.multiarray._reconstruct"),
-    *("numpy.ndarray", "numpy.dtype"),
+    "numpy.core.multiarray._reconstruct",
+    "numpy._core.multiarray._reconstruct",
+    "numpy.ndarray",
+    "numpy.dtype",
 )
 
 BALL_CLONE = "git clone https://github.com/yanglh14/gelsight"

@@ -197,12 +197,13 @@ def rule_records(runs: Iterable[Setting], fold_of: Callable[[Setting], Fold]) ->
     for run in runs:
         fold, start = fold_of(run), time.process_time()
         error_n = RULES[run["method"]](fold) - fold.target_test["fz_n"]
-        found = {
+        results = {
             "clip_mae_n": clip_means(error_n, fold.target_test["clip"]),
             "control": None,
             "problem": None,
+            "stage2_s": time.process_time() - start,
         }
-        rows.append({**run, **found, "stage2_s": time.process_time() - start})
+        rows.append(run | results)
     return pd.json_normalize(rows)
 
 

@@ -120,8 +120,13 @@ def _paper(frames: LabelledFrames, folder: Path) -> None:
         images.mkdir(parents=True)
         forces.mkdir()
         # Every digit, also where another package has set how NumPy writes its numbers.
-        digits = {"float_format": float.__repr__, "na_rep": "nan", "lineterminator": "\r\n"}
-        table[rows].to_csv(forces / "force.csv", index=False, **digits)
+        table[rows].to_csv(
+            forces / "force.csv",
+            index=False,
+            float_format=float.__repr__,
+            na_rep="nan",
+            lineterminator="\r\n",
+        )
         for number, index in enumerate(np.flatnonzero(rows).tolist()):
             if part == UNSPLIT:
                 (images / f"{number}.jpg").write_bytes(encode_jpeg(frames.picture(index)))

@@ -210,7 +210,7 @@ def test_methods_are_compared_on_what_all_have_finished(tmp_path):
 
 def test_all_tables_of_two_data_sets(tmp_path):
     errors = {"source-only": 0.3, "adabn": 0.2, "dann": 0.16, "daregram": 0.15, "dsan": 0.14}
-    both = [*records(errors, data=designs.DATA), *records(errors, data="independent"), *ceilings(0.05)]
+    both = [*records(errors, data=designs.DATA), *records(errors, data="paired"), *ceilings(0.05)]
     folder = write_benchmark(tmp_path, [*both, record(GROUPS[0], "jan", 0.1, data=designs.DATA)])
     found = PART.tables(folder)
     titles = [table.title for table in found]

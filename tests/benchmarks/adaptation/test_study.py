@@ -11,19 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_records import label_record, look_up_method, record, write_benchmark, write_runs
+from run_records import look_up_method, record, write_benchmark, write_runs
 
 from gelgap.adapt.trainer import untrained
-from gelgap.benchmarks.adaptation import labels
 from gelgap.benchmarks.adaptation.board import GROUPS
-from gelgap.benchmarks.adaptation.study import (
-    RUNS,
-    Study,
-    grid,
-    is_benchmark,
-    write_benchmark_report,
-)
-from gelgap.benchmarks.registry import parts_of
+from gelgap.benchmarks.adaptation.designs import DATA
+from gelgap.benchmarks.adaptation.inputs_and_lights import INPUT_RUNS
+from gelgap.benchmarks.adaptation.report import is_benchmark, measure, write_benchmark_report
+from gelgap.benchmarks.adaptation.study import RUNS, Study, grid, train_once
 
 CASES = [("paired", GROUPS[0])]
 OWN_METHOD = """
@@ -81,23 +76,6 @@ def test_a_runs_settings_stand_above_the_methods_own(same_data):
     assert same_data.profile_of(plain).settings == {}
 
 
-def test_stored_records_are_of_todays_grids():
-    """They are not repeated, and what was added since is."""
-    from gelgap.benchmarks.adaptation import tuning
-    from gelgap.benchmarks.adaptation.board import TUNING_CASES
-    from gelgap.benchmarks.common import key_of, read_records
-
-    stored = Path(__file__).parents[3] / "docs" / "results" / "runs"
-    grids = {
-        tuning.TUNED: tuning.grid_runs(TUNING_CASES, tuning.tuned_methods(), [0]),
-        labels.RECORD: grid([("paired", group) for group in GROUPS], labels.METHODS, labels.SEEDS),
-    }
-    for file, runs in grids.items():
-        found = set(read_records(stored / file).index)
-        assert found
-        assert found <= {key_of(run) for run in runs}, file
-
-
 def test_workers_know_a_method_of_ones_own(same_data, tmp_path):
     (tmp_path / "own.py").write_text(OWN_METHOD)
     places = tuple(f"{tmp_path / 'own.py'}:{name}" for name in ("Mine", "Other"))
@@ -124,7 +102,7 @@ def test_runs_wait_for_the_first_stage_that_they_share(source, target, monkeypat
 
     monkeypatch.setattr("gelgap.adapt.runs.train_source", train)
     with ThreadPoolExecutor() as pool:
-        seconds = [wall_s for _, wall_s in pool.map(lambda stage1: stage1.model(), (first, second))]
+        seconds = list(pool.map(lambda stage1: train_once(stage1, "dsan"), (first, second)))
     assert len(trained) == 1
     assert min(seconds) == 0 < max(seconds)
 
@@ -132,15 +110,13 @@ def test_runs_wait_for_the_first_stage_that_they_share(source, target, monkeypat
 @pytest.mark.parametrize(
     ("part", "choice", "takes"),
     [
-        ("labels", {"methods": ("dann",)}, "it takes --seeds$"),
-        ("crossed", {"groups": (GROUPS[0],)}, "it takes --seeds, --methods$"),
+        ("tuning", {"groups": (GROUPS[0],)}, "it takes --seeds, --methods$"),
         ("groups", {"inputs": ("grey",)}, "it takes --seeds, --methods, --groups$"),
     ],
 )
 def test_a_choice_that_a_part_does_not_follow_is_refused(part, choice, takes, tmp_path):
-    found = {entry.part: entry.load() for entry in parts_of("adaptation")}[part]
     with pytest.raises(ValueError, match=takes):
-        found.carry_out(Study.at(tmp_path / "board", **choice))
+        measure(part, Study.at(tmp_path / "board", **choice))
     assert not list(tmp_path.iterdir())
 
 
@@ -175,11 +151,11 @@ def test_report_of_all_parts(tmp_path):
         for seed in (0, 1)
     ]
     write_benchmark(folder, found)
-    write_runs(folder / labels.RECORD, [label_record(GROUPS[0], "dsan", {0: 0.2, 1: 0.1})])
+    write_runs(folder / INPUT_RUNS, [record(GROUPS[0], "dsan", 0.2, data=DATA)])
     page = write_benchmark_report(folder, tmp_path / "out").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 2
+    assert "What inputs are worth" in page
     text = Path(tmp_path / "out" / "adaptation.md").read_text(encoding="utf-8")
-    for expected in ("Kendall's τ", "A few labelled target frames"):
+    for expected in ("Kendall's τ", "What inputs are worth"):
         assert expected in text
     latex = Path(tmp_path / "out" / "adaptation.tex").read_text(encoding="utf-8")
     assert not set("→±×≥…²λ") & set("".join(ln for ln in latex.splitlines() if not ln.startswith("%")))

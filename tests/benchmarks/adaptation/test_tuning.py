@@ -8,8 +8,14 @@ import pytest
 from run_records import Record, record, write_runs
 
 from gelgap.adapt import SELECTORS, Profile
-from gelgap.benchmarks.adaptation import tuning
-from gelgap.benchmarks.adaptation.board import GROUPS, TUNING_CASES, TUNING_DOMAINS, recipes_of
+from gelgap.benchmarks.adaptation import designs, tuning
+from gelgap.benchmarks.adaptation.board import (
+    GROUPS,
+    LIGHT_GROUPS,
+    TUNING_CASES,
+    TUNING_DOMAINS,
+    tuning_recipes,
+)
 from gelgap.benchmarks.adaptation.study import load_runs
 from gelgap.benchmarks.adaptation.tuning import SELECTOR
 
@@ -131,22 +137,20 @@ def test_the_grid_of_a_method_of_ones_own_is_checked_first(tmp_path):
 
 
 def test_nothing_is_tuned_on_what_is_compared():
-    compared = {recipe for data in ("paired", "independent") for recipe in recipes_of(data)}
-    own = {recipe for data in TUNING_SETS for recipe in recipes_of(data)}
+    names = {name for group in (*GROUPS, *LIGHT_GROUPS) for name in group}
+    compared = designs.role_recipes(sorted(names), "target")
+    own = {recipe for data in TUNING_SETS for recipe in tuning_recipes(data)}
     assert {recipe.name for recipe in own} == set(TUNING_DOMAINS)
     for part in ("elastomer", "illumination"):
         assert not {getattr(r, part) for r in own} & {getattr(r, part) for r in compared}
-    assert {recipe.contacts for recipe in recipes_of("tune-independent")} == {"independent"}
-    assert {recipe.inpainted_from for recipe in recipes_of("tune-paired")} == {None, "mb3i3"}
+    assert {recipe.contacts for recipe in tuning_recipes("tune-independent")} == {"independent"}
+    assert {recipe.inpainted_from for recipe in tuning_recipes("tune-paired")} == {None, "mb3i3"}
 
 
 def test_the_table_of_the_choice(tmp_path):
     assert tuning.PART.tables(tmp_path) == []
     write_runs(tmp_path / tuning.TUNED, grid([2, 1, 3, 4, 5], [0.1, 0.3, 0.2, 0.4, 0.5]))
     (table,) = tuning.PART.tables(tmp_path)
-    assert table.cells == [
-        [
-            *("dann", "0, 0.003, 0.03, 0.3, 3", "2.0, 1.0, 3.0, 4.0, 5.0", "0.003", ""),
-            *("0.200", "0.200", "1"),
-        ]
-    ]
+    (row,) = table.cells
+    assert row[:5] == ["dann", "0, 0.003, 0.03, 0.3, 3", "2.0, 1.0, 3.0, 4.0, 5.0", "0.003", ""]
+    assert row[5:] == ["0.200", "0.200", "1"]
