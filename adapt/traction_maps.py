@@ -120,8 +120,10 @@ def learn_traction_maps(
     Raises
     ------
     ValueError
-        If the domain was generated without tractions, or none of the frames carries load.
+        If the backbone is not a ResNet, the domain was generated without tractions, or none of the frames carries load.
     """
+    if not isinstance(start.network.backbone, ResNet):
+        raise ValueError(f"maps of the force need a ResNet; the model's backbone is {start.profile.backbone}")
     maps_n = traction_maps_n(domain, rows)
     loaded = np.abs(maps_n).sum(axis=-1) > 0
     if not loaded.any():

@@ -1,6 +1,7 @@
 """`gelgap`: parse the command line, run one command, turn errors into one line and an exit code."""
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -16,11 +17,13 @@ from gelgap.cli.calibrate import Calibrate
 from gelgap.cli.convert import Convert
 from gelgap.cli.demo import Demo
 from gelgap.cli.export import Export
+from gelgap.cli.export_model import ExportModel
 from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
 from gelgap.cli.options import Command, output_folder
 from gelgap.cli.parser import check_values, parse_words
+from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
 from gelgap.cli.pretrain import Pretrain
@@ -44,8 +47,11 @@ Every command explains itself with --help; --version says which gelgap this is. 
 traceback."""
 
 MAKE = (Demo, Press, Render, View, Generate)
-USE = (Inspect, Export, Convert, Calibrate, Pretrain, Adapt, Finetune, Report, Benchmark, Presets, Cache)
-COMMANDS = {command.__name__.lower(): command for command in (*MAKE, *USE)}
+USE = (Inspect, Export, Convert, Calibrate, Pretrain, Adapt, Finetune, Predict, ExportModel)
+LOOK = (Report, Benchmark, Presets, Cache)
+COMMANDS = {
+    re.sub(r"(?<=[a-z])(?=[A-Z])", "-", command.__name__).lower(): command for command in (*MAKE, *USE, *LOOK)
+}
 _LOOK_AGAIN_S = 0.1
 
 

@@ -158,7 +158,7 @@ def train_on_few_labels(study: FewLabelStudy, run: Setting) -> Results:
         part.images(profile.image_size_px)  # read before the clock starts
     start, problem = time.perf_counter(), None
     try:
-        predicted = trained(checkpoint, labelled, known, profile, run["seed"]).predict(tested)
+        predicted = trained(checkpoint, labelled, known, profile, run["seed"]).predict_frames(tested)
     except (FeatureCollapse, TrainingDiverged) as trouble:
         predicted, problem = labelled.label_values.mean(axis=0), str(trouble)
     return {
