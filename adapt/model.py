@@ -172,8 +172,7 @@ class ForceModel:
             If it is not a gelgap checkpoint, is damaged, or the code of its feature extractor is not loaded, which a
             checkpoint never does itself.
         """
-        if backbone is not None:
-            use_backbone(backbone)
+        named = backbone and use_backbone(backbone)
         path = Path(path)
         if problem := checksum_problem(path):
             raise ValueError(f"{path} {problem}; train it again or take a whole copy")
@@ -181,12 +180,17 @@ class ForceModel:
         if content.get("format") != _FORMAT:
             raise ValueError(f"{path} is not a gelgap checkpoint of format {_FORMAT}")
         try:
-            return cls._of(content)
+            model = cls._of(content)
         except CodeNotLoaded as error:
             raise ValueError(f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} is not a whole gelgap checkpoint ({reason})") from None
+        if named is not None and named.partition("#")[0] != model.profile.backbone.partition("#")[0]:
+            raise ValueError(
+                f"{path} has the backbone {model.profile.backbone}, not {backbone}; leave that out"
+            )
+        return model
 
     @classmethod
     def _of(cls, content: dict[str, Any]) -> "ForceModel":

@@ -80,6 +80,7 @@ def camera_pictures(index: int) -> Iterator[NamedPicture]:
     """
     import cv2
 
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the sentence below is enough
     camera, number = cv2.VideoCapture(index), 0
     try:
         while (taken := camera.read())[0]:

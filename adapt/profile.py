@@ -104,7 +104,7 @@ class Profile(PresetSettings):
     def _is_known(cls, name: str) -> str:
         if not re.fullmatch(r"resnet18|resnet50|[\w.-]+:\w+#[0-9a-f]*", name):
             raise ValueError(
-                "must be resnet18, resnet50 or what use_backbone('file.py:make_backbone') returns"
+                "must be resnet18, resnet50 or your own, file.py:make_backbone (in Python what use_backbone returns)"
             )
         return name
 

@@ -59,7 +59,7 @@ class Predict(opt.Command):
                     rows.append(row)
         if self.csv is not None:
             with whole_file(self.csv) as temporary:
-                _table(rows).to_csv(temporary, index=False)
+                _table(rows).to_csv(temporary, index=False, float_format="%.6g")
             print(f"wrote {self.csv}")
 
 
