@@ -37,6 +37,11 @@ from .model import ForceModel as ForceModel
 from .model import with_statistics_of as with_statistics_of
 from .network import Activations as Activations
 from .network import make_network as make_network
+from .onnx_file import export_onnx as export_onnx
+from .own_code import use_backbone as use_backbone
+from .prediction import camera_pictures as camera_pictures
+from .prediction import predict_each as predict_each
+from .prediction import read_pictures as read_pictures
 from .profile import Profile as Profile
 from .progress import console_progress as console_progress
 from .report import feature_tsne as feature_tsne

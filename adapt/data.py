@@ -25,7 +25,7 @@ from gelgap.domains import (
     with_labels,
 )
 
-_SAME_ASPECT = 0.02
+SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
 
 
@@ -101,7 +101,7 @@ def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile)
         f"pictures of {name} are {w0}×{h0} px and those of {target.name} {w1}×{h1} px: at {width}×{height} px one is "
         "squeezed more than the other; crop them to one aspect"
         for name, w0, h0 in sizes
-        if abs(w0 * h1 / (h0 * w1) - 1) > _SAME_ASPECT
+        if abs(w0 * h1 / (h0 * w1) - 1) > SAME_ASPECT
     )
 
 

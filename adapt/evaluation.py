@@ -121,7 +121,7 @@ def evaluate(model: ForceModel, frames: LabelledFrames) -> Evaluation:
     """Return the error of a model on labelled frames, on the labels that it predicts."""
     if frames.labels.names != model.labels.names:
         frames = with_labels(frames, model.labels)
-    return evaluate_frames(frames, model.predict(frames))
+    return evaluate_frames(frames, model.predict_frames(frames))
 
 
 def as_judged_on_source(model: ForceModel, source_train: LabelledFrames) -> ForceModel:

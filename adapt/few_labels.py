@@ -144,7 +144,7 @@ def affine_correction(model: ForceModel, frames: LabelledFrames) -> ForceModel:
         If there are no frames, or a label is outside the model's range.
     """
     _check(model, frames)
-    predicted = model.predict(frames)
+    predicted = model.predict_frames(frames)
     scale = (model.labels.high - model.labels.low) / 2
     # Over the range's half-width: then both columns of the regression, and all labels, are of one size.
     columns = np.stack([predicted / scale, np.ones_like(predicted)], axis=2)

@@ -7,20 +7,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from pydantic import FiniteFloat, TypeAdapter
+from pydantic import FiniteFloat, PositiveInt, TypeAdapter
 from torch import nn
 from torch.optim.swa_utils import update_bn
 
-from gelgap.adapt.data import Draw, epoch_order, network_inputs
+from gelgap.adapt.data import SAME_ASPECT, Draw, epoch_order, network_inputs
 from gelgap.adapt.inputs import INPUTS, InputMap
-from gelgap.adapt.network import ForceNetwork, load_checkpoint, load_imagenet_weights, make_network
+from gelgap.adapt.network import ForceNetwork, ResNet, load_checkpoint, load_imagenet_weights, make_network
+from gelgap.adapt.own_code import CodeNotLoaded, use_backbone
 from gelgap.adapt.profile import Profile
 from gelgap.assets.checksums import checksum_problem
 from gelgap.assets.whole_file import whole_file
-from gelgap.domains import FORCE_COLUMNS, LabelledFrames, Labels
+from gelgap.domains import FORCE_COLUMNS, ArrayFrames, LabelledFrames, Labels
 
 _FORMAT = 1
-_DESCRIPTION = ("n_classes", "seed", "source", "target", "method")
+_DESCRIPTION = ("n_classes", "seed", "source", "size_px", "target", "method")
 _INFERENCE_BATCH = 256
 _STATISTICS_BATCH = 64
 
@@ -43,9 +44,10 @@ class AffineCorrection(NamedTuple):
 
 @dataclass(frozen=True)
 class ForceModel:
-    """A network with what is needed to use it: `predict` maps frames to labels, forces in newtons by default.
+    """A network with what is needed to use it: `predict` maps pictures to labels, forces in newtons by default.
 
-    labels are those it was trained on, with their ranges; source, target and method say how it was trained;
+    labels are those it was trained on, with their ranges; size_px is the width and height of the pictures of the domain
+    it is for, as stored, before they are reduced to the profile's; source, target and method say how it was trained;
     history holds the `EpochRecord` of every epoch of both stages as a dictionary. input_map is that of the domain it is
     for, where the profile's input has one; correction is what a few labels added.
     """
@@ -56,6 +58,7 @@ class ForceModel:
     n_classes: int
     seed: int
     source: str
+    size_px: tuple[int, int]
     target: str | None = None
     method: str = "source-only"
     history: tuple[dict[str, Any], ...] = field(default=())
@@ -75,8 +78,42 @@ class ForceModel:
         """Return the transfer features (n, feature_dim) float32."""
         return self._infer(frames)[0]
 
-    def predict(self, frames: LabelledFrames) -> np.ndarray:
-        """Return the predicted labels (n, k), each in its unit."""
+    def predict(self, picture: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """Return the labels (k,) of a picture (h, w, 3) uint8 RGB, or (n, k) of several (n, h, w, 3), each in its unit.
+
+        The reference is the same sensor's picture without contact, (h, w, 3). Pictures have the aspect of those that
+        the model was trained on and at least the size of the network's, to which they are reduced as in training.
+
+        Raises
+        ------
+        ValueError
+            If a picture has another shape or type, another size than the reference, another aspect, or is too small;
+            for the input `markers` if the reference shows no dots.
+        """
+        picture, reference = np.asarray(picture), np.asarray(reference)
+        pictures = picture if picture.ndim == 4 else picture[None]
+        for what, image in (("picture", pictures[:1]), ("reference", reference[None])):
+            if image.dtype != np.uint8 or image.ndim != 4 or image.shape[3] != 3:
+                raise ValueError(
+                    f"the {what} is {image.dtype} {image.shape[1:]}; it must be uint8 RGB (h, w, 3)"
+                )
+        (height, width), (w0, h0) = pictures.shape[1:3], self.size_px
+        if reference.shape[:2] != (height, width):
+            raise ValueError(
+                f"the picture is {width}×{height} px and the reference {reference.shape[1]}×{reference.shape[0]} px; "
+                "both must be of one size, from the same camera"
+            )
+        if abs(width * h0 / (height * w0) - 1) > SAME_ASPECT:
+            raise ValueError(
+                f"the picture is {width}×{height} px; the model is for pictures of {w0}×{h0} px and would be shown a "
+                "squeezed one: crop picture and reference to that aspect"
+            )
+        unknown = {self.labels.names[0]: np.full(len(pictures), np.nan)}
+        predicted = self.predict_frames(ArrayFrames("these pictures", pictures, reference, None, **unknown))
+        return predicted if picture.ndim == 4 else predicted[0]
+
+    def predict_frames(self, frames: LabelledFrames) -> np.ndarray:
+        """Return the predicted labels (n, k) of a data set's frames, each in its unit."""
         low, high = self.labels.low, self.labels.high
         predicted = low + self._infer(frames)[1].astype(float) * (high - low)
         return predicted if self.correction is None else self.correction(predicted)
@@ -91,9 +128,9 @@ class ForceModel:
         """
         if self.labels.names != FORCE_COLUMNS:
             raise ValueError(
-                f"the model predicts {', '.join(self.labels.names)}, not Fx, Fy and Fz: use `predict`"
+                f"the model predicts {', '.join(self.labels.names)}, not Fx, Fy and Fz: use `predict_frames`"
             )
-        return self.predict(frames)
+        return self.predict_frames(frames)
 
     @torch.inference_mode()
     def _infer(self, frames: LabelledFrames) -> tuple[np.ndarray, np.ndarray]:
@@ -124,16 +161,18 @@ class ForceModel:
             torch.save(content, file)
 
     @classmethod
-    def load(cls, path: str | Path) -> "ForceModel":
-        """Read a file that `save` wrote.
+    def load(cls, path: str | Path, backbone: str | None = None) -> "ForceModel":
+        """Read a file that `save` wrote; of a model with a feature extractor of your own, name that (`use_backbone`).
 
         Raises
         ------
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is not a gelgap checkpoint, or is damaged.
+            If it is not a gelgap checkpoint, is damaged, or the code of its feature extractor is not loaded, which a
+            checkpoint never does itself.
         """
+        named = backbone and use_backbone(backbone)
         path = Path(path)
         if problem := checksum_problem(path):
             raise ValueError(f"{path} {problem}; train it again or take a whole copy")
@@ -141,10 +180,17 @@ class ForceModel:
         if content.get("format") != _FORMAT:
             raise ValueError(f"{path} is not a gelgap checkpoint of format {_FORMAT}")
         try:
-            return cls._of(content)
+            model = cls._of(content)
+        except CodeNotLoaded as error:
+            raise ValueError(f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             reason = " ".join(str(error).split())[:200]
             raise ValueError(f"{path} is not a whole gelgap checkpoint ({reason})") from None
+        if named is not None and named.partition("#")[0] != model.profile.backbone.partition("#")[0]:
+            raise ValueError(
+                f"{path} has the backbone {model.profile.backbone}, not {backbone}; leave that out"
+            )
+        return model
 
     @classmethod
     def _of(cls, content: dict[str, Any]) -> "ForceModel":
@@ -159,7 +205,11 @@ class ForceModel:
         labels = Labels.of(dict(zip(names, ranges, strict=True)))
         network = make_network(profile, n_classes, seed=0, n_labels=len(labels))
         network.load_state_dict(state)
-        correction = TypeAdapter(AffineCorrection | None).validate_python(content.get("correction"))
+        TypeAdapter(tuple[PositiveInt, PositiveInt]).validate_python(content["size_px"])
+        shown = TypeAdapter(InputMap | None).validate_python(content["input_map"])
+        if shown is not None and {*map(len, shown)} != {profile.in_channels}:
+            raise ValueError(f"input_map = {content['input_map']!r}")
+        correction = TypeAdapter(AffineCorrection | None).validate_python(content["correction"])
         if correction is not None and {*map(len, correction)} != {len(labels)}:
             raise ValueError(f"correction = {content['correction']!r}")
         return cls(
@@ -168,23 +218,9 @@ class ForceModel:
             labels,
             **{name: content[name] for name in _DESCRIPTION},
             history=tuple(content["history"]),
-            input_map=_input_map(content, profile.in_channels),
+            input_map=shown,
             correction=correction,
         )
-
-
-def _input_map(content: dict[str, Any], channels: int) -> InputMap | None:
-    """Return the map that a checkpoint holds: a matrix and an offset, or as formerly means and deviations."""
-    kept = content.get("input_map")
-    if (former := content.get("input_statistics")) is not None:
-        mean, std = np.array(former, float)
-        if std.min() <= 0:
-            raise ValueError(f"input_statistics = {former!r}: deviations must be above 0")
-        kept = InputMap.of(np.diag(1 / std), -mean / std)
-    found = TypeAdapter(InputMap | None).validate_python(kept)
-    if found is not None and {*map(len, found)} != {channels}:
-        raise ValueError(f"input_map = {kept!r}")
-    return found
 
 
 def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> None:
@@ -193,6 +229,10 @@ def load_start(network: ForceNetwork, path: Path, labels: tuple[str, ...]) -> No
     Of a checkpoint with other labels or classes the outputs for those in common are taken; the others start anew.
     """
     if "state" not in load_checkpoint(path):
+        if not isinstance(network.backbone, ResNet):
+            raise ValueError(
+                f"{path} is not a gelgap checkpoint: a feature extractor of your own loads other weights itself"
+            )
         load_imagenet_weights(network.backbone, path)
         return
     checkpoint = ForceModel.load(path)
@@ -218,7 +258,8 @@ def with_statistics_of(model: ForceModel, frames: LabelledFrames) -> ForceModel:
     """Return a copy of a model whose input and batch normalisations have the statistics of these frames' pictures."""
     network = copy.deepcopy(model.network)
     estimate_statistics(network, frames, model.profile, model.seed)
-    return replace(model, network=network, input_map=input_map(frames, model.profile, model.device))
+    shown = input_map(frames, model.profile, model.device)
+    return replace(model, network=network, size_px=frames.size_px, input_map=shown)
 
 
 def input_map(frames: LabelledFrames, profile: Profile, device: torch.device) -> InputMap | None:

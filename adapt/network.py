@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from gelgap.adapt.own_code import own_backbone
 from gelgap.adapt.profile import Profile
 
 # A checkpoint stores its tensors as they are: a file that would take more than this times its size is not one.
@@ -42,7 +43,7 @@ class Activations:
 
 
 class ForceNetwork(nn.Module):
-    """ResNet → Linear + ReLU (the transfer feature) → Linear + Sigmoid (labels) and Linear (contact class).
+    """Backbone → Linear + ReLU (the transfer feature) → Linear + Sigmoid (labels) and Linear (contact class).
 
     The classifier has no ReLU: in front of cross-entropy it would stop the gradient of every negative
     true-class logit.
@@ -51,7 +52,10 @@ class ForceNetwork(nn.Module):
     def __init__(self, profile: Profile, n_classes: int, n_labels: int = 3) -> None:
         super().__init__()
         self.n_labels = n_labels
-        self.backbone = ResNet(profile.backbone, profile.in_channels, profile.width)
+        if ":" in profile.backbone:
+            self.backbone = OwnBackbone(profile.backbone, profile.input_shape)
+        else:
+            self.backbone = ResNet(profile.backbone, profile.in_channels, profile.width)
         self.bottleneck = nn.Sequential(
             nn.Linear(self.backbone.out_features, profile.feature_dim), nn.ReLU(inplace=True)
         )
@@ -148,6 +152,39 @@ class ResNet(nn.Module):
         x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
         return self.avgpool(x).flatten(1)
+
+
+class OwnBackbone(nn.Module):
+    """A user's feature extractor for inputs (B, channels, h, w) of one shape; maps that it returns are averaged.
+
+    Raises a ValueError if it cannot be made, or returns something else than features or maps.
+    """
+
+    def __init__(self, name: str, shape: tuple[int, int, int]) -> None:
+        super().__init__()
+        make, own = own_backbone(name), name.partition("#")[0]
+        try:
+            self.extractor = make(shape[0])
+            if not isinstance(self.extractor, nn.Module):
+                raise TypeError(f"it makes {type(self.extractor).__name__}, not a torch.nn.Module")
+            with torch.no_grad():
+                features = self.eval()(torch.zeros(2, *shape))
+        except Exception as error:  # the user's code raises anything
+            reason = " ".join(str(error).split())[:200]
+            raise ValueError(
+                f"backbone {own} fails for pictures {shape} ({type(error).__name__}: {reason})"
+            ) from error
+        if features.ndim != 2 or len(features) != 2:
+            raise ValueError(
+                f"backbone {own} returns {tuple(features.shape)} for 2 pictures {shape}; (2, features) or "
+                "(2, channels, h, w) is needed"
+            )
+        self.out_features = features.shape[1]
+        self.train()
+
+    def forward(self, x: Tensor) -> Tensor:
+        features = self.extractor(x)
+        return features.mean(dim=(2, 3)) if features.ndim == 4 else features
 
 
 def load_imagenet_weights(backbone: ResNet, path: str | Path) -> None:

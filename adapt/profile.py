@@ -1,11 +1,13 @@
 """One frozen object with every hyperparameter of an adaptation run, and the presets smoke, cpu and paper."""
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from gelgap.adapt.inputs import INPUTS
+from gelgap.adapt.own_code import use_backbone
 from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import PresetSettings
 
@@ -23,8 +25,8 @@ class Profile(PresetSettings):
 
     name: str = "custom"
     """name under which results are filed"""
-    backbone: Literal["resnet18", "resnet50"] = "resnet18"
-    """feature encoder"""
+    backbone: str = "resnet18"
+    """feature extractor: resnet18, resnet50, or your own as file.py:make_backbone, beside the profile's file"""
     # With fewer than 8 channels, oneDNN's strided 1×1 convolutions (torch 2.13) write past their buffer on AVX2.
     width: float = Field(default=1.0, ge=0.125, le=2)
     """factor on the number of channels (64, 128, 256, 512) of the backbone's layers"""
@@ -97,16 +99,14 @@ class Profile(PresetSettings):
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """by method: settings of the method that differ from its defaults"""
 
-    @model_validator(mode="before")
+    @field_validator("backbone")
     @classmethod
-    def _reads_former_names(cls, values: Any) -> Any:
-        """Take `input_standardisation` (none or domain), which profiles had before `input`."""
-        if not isinstance(values, dict) or "input_standardisation" not in values:
-            return values
-        values, known = dict(values), {"none": "pictures", "domain": "standardised"}
-        if (former := values.pop("input_standardisation")) not in known:
-            raise ValueError(f"input_standardisation = {former!r}: must be none or domain")
-        return values | {"input": known[former]}
+    def _is_known(cls, name: str) -> str:
+        if not re.fullmatch(r"resnet18|resnet50|[\w.-]+:\w+#[0-9a-f]*", name):
+            raise ValueError(
+                "must be resnet18, resnet50 or your own, file.py:make_backbone (in Python what use_backbone returns)"
+            )
+        return name
 
     @field_validator("target_split")
     @classmethod
@@ -137,6 +137,12 @@ class Profile(PresetSettings):
         return INPUTS[self.input].channels or (6 if self.pairing == "channels" else 3)
 
     @property
+    def input_shape(self) -> tuple[int, int, int]:
+        """Channels, height and width of the network's input."""
+        width, height = self.image_size_px
+        return self.in_channels, height * (2 if self.pairing == "stack" else 1), width
+
+    @property
     def judges_by_own_statistics(self) -> bool:
         """Whether stage 2 ends with batch statistics estimated on the domain that is judged, not the running ones."""
         return self.batch_statistics == "per_domain"
@@ -149,4 +155,6 @@ class Profile(PresetSettings):
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:
         base = values.pop("base", None)
         start = {} if base is None else cls.preset(base).model_dump()
+        if ":" in (own := str(values.get("backbone", ""))):
+            values["backbone"] = use_backbone(str(folder / own) if ".py:" in own else own)
         return super()._of_table(start | {"name": name} | values, name, folder)

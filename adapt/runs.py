@@ -338,7 +338,7 @@ def run_method(
     errors, arrays = {"target": constant["target"]}, {}
     for name, judge in judged.items():
         if len(tested[name]):
-            predicted = judge.predict(tested[name])
+            predicted = judge.predict_frames(tested[name])
             errors[name] = evaluate_frames(tested[name], predicted)
             arrays[f"{name}_true_n"] = tested[name].label_values.astype(np.float32)
             arrays[f"{name}_predicted_n"] = predicted.astype(np.float32)

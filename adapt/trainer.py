@@ -102,7 +102,9 @@ def untrained(source: LabelledFrames, profile: Profile, seed: int = 0) -> ForceM
     """Return the model with which stage 1 begins, for methods that do not need its training."""
     device = "cuda" if torch.cuda.is_available() else "cpu"
     network = make_network(profile, source.n_classes, seed, len(source.labels)).to(device)
-    return ForceModel(network.eval(), profile, source.labels, source.n_classes, seed, source.name)
+    return ForceModel(
+        network.eval(), profile, source.labels, source.n_classes, seed, source.name, source.size_px
+    )
 
 
 def adapt(
@@ -155,6 +157,7 @@ def adapt(
         network=copy.deepcopy(model.network),
         profile=profile,
         seed=seed,
+        size_px=target.size_px,
         target=target.name,
         method=method,
         input_map=input_map(target, profile, model.device),

@@ -62,6 +62,8 @@ class Adapt(opt.Command):
     profile: opt.ProfileName = "smoke"
     input: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
     """What the network is shown: pictures, standardised, calibrated, grey, markers or pretrained (with --weights)."""
+    backbone: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
+    """The feature extractor: resnet18, resnet50, or your own as file.py:make_backbone."""
     labels: Annotated[
         tuple[str, ...] | None, opt.optional("NAME ...", "the axes of the force that both domains have")
     ] = None
@@ -88,6 +90,7 @@ class Adapt(opt.Command):
     def run(self, started: float) -> None:
         """Train, adapt, print one line per method."""
         changes = {"input": self.input, "split_by": self.split_by, "stratify_by": self.stratify}
+        changes["backbone"] = self.backbone and adapt.use_backbone(self.backbone)
         profile = opt.named(adapt.Profile, self.profile).replace(
             **{name: value for name, value in changes.items() if value is not None}
         )

@@ -35,9 +35,12 @@ class Finetune(opt.Command):
     """Seed of the draw and of the training."""
     out: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".pt")] = None
     """Write the fine-tuned checkpoint here."""
+    backbone: opt.OwnBackbone = None
 
     def run(self, started: float) -> None:
         """Fine-tune and print the errors."""
+        if self.backbone is not None:
+            adapt.use_backbone(self.backbone)
         found = adapt.finetune(
             self.checkpoint, self.on, self.test, frames=self.frames, clips=self.clips, seed=self.seed
         )

@@ -20,10 +20,12 @@ from gelgap.cli.checks import check_values
 from gelgap.cli.convert import Convert
 from gelgap.cli.demo import Demo
 from gelgap.cli.export import Export
+from gelgap.cli.export_model import ExportModel
 from gelgap.cli.finetune import Finetune
 from gelgap.cli.generate import Generate
 from gelgap.cli.inspect import Inspect
 from gelgap.cli.options import Command, output_folder
+from gelgap.cli.predict import Predict
 from gelgap.cli.presets import Presets
 from gelgap.cli.press import Press
 from gelgap.cli.pretrain import Pretrain
@@ -46,11 +48,28 @@ For example:
 Every command explains itself with --help; --version says which gelgap this is. Add --debug to any command for a full
 traceback."""
 
-MAKE = (Demo, Press, Render, View, Generate)
-USE = (Inspect, Export, Convert, Calibrate, Pretrain, Adapt, Finetune, Report, Benchmark, Presets, Cache)
+COMMANDS = {
+    "demo": Demo,
+    "press": Press,
+    "render": Render,
+    "view": View,
+    "generate": Generate,
+    "inspect": Inspect,
+    "export": Export,
+    "convert": Convert,
+    "calibrate": Calibrate,
+    "pretrain": Pretrain,
+    "adapt": Adapt,
+    "finetune": Finetune,
+    "predict": Predict,
+    "export-model": ExportModel,
+    "report": Report,
+    "benchmark": Benchmark,
+    "presets": Presets,
+    "cache": Cache,
+}
 # As MuJoCo, OpenCV, torch, NumPy and the loader of shared libraries say it, each by an error of its own.
 _OUT_OF_MEMORY = re.compile(r"\ballocate\b|failed to map segment", re.IGNORECASE)
-COMMANDS = {command.__name__.lower(): command for command in (*MAKE, *USE)}
 
 
 def parse(words: Sequence[str]) -> Command:

@@ -105,6 +105,13 @@ PictureSize = Annotated[
 ProfileName = Annotated[
     str, tyro.conf.arg(help="Hyperparameters: a preset (see: gelgap presets profiles) or a TOML file.")
 ]
+OwnBackbone = Annotated[
+    str | None,
+    optional(
+        "FILE.py:FUNCTION",
+        help="The file, run here, of the model's feature extractor, where that is your own.",
+    ),
+]
 LightName = Annotated[str | None, optional("NAME", "the sensor's own, or i0")]
 
 

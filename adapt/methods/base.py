@@ -1,9 +1,8 @@
 """What an adaptation method is, what it may work with, and how a training may fail."""
 
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -155,18 +154,6 @@ class Method(nn.Module):
         "transfer_weight",
         (0.0, 3e-5, 3e-4, 0.003, 0.03, 0.3, 3.0),
     )
-    # Deprecated, as `perturb` is: `loss` and `augment` are given a step.
-    scheduled: ClassVar[bool] = True
-    applies_weight: ClassVar[bool] = False
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        for name in {"scheduled", "applies_weight", "perturb"} & vars(cls).keys():
-            warnings.warn(
-                f"{cls.__name__}.{name} is deprecated: override `loss` or `augment`, which are given the step",
-                DeprecationWarning,
-                stacklevel=2,
-            )
 
     def __init__(self, settings: MethodSettings, feature_dim: int, n_classes: int, n_labels: int = 3) -> None:
         super().__init__()
@@ -199,14 +186,10 @@ class Method(nn.Module):
 
     def augment(self, inputs: Tensor, step: Step) -> Tensor:
         """Return what the network is shown of the target's inputs (B, channels, h, w); by default all as it is."""
-        self._note(step)
-        return self.perturb(inputs)
+        return inputs
 
     def augment_source(self, inputs: Tensor, target: Tensor, step: Step) -> Tensor:
         """Return what the network is shown of the source's inputs, the target's (B, channels, h, w) beside them."""
-        return inputs
-
-    def perturb(self, inputs: Tensor) -> Tensor:
         return inputs
 
     def transfer_loss(self, source: Activations, target: Activations) -> Tensor:
@@ -215,16 +198,7 @@ class Method(nn.Module):
 
     def loss(self, source: Activations, target: Activations, step: Step) -> TransferLoss | None:
         """Return what is added to a step's loss; by default λ_t times `transfer_loss`, and nothing while λ_t is 0."""
-        self._note(step)
-        if self.weight == 0 and not self.applies_weight:
-            return None
-        value = self.transfer_loss(source, target)
-        return TransferLoss(value, 1.0 if self.applies_weight else self.weight, self.diagnostics)
-
-    def _note(self, step: Step) -> None:
-        """Set what a transfer loss read and wrote before `loss` was given a step; deprecated."""
-        self.weight, self.rng = step.weight if self.scheduled else 1.0, step.rng
-        self.diagnostics: dict[str, float] = {}
+        return None if step.weight == 0 else TransferLoss(self.transfer_loss(source, target), step.weight)
 
     def after_step(self, network: ForceNetwork) -> None:
         """Follow a step of the network in training; by default nothing."""

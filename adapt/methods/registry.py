@@ -4,18 +4,13 @@ A new one is a class in this folder and a line in `METHODS`. Further ones come f
 entry points of installed packages, or as `module:Class` or `file.py:Class`.
 """
 
-import hashlib
-import inspect
-import sys
 from functools import cache
-from importlib import import_module
 from importlib.metadata import entry_points
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from pkgutil import resolve_name
-from types import ModuleType
 from typing import TYPE_CHECKING
 
+from gelgap.adapt.own_code import code_sha256, imported
 from gelgap.assets.names import unknown_name
 
 if TYPE_CHECKING:
@@ -133,10 +128,11 @@ def make_method(name: str, profile: "Profile", n_classes: int, n_labels: int = 3
     """Return a method with the profile's settings for it; what it owns as parameters is drawn by the seed."""
     import torch
 
+    kind = find_method(name)
     settings = method_settings(name, profile)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return find_method(name)(settings, profile.feature_dim, n_classes, n_labels)
+        return kind(settings, profile.feature_dim, n_classes, n_labels)
 
 
 def transfer_weight(name: str, profile: "Profile") -> float:
@@ -145,23 +141,15 @@ def transfer_weight(name: str, profile: "Profile") -> float:
 
 
 def _keep(name: str, method: "type[Method]") -> None:
-    file = inspect.getsourcefile(method)
     EXTRA[name] = method
-    _CODE[name] = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    _CODE[name] = code_sha256(method)
 
 
 def _load(place: str) -> "type[Method]":
     """Return the class at `module:Class` or `file.py:Class`."""
     from gelgap.adapt.methods.base import Method
 
-    module_name, _, class_name = place.rpartition(":")
-    try:
-        module = _from_file(module_name) if module_name.endswith(".py") else import_module(module_name)
-    except Exception as error:
-        raise ValueError(
-            f"method {place!r}: {module_name} could not be imported ({type(error).__name__}: {error}); "
-            "name a module or a .py file, and a class in it"
-        ) from error
+    module, class_name = imported(place, "method")
     methods = {
         name: kind
         for name, kind in vars(module).items()
@@ -170,22 +158,7 @@ def _load(place: str) -> "type[Method]":
     if class_name not in methods:
         own = [name for name, kind in methods.items() if kind.__module__ == module.__name__]
         raise ValueError(
-            f"method {place!r}: {class_name or 'nothing'} is not a class of {module_name} that extends "
+            f"method {place!r}: {class_name or 'nothing'} is not a class of {place.rpartition(':')[0]} that extends "
             f"gelgap.adapt.Method; it has {', '.join(own) or 'none'}"
         )
     return methods[class_name]
-
-
-def _from_file(name: str) -> ModuleType:
-    path = Path(name).resolve(strict=True)
-    # The class is found by its module's name when its source is asked for.
-    known_as = f"gelgap_own_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
-    if known_as not in sys.modules:
-        spec = spec_from_file_location(known_as, path)
-        module = sys.modules[known_as] = module_from_spec(spec)
-        try:
-            spec.loader.exec_module(module)
-        except BaseException:
-            del sys.modules[known_as]
-            raise
-    return sys.modules[known_as]

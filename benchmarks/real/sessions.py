@@ -222,7 +222,9 @@ def adapt_fold(study: FoldStudy, run: Setting) -> Results:
         "versions": versions_line(),
         "control": control_of(run["method"]),
         "problem": adapted.problem,
-        "clip_mae_n": errors_by_clip(constant if adapted.problem else adapted.model.predict(test), test),
+        "clip_mae_n": errors_by_clip(
+            constant if adapted.problem else adapted.model.predict_frames(test), test
+        ),
         "stage1_s": round(stage1_s, 2),
         "stage2_s": round(adapted.wall_s["stage2"], 2),
     }

@@ -68,15 +68,7 @@ class PairedFrames(Dataset):
         self.images = torch.from_numpy(images).to(device)
         self.label_values = torch.from_numpy(label_values.astype(np.float32)).to(device)
         self.contact_class = torch.from_numpy(contact_class.astype(np.int64)).to(device)
-        # All arithmetic is on (…, h, w, 3) as stored, which is a network's layout "channels last". Statistics per
-        # pixel are faster than three numbers, along whose short axis nothing is vectorised.
-        self._references = torch.from_numpy(references.copy()).to(device).float().div_(255)
-        self._mean, self._std = (
-            torch.tensor(values, device=device).expand_as(self._references[0]).contiguous()
-            for values in (_MEAN, _STD)
-        )
-        if pairing != "difference":
-            self._references.sub_(self._mean).div_(self._std)
+        self._references = torch.from_numpy(references.copy()).to(device)
         # A single reference needs no copy for each frame.
         self._reference_id = (
             None if len(references) == 1 else torch.from_numpy(reference_id.astype(np.int64)).to(device)
@@ -97,15 +89,23 @@ class PairedFrames(Dataset):
     def inputs(self, indices: Sequence[int] | np.ndarray | Tensor) -> Tensor:
         """Return the network's inputs (B, C, h, w) float32 for these frames, channels last in memory."""
         rows = torch.as_tensor(indices, device=self.images.device)
-        pictures = self.images[rows].float().div_(255)
         own = self._references if self._reference_id is None else self._references[self._reference_id[rows]]
-        if self.pairing == "difference":
-            pictures.sub_(own).mul_(_DIFFERENCE_GAIN)
-        else:
-            pictures.sub_(self._mean).div_(self._std)
-            reference = own.expand_as(pictures)
-            pictures = torch.cat([pictures, reference], dim=3 if self.pairing == "channels" else 1)
-        return pictures.permute(0, 3, 1, 2)
+        return self.pair(self.images[rows], own, self.pairing)
+
+    @staticmethod
+    def pair(images: Tensor, references: Tensor, pairing: Pairing) -> Tensor:
+        """Return inputs (B, C, h, w) of images (B, h, w, 3) and one reference (1, h, w, 3), or one each, uint8."""
+        # All arithmetic is on (…, h, w, 3) as stored, which is a network's layout "channels last". Statistics per
+        # pixel are faster than three numbers, along whose short axis nothing is vectorised.
+        pictures, own = (values.float().div_(255) for values in (images, references))
+        if pairing == "difference":
+            return pictures.sub_(own).mul_(_DIFFERENCE_GAIN).permute(0, 3, 1, 2)
+        mean, std = (
+            pictures.new_tensor(one).expand(pictures.shape[1:]).contiguous() for one in (_MEAN, _STD)
+        )
+        pictures, own = (values.sub_(mean).div_(std) for values in (pictures, own))
+        dim = 3 if pairing == "channels" else 1
+        return torch.cat([pictures, own.expand_as(pictures)], dim).permute(0, 3, 1, 2)
 
     def channel_statistics(self) -> ChannelStatistics:
         """Return the statistics of the inputs' channels over all frames and pixels."""

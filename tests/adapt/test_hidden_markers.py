@@ -87,18 +87,18 @@ def test_hiding_changes_training_and_the_key_of_stage_1(source, profile, easy_ma
     np.testing.assert_array_equal(one, two)
     assert np.abs(one - plain).max() > 1e-3
     assert stage1_profile(hiding) != stage1_profile(short)
-    standardised = short.replace(input_standardisation="domain")
+    standardised = short.replace(input="standardised")
     assert stage1_profile(standardised) != stage1_profile(short)
 
 
-@pytest.mark.parametrize("changes", [{"marker_hiding": 1.5}, {"input_standardisation": "batch"}])
+@pytest.mark.parametrize("changes", [{"marker_hiding": 1.5}])
 def test_values_out_of_range_are_refused(changes):
     with pytest.raises(ValueError, match=next(iter(changes))):
         Profile(**changes)
 
 
 def test_a_model_keeps_the_target_statistics_of_its_input(source, target, profile, tmp_path):
-    domain = profile.replace(source_epochs=2, adapt_epochs=1, input_standardisation="domain")
+    domain = profile.replace(source_epochs=2, adapt_epochs=1, input="standardised")
     stage1 = train_source(source, domain)
     own = [network_inputs(frames, domain, "cpu").map for frames in (source, target)]
     assert own[0] != own[1]
@@ -117,12 +117,12 @@ def test_a_model_keeps_the_target_statistics_of_its_input(source, target, profil
 
 def test_a_constant_change_of_light_is_standardised_away(source, profile):
     """A target whose difference pictures are those of the source at half the contrast gives the same forces."""
-    standardised = profile.replace(source_epochs=3, input_standardisation="domain")
+    standardised = profile.replace(source_epochs=3, input="standardised")
     middle = source.reference.astype(float)
     weak = (middle + (source.images() - middle) / 2).round().clip(0, 255).astype(np.uint8)
     faint = ArrayFrames("faint", weak, source.reference, source.force_n)
     errors = []
-    for p in (standardised, standardised.replace(input_standardisation="none")):
+    for p in (standardised, standardised.replace(input="pictures")):
         stage1 = train_source(source, p)
         change = adapt(stage1, source, faint, "source-only").predict_n(faint) - stage1.predict_n(source)
         errors.append(np.abs(change).mean())

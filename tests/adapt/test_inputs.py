@@ -113,7 +113,6 @@ def test_displacement_is_how_far_the_dots_have_moved(monkeypatch):
         ({"input": "calibrated", "pairing": "stack"}, "needs pairing 'difference'"),
         ({"input": "grey", "colour_mixing": 0.5}, "has no colours to mix"),
         ({"input": "markers", "marker_hiding": 0.5}, "marker_hiding must be 0"),
-        ({"input_standardisation": "batch"}, "must be none or domain"),
     ],
 )
 def test_what_cannot_be_shown_is_refused(changes, message):
@@ -136,29 +135,9 @@ def test_a_pretrained_backbone_needs_its_weights_and_stays(tmp_path):
     assert not torch.equal(trained.bottleneck[0].weight, start.bottleneck[0].weight)
 
 
-def test_former_names_are_read():
-    assert Profile(input_standardisation="domain").input == "standardised"
-    assert Profile(input_standardisation="none").input == "pictures"
+def test_a_map_is_a_matrix_and_an_offset():
     kept = InputMap.of(np.diag([2.0, 4.0]), np.array([1.0, 0.0]))
-    found = kept(torch.ones(1, 2, 1, 1))
-    assert found.flatten().tolist() == [3.0, 4.0]
-
-
-def test_a_former_checkpoint_keeps_its_standardisation(tmp_path):
-    frames = dents(np.array([[1.0, 0.0], [-0.5, 0.8], [-0.5, -0.8]]))
-    changes = {"width": 0.125, "feature_dim": 16, "source_epochs": 1, "colour_mixing": 0.0}
-    model = train_source(frames, Profile.preset("smoke").replace(input="standardised", **changes))
-    model.save(tmp_path / "model.pt")
-    content = torch.load(tmp_path / "model.pt", weights_only=True)
-    matrix, offset = map(np.array, content.pop("input_map"))
-    std = 1 / np.diag(matrix)
-    content["input_statistics"] = [(-offset * std).tolist(), std.tolist()]
-    content["profile"] = content["profile"].replace(
-        '"input":"standardised"', '"input_standardisation":"domain"'
-    )
-    torch.save(content, tmp_path / "former.pt")
-    former = ForceModel.load(tmp_path / "former.pt")
-    np.testing.assert_allclose(former.predict_n(frames), model.predict_n(frames), atol=1e-5)
+    assert kept(torch.ones(1, 2, 1, 1)).flatten().tolist() == [3.0, 4.0]
 
 
 def test_averaged_weights_are_the_result_and_repeat():

@@ -69,7 +69,10 @@ def test_absent_axes_are_absent(fz_runs, source, target, short):
 def test_a_network_that_learns_fz_alone_learns_it(source, target, profile):
     frames = split_for_training(source, target, profile, 0, labels=["fz_n"])
     model = train_source(frames.source_train, profile)
-    predicted, truth = model.predict(frames.source_held_out)[:, 0], frames.source_held_out.columns["fz_n"]
+    predicted, truth = (
+        model.predict_frames(frames.source_held_out)[:, 0],
+        frames.source_held_out.columns["fz_n"],
+    )
     assert np.abs(predicted - truth).mean() < 0.4 * np.abs(truth - truth.mean()).mean()
     with pytest.raises(ValueError, match="the model predicts fz_n, not Fx, Fy and Fz"):
         model.predict_n(frames.source_held_out)
@@ -149,10 +152,10 @@ def test_a_model_of_other_labels_is_saved_corrected_and_fine_tuned(source, targe
         changed.save(tmp_path / "model.pt")
         loaded = ForceModel.load(tmp_path / "model.pt")
         assert loaded.labels == Labels(("fz_n",), ((-4.0, 0.5),))
-        np.testing.assert_array_equal(loaded.predict(few), changed.predict(few))
+        np.testing.assert_array_equal(loaded.predict_frames(few), changed.predict_frames(few))
     with pytest.raises(ValueError, match=r"has the labels fx_n=-0.75:0.75 .*, the model fz_n=-4:0.5"):
         fine_tune(model, target)
-    assert np.isfinite(fine_tune(model, with_labels(target, model.labels), steps=1).predict(few)).all()
+    assert np.isfinite(fine_tune(model, with_labels(target, model.labels), steps=1).predict_frames(few)).all()
 
 
 def test_a_checkpoint_of_other_labels_gives_the_outputs_in_common(source, short, tmp_path):

@@ -233,40 +233,6 @@ def test_own_method(stage1, source, target):
         register("dsan", MeanMatching)
 
 
-def test_a_method_of_an_older_gelgap_goes_on_working(stage1, source, target):
-    """What could only be read from the method itself before `loss` and `augment` were given the step."""
-    seen = []
-    with pytest.warns(DeprecationWarning, match=r"Older\.(scheduled|applies_weight|perturb) is deprecated"):
-
-        class Older(Method):
-            applies_weight = True
-            scheduled = False
-
-            def __init__(self, settings, feature_dim, n_classes):
-                super().__init__(settings, feature_dim, n_classes)
-                self.scale = torch.nn.Parameter(torch.ones(()))
-
-            def perturb(self, inputs):
-                return inputs * float(self.rng.uniform(0.9, 1.1))
-
-            def transfer_loss(self, source, target):
-                seen.append((self.weight, float(self.rng.random())))
-                self.diagnostics["calls"] = float(len(seen))
-                return self.weight * self.scale * (source.features - target.features).mean().square()
-
-    register("older", Older)
-    with pytest.warns(DeprecationWarning, match="let it take n_labels, too"):
-        first = adapt(stage1, source, target, "older")
-    steps = len(seen)
-    assert {weight for weight, _ in seen} == {1.0}
-    assert len({random for _, random in seen}) == steps
-    assert first.history[-1]["diagnostics"]["calls"] > first.history[-2]["diagnostics"]["calls"] > 1
-    with pytest.warns(DeprecationWarning, match="n_labels"):
-        second = adapt(stage1, source, target, "older")
-    assert seen[:steps] == seen[steps:]
-    np.testing.assert_array_equal(weights(first), weights(second))
-
-
 def test_a_loss_that_is_not_finite_is_counted_and_then_an_error(stage1, source, target):
     class Broken(Method):
         calls = 0

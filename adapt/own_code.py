@@ -1,0 +1,109 @@
+"""Code that a user names: `module:Name` or `file.py:Name`, and own feature extractors.
+
+Code runs only when the user names its file. A checkpoint keeps the name of its feature extractor, which runs nothing.
+"""
+
+import hashlib
+import inspect
+import logging
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torch import nn
+
+_BACKBONES: "dict[str, tuple[Callable[[int], nn.Module], str]]" = {}
+"""Functions that make a user's feature extractor, by file and function, each with the hash of its code."""
+_log = logging.getLogger(__name__)
+
+
+class CodeNotLoaded(ValueError):
+    """The code of a feature extractor is needed, and the user has not named its file."""
+
+
+def use_backbone(name: str) -> str:
+    """Return what `Profile.backbone` calls a feature extractor: resnet18, resnet50 or `file.py:make_backbone`.
+
+    The file is run. Its function takes the number of channels of the network's input and returns a `torch.nn.Module`
+    that maps pictures (n, channels, h, w) to features (n, d), or to maps (n, d, h', w'), which are averaged. The name
+    that is returned has no folder, and a hash of the code, so that results of changed code are not taken for the same.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be run, or has no such function.
+    """
+    if ":" not in name:
+        return name
+    module, function = imported(name, "backbone")
+    make = getattr(module, function, None)
+    if not callable(make):
+        raise ValueError(f"backbone {name!r}: {function or 'nothing'} is not a function of {module.__file__}")
+    own, code = f"{Path(name.rpartition(':')[0]).name}:{function}", code_sha256(make)[:12]
+    _BACKBONES[own] = make, code
+    return f"{own}#{code}"
+
+
+def own_backbone(name: str) -> "Callable[[int], nn.Module]":
+    """Return the function that `use_backbone` has loaded for a name.
+
+    Raises
+    ------
+    CodeNotLoaded
+        If it has not.
+    """
+    own, _, code = name.partition("#")
+    if own not in _BACKBONES:
+        raise CodeNotLoaded(
+            f"the network has the feature extractor {own}, whose code is not loaded: name its file, as "
+            f"--backbone {own}, or in Python use_backbone({own!r})"
+        )
+    make, loaded = _BACKBONES[own]
+    if code != loaded:
+        _log.warning(f"the code of feature extractor {own} is not that with which the network was trained")
+    return make
+
+
+def code_sha256(item: Any) -> str:
+    """Return the hash of the file that a class or function stands in; nothing where it has none."""
+    file = inspect.getsourcefile(item)
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+
+
+def imported(place: str, what: str) -> tuple[ModuleType, str]:
+    """Return the module of `module:Name` or `file.py:Name`, and the name; this runs the module's code.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be imported; the sentence says `what` it was named as.
+    """
+    module_name, _, name = place.rpartition(":")
+    try:
+        module = _from_file(module_name) if module_name.endswith(".py") else import_module(module_name)
+    except Exception as error:
+        raise ValueError(
+            f"{what} {place!r}: {module_name} could not be imported ({type(error).__name__}: {error}); "
+            "name a module or a .py file, and what it defines"
+        ) from error
+    return module, name
+
+
+def _from_file(name: str) -> ModuleType:
+    path = Path(name).resolve(strict=True)
+    # What it defines is found by its module's name when its source is asked for.
+    known_as = f"gelgap_own_{hashlib.sha256(str(path).encode()).hexdigest()[:12]}"
+    if known_as not in sys.modules:
+        spec = spec_from_file_location(known_as, path)
+        module = sys.modules[known_as] = module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[known_as]
+            raise
+    return sys.modules[known_as]

@@ -1,0 +1,94 @@
+"""Predictions for pictures in files or from a camera, with a note where a prediction is not to be trusted."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gelgap.adapt.model import ForceModel
+from gelgap.assets.image_file import SUFFIXES, read_image
+from gelgap.domains import Labels
+
+NamedPicture = tuple[str, np.ndarray]
+# Of a range: the network's sigmoid comes no closer to a bound, however far beyond it the truth is.
+_AT_THE_END = 0.01
+
+
+def predict_each(
+    model: ForceModel, pictures: Iterable[NamedPicture], reference: np.ndarray
+) -> Iterator[dict[str, object]]:
+    """Yield a row for each picture: its name as `picture`, the labels by name, each in its unit, and a `note`.
+
+    Raises
+    ------
+    ValueError
+        If a picture cannot be predicted (see `ForceModel.predict`); the message names it.
+    """
+    for name, picture in pictures:
+        try:
+            predicted = model.predict(picture, reference)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        labels = dict(zip(model.labels.names, predicted.tolist(), strict=True))
+        yield {"picture": name, **labels, "note": range_note(model.labels, predicted)}
+
+
+def range_note(labels: Labels, predicted: np.ndarray) -> str:
+    """Return what is wrong with predicted labels (k,): no number, or at the end of a label's range, or beyond it.
+
+    A bound of 0, the force without contact, is reached by right predictions.
+    """
+    notes = []
+    for (symbol, unit), (low, high), value in zip(labels.quantities, labels.ranges, predicted, strict=True):
+        margin = _AT_THE_END * (high - low)
+        if not np.isfinite(value):
+            notes.append(f"{symbol} is not a number")
+        elif value < low + margin * (low != 0) or value > high - margin * (high != 0):
+            notes.append(
+                f"{symbol} is at the end of the trained range, {low:g} to {high:g} {unit}, or beyond"
+            )
+    return "; ".join(notes)
+
+
+def read_pictures(paths: Sequence[Path]) -> Iterator[NamedPicture]:
+    """Yield the pictures of files and of folders, those of a folder in the order of their names.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If a file is not an image that can be read, or a folder has none.
+    """
+    for path in paths:
+        files = [path]
+        if path.is_dir():
+            files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+            if not files:
+                raise ValueError(f"folder {path} has no picture ({', '.join(SUFFIXES)})")
+        for file in files:
+            yield str(file), read_image(file)
+
+
+def camera_pictures(index: int) -> Iterator[NamedPicture]:
+    """Yield the pictures of a camera, named by their number, until it gives no more.
+
+    Raises
+    ------
+    ValueError
+        If it gives none.
+    """
+    import cv2
+
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the sentence below is enough
+    camera, number = cv2.VideoCapture(index), 0
+    try:
+        while (taken := camera.read())[0]:
+            yield str(number), np.ascontiguousarray(taken[1][..., ::-1])
+            number += 1
+    finally:
+        camera.release()
+    if number == 0:
+        raise ValueError(
+            f"camera {index} gives no picture: see that it is connected and no other program uses it"
+        )
