@@ -4,8 +4,8 @@ Every random draw depends on a key alone (the seed, what it is for, and the epoc
 sees what it would have seen.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -20,6 +20,8 @@ from gelgap.domains import (
     LabelledFrames,
     PairedFrames,
     force_classes,
+    labelled_for_run,
+    labelled_frames,
     labels_of_run,
     split_domains,
     with_labels,
@@ -27,11 +29,16 @@ from gelgap.domains import (
 
 _SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
+FRAMES_SHOWN = 400
 
 
 @dataclass(frozen=True)
 class SplitFrames:
-    """Two domains, divided: the network learns from the training frames and is judged on the others."""
+    """Two domains, divided: the network learns from the training frames and is judged on the others.
+
+    The source's frames and the target's validation and test frames have all labels. A target without labels has
+    training frames alone.
+    """
 
     source_train: LabelledFrames
     source_held_out: LabelledFrames
@@ -44,6 +51,19 @@ class SplitFrames:
     def parts(self) -> dict[str, LabelledFrames]:
         """All five by name."""
         return {name: frames for name, frames in vars(self).items() if name != "notes"}
+
+    @property
+    def shown(self) -> dict[str, LabelledFrames]:
+        """Frames of `target` and `source` on which a model is looked at.
+
+        They are the target's test frames, or without labels its training frames; and the source's held-out frames, or,
+        if none are held out, the first 400 of its training frames.
+        """
+        trained_on = self.source_train.take(np.arange(len(self.source_train))[:FRAMES_SHOWN])
+        return {
+            "target": self.target_test if len(self.target_test) else self.target_train,
+            "source": self.source_held_out if len(self.source_held_out) else trained_on,
+        }
 
 
 def split_for_training(
@@ -58,10 +78,13 @@ def split_for_training(
 ) -> SplitFrames:
     """Divide two domains as the profile says; no source frame is held out where it holds none out.
 
+    Source frames without labels are left out. Target frames without labels are trained on, as `split_domains` says, and
+    never tested on; the notes have their number.
+
     Parameters
     ----------
     labels
-        What is predicted; by default the axes of the force that both domains have.
+        What is predicted; by default what `labelled_for_run` finds.
     ranges
         Ranges of labels, by which both domains are normalised; by default `labels_of_run` finds them.
     classes_from_force
@@ -70,19 +93,70 @@ def split_for_training(
     Raises
     ------
     ValueError
-        If a part would be empty, a data set lacks what the profile splits by or a label, or a range is wrong.
+        If a part would be empty, a data set lacks what the profile splits by, the source lacks a label, a range is
+        wrong, or fewer than two target frames can be trained on.
     """
-    shares = profile.target_split, profile.source_holdout
-    split = split_domains(source, target, profile.split_by, seed, *shares, profile.stratify_by)
-    parts = {
-        part: (source if part.startswith("source") else target).take(rows)
-        for part, rows in split._asdict().items()
-    }
-    common, notes = labels_of_run(parts["source_train"], target, labels, ranges)
-    parts = {name: with_labels(part, common) for name, part in parts.items()}
+    labelled, target, names = labelled_for_run(source, target, labels)
+    is_labelled = ~np.isnan(target.values_of(names)).any(axis=1)
+    split = split_domains(
+        labelled,
+        target,
+        profile.split_by,
+        seed,
+        profile.target_split,
+        profile.source_holdout,
+        profile.stratify_by,
+        is_labelled,
+    )
+    source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
+    if len(target_train) < 2:
+        raise ValueError(
+            f"target {target.name}: {len(target_train)} of {len(target)} pictures would be trained on; adaptation "
+            "needs 2 or more"
+        )
+    common, notes = labels_of_run(source_train, target, names, ranges)
+    source_train = with_labels(source_train, common)
     if classes_from_force is not None:
-        parts["source_train"] = force_classes(parts["source_train"], classes_from_force)
-    return SplitFrames(**parts, notes=notes)
+        source_train = force_classes(source_train, classes_from_force)
+    frames = SplitFrames(
+        source_train=source_train,
+        source_held_out=with_labels(labelled.take(split.source_held_out), common),
+        target_train=with_labels(target_train, common),
+        target_validation=labelled_frames(with_labels(target.take(split.target_validation), common)),
+        target_test=labelled_frames(with_labels(target.take(split.target_test), common)),
+        notes=notes,
+    )
+    return replace(frames, notes=(*_label_notes(source, labelled, is_labelled, frames), *notes))
+
+
+def _label_notes(
+    source: LabelledFrames, labelled: LabelledFrames, is_labelled: np.ndarray, frames: SplitFrames
+) -> Iterator[str]:
+    """Yield what is unusual about which frames have labels.
+
+    Raises
+    ------
+    ValueError
+        If the target has labels, but none of its test frames has.
+    """
+    names, target = ", ".join(frames.source_train.labels.names), frames.target_train.name
+    if left_out := len(source) - len(labelled):
+        yield f"{left_out} of {len(source)} frames of source {source.name} lack labels ({names}): left out"
+    if not is_labelled.any():
+        yield (
+            f"target {target} has no labels ({names}): all of its {len(is_labelled)} pictures are trained on, and no "
+            "errors are known"
+        )
+    elif not len(frames.target_test):
+        raise ValueError(
+            f"target {target}: none of its {is_labelled.sum()} frames with labels is in the test part; take another "
+            "seed, or split at random"
+        )
+    elif not is_labelled.all():
+        yield (
+            f"{is_labelled.sum()} of {len(is_labelled)} frames of target {target} have labels ({names}): "
+            f"{len(frames.target_train)} frames are trained on, {len(frames.target_test)} labelled ones are tested on"
+        )
 
 
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from quick_solves import coarsen
 from gelgap.adapt import (
     ForceModel,
     Profile,
-    adapt_frames,
+    adapt_folders,
     load_predictions,
     load_runs,
     make_network,
@@ -127,7 +127,7 @@ def _runs(folder: Path) -> None:
     """Write a finished run with its stage 1, a checkpoint of training, and weights as torchvision saves them."""
     runs = folder / "runs"
     source, target = open_domain(folder / "pictures"), open_domain(folder / "published")
-    (run,) = adapt_frames(source, target, ["source-only"], PROFILE, out_dir=runs)
+    (run,) = adapt_folders(source, target, ["source-only"], PROFILE, out_dir=runs)
     run.folder.rename(runs / "run")
     (stage1,) = (runs / "stage1").glob("*.pt")
     shutil.move(stage1, runs / "stage1.pt")
