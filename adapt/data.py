@@ -4,8 +4,8 @@ Every random draw depends on a key alone (the seed, what it is for, and the epoc
 sees what it would have seen.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -114,49 +114,28 @@ def split_for_training(
             f"target {target.name}: {len(target_train)} of {len(target)} pictures would be trained on; adaptation "
             "needs 2 or more"
         )
-    common, notes = labels_of_run(source_train, target, names, ranges)
+    common, of_ranges = labels_of_run(source_train, target, names, ranges)
     source_train = with_labels(source_train, common)
     if classes_from_force is not None:
         source_train = force_classes(source_train, classes_from_force)
-    frames = SplitFrames(
+    target_test = labelled_frames(with_labels(target.take(split.target_test), common))
+    notes = []
+    if len(labelled) < len(source):
+        left_out = len(source) - len(labelled)
+        notes.append(f"{left_out} of {len(source)} frames of {source.name} lack {', '.join(names)}: left out")
+    if not is_labelled.all():
+        notes.append(
+            f"{is_labelled.sum()} of {len(target)} frames of {target.name} have labels ({', '.join(names)}): "
+            f"{len(target_train)} are trained on without them, {len(target_test)} are tested on"
+        )
+    return SplitFrames(
         source_train=source_train,
         source_held_out=with_labels(labelled.take(split.source_held_out), common),
         target_train=with_labels(target_train, common),
         target_validation=labelled_frames(with_labels(target.take(split.target_validation), common)),
-        target_test=labelled_frames(with_labels(target.take(split.target_test), common)),
-        notes=notes,
+        target_test=target_test,
+        notes=(*notes, *of_ranges),
     )
-    return replace(frames, notes=(*_label_notes(source, labelled, is_labelled, frames), *notes))
-
-
-def _label_notes(
-    source: LabelledFrames, labelled: LabelledFrames, is_labelled: np.ndarray, frames: SplitFrames
-) -> Iterator[str]:
-    """Yield what is unusual about which frames have labels.
-
-    Raises
-    ------
-    ValueError
-        If the target has labels, but none of its test frames has.
-    """
-    names, target = ", ".join(frames.source_train.labels.names), frames.target_train.name
-    if left_out := len(source) - len(labelled):
-        yield f"{left_out} of {len(source)} frames of source {source.name} lack labels ({names}): left out"
-    if not is_labelled.any():
-        yield (
-            f"target {target} has no labels ({names}): all of its {len(is_labelled)} pictures are trained on, and no "
-            "errors are known"
-        )
-    elif not len(frames.target_test):
-        raise ValueError(
-            f"target {target}: none of its {is_labelled.sum()} frames with labels is in the test part; take another "
-            "seed, or split at random"
-        )
-    elif not is_labelled.all():
-        yield (
-            f"{is_labelled.sum()} of {len(is_labelled)} frames of target {target} have labels ({names}): "
-            f"{len(frames.target_train)} frames are trained on, {len(frames.target_test)} labelled ones are tested on"
-        )
 
 
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
         if judged := [run for run in own if run.target_test is not None]:
             tables += [error_table(judged), axis_table(judged)]
         if unlabelled := [run for run in own if run.target_test is None]:
-            tables.append(label_free_table(unlabelled))
+            tables += label_free_tables(unlabelled)
         tables.append(training_table(own))
     tables += unseen_tables(runs)
     for group, labels in dict.fromkeys((run.group, run.labels) for run in runs):
@@ -49,12 +49,12 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     labels; where these have several units, it is in % of their ranges.
     """
     titles = method_titles(runs)
-    rows = [_name(run) | {"method": titles[run.key], "error": _mean_mae(run.target_test)} for run in runs]
+    rows = [_name(run, titles) | {"error": _mean_mae(run.target_test)} for run in runs]
     known = {row["method"] for row in rows}
     for run in {(run.group, run.seed): run for run in runs}.values():
         rules = {CONSTANT: run.target_constant_mean} | run.baselines | run.oracles
         rows += [
-            _name(run) | {"method": name, "error": _mean_mae(error)}
+            _name(run, titles) | {"method": name, "error": _mean_mae(error)}
             for name, error in rules.items()
             if name not in known
         ]
@@ -73,53 +73,53 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
 
 def axis_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's MAE and R² of each label on the target; the runs have the same labels."""
-    labels, unit, rows = runs[0].labels, _unit(runs), []
+    labels, unit, titles, rows = runs[0].labels, _unit(runs), method_titles(runs), []
     known = [QUANTITIES[name] for name in labels]
     for run in runs:
-        error, row = run.target_test, _name(run)
+        error, row = run.target_test, _name(run, titles)
         for what, mae, percent in zip(known, error.mae, error.mae_percent, strict=True):
             row[str(what)] = f"{mae:.3f} ({percent:.1f} %)"
         for what, r2 in zip(known, error.r2, strict=True):
             row[f"R² {what.symbol.removeprefix('F')}"] = r2_text(r2)
         rows.append(row | {f"constant mean, {unit}": f"{_mean_mae(run.target_constant_mean):.3f}"})
     kind = "axis" if labels == FORCE_COLUMNS else "label"
-    notes = {f"{run.method} on {run.group}": worse_than_constant(run.target_test) for run in runs}
+    notes = {f"{titles[run.key]} on {run.group}": worse_than_constant(run.target_test) for run in runs}
     note = "; ".join(f"{run}: {what}" for run, what in notes.items() if what)
     return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows), note)
 
 
-def label_free_table(runs: Sequence[Run]) -> ResultTable:
+def label_free_tables(runs: Sequence[Run]) -> list[ResultTable]:
     """Return what is known of runs whose targets have no labels; the runs have the same labels.
 
-    These are the selectors' scores of each stage 1 (*before*) and of each adapted model, and the 5, 50 and 95 %
-    quantiles of what it predicts.
+    One table has the selectors' scores of each stage 1 (*before*) and of each adapted model, the other the 5, 50 and
+    95 % quantiles of what a model predicts.
     """
-    titles, rows, notes = method_titles(runs), {}, ["Errors are not known. Of every score, less is better"]
+    scored, predicted, notes = {}, [], ["Errors are not known. Less is better"]
+    titles = method_titles(runs)
     for run in runs:
-        name, found = _name(run) | {"method": titles[run.key], "frames": run.n_target}, run.label_free
-        if run.problem is not None:
-            notes.append(f"{titles[run.key]} on {run.group} failed: {run.problem}")
+        row, called, found = _name(run, titles), f"{titles[run.key]} on {run.group}", run.label_free
         if found is None:
-            rows[tuple(name.values())] = name
+            notes.append(f"{called} failed: {run.problem}")
             continue
         if found.alarm:
-            notes.append(f"{titles[run.key]} on {run.group} may predict a constant: its output hardly varies")
+            notes.append(f"{called} may predict a constant: its output hardly varies")
+        before = row | {"method": "before" + titles[run.key].removeprefix(run.method)}
         if found.scores_before:
-            before = name | {"method": "before" + titles[run.key].removeprefix(run.method)}
-            rows.setdefault(tuple(before.values()), before | found.scores_before)
-        rows[tuple(name.values())] = (
-            name
-            | found.scores
-            | {
-                f"{QUANTITIES[label]}: 5, 50, 95 %": f"{at[0]:.3g}, {at[2]:.3g}, {at[4]:.3g}"
-                for label, at in found.quantiles.items()
-            }
-        )
-    table = pd.DataFrame(rows.values())
-    formats = {"": "{:.3f}", "seed": "{}", "frames": "{}"}
-    return ResultTable.of(
-        f"A target without labels{_of_labels(runs)}", table, f"{'; '.join(notes)}.", formats
-    )
+            scored.setdefault(tuple(before.values()), before | found.scores_before)
+        scored[tuple(row.values())] = row | found.scores
+        for name, at in found.quantiles.items():
+            row = row | {str(QUANTITIES[name]): ", ".join(f"{value:.2f}" for value in at)}
+        predicted.append(row)
+    of_labels, formats = _of_labels(runs), {"": "{:.3f}", "seed": "{}"}
+    return [
+        ResultTable.of(
+            f"A target without labels{of_labels}",
+            pd.DataFrame(scored.values()),
+            f"{'; '.join(notes)}.",
+            formats,
+        ),
+        ResultTable.of(f"Predictions at 5, 50 and 95 % of the frames{of_labels}", pd.DataFrame(predicted)),
+    ]
 
 
 def selection_table(runs: Sequence[Run], selector: str) -> pd.DataFrame:
@@ -134,7 +134,7 @@ def selection_table(runs: Sequence[Run], selector: str) -> pd.DataFrame:
     """
     rows, candidates = [], {}
     for run in runs:
-        row = _name(run) | {"profile": run.profile["name"], "folder": run.folder and run.folder.name}
+        row = _name(run, {}) | {"profile": run.profile["name"], "folder": run.folder and run.folder.name}
         if run.problem is None:
             candidate = Candidate.of(load_predictions(run))
             row |= {"alarm": alarm(candidate)} | scores(candidate)
@@ -158,7 +158,7 @@ def training_table(runs: Sequence[Run]) -> ResultTable:
     unit, rows = _unit(runs), []
     for run in runs:
         errors = [e and f"{_mean_mae(e):.3f}" for e in (run.source_held_out, run.source_constant_mean)]
-        row = _name(run) | {"profile": run.profile["name"]}
+        row = _name(run, {}) | {"profile": run.profile["name"]}
         row |= {f"source held out, {unit}": errors[0], f"its constant mean, {unit}": errors[1]}
         row |= {"skipped steps": run.skipped_steps}
         row |= {f"stage {k}, s": f"{run.wall_s[f'stage{k}']:.1f}" for k in (1, 2)}
@@ -172,8 +172,8 @@ def method_titles(runs: Sequence[Run]) -> dict[str, str]:
     return {run.key: f"{run.method}, {run.profile['name']}" if several else run.method for run in runs}
 
 
-def _name(run: Run) -> dict[str, Any]:
-    return {"group": run.group, "method": run.method, "seed": run.seed}
+def _name(run: Run, titles: Mapping[str, str]) -> dict[str, Any]:
+    return {"group": run.group, "method": titles.get(run.key, run.method), "seed": run.seed}
 
 
 def mean_and_deviation(errors: pd.Series) -> str | None:

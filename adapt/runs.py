@@ -126,13 +126,9 @@ class Run:
 _RUN = TypeAdapter(Run)
 
 
-Source = str | Path | Sequence[str | Path] | LabelledFrames
-Target = str | Path | LabelledFrames
-
-
 def adapt_folders(
-    source: Source,
-    target: Target | Sequence[Target],
+    source: str | Path | Sequence[str | Path] | LabelledFrames,
+    target: str | Path | LabelledFrames | Sequence[str | Path | LabelledFrames],
     methods: Iterable[str],
     profile: str | Profile | Sequence[str | Profile] = "smoke",
     seed: int = 0,
@@ -186,8 +182,12 @@ def adapt_folders(
         load_checkpoint(Path(weights))  # refused before any picture is read
     source = source if isinstance(source, LabelledFrames) else open_domains(source)
     targets = [own if isinstance(own, LabelledFrames) else open_domain(own) for own in _listed(target)]
-    _check_names_differ("targets", [own.name for own in targets])
-    _check_names_differ("profiles", [own.name for own in profiles])
+    for what, names in (
+        ("targets", [own.name for own in targets]),
+        ("profiles", [own.name for own in profiles]),
+    ):
+        if len(set(names)) < len(names):
+            raise ValueError(f"{what} {', '.join(names)}: results are filed by name; give each another")
     out = None if out_dir is None else Path(out_dir)
     groups, notes, stages = [], [], {}
     for domain in targets:
@@ -215,11 +215,6 @@ def _listed(value: Any) -> list[Any]:
     return [value] if isinstance(value, str | Path | LabelledFrames | Profile) else list(value)
 
 
-def _check_names_differ(what: str, names: Sequence[str]) -> None:
-    if repeated := [name for place, name in enumerate(names) if name in names[:place]]:
-        raise ValueError(f"two {what} have the name {repeated[0]}, by which results are filed: rename one")
-
-
 @dataclass(frozen=True)
 class _Group:
     """A source and a target under one profile, divided, and the stage 1 that all methods begin with."""
@@ -243,32 +238,25 @@ class _Group:
                     )
                 labelled.check_labels()
 
-    def folder(self, method: str) -> Path | None:
-        """Return the folder of a run."""
-        if self.stage1.out is None:
-            return None
-        stage1, frames = self.stage1, self.frames
-        key = run_key(frames, method, stage1.profile, stage1.seed, stage1.weights)
-        name = f"{frames.source_train.name}-{frames.target_train.name}-{method}-{stage1.seed}-{key[:8]}"
-        return stage1.out / name
-
     def runs(self, methods: Sequence[str]) -> list[Run]:
         """Do what is missing and return the runs of all methods."""
-        folders = {method: self.folder(method) for method in methods}
+        frames, stage1, folders = self.frames, self.stage1, dict.fromkeys(methods)
+        if stage1.out is not None:
+            for method in methods:
+                key = run_key(frames, method, stage1.profile, stage1.seed, stage1.weights)
+                name = f"{frames.source_train.name}-{self.target.name}-{method}-{stage1.seed}-{key[:8]}"
+                folders[method] = stage1.out / name
         missing = [name for name, own in folders.items() if own is None or not (own / _RECORD).is_file()]
+        done = {}
         with ExitStack() as held:
             for method in missing:
                 if folders[method] is not None:
                     held.enter_context(sole_use(folders[method]))
-            oracles = oracles_on(self.source, self.target, self.frames.target_test) if missing else {}
+            oracles = oracles_on(self.source, self.target, frames.target_test) if missing else {}
             generated = isinstance(self.source, GeneratedDomain) and isinstance(self.target, GeneratedDomain)
             unseen = unseen_differences(self.source.recipe, self.target.recipe) if generated else ()
-            done = {
-                method: run_method(self.frames, self.stage1, method, folders[method], oracles, tuple(unseen))[
-                    0
-                ]
-                for method in missing
-            }
+            for method in missing:
+                done[method], _ = run_method(frames, stage1, method, folders[method], oracles, tuple(unseen))
         return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
 

@@ -24,7 +24,7 @@ ALARM_SPREAD = 0.3
 ALARM_RANK = 0.3
 _NEIGHBOURS = 5
 _FOLDS = 3
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+QUANTILES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,12 @@ def alarm(candidate: Candidate) -> bool:
 
 @dataclass(frozen=True)
 class LabelFree:
-    """What is known of a model on n target frames without labels.
+    """What is known of a model on a target without labels.
 
     `scores` are the selectors', the lower the better, and `scores_before` those of stage 1, if the method starts from
-    it. `quantiles` of the predicted labels are by name, at 5, 25, 50, 75 and 95 %; `alarm` is what `alarm` says.
+    it. `quantiles` of the predicted labels are by name, at 5, 50 and 95 %; `alarm` is what `alarm` says.
     """
 
-    n: int
     scores: dict[str, float]
     scores_before: dict[str, float]
     quantiles: dict[str, tuple[float, ...]]
@@ -184,7 +183,6 @@ class LabelFree:
         candidate, predicted = Candidate.of(arrays), arrays["target_predicted_n"]
         at = np.quantile(predicted.astype(float), QUANTILES, axis=0).T.tolist()
         return cls(
-            n=len(predicted),
             scores=scores(candidate),
             scores_before={} if before is None else scores(Candidate.of(before)),
             quantiles={name: tuple(own) for name, own in zip(labels, at, strict=True)},

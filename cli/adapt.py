@@ -9,7 +9,6 @@ from gelgap import adapt, domains
 from gelgap.assets.names import quoted, unknown_name
 from gelgap.cli import options as opt
 
-CONSTANT_MEAN = "constant-mean"
 SELECTION = "selection.csv"
 
 
@@ -131,10 +130,8 @@ class Adapt(opt.Command):
 
         table = selection_table(runs, self.select)
         write_whole(self.out / SELECTION, table.to_csv(index=False).encode())
-        shown = adapt.ResultTable.of(
-            f"Scores without labels, chosen by {self.select}", table.drop(columns="folder")
-        )
-        shown.show()
+        title = f"Scores without labels, less is better; chosen by {self.select}"
+        adapt.ResultTable.of(title, table.drop(columns="folder")).show()
         for row in table[table["chosen"]].itertuples():
             print(f"{row.group}: {row.method}, profile {row.profile}, is chosen: {self.out / row.folder}")
         print(f"wrote {self.out / SELECTION}")
@@ -143,23 +140,17 @@ class Adapt(opt.Command):
 def _show(runs: "Sequence[adapt.Run]") -> None:
     """Print the errors on a target beside rules and oracles without a network, or what is known without its labels."""
     from gelgap.adapt.evaluation import errors_text, worse_than_constant
-    from gelgap.adapt.report import label_free_table, method_titles
+    from gelgap.adapt.report import label_free_tables, method_titles
 
     titles, first = method_titles(runs), runs[0]
     if first.target_test is None:
-        label_free_table(runs).show()
+        for table in label_free_tables(runs):
+            table.show()
     else:
-        done = {
-            titles[run.key]: run.target_test
-            for run in runs
-            if run.method != CONSTANT_MEAN and not run.problem
-        }
+        done = {titles[run.key]: run.target_test for run in runs if not run.problem}
+        rules = {"constant mean": first.target_constant_mean} | first.baselines | first.oracles
         print(f"{first.group}, {first.target_test.n} target test frames")
-        print(
-            errors_text(
-                {"constant mean": first.target_constant_mean} | first.baselines | first.oracles | done
-            )
-        )
+        print(errors_text(rules | done))
         for title, errors in done.items():
             if note := worse_than_constant(errors):
                 print(f"{title}: {note}")

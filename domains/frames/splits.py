@@ -148,7 +148,7 @@ def split_domains(
     Raises
     ------
     ValueError
-        As `split_frames`.
+        As `split_frames`, or if no frame with labels is in the target's test part.
     """
     if by not in (None, "random", "given"):
         held_out = max(held_out, shares[_TEST])
@@ -160,6 +160,11 @@ def split_domains(
         (of_source,) = _parts([source], by, seed, [source_shares], stratify_by)
     elif len(labelled) == len(target) or not is_random:
         of_source, of_target = _parts([source, target], by, seed, [source_shares, shares], stratify_by)
+        if not (of_target[labelled] == _TEST).any():
+            raise ValueError(
+                f"data set {target.name}: none of its {len(labelled)} frames with labels is in the test part; take "
+                "another seed, or split at random"
+            )
     else:
         unlabelled = len(target) - len(labelled)
         needed = max(0, int(shares[_TRAIN] * len(target)) - unlabelled) / len(labelled)
