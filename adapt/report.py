@@ -94,7 +94,7 @@ def label_free_tables(runs: Sequence[Run]) -> list[ResultTable]:
     One table has the selectors' scores of each stage 1 (*before*) and of each adapted model, the other the 5, 50 and
     95 % quantiles of what a model predicts.
     """
-    scored, predicted, notes = {}, [], ["Errors are not known. Less is better"]
+    notes, scored, predicted = ["Errors are not known. Less is better"], dict[Any, dict[str, Any]](), []
     titles = method_titles(runs)
     for run in runs:
         row, called, found = _name(run, titles), f"{titles[run.key]} on {run.group}", run.label_free
@@ -132,7 +132,8 @@ def selection_table(runs: Sequence[Run], selector: str) -> pd.DataFrame:
     ValueError
         If there is no such selector, or the runs of a group all failed or learn from target labels.
     """
-    rows, candidates = [], {}
+    rows: list[dict[str, Any]] = []
+    candidates: dict[str, dict[int, Candidate]] = {}
     for run in runs:
         row = _name(run, {}) | {"profile": run.profile["name"], "folder": run.folder and run.folder.name}
         if run.problem is None:

@@ -182,17 +182,19 @@ def adapt_folders(
         load_checkpoint(Path(weights))  # refused before any picture is read
     source = source if isinstance(source, LabelledFrames) else open_domains(source)
     targets = [own if isinstance(own, LabelledFrames) else open_domain(own) for own in _listed(target)]
-    for what, names in (
-        ("targets", [own.name for own in targets]),
-        ("profiles", [own.name for own in profiles]),
-    ):
+    for names in ([own.name for own in targets], [own.name for own in profiles]):
         if len(set(names)) < len(names):
-            raise ValueError(f"{what} {', '.join(names)}: results are filed by name; give each another")
+            raise ValueError(
+                f"{', '.join(names)}: results are filed by name, and two have the same; rename one"
+            )
     out = None if out_dir is None else Path(out_dir)
-    groups, notes, stages = [], [], {}
+    groups, stages = [], dict[tuple[str, str], Stage1]()
+    notes = [
+        f"{frames.name}: {note}"
+        for frames in (source, *targets)
+        for note in (*frames.notes, *label_notes(frames))
+    ]
     for domain in targets:
-        for own in (source, domain):
-            notes += [f"{own.name}: {note}" for note in (*own.notes, *label_notes(own))]
         for own in profiles:
             notes += size_notes(source, domain, own)
             frames = split_for_training(
@@ -240,23 +242,24 @@ class _Group:
 
     def runs(self, methods: Sequence[str]) -> list[Run]:
         """Do what is missing and return the runs of all methods."""
-        frames, stage1, folders = self.frames, self.stage1, dict.fromkeys(methods)
+        source, target, frames, stage1 = self.source, self.target, self.frames, self.stage1
+        folders: dict[str, Path | None] = dict.fromkeys(methods)
         if stage1.out is not None:
             for method in methods:
                 key = run_key(frames, method, stage1.profile, stage1.seed, stage1.weights)
-                name = f"{frames.source_train.name}-{self.target.name}-{method}-{stage1.seed}-{key[:8]}"
-                folders[method] = stage1.out / name
+                folders[method] = stage1.out / f"{source.name}-{target.name}-{method}-{stage1.seed}-{key[:8]}"
         missing = [name for name, own in folders.items() if own is None or not (own / _RECORD).is_file()]
         done = {}
         with ExitStack() as held:
             for method in missing:
                 if folders[method] is not None:
                     held.enter_context(sole_use(folders[method]))
-            oracles = oracles_on(self.source, self.target, frames.target_test) if missing else {}
-            generated = isinstance(self.source, GeneratedDomain) and isinstance(self.target, GeneratedDomain)
-            unseen = unseen_differences(self.source.recipe, self.target.recipe) if generated else ()
+            oracles = oracles_on(source, target, frames.target_test) if missing else {}
+            unseen: tuple[str, ...] = ()
+            if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
+                unseen = tuple(unseen_differences(source.recipe, target.recipe))
             for method in missing:
-                done[method], _ = run_method(frames, stage1, method, folders[method], oracles, tuple(unseen))
+                done[method], _ = run_method(frames, stage1, method, folders[method], oracles, unseen)
         return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 ALARM_SPREAD = 0.3
 ALARM_RANK = 0.3
+# A spread of predictions that is rounding.
+_CONSTANT = 1e-6
 _NEIGHBOURS = 5
 _FOLDS = 3
 QUANTILES = (0.05, 0.5, 0.95)
@@ -159,7 +161,7 @@ def alarm(candidate: Candidate) -> bool:
     Its target predictions spread over less than 30 % of the source predictions' deviation, or `rank_alarm` says so.
     """
     source, target = candidate.source_prediction_n.std(axis=0), candidate.target_prediction_n.std(axis=0)
-    return bool((target < ALARM_SPREAD * source).any()) or rank_alarm(candidate)
+    return bool((target < ALARM_SPREAD * source + _CONSTANT).any()) or rank_alarm(candidate)
 
 
 @dataclass(frozen=True)

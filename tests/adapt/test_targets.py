@@ -181,7 +181,7 @@ def test_several_targets_and_profiles_share_stage_1_and_one_run_is_chosen_for_ea
         assert group["reverse validation"][group["chosen"]].item() == group["reverse validation"].min()
     text = write_report(tmp_path).with_suffix(".md").read_text()
     assert "dan, longer" in text
-    with pytest.raises(ValueError, match="targets alone, alone: results are filed by name"):
+    with pytest.raises(ValueError, match="alone, alone: results are filed by name"):
         adapt_folders(source, 2 * [pictures(tinted, "alone")], ["adabn"], short)
 
 
