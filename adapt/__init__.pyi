@@ -53,7 +53,6 @@ from .result_table import write_pages as write_pages
 from .runs import Run as Run
 from .runs import Stage1 as Stage1
 from .runs import adapt_folders as adapt_folders
-from .runs import adapt_frames as adapt_frames
 from .runs import load_predictions as load_predictions
 from .runs import load_run as load_run
 from .runs import load_runs as load_runs

@@ -20,6 +20,8 @@ from gelgap.domains import (
     LabelledFrames,
     PairedFrames,
     force_classes,
+    labelled_for_run,
+    labelled_frames,
     labels_of_run,
     split_domains,
     with_labels,
@@ -27,11 +29,16 @@ from gelgap.domains import (
 
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""
+FRAMES_SHOWN = 400
 
 
 @dataclass(frozen=True)
 class SplitFrames:
-    """Two domains, divided: the network learns from the training frames and is judged on the others."""
+    """Two domains, divided: the network learns from the training frames and is judged on the others.
+
+    The source's frames and the target's validation and test frames have all labels. A target without labels has
+    training frames alone.
+    """
 
     source_train: LabelledFrames
     source_held_out: LabelledFrames
@@ -44,6 +51,19 @@ class SplitFrames:
     def parts(self) -> dict[str, LabelledFrames]:
         """All five by name."""
         return {name: frames for name, frames in vars(self).items() if name != "notes"}
+
+    @property
+    def shown(self) -> dict[str, LabelledFrames]:
+        """Frames of `target` and `source` on which a model is looked at.
+
+        They are the target's test frames, or without labels its training frames; and the source's held-out frames, or,
+        if none are held out, the first 400 of its training frames.
+        """
+        trained_on = self.source_train.take(np.arange(len(self.source_train))[:FRAMES_SHOWN])
+        return {
+            "target": self.target_test if len(self.target_test) else self.target_train,
+            "source": self.source_held_out if len(self.source_held_out) else trained_on,
+        }
 
 
 def split_for_training(
@@ -58,10 +78,13 @@ def split_for_training(
 ) -> SplitFrames:
     """Divide two domains as the profile says; no source frame is held out where it holds none out.
 
+    Source frames without labels are left out. Target frames without labels are trained on, as `split_domains` says, and
+    never tested on; the notes have their number.
+
     Parameters
     ----------
     labels
-        What is predicted; by default the axes of the force that both domains have.
+        What is predicted; by default what `labelled_for_run` finds.
     ranges
         Ranges of labels, by which both domains are normalised; by default `labels_of_run` finds them.
     classes_from_force
@@ -70,19 +93,49 @@ def split_for_training(
     Raises
     ------
     ValueError
-        If a part would be empty, a data set lacks what the profile splits by or a label, or a range is wrong.
+        If a part would be empty, a data set lacks what the profile splits by, the source lacks a label, a range is
+        wrong, or fewer than two target frames can be trained on.
     """
-    shares = profile.target_split, profile.source_holdout
-    split = split_domains(source, target, profile.split_by, seed, *shares, profile.stratify_by)
-    parts = {
-        part: (source if part.startswith("source") else target).take(rows)
-        for part, rows in split._asdict().items()
-    }
-    common, notes = labels_of_run(parts["source_train"], target, labels, ranges)
-    parts = {name: with_labels(part, common) for name, part in parts.items()}
+    labelled, target, names = labelled_for_run(source, target, labels)
+    is_labelled = ~np.isnan(target.values_of(names)).any(axis=1)
+    split = split_domains(
+        labelled,
+        target,
+        profile.split_by,
+        seed,
+        profile.target_split,
+        profile.source_holdout,
+        profile.stratify_by,
+        is_labelled,
+    )
+    source_train, target_train = labelled.take(split.source_train), target.take(split.target_train)
+    if len(target_train) < 2:
+        raise ValueError(
+            f"target {target.name}: {len(target_train)} of {len(target)} pictures would be trained on; adaptation "
+            "needs 2 or more"
+        )
+    common, of_ranges = labels_of_run(source_train, target, names, ranges)
+    source_train = with_labels(source_train, common)
     if classes_from_force is not None:
-        parts["source_train"] = force_classes(parts["source_train"], classes_from_force)
-    return SplitFrames(**parts, notes=notes)
+        source_train = force_classes(source_train, classes_from_force)
+    target_test = labelled_frames(with_labels(target.take(split.target_test), common))
+    notes = []
+    if len(labelled) < len(source):
+        left_out = len(source) - len(labelled)
+        notes.append(f"{left_out} of {len(source)} frames of {source.name} lack {', '.join(names)}: left out")
+    if not is_labelled.all():
+        notes.append(
+            f"{is_labelled.sum()} of {len(target)} frames of {target.name} have labels ({', '.join(names)}): "
+            f"{len(target_train)} are trained on without them, {len(target_test)} are tested on"
+        )
+    return SplitFrames(
+        source_train=source_train,
+        source_held_out=with_labels(labelled.take(split.source_held_out), common),
+        target_train=with_labels(target_train, common),
+        target_validation=labelled_frames(with_labels(target.take(split.target_validation), common)),
+        target_test=target_test,
+        notes=(*notes, *of_ranges),
+    )
 
 
 def size_notes(source: LabelledFrames, target: LabelledFrames, profile: Profile) -> tuple[str, ...]:

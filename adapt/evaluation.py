@@ -9,11 +9,14 @@ source gel's force at the target's actual contact: what a network gives that see
 Neither is a lower bound: shrinkage or luck can beat them.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
+from pydantic import BeforeValidator
 
 from gelgap.adapt.data import SplitFrames
 from gelgap.adapt.inputs import INPUTS
@@ -24,6 +27,7 @@ from gelgap.domains import (
     QUANTITIES,
     GeneratedDomain,
     LabelledFrames,
+    labelled_frames,
     paired_contacts,
     with_labels,
 )
@@ -34,6 +38,10 @@ _SIZE_PX = 64
 # Of a picture in [0, 1]: what differs more is the dent, and its deepest part is where most differs.
 _DENT, _DEEPEST = 0.03, 99.0
 _PENALTY = 1e-3
+
+
+NumberOrNull = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+"""A number that is null in JSON if it is NaN."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ class Evaluation:
     n: int
     mae: tuple[float, ...]
     mae_percent: tuple[float, ...]
-    r2: tuple[float, ...]
+    r2: tuple[NumberOrNull, ...]
     labels: tuple[str, ...] = FORCE_COLUMNS
 
     def __post_init__(self) -> None:
@@ -62,8 +70,7 @@ class Evaluation:
     @property
     def unit(self) -> str | None:
         """The unit that all labels share; None where they have several."""
-        units = {QUANTITIES[name].unit for name in self.labels}
-        return units.pop() if len(units) == 1 else None
+        return shared_unit(self.labels)
 
     @property
     def mean_mae(self) -> float | None:
@@ -88,15 +95,23 @@ class Evaluation:
         return float(np.mean(self.mae_percent))
 
 
+def shared_unit(labels: Iterable[str]) -> str | None:
+    """Return the unit that all labels share; None where they have several."""
+    units = {QUANTITIES[name].unit for name in labels}
+    return units.pop() if len(units) == 1 else None
+
+
 def evaluate_predictions(
     true: np.ndarray, predicted: np.ndarray, ranges: np.ndarray, labels: tuple[str, ...] = FORCE_COLUMNS
 ) -> Evaluation:
     """Return the error of predicted labels (n, k), each in its unit; ranges (k, 2) are theirs.
 
+    Frames of which a true label is NaN do not count.
+
     Raises
     ------
     ValueError
-        If there are no frames or a prediction is not finite.
+        If there are no frames with labels or a prediction is not finite.
     """
     true, predicted = np.asarray(true, float), np.asarray(predicted, float)
     if true.shape != predicted.shape or true.shape[1:] != (len(labels),) or len(true) == 0:
@@ -107,6 +122,10 @@ def evaluate_predictions(
         raise ValueError(
             f"{(~np.isfinite(predicted)).any(axis=1).sum()} of {len(true)} predictions are not finite"
         )
+    is_labelled = ~np.isnan(true).any(axis=1)
+    if not is_labelled.any():
+        raise ValueError(f"none of the {len(true)} frames has all labels: {', '.join(labels)}")
+    true, predicted = true[is_labelled], predicted[is_labelled]
     mae = np.abs(predicted - true).mean(axis=0)
     width = np.diff(np.asarray(ranges, float), axis=1)[:, 0]
     total = ((true - true.mean(axis=0)) ** 2).sum(axis=0)
@@ -143,7 +162,7 @@ def evaluate_frames(frames: LabelledFrames, predicted: np.ndarray) -> Evaluation
 
 def evaluate_constant_mean(train: LabelledFrames, frames: LabelledFrames) -> Evaluation:
     """Return the error of predicting, for every frame, the mean labels of the training frames."""
-    mean = train.label_values.astype(float).mean(axis=0)
+    mean = labelled_frames(train).label_values.astype(float).mean(axis=0)
     return evaluate_frames(frames, np.broadcast_to(mean, frames.label_values.shape))
 
 
@@ -154,8 +173,13 @@ def errors_text(errors: Mapping[str, Evaluation]) -> str:
         known = [QUANTITIES[label] for label in error.labels]
         row = {f"MAE {q.symbol}/{q.unit}": f"{mae:.4f}" for q, mae in zip(known, error.mae, strict=True)}
         row |= {} if error.mean_mae is None else {"mean": f"{error.mean_mae:.4f}"}
-        table[name] = row | {f"R² {q.symbol}": f"{r2:.2f}" for q, r2 in zip(known, error.r2, strict=True)}
+        table[name] = row | {f"R² {q.symbol}": r2_text(r2) for q, r2 in zip(known, error.r2, strict=True)}
     return pd.DataFrame.from_dict(table, "index").to_string()
+
+
+def r2_text(r2: float) -> str:
+    """Return R² with two digits; a dash for that of a label that does not vary."""
+    return "–" if math.isnan(r2) else f"{r2:.2f}"
 
 
 def worse_than_constant(errors: Evaluation) -> str:

@@ -27,6 +27,7 @@ from gelgap.domains import (
     Labels,
     PressStream,
     join_domains,
+    labelled_frames,
     open_domain,
     with_labels,
     within_range,
@@ -58,13 +59,14 @@ def draw_labelled(frames: LabelledFrames, k: int, seed: int) -> LabelledFrames:
     """Return k frames drawn by the seed, one from each of k equal ranges of the commanded depth.
 
     Whoever records a few labelled frames chooses their depths, not their forces. A data set without the column
-    `depth_mm` has its frames drawn at random.
+    `depth_mm` has its frames drawn at random. Frames without labels are not drawn.
 
     Raises
     ------
     ValueError
-        If there are fewer than k frames, or k < 1.
+        If there are fewer than k frames with labels, or k < 1.
     """
+    frames = labelled_frames(frames)
     return frames.take(_rows_by_depth(frames, k, seed))
 
 
@@ -204,7 +206,7 @@ class Pretraining:
         }
         lines = [f"{self.checkpoint}: trained on {self.frames} frames", errors_text(errors)]
         if self.left_out:
-            lines.append(f"{self.left_out} frames with a force outside the declared range were left out")
+            lines.append(f"{self.left_out} frames without a force in the declared range were left out")
         if self.held_out.mean_mae_percent >= self.held_out_constant_mean.mean_mae_percent:
             lines.append(
                 "the network is no better than the constant mean: it has learnt nothing that carries over; give it "
@@ -272,8 +274,9 @@ def pretrain_on_stream(
         return stream.frames(epoch * n, (epoch + 1) * n)
 
     first, resume_file = frames_of_epoch(0), out_dir / STREAM_STATE
-    how = {"resume_file": resume_file, "progress": progress, "frames_of_epoch": frames_of_epoch}
-    model = train_source(first, profile, seed, **how)
+    model = train_source(
+        first, profile, seed, resume_file=resume_file, progress=progress, frames_of_epoch=frames_of_epoch
+    )
     unseen = stream.frames(_UNSEEN_FROM, _UNSEEN_FROM + max(n // _HELD_OUT_OF, 1))
     return _pretrained(model, out_dir, n * profile.source_epochs, n - len(first), first, unseen)
 
@@ -291,13 +294,14 @@ def _pretrained(
 class Finetuning:
     """A fine-tuned model, how many frames taught it, and errors on other frames: of their mean, before, and after.
 
-    `left_out` frames have a label that the model's range does not hold; `range_used` is the share of each label's range
-    that the labels of the others span.
+    `left_out` frames have a label that the model's range does not hold, `unlabelled` ones lack a label; `range_used` is
+    the share of each label's range that the labels of the others span.
     """
 
     model: ForceModel
     frames: int
     left_out: int
+    unlabelled: int
     constant_mean: Evaluation
     before: Evaluation
     after: Evaluation
@@ -312,6 +316,8 @@ class Finetuning:
         lines = [f"errors on {self.after.n} other frames", errors_text(errors)]
         if self.left_out:
             lines.append(f"left out: {self.left_out} frames with a label outside {self.model.labels}")
+        if self.unlabelled:
+            lines.append(f"neither drawn nor tested on: {self.unlabelled} frames without labels")
         if narrow := [
             f"{quantity.symbol} {100 * share:.2g} %"
             for quantity, share in zip(self.model.labels.quantities, self.range_used, strict=True)
@@ -340,8 +346,9 @@ def finetune(
     """Fine-tune a checkpoint on labelled frames of a data set, and judge it on another, or on the rest of the same.
 
     The labels are those of the model that both data sets have, in the model's ranges. Frames beyond are left out and
-    counted, such as those of a gauge that reads a little above 0 at rest. Batch normalisations get the statistics of
-    all pictures of `on`, for which no label is needed, before and after; then all weights take 200 steps.
+    counted, such as those of a gauge that reads a little above 0 at rest, and so are frames without labels. Batch
+    normalisations get the statistics of all pictures of `on`, labelled or not, before and after; then all weights take
+    200 steps.
 
     Parameters
     ----------
@@ -352,7 +359,7 @@ def finetune(
     frames
         How many frames to draw, as `draw_labelled` does.
     clips
-        Or how many clips to draw, by the column `clip`; all their frames are taken.
+        Or how many clips with labels to draw, by the column `clip`; all their frames with labels are taken.
     seed
         Of the draw and of the training.
 
@@ -366,28 +373,31 @@ def finetune(
         raise ValueError(
             f"frames = {frames}, clips = {clips}: give one of the two, how many labelled frames or clips are learnt"
         )
-    labelled: LabelledFrames = open_domain(on)
-    others: LabelledFrames = open_domain(test)
+    shown, tested = open_domain(on), open_domain(test)
+    is_same = Path(on).resolve() == Path(test).resolve()
+    model = of_common_labels(ForceModel.load(checkpoint), shown, tested)
+    labelled, others = (labelled_frames(with_labels(part, model.labels)) for part in (shown, tested))
+    unlabelled = len(shown) - len(labelled) + (0 if is_same else len(tested) - len(others))
     drawn = (
         _rows_of_clips(labelled, clips, seed) if frames is None else _rows_by_depth(labelled, frames, seed)
     )
-    if Path(on).resolve() == Path(test).resolve():
-        others = others.take(np.setdiff1d(np.arange(len(others)), drawn))
+    if is_same:
+        others = labelled.take(np.setdiff1d(np.arange(len(labelled)), drawn))
         if not len(others):
             raise ValueError(f"{on}: all of its {len(drawn)} frames are drawn; leave some to test on")
     before = len(drawn) + len(others)
-    model = of_common_labels(ForceModel.load(checkpoint), labelled, others)
-    few, others = (within_range(with_labels(part, model.labels)) for part in (labelled.take(drawn), others))
+    few, others = within_range(labelled.take(drawn)), within_range(others)
     if not (len(few) and len(others)):
         raise ValueError(
             f"{on}, {test}: no labelled, or no other frame lies within the model's {model.labels}"
         )
-    model = with_statistics_of(model, labelled)
+    model = with_statistics_of(model, shown)
     tuned = fine_tune(model, few, steps=NEW_SENSOR_STEPS, learning_rate=NEW_SENSOR_LEARNING_RATE, seed=seed)
     return Finetuning(
-        model=replace(tuned, target=labelled.name),
+        model=replace(tuned, target=shown.name),
         frames=len(few),
         left_out=before - len(few) - len(others),
+        unlabelled=unlabelled,
         constant_mean=evaluate_constant_mean(few, others),
         before=evaluate(model, others),
         after=evaluate(tuned, others),
@@ -400,7 +410,7 @@ def finetune(
 def of_common_labels(model: ForceModel, *data: LabelledFrames) -> ForceModel:
     """Return the model with those of its labels alone that all data sets have."""
     names = model.labels.names
-    at = [k for k, name in enumerate(names) if all(name in frames.columns for frames in data)]
+    at = [k for k, name in enumerate(names) if all(name in frames.known_labels for frames in data)]
     if not at:
         raise ValueError(
             f"the model predicts {', '.join(names)}, none of which both {data[0].name} and {data[1].name} have"

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt.evaluation import CONSTANT, Evaluation, worse_than_constant
+from gelgap.adapt.evaluation import CONSTANT, Evaluation, r2_text, shared_unit, worse_than_constant
+from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.result_table import NamedFigure, ResultTable, write_pages
 from gelgap.adapt.runs import Run, load_predictions, load_runs
+from gelgap.adapt.selection import Candidate, alarm, scores, select
 from gelgap.domains import FORCE_COLUMNS, QUANTITIES
 
 if TYPE_CHECKING:
@@ -28,7 +30,11 @@ def write_report(runs_dir: str | Path, out_dir: str | Path | None = None) -> Pat
     tables, figures = [], []
     for labels in dict.fromkeys(run.labels for run in runs):
         own = [run for run in runs if run.labels == labels]
-        tables += [error_table(own), axis_table(own), training_table(own)]
+        if judged := [run for run in own if run.target_test is not None]:
+            tables += [error_table(judged), axis_table(judged)]
+        if unlabelled := [run for run in own if run.target_test is None]:
+            tables += label_free_tables(unlabelled)
+        tables.append(training_table(own))
     tables += unseen_tables(runs)
     for group, labels in dict.fromkeys((run.group, run.labels) for run in runs):
         figures += _figures([run for run in runs if (run.group, run.labels) == (group, labels)])
@@ -42,12 +48,13 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     The best method comes first, then rules without a network and oracles by their errors. The runs have the same
     labels; where these have several units, it is in % of their ranges.
     """
-    rows = [_name(run) | {"error": _mean_mae(run.target_test)} for run in runs]
+    titles = method_titles(runs)
+    rows = [_name(run, titles) | {"error": _mean_mae(run.target_test)} for run in runs]
     known = {row["method"] for row in rows}
     for run in {(run.group, run.seed): run for run in runs}.values():
         rules = {CONSTANT: run.target_constant_mean} | run.baselines | run.oracles
         rows += [
-            _name(run) | {"method": name, "error": _mean_mae(error)}
+            _name(run, titles) | {"method": name, "error": _mean_mae(error)}
             for name, error in rules.items()
             if name not in known
         ]
@@ -58,7 +65,7 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
     table.loc["mean"] = means.map("{:.3f}".format, na_action="ignore")
     order = list(means.sort_values().index)
     table = table[[name for name in order if name in known] + [name for name in order if name not in known]]
-    unit = runs[0].target_test.unit or "% of the range"
+    unit = shared_unit(runs[0].labels) or "% of the range"
     failed = [f"{run.method} on {run.group}, seed {run.seed}: {run.problem}" for run in runs if run.problem]
     note = f"Failed, and counted with the source's mean force: {'; '.join(failed)}." if failed else ""
     return ResultTable.of(f"Mean error on the target's test frames{_of_labels(runs)}, {unit}", table, note)
@@ -66,19 +73,78 @@ def error_table(runs: Sequence[Run]) -> ResultTable:
 
 def axis_table(runs: Sequence[Run]) -> ResultTable:
     """Return every run's MAE and R² of each label on the target; the runs have the same labels."""
-    labels, unit, rows = runs[0].labels, _unit(runs), []
+    labels, unit, titles, rows = runs[0].labels, _unit(runs), method_titles(runs), []
     known = [QUANTITIES[name] for name in labels]
     for run in runs:
-        error, row = run.target_test, _name(run)
+        error, row = run.target_test, _name(run, titles)
         for what, mae, percent in zip(known, error.mae, error.mae_percent, strict=True):
             row[str(what)] = f"{mae:.3f} ({percent:.1f} %)"
         for what, r2 in zip(known, error.r2, strict=True):
-            row[f"R² {what.symbol.removeprefix('F')}"] = f"{r2:.2f}"
+            row[f"R² {what.symbol.removeprefix('F')}"] = r2_text(r2)
         rows.append(row | {f"constant mean, {unit}": f"{_mean_mae(run.target_constant_mean):.3f}"})
     kind = "axis" if labels == FORCE_COLUMNS else "label"
-    notes = {f"{run.method} on {run.group}": worse_than_constant(run.target_test) for run in runs}
+    notes = {f"{titles[run.key]} on {run.group}": worse_than_constant(run.target_test) for run in runs}
     note = "; ".join(f"{run}: {what}" for run, what in notes.items() if what)
     return ResultTable.of(f"Error per {kind} on the target", pd.DataFrame(rows), note)
+
+
+def label_free_tables(runs: Sequence[Run]) -> list[ResultTable]:
+    """Return what is known of runs whose targets have no labels; the runs have the same labels.
+
+    One table has the selectors' scores of each stage 1 (*before*) and of each adapted model, the other the 5, 50 and
+    95 % quantiles of what a model predicts.
+    """
+    notes, scored, predicted = ["Errors are not known. Less is better"], dict[Any, dict[str, Any]](), []
+    titles = method_titles(runs)
+    for run in runs:
+        row, called, found = _name(run, titles), f"{titles[run.key]} on {run.group}", run.label_free
+        if found is None:
+            notes.append(f"{called} failed: {run.problem}")
+            continue
+        if found.alarm:
+            notes.append(f"{called} may predict a constant: its output hardly varies")
+        before = row | {"method": "before" + titles[run.key].removeprefix(run.method)}
+        if found.scores_before:
+            scored.setdefault(tuple(before.values()), before | found.scores_before)
+        scored[tuple(row.values())] = row | found.scores
+        for name, at in found.quantiles.items():
+            row = row | {str(QUANTITIES[name]): ", ".join(f"{value:.2f}" for value in at)}
+        predicted.append(row)
+    of_labels, formats = _of_labels(runs), {"": "{:.3f}", "seed": "{}"}
+    return [
+        ResultTable.of(
+            f"A target without labels{of_labels}",
+            pd.DataFrame(scored.values()),
+            f"{'; '.join(notes)}.",
+            formats,
+        ),
+        ResultTable.of(f"Predictions at 5, 50 and 95 % of the frames{of_labels}", pd.DataFrame(predicted)),
+    ]
+
+
+def selection_table(runs: Sequence[Run], selector: str) -> pd.DataFrame:
+    """Return every selector's score of runs, a row for each, and which one a selector chooses for each group.
+
+    Runs that failed have no score, and they and methods that learn from target labels are not chosen.
+
+    Raises
+    ------
+    ValueError
+        If there is no such selector, or the runs of a group all failed or learn from target labels.
+    """
+    rows: list[dict[str, Any]] = []
+    candidates: dict[str, dict[int, Candidate]] = {}
+    for run in runs:
+        row = _name(run, {}) | {"profile": run.profile["name"], "folder": run.folder and run.folder.name}
+        if run.problem is None:
+            candidate = Candidate.of(load_predictions(run))
+            row |= {"alarm": alarm(candidate)} | scores(candidate)
+            if not find_method(run.method).uses_target_labels:
+                candidates.setdefault(run.group, {})[len(rows)] = candidate
+        rows.append(row | {"chosen": False})
+    for own in candidates.values():
+        rows[list(own)[select(list(own.values()), selector)]]["chosen"] = True
+    return pd.DataFrame(rows)
 
 
 def unseen_tables(runs: Sequence[Run]) -> list[ResultTable]:
@@ -93,7 +159,7 @@ def training_table(runs: Sequence[Run]) -> ResultTable:
     unit, rows = _unit(runs), []
     for run in runs:
         errors = [e and f"{_mean_mae(e):.3f}" for e in (run.source_held_out, run.source_constant_mean)]
-        row = _name(run) | {"profile": run.profile["name"]}
+        row = _name(run, {}) | {"profile": run.profile["name"]}
         row |= {f"source held out, {unit}": errors[0], f"its constant mean, {unit}": errors[1]}
         row |= {"skipped steps": run.skipped_steps}
         row |= {f"stage {k}, s": f"{run.wall_s[f'stage{k}']:.1f}" for k in (1, 2)}
@@ -101,8 +167,14 @@ def training_table(runs: Sequence[Run]) -> ResultTable:
     return ResultTable.of(f"Training{_of_labels(runs)}", pd.DataFrame(rows))
 
 
-def _name(run: Run) -> dict[str, Any]:
-    return {"group": run.group, "method": run.method, "seed": run.seed}
+def method_titles(runs: Sequence[Run]) -> dict[str, str]:
+    """Return what tables call runs, by their keys: the method, and of several profiles which one."""
+    several = len({run.profile["name"] for run in runs}) > 1
+    return {run.key: f"{run.method}, {run.profile['name']}" if several else run.method for run in runs}
+
+
+def _name(run: Run, titles: Mapping[str, str]) -> dict[str, Any]:
+    return {"group": run.group, "method": titles.get(run.key, run.method), "seed": run.seed}
 
 
 def mean_and_deviation(errors: pd.Series) -> str | None:
@@ -119,7 +191,7 @@ def _mean_mae(error: Evaluation) -> float:
 
 
 def _unit(runs: Sequence[Run]) -> str:
-    return runs[0].target_test.unit or "%"
+    return shared_unit(runs[0].labels) or "%"
 
 
 def _of_labels(runs: Sequence[Run]) -> str:
@@ -131,20 +203,43 @@ def _of_labels(runs: Sequence[Run]) -> str:
 def _figures(runs: Sequence[Run]) -> list[NamedFigure]:
     """Return the scatter and the t-SNE of the methods of one group with one choice of labels: its first seed's."""
     seed, labels = min(run.seed for run in runs), runs[0].labels
-    arrays = {run.method: load_predictions(run) for run in runs if run.seed == seed and run.problem is None}
+    titles = method_titles(runs)
+    arrays = {titles[run.key]: load_predictions(run) for run in runs if run.seed == seed and not run.problem}
     if not arrays:
         return []
-    truth = next(iter(arrays.values()))["target_true_n"]
+    first = next(iter(arrays.values()))
     predicted = {method: a["target_predicted_n"] for method, a in arrays.items()}
-    scatter = force_scatter(truth, predicted, labels=labels)
     plane = feature_tsne({m: (a["source_features"], a["target_features"]) for m, a in arrays.items()})
     name, caption = runs[0].group.replace(" → ", "-"), f"{runs[0].group}, seed {seed}{_of_labels(runs)}"
     what = "force" if set(labels) <= set(FORCE_COLUMNS) else "labels"
     name += "" if labels == FORCE_COLUMNS else f"-{'-'.join(labels)}"
-    return [
-        NamedFigure(f"scatter-{name}", f"{caption}: predicted against true {what}", scatter),
-        NamedFigure(f"tsne-{name}", f"{caption}: features of both domains", plane),
-    ]
+    if "target_true_n" in first:
+        scatter = force_scatter(first["target_true_n"], predicted, labels=labels)
+        shown = NamedFigure(f"scatter-{name}", f"{caption}: predicted against true {what}", scatter)
+    else:
+        histograms = _histograms(first["source_true_n"], predicted, labels)
+        shown = NamedFigure(
+            f"predicted-{name}", f"{caption}: how often which {what} are predicted", histograms
+        )
+    return [shown, NamedFigure(f"tsne-{name}", f"{caption}: features of both domains", plane)]
+
+
+def _histograms(
+    source_true_n: np.ndarray, predicted_n: Mapping[str, np.ndarray], labels: tuple[str, ...]
+) -> "Figure":
+    """Draw which share of a target's frames has which prediction, a panel per label, beside the source's labels."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(max(9, 3 * len(labels)), 3.2), layout="constrained")
+    for label, axes in enumerate(figure.subplots(1, len(labels), squeeze=False)[0]):
+        shown = {"the source's labels": source_true_n, **predicted_n}
+        bins = np.histogram_bin_edges(np.concatenate([values[:, label] for values in shown.values()]), 30)
+        for number, (name, values) in enumerate(shown.items()):
+            weights, colour = np.full(len(values), 1 / len(values)), None if number else "0.6"
+            axes.hist(values[:, label], bins, weights=weights, histtype="step", label=name, color=colour)
+        axes.set(xlabel=str(QUANTITIES[labels[label]]), ylabel="share of frames")
+        axes.legend(fontsize=7)
+    return figure
 
 
 def force_scatter(

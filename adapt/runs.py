@@ -7,21 +7,20 @@ the result.
 import hashlib
 import json
 import logging
-import math
 import platform
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
-from gelgap.adapt.data import SplitFrames, size_notes, split_for_training
+from gelgap.adapt.data import FRAMES_SHOWN, SplitFrames, size_notes, split_for_training
 from gelgap.adapt.evaluation import (
     Evaluation,
     as_judged_on_source,
@@ -36,6 +35,7 @@ from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
+from gelgap.adapt.selection import LabelFree
 from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
@@ -44,19 +44,18 @@ from gelgap.assets.names import is_plain_name
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import warn, whole_file, write_whole
 from gelgap.domains import (
-    FORCE_COLUMNS,
     GeneratedDomain,
     LabelledFrames,
     label_notes,
+    labelled_frames,
     open_domain,
     open_domains,
     unseen_differences,
 )
 
 LOG = logging.getLogger(__name__)
-FEATURES_KEPT = 400
 _RECORD, _PREDICTIONS, _MODEL, _RESUME = "run.json", "predictions.npz", "model.pt", "resume.pt"
-_ARRAYS = ("target_true_n", "target_predicted_n", "target_features", "source_features")
+_ARRAYS = ("target_predicted_n", "target_features", "source_true_n", "source_predicted_n", "source_features")
 _METHODS_VERSION = 3
 """Raised whenever the same method, profile and seed give another result than before."""
 _STAGE_2_FIELDS = frozenset(
@@ -67,35 +66,16 @@ _STAGE_2_FIELDS = frozenset(
 )
 
 
-def _read_evaluation(content: Any) -> Any:
-    """Return the fields of a recorded evaluation; NaN are null, and that of the three axes of force has no labels."""
-    if not isinstance(content, dict):
-        return content
-    content = {"mae" if name == "mae_n" else name: value for name, value in content.items()}
-    lists = {name: value for name, value in content.items() if isinstance(value, list)}
-    return content | {name: [math.nan if x is None else x for x in own] for name, own in lists.items()}
-
-
-def _evaluation_content(evaluation: Evaluation) -> dict[str, Any]:
-    content = asdict(evaluation)
-    if evaluation.labels != FORCE_COLUMNS:
-        return content
-    return {"mae_n" if name == "mae" else name: content[name] for name in ("n", "mae", "mae_percent", "r2")}
-
-
-RecordedEvaluation = Annotated[
-    Evaluation, BeforeValidator(_read_evaluation), PlainSerializer(_evaluation_content)
-]
-
-
 @dataclass(frozen=True)
 class Run:
     """What one run was and what came out.
 
     Attributes
     ----------
+    labels
+        Names of the labels that it predicts.
     target_test, target_constant_mean
-        Errors of the model, and of the source's mean force, on the target's test frames.
+        Errors of the model, and of the source's mean force, on the target's test frames; None where it has no labels.
     source_held_out, source_constant_mean
         The same on the source's held-out frames, under the source's own statistics where the profile normalises each
         domain by itself; None where it holds no frames out.
@@ -108,7 +88,9 @@ class Run:
         Of generated domains: the errors of both oracles on the same frames, by name, and what of the gap no picture
         shows.
     baselines
-        Errors of rules without a network on the target's test frames; empty in records of before.
+        Errors of rules without a network on the target's test frames; empty without labels.
+    label_free
+        What is known of a model where the target has no labels.
     """
 
     key: str
@@ -116,27 +98,24 @@ class Run:
     target: str
     method: str
     seed: int
+    labels: tuple[str, ...]
     profile: dict[str, Any]
     n_source: int
     n_target: int
-    target_test: RecordedEvaluation
-    target_constant_mean: RecordedEvaluation
-    source_held_out: RecordedEvaluation | None
-    source_constant_mean: RecordedEvaluation | None
+    target_test: Evaluation | None
+    target_constant_mean: Evaluation | None
+    source_held_out: Evaluation | None
+    source_constant_mean: Evaluation | None
     wall_s: dict[str, float]
     skipped_steps: int
     history: tuple[dict[str, Any], ...]
     versions: dict[str, str]
     problem: str | None = None
-    oracles: dict[str, RecordedEvaluation] = field(default_factory=dict)
+    oracles: dict[str, Evaluation] = field(default_factory=dict)
     unseen: tuple[str, ...] = ()
-    baselines: dict[str, RecordedEvaluation] = field(default_factory=dict)
+    baselines: dict[str, Evaluation] = field(default_factory=dict)
+    label_free: LabelFree | None = None
     folder: Annotated[Path | None, Field(exclude=True)] = field(default=None, compare=False)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Names of the labels that it predicts."""
-        return self.target_test.labels
 
     @property
     def group(self) -> str:
@@ -149,9 +128,9 @@ _RUN = TypeAdapter(Run)
 
 def adapt_folders(
     source: str | Path | Sequence[str | Path] | LabelledFrames,
-    target: str | Path | LabelledFrames,
+    target: str | Path | LabelledFrames | Sequence[str | Path | LabelledFrames],
     methods: Iterable[str],
-    profile: str | Profile = "smoke",
+    profile: str | Profile | Sequence[str | Profile] = "smoke",
     seed: int = 0,
     *,
     labels: Sequence[str] | None = None,
@@ -161,18 +140,20 @@ def adapt_folders(
     out_dir: str | Path | None = None,
     progress: Progress = silent,
 ) -> list[Run]:
-    """Train stage 1 on one domain, adapt to the other with each method, evaluate on the target's test frames.
+    """Train stage 1 on a source, adapt to each target with each method, evaluate on the targets' test frames.
 
-    A method that fails (its features collapse, its losses are not finite) gives a run with a `problem`; the others go
-    on.
+    A target without labels is adapted to as a whole; its runs have no errors but `label_free`. A method that fails (its
+    features collapse, its losses are not finite) gives a run with a `problem`; the others go on.
 
     Parameters
     ----------
     source, target
         Domains that are open, or folders that `gelgap.domains.open_domain` reads; several source folders are trained on
-        together.
+        together, several targets are adapted to one by one.
     methods
-        Their names, or `module:Class` or `file.py:Class` of your own; the runs come in this order.
+        Their names, or `module:Class` or `file.py:Class` of your own.
+    profile
+        One or several. The runs come by target, profile and method, in the given order.
     labels, ranges, classes_from_force
         What is predicted, in which ranges, and contact classes: as for `split_for_training`.
     weights
@@ -184,55 +165,102 @@ def adapt_folders(
     Raises
     ------
     ValueError
-        If a method, a label or the profile is unknown, pictures are smaller than training shows them, a method needs
-        contact classes that the source has not, or a label is absent or outside its range.
+        If a method, a label or a profile is unknown, pictures are smaller than training shows them, a method needs
+        contact classes that the source has not or labels that the target has not, a label is outside its range, or two
+        targets or two profiles have one name.
     RuntimeError
         If another process is writing one of these runs.
     """
-    profile = profile if isinstance(profile, Profile) else Profile.preset(profile)
+    profiles = [own if isinstance(own, Profile) else Profile.preset(own) for own in _listed(profile)]
     methods = tuple(registry.use_method(method) for method in methods)
     if not methods:
         raise ValueError(f"no method was named; known methods: {', '.join(registry.method_names())}")
-    for method in methods:
-        registry.method_settings(method, profile)
+    for own in profiles:
+        for method in methods:
+            registry.method_settings(method, own)
     if weights is not None:
         load_checkpoint(Path(weights))  # refused before any picture is read
     source = source if isinstance(source, LabelledFrames) else open_domains(source)
-    target = target if isinstance(target, LabelledFrames) else open_domain(target)
-    notes = size_notes(source, target, profile)
-    choice = {"labels": labels, "ranges": ranges, "classes_from_force": classes_from_force}
-    frames = split_for_training(source, target, profile, seed, **choice)
-    of_labels = (f"{domain.name}: {note}" for domain in (source, target) for note in label_notes(domain))
-    for note in (*notes, *frames.notes, *of_labels):
-        LOG.warning("%s", note)
-    for method in methods:
-        registry.find_method(method).check_classes(method, frames.source_train)
-        if registry.find_method(method).uses_target_labels:
-            frames.target_train.check_labels()
-    stage1 = Stage1(
-        frames.source_train, profile, seed, weights, None if out_dir is None else Path(out_dir), progress
-    )
-    folders: dict[str, Path | None] = {}
-    for method in methods:
-        key = run_key(frames, method, profile, seed, weights)
-        name = f"{frames.source_train.name}-{frames.target_train.name}-{method}-{seed}-{key[:8]}"
-        folders[method] = stage1.out and stage1.out / name
-    missing = [
-        method for method, folder in folders.items() if folder is None or not (folder / _RECORD).is_file()
+    targets = [own if isinstance(own, LabelledFrames) else open_domain(own) for own in _listed(target)]
+    for names in ([own.name for own in targets], [own.name for own in profiles]):
+        if len(set(names)) < len(names):
+            raise ValueError(
+                f"{', '.join(names)}: results are filed by name, and two have the same; rename one"
+            )
+    out = None if out_dir is None else Path(out_dir)
+    groups, stages = [], dict[tuple[str, str], Stage1]()
+    notes = [
+        f"{frames.name}: {note}"
+        for frames in (source, *targets)
+        for note in (*frames.notes, *label_notes(frames))
     ]
-    with ExitStack() as held:
-        for method in missing:
-            if folders[method] is not None:
-                held.enter_context(sole_use(folders[method]))
-        gap: dict[str, Any] = {"oracles": oracles_on(source, target, frames.target_test) if missing else {}}
-        if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
-            gap["unseen"] = tuple(unseen_differences(source.recipe, target.recipe))
-        done = {method: run_method(frames, stage1, method, folders[method], **gap)[0] for method in missing}
-    return [done[method] if method in done else load_run(folders[method]) for method in methods]
+    for domain in targets:
+        for own in profiles:
+            notes += size_notes(source, domain, own)
+            frames = split_for_training(
+                source, domain, own, seed, labels=labels, ranges=ranges, classes_from_force=classes_from_force
+            )
+            notes += frames.notes
+            key = own.name, stage1_key(frames.source_train, own, seed, weights)
+            stage1 = stages.setdefault(key, Stage1(frames.source_train, own, seed, weights, out, progress))
+            # The source's pictures are in memory once for all targets.
+            groups.append(_Group(source, domain, replace(frames, source_train=stage1.source_train), stage1))
+    for note in dict.fromkeys(notes):
+        LOG.warning("%s", note)
+    for group in groups:
+        group.check(methods)
+    return [run for group in groups for run in group.runs(methods)]
 
 
-adapt_frames = adapt_folders
-"""The same function, by the name under which it is given domains that are open."""
+def _listed(value: Any) -> list[Any]:
+    """Return what was given alone or as a sequence as a list."""
+    return [value] if isinstance(value, str | Path | LabelledFrames | Profile) else list(value)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """A source and a target under one profile, divided, and the stage 1 that all methods begin with."""
+
+    source: LabelledFrames
+    target: LabelledFrames
+    frames: SplitFrames
+    stage1: "Stage1"
+
+    def check(self, methods: Sequence[str]) -> None:
+        """Check that both domains have what the methods need."""
+        for method in methods:
+            found = registry.find_method(method)
+            found.check_classes(method, self.frames.source_train)
+            if found.uses_target_labels:
+                labelled = labelled_frames(self.frames.target_train)
+                if len(labelled) < 2:
+                    raise ValueError(
+                        f"method {method} learns from labels of the target, and {len(labelled)} training frames of "
+                        f"{self.target.name} have them: leave it out, or label more"
+                    )
+                labelled.check_labels()
+
+    def runs(self, methods: Sequence[str]) -> list[Run]:
+        """Do what is missing and return the runs of all methods."""
+        source, target, frames, stage1 = self.source, self.target, self.frames, self.stage1
+        folders: dict[str, Path | None] = dict.fromkeys(methods)
+        if stage1.out is not None:
+            for method in methods:
+                key = run_key(frames, method, stage1.profile, stage1.seed, stage1.weights)
+                folders[method] = stage1.out / f"{source.name}-{target.name}-{method}-{stage1.seed}-{key[:8]}"
+        missing = [name for name, own in folders.items() if own is None or not (own / _RECORD).is_file()]
+        done = {}
+        with ExitStack() as held:
+            for method in missing:
+                if folders[method] is not None:
+                    held.enter_context(sole_use(folders[method]))
+            oracles = oracles_on(source, target, frames.target_test) if missing else {}
+            unseen: tuple[str, ...] = ()
+            if isinstance(source, GeneratedDomain) and isinstance(target, GeneratedDomain):
+                unseen = tuple(unseen_differences(source.recipe, target.recipe))
+            for method in missing:
+                done[method], _ = run_method(frames, stage1, method, folders[method], oracles, unseen)
+        return [done[method] if method in done else load_run(folders[method]) for method in methods]
 
 
 @dataclass(frozen=True)
@@ -281,8 +309,14 @@ class Stage1:
         with sole_use(folder) if folder else nullcontext():
             self.source_train.images(self.profile.image_size_px)  # read before the clock starts
             start = time.perf_counter()
-            how = {"weights": self.weights, "resume_file": resume_file, "progress": self.progress}
-            model = train_source(self.source_train, self.profile, self.seed, **how)
+            model = train_source(
+                self.source_train,
+                self.profile,
+                self.seed,
+                weights=self.weights,
+                resume_file=resume_file,
+                progress=self.progress,
+            )
             wall_s = time.perf_counter() - start
             if folder:
                 model.save(self.checkpoint)
@@ -295,14 +329,24 @@ class Stage1:
 
     def adapt(self, target_train: LabelledFrames, method: str, resume_file: Path | None = None) -> "Adapted":
         """Train both stages of a method; that its features collapse or its losses are not finite is a result, too."""
-        needed = registry.find_method(method).needs_stage_1
-        start, stage1_s = self.model() if needed else (self.untrained(), 0.0)
+        found = registry.find_method(method)
+        if found.uses_target_labels:
+            target_train = labelled_frames(target_train)
+        start, stage1_s = self.model() if found.needs_stage_1 else (self.untrained(), 0.0)
         for part in (self.source_train, target_train):
             part.images(self.profile.image_size_px)  # read before the clock starts
-        how = {"resume_file": resume_file, "progress": self.progress}
         begun, model, problem = time.perf_counter(), None, None
         try:
-            model = adapt(start, self.source_train, target_train, method, self.profile, self.seed, **how)
+            model = adapt(
+                start,
+                self.source_train,
+                target_train,
+                method,
+                self.profile,
+                self.seed,
+                resume_file=resume_file,
+                progress=self.progress,
+            )
         except (FeatureCollapse, TrainingDiverged) as error:
             problem = str(error)
         history = (model or start).history
@@ -319,11 +363,16 @@ class Adapted(NamedTuple):
 
 
 def run_method(
-    frames: SplitFrames, stage1: Stage1, method: str, folder: Path | None = None, **gap: Any
+    frames: SplitFrames,
+    stage1: Stage1,
+    method: str,
+    folder: Path | None = None,
+    oracles: Mapping[str, Evaluation] | None = None,
+    unseen: tuple[str, ...] = (),
 ) -> tuple[Run, ForceModel | None]:
     """Adapt by one method, judge the result and, if there is a folder, write it there; no model if that failed.
 
-    `gap` are the fields of the run that do not depend on the method, `oracles` and `unseen`.
+    `oracles` and `unseen` are the fields of the run that do not depend on the method.
     """
     train, profile, begun = frames.source_train, stage1.profile, time.perf_counter()
     for name, part in frames.parts.items():
@@ -332,47 +381,61 @@ def run_method(
     load_s = time.perf_counter() - begun
     adapted = stage1.adapt(frames.target_train, method, folder and folder / _RESUME)
     model, begun = adapted.model, time.perf_counter()
-    judged = {} if model is None else {"target": model, "source": as_judged_on_source(model, train)}
     tested = {"target": frames.target_test, "source": frames.source_held_out}
     constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
-    errors, arrays = {"target": constant["target"]}, {}
-    for name, judge in judged.items():
-        if len(tested[name]):
-            predicted = judge.predict_frames(tested[name])
-            errors[name] = evaluate_frames(tested[name], predicted)
-            arrays[f"{name}_true_n"] = tested[name].label_values.astype(np.float32)
-            arrays[f"{name}_predicted_n"] = predicted.astype(np.float32)
+    arrays = {} if model is None else _seen(model, frames)
+    errors = {
+        name: evaluate_frames(part, arrays[f"{name}_predicted_n"])
+        for name, part in tested.items()
+        if len(part) and model is not None
+    }
+    label_free = None
+    if model is not None and not len(frames.target_test):
+        starts = registry.find_method(method).needs_stage_1
+        before = _seen(stage1.model()[0], frames) if starts else None
+        label_free = LabelFree.of(arrays, before, train.labels.names)
     run = Run(
         key=run_key(frames, method, profile, stage1.seed, stage1.weights),
         source=train.name,
-        target=frames.target_test.name,
+        target=frames.target_train.name,
         method=method,
         seed=stage1.seed,
+        labels=train.labels.names,
         profile=profile.model_dump(mode="json"),
         n_source=len(train),
         n_target=len(frames.target_train),
-        target_test=errors["target"],
-        target_constant_mean=constant["target"],
+        target_test=errors.get("target", constant.get("target")),
+        target_constant_mean=constant.get("target"),
         source_held_out=errors.get("source"),
         source_constant_mean=constant.get("source"),
-        baselines=evaluate_baselines(frames),
+        baselines=evaluate_baselines(frames) if len(frames.target_test) else {},
         wall_s={"load": load_s, **adapted.wall_s, "evaluate": time.perf_counter() - begun},
         skipped_steps=sum(epoch["skipped_steps"] for epoch in adapted.history),
         history=adapted.history,
         versions=versions(),
         problem=adapted.problem,
+        oracles=dict(oracles or {}),
+        unseen=unseen,
+        label_free=label_free,
         folder=folder,
-        **gap,
     )
     if folder is not None:
-        for name, judge in judged.items():
-            some = tested[name] if len(tested[name]) else train
-            some = some.take(np.arange(min(len(some), FEATURES_KEPT)))
-            arrays[f"{name}_features"] = judge.features(some).astype(np.float16)
-            arrays[f"{name}_features_force_n"] = some.label_values.astype(np.float32)
         _write(run, model, arrays)
         (folder / _RESUME).unlink(missing_ok=True)
     return run, model
+
+
+def _seen(model: ForceModel, frames: SplitFrames) -> dict[str, np.ndarray]:
+    """Return what `load_predictions` returns of a model."""
+    arrays = {}
+    for name, part in frames.shown.items():
+        judge = model if name == "target" else as_judged_on_source(model, frames.source_train)
+        arrays[f"{name}_predicted_n"] = judge.predict_frames(part)
+        some = part.take(np.arange(len(part))[:FRAMES_SHOWN])
+        arrays[f"{name}_features"] = judge.features(some)
+        if part.is_labelled.all():
+            arrays[f"{name}_true_n"] = part.label_values
+    return arrays
 
 
 def run_key(
@@ -430,8 +493,12 @@ def _write(run: Run, model: ForceModel, arrays: dict[str, np.ndarray]) -> None:
     record = _RUN.dump_json(run, indent=1) + b"\n"
     sums = {_RECORD: hashlib.sha256(record).hexdigest()}
     if run.problem is None:
+        kept = {
+            name: values.astype(np.float16 if name.endswith("_features") else np.float32)
+            for name, values in arrays.items()
+        }
         with whole_file(run.folder / _PREDICTIONS) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)
+            np.savez_compressed(file, **kept)
         model.save(run.folder / _MODEL)
         sums |= {name: file_sha256(run.folder / name) for name in (_PREDICTIONS, _MODEL)}
     write_checksums(run.folder, sums)
@@ -486,8 +553,9 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
     """Return a run's arrays.
 
     For the target's test frames and, as `source_…`, the source's held-out frames: `target_true_n` and
-    `target_predicted_n` (n, 3) in N, and of the first 400 frames `target_features` (m, D) and
-    `target_features_force_n` (m, 3). A run with other labels has these in the same places, each in its unit.
+    `target_predicted_n` (n, 3) in N, and of the first 400 frames `target_features` (m, D). A run with other labels has
+    these in the same places, each in its unit. A target without labels has those of all its frames, and no
+    `target_true_n`; a source of which no frames are held out those of 400 training frames.
 
     Raises
     ------
@@ -503,7 +571,8 @@ def load_predictions(run: Run) -> dict[str, np.ndarray]:
         raise _damaged(path, problem)
     try:
         arrays = read_arrays(path)
-        if missing := [name for name in _ARRAYS if name not in arrays]:
+        needed = _ARRAYS if run.target_test is None else ("target_true_n", *_ARRAYS)
+        if missing := [name for name in needed if name not in arrays]:
             raise ValueError(f"it lacks {', '.join(missing)}")
     except ValueError as error:
         raise _damaged(path, f"cannot be used: {error}") from None

@@ -7,7 +7,7 @@
     learning", ECML 2010; the reverse model here is a nearest-neighbour regression in the feature space.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 ALARM_SPREAD = 0.3
 ALARM_RANK = 0.3
+# A spread of predictions that is rounding.
+_CONSTANT = 1e-6
 _NEIGHBOURS = 5
+_FOLDS = 3
+QUANTILES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,18 @@ class Candidate:
     source_prediction_n: np.ndarray
     target_features: np.ndarray
     target_prediction_n: np.ndarray
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, np.ndarray]) -> "Candidate":
+        """Return what a selector sees of a run's arrays (`load_predictions`): the frames whose features are kept."""
+        source, target = (arrays[f"{domain}_features"].astype(np.float32) for domain in ("source", "target"))
+        return cls(
+            source_features=source,
+            source_force_n=arrays["source_true_n"][: len(source)],
+            source_prediction_n=arrays["source_predicted_n"][: len(source)],
+            target_features=target,
+            target_prediction_n=arrays["target_predicted_n"][: len(target)],
+        )
 
     @property
     def source_error(self) -> np.ndarray:
@@ -74,13 +90,13 @@ def proxy_a_distance(candidate: Candidate) -> float:
     """Return 2(1 − 2ε) with ε the cross-validated error of a linear domain classifier [3]; 0 when it can only guess.
 
     ε is the mean of both domains' errors and the domains weigh the same in the fit, so that unequal numbers of frames
-    tell nothing.
+    tell nothing. At least 2 frames of each domain are needed.
     """
     from sklearn.model_selection import cross_val_score
 
     features, domain = _features_and_domain(candidate)
-    classifier = _classifier(class_weight="balanced")
-    accuracy = cross_val_score(classifier, features, domain, cv=3, scoring="balanced_accuracy").mean()
+    classifier, folds = _classifier(class_weight="balanced"), min(_FOLDS, *np.bincount(domain))
+    accuracy = cross_val_score(classifier, features, domain, cv=folds, scoring="balanced_accuracy").mean()
     return float(2 * (1 - 2 * min(1 - accuracy, 0.5)))
 
 
@@ -126,6 +142,14 @@ SELECTORS = {
 }
 
 
+def find_selector(name: str) -> str:
+    """Return a selector's name in `SELECTORS`, also of reverse-validation; a ValueError if there is none."""
+    known = {known.lower().replace(" ", "-"): known for known in SELECTORS}
+    if (plain := name.lower().replace(" ", "-")) not in known:
+        raise ValueError(f"selector {name!r} is unknown; known selectors: {', '.join(SELECTORS)}")
+    return known[plain]
+
+
 def scores(candidate: Candidate) -> dict[str, float]:
     """Return every selector's score of a candidate; lower is better."""
     return {name: score(candidate) for name, score in SELECTORS.items()}
@@ -137,7 +161,35 @@ def alarm(candidate: Candidate) -> bool:
     Its target predictions spread over less than 30 % of the source predictions' deviation, or `rank_alarm` says so.
     """
     source, target = candidate.source_prediction_n.std(axis=0), candidate.target_prediction_n.std(axis=0)
-    return bool((target < ALARM_SPREAD * source).any()) or rank_alarm(candidate)
+    return bool((target < ALARM_SPREAD * source + _CONSTANT).any()) or rank_alarm(candidate)
+
+
+@dataclass(frozen=True)
+class LabelFree:
+    """What is known of a model on a target without labels.
+
+    `scores` are the selectors', the lower the better, and `scores_before` those of stage 1, if the method starts from
+    it. `quantiles` of the predicted labels are by name, at 5, 50 and 95 %; `alarm` is what `alarm` says.
+    """
+
+    scores: dict[str, float]
+    scores_before: dict[str, float]
+    quantiles: dict[str, tuple[float, ...]]
+    alarm: bool
+
+    @classmethod
+    def of(
+        cls, arrays: Mapping[str, np.ndarray], before: Mapping[str, np.ndarray] | None, labels: Sequence[str]
+    ) -> "LabelFree":
+        """Sum up a run's arrays, and those of stage 1."""
+        candidate, predicted = Candidate.of(arrays), arrays["target_predicted_n"]
+        at = np.quantile(predicted.astype(float), QUANTILES, axis=0).T.tolist()
+        return cls(
+            scores=scores(candidate),
+            scores_before={} if before is None else scores(Candidate.of(before)),
+            quantiles={name: tuple(own) for name, own in zip(labels, at, strict=True)},
+            alarm=alarm(candidate),
+        )
 
 
 def select(candidates: Sequence[Candidate], selector: str) -> int:
@@ -148,11 +200,10 @@ def select(candidates: Sequence[Candidate], selector: str) -> int:
     ValueError
         If there is no such selector, or there are no candidates.
     """
-    if selector not in SELECTORS:
-        raise ValueError(f"selector {selector!r} is unknown; known selectors: {', '.join(SELECTORS)}")
+    score = SELECTORS[find_selector(selector)]
     if not candidates:
         raise ValueError("there are no candidates to select from")
-    values = np.array([SELECTORS[selector](candidate) for candidate in candidates])
+    values = np.array([score(candidate) for candidate in candidates])
     alarmed = np.array([alarm(candidate) for candidate in candidates])
     return int(np.argmin(np.where(alarmed & ~alarmed.all(), np.inf, values)))
 

@@ -9,7 +9,7 @@ from gelgap import adapt, domains
 from gelgap.assets.names import quoted, unknown_name
 from gelgap.cli import options as opt
 
-CONSTANT_MEAN = "constant-mean"
+SELECTION = "selection.csv"
 
 
 def check_methods(names: tuple[str, ...]) -> None:
@@ -20,6 +20,13 @@ def check_methods(names: tuple[str, ...]) -> None:
     for name in names:
         if ":" not in name and name not in known:
             raise ValueError(unknown_name("method", name, known))
+
+
+def check_selector(name: str) -> None:
+    """Check the name of a selector."""
+    from gelgap.adapt.selection import find_selector
+
+    find_selector(name)
 
 
 def label_ranges(texts: tuple[str, ...]) -> dict[str, tuple[float, float]]:
@@ -43,23 +50,25 @@ class Adapt(opt.Command):
     """Learn force on the source domain, adapt to the target's pictures without its labels, evaluate on held-out frames.
 
     Stage 1 (source only) is shared by all methods with the same source, profile and seed. A finished run is not
-    repeated, an interrupted one goes on from its last epoch.
+    repeated, an interrupted one goes on from its last epoch. For a target without labels no errors are printed, but
+    how far its features are from the source's, and what is predicted.
 
     For example:
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --profile cpu --classes from-force 20
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --input calibrated --out colour-runs
+      gelgap adapt --source data/mb0i0 --target my-pictures --method adabn dan dann --select reverse-validation
     """
 
     when_stopped = "finished runs and epochs are kept, run the same command again to go on"
 
     source: tuple[Path, ...]
     """Folder of the source domain, or several that are trained on together."""
-    target: Path
-    """Folder of the target domain."""
+    target: tuple[Path, ...]
+    """Folder of the target domain, which may hold pictures alone; or several that are adapted to one by one."""
     method: Annotated[tuple[str, ...], check_methods] = ("source-only", "dsan")
     """Adaptation methods, or your own as module:Class or file.py:Class; a wrong name lists the known ones."""
-    profile: opt.ProfileName = "smoke"
+    profile: tuple[opt.ProfileName, ...] = ("smoke",)
     input: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
     """What the network is shown: pictures, standardised, calibrated, grey, markers or pretrained (with --weights)."""
     backbone: Annotated[str | None, opt.optional("NAME", "the profile's")] = None
@@ -84,22 +93,24 @@ class Adapt(opt.Command):
     """Seed of weights, splits and batches."""
     weights: Annotated[Path | None, opt.optional("PATH", "from scratch")] = None
     """Start from a gelgap checkpoint, or from ImageNet weights as torchvision saves them."""
+    select: Annotated[str | None, opt.optional("NAME"), check_selector] = None
+    """Choose a run for each target without its labels, by reverse-validation, feature-mmd, a-distance, source-risk,
+    iwcv or dev; the scores are written to selection.csv."""
     out: Annotated[Path, opt.output_folder] = Path("runs")
     """Folder that gets the checkpoints, predictions and run records."""
 
     def run(self, started: float) -> None:
-        """Train, adapt, print one line per method."""
+        """Train, adapt, print a table for each target, with a line per method and profile."""
         changes = {"input": self.input, "split_by": self.split_by, "stratify_by": self.stratify}
         changes["backbone"] = self.backbone and adapt.use_backbone(self.backbone)
-        profile = opt.named(adapt.Profile, self.profile).replace(
-            **{name: value for name, value in changes.items() if value is not None}
-        )
+        given = {name: value for name, value in changes.items() if value is not None}
+        profiles = [opt.named(adapt.Profile, name).replace(**given) for name in self.profile]
         with adapt.console_progress() as progress:
             runs = adapt.adapt_folders(
                 self.source,
                 self.target,
                 self.method,
-                profile=profile,
+                profile=profiles,
                 seed=self.seed,
                 labels=self.labels,
                 ranges=self.range and label_ranges(self.range),
@@ -108,25 +119,49 @@ class Adapt(opt.Command):
                 out_dir=self.out,
                 progress=progress,
             )
-        print(_table(runs))
+        for group in dict.fromkeys(run.group for run in runs):
+            _show([run for run in runs if run.group == group])
+        if self.select is not None:
+            self._select(runs)
         if failed := [run.method for run in runs if run.problem]:
             raise RuntimeError(f"{len(failed)} of {len(runs)} methods failed: {', '.join(failed)}")
 
+    def _select(self, runs: "Sequence[adapt.Run]") -> None:
+        """Write the scores of all runs, print them, and name the run that is chosen for each target."""
+        from gelgap.adapt.report import selection_table
+        from gelgap.assets.whole_file import write_whole
 
-def _table(runs: "Sequence[adapt.Run]") -> str:
-    """Return each run's error, if it did not fail, beside rules and oracles without a network, and what went wrong."""
+        table = selection_table(runs, self.select)
+        write_whole(self.out / SELECTION, table.to_csv(index=False).encode())
+        title = f"Scores without labels, less is better; chosen by {self.select}"
+        adapt.ResultTable.of(title, table.drop(columns="folder")).show()
+        for row in table[table["chosen"]].itertuples():
+            print(f"{row.group}: {row.method}, profile {row.profile}, is chosen: {self.out / row.folder}")
+        print(f"wrote {self.out / SELECTION}")
+
+
+def _show(runs: "Sequence[adapt.Run]") -> None:
+    """Print the errors on a target beside rules and oracles without a network, or what is known without its labels."""
     from gelgap.adapt.evaluation import errors_text, worse_than_constant
+    from gelgap.adapt.report import label_free_tables, method_titles
 
-    done = [run for run in runs if run.method != CONSTANT_MEAN and not run.problem]
-    errors = {"constant mean": runs[0].target_constant_mean} | runs[0].baselines | runs[0].oracles
-    errors |= {run.method: run.target_test for run in done}
-    lines = [f"{runs[0].group}, target test frames", errors_text(errors)]
-    lines += [f"{run.method}: {note}" for run in done if (note := worse_than_constant(run.target_test))]
-    lines += [f"{run.method}: {run.problem}" for run in runs if run.problem]
-    lines += [
-        f"{run.method}: {run.skipped_steps} steps skipped for losses that were not finite"
-        for run in runs
-        if run.skipped_steps
-    ]
-    lines += [f"no picture shows: {note}" for note in runs[0].unseen]
-    return "\n".join(lines)
+    titles, first = method_titles(runs), runs[0]
+    if first.target_test is None:
+        for table in label_free_tables(runs):
+            table.show()
+    else:
+        done = {titles[run.key]: run.target_test for run in runs if not run.problem}
+        rules = {"constant mean": first.target_constant_mean} | first.baselines | first.oracles
+        print(f"{first.group}, {first.target_test.n} target test frames")
+        print(errors_text(rules | done))
+        for title, errors in done.items():
+            if note := worse_than_constant(errors):
+                print(f"{title}: {note}")
+        for run in runs:
+            if run.problem:
+                print(f"{titles[run.key]}: {run.problem}")
+    for run in runs:
+        if run.skipped_steps:
+            print(f"{titles[run.key]}: {run.skipped_steps} steps skipped for losses that were not finite")
+    for note in first.unseen:
+        print(f"no picture shows: {note}")

@@ -18,6 +18,7 @@ from .frames.dataset import ArrayFrames as ArrayFrames
 from .frames.dataset import LabelledFrames as LabelledFrames
 from .frames.dataset import force_classes as force_classes
 from .frames.dataset import join_domains as join_domains
+from .frames.dataset import labelled_frames as labelled_frames
 from .frames.dataset import labels_of_run as labels_of_run
 from .frames.dataset import with_labels as with_labels
 from .frames.dataset import within_range as within_range
@@ -34,6 +35,7 @@ from .frames.paired_frames import PairedFrames as PairedFrames
 from .frames.paired_frames import Pairing as Pairing
 from .frames.splits import DomainSplit as DomainSplit
 from .frames.splits import contact_points as contact_points
+from .frames.splits import labelled_for_run as labelled_for_run
 from .frames.splits import paired_contacts as paired_contacts
 from .frames.splits import split_domains as split_domains
 from .frames.splits import split_frames as split_frames

@@ -14,13 +14,15 @@ from gelgap.assets.image_file import decode_image, stated_size_px
 from gelgap.domains.formats.domain_folder import MANIFEST, Damage, DomainFolder
 from gelgap.domains.formats.pictures import encode_png
 from gelgap.domains.frames.dataset import LabelledFrames, outside
-from gelgap.domains.frames.folders import GROUPS, PictureFiles, open_domain
+from gelgap.domains.frames.folders import PictureFiles, open_domain
 from gelgap.domains.frames.labels import QUANTITIES, Range, known_labels, usual_labels
 from gelgap.domains.frames.splits import paired_contacts
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
+from gelgap.domains.frames.tables import GROUPS
 from gelgap.domains.sweep import domain_gap, unseen_differences
 from gelgap.render import picture_gap
 
+_SHARES = (0, 0.05, 0.5, 0.95, 1)
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
 
@@ -71,7 +73,7 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
     files = (path for path in Path(folder).rglob("*") if path.is_file() and ".cache" not in path.parts)
     (width, height), size_mb = frames.size_px, sum(path.stat().st_size for path in files) / 1e6
     points, classes = (len(np.unique(own[own >= 0])) for own in (frames.point_id, frames.contact_class))
-    outside_range = int(outside(frames, frames.labels).sum())
+    outside_range = int(outside(frames, frames.labels).sum()) if told else 0
     groups = [f"{len(set(frames.columns[name]))} of {name}" for name in GROUPS if name in frames.columns]
     columns = frames.optional_columns if isinstance(frames, GeneratedDomain) else ()
     rows = (
@@ -81,7 +83,10 @@ def inspect_domain(folder: Path | str) -> DomainSummary:
             f"{frames.unconverged} left out (not converged)",
         ),
         ("contacts", f"{points} points, {classes} classes"),
-        ("labels", f"{', '.join(told)}; {outside_range} frames outside the declared range"),
+        (
+            "labels",
+            f"{', '.join(told)}; {outside_range} frames outside the declared range" if told else "none",
+        ),
         *([("groups", ", ".join(groups))] if groups else []),
         ("columns", ", ".join(columns) or "none beyond the standard ones"),
         *(("note", note) for note in notes),
@@ -104,7 +109,7 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
     """Return what is wrong with the files of a data set; empty if all is intact.
 
     Every byte of a generated domain is compared with its manifest, and what every picture states of itself with the
-    reference. Of pictures with a table every picture is decoded, and every force must be a number.
+    reference. Of a folder of pictures every picture is decoded; its table was checked when it was opened.
 
     Raises
     ------
@@ -129,10 +134,6 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
             frames.rest_picture(path)
         except ValueError as error:
             found.append(Damage(str(path.relative_to(frames.folder)), str(error)))
-    for name in known_labels(frames.columns):
-        for index in np.flatnonzero(~np.isfinite(frames.columns[name])).tolist():
-            problem = f"has {QUANTITIES[name].symbol} = {frames.columns[name][index]} in the table"
-            found.append(Damage(frames.place_of(index), f"frame {index} {problem}"))
     return tuple(found)
 
 
@@ -171,14 +172,10 @@ def _colours(mean: float, percentile_95: float) -> str:
 
 
 def label_notes(frames: LabelledFrames) -> list[str]:
-    """Return what is unusual about labels, in sentences: NaN, and forces that pull the sensor."""
-    notes = []
-    known = known_labels(frames.columns)
-    if count := int(np.any([~np.isfinite(frames.columns[name]) for name in known], axis=0).sum()):
-        notes.append(f"{count} frames have a label that is not a number")
+    """Return what is unusual about labels, in sentences: forces that pull the sensor."""
     if pulling := int((frames.columns.get("fz_n", np.zeros(0)) > 0).sum()):
-        notes.append(f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one")
-    return notes
+        return [f"{pulling} frames have Fz > 0: the sensor is pulled, or the sign is another one"]
+    return []
 
 
 def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damage]:
@@ -212,10 +209,13 @@ def write_overview(folder: Path | str, page: Path | str, other: Path | str | Non
         "overview.html",
         name=frames.name,
         summary=inspect_domain(folder),
-        plots=_plots(frames),
+        plots=_plots(frames) if known_labels(frames.columns) else None,
         label_quantiles=[
-            (str(what), *(f"{value:.3f}" for value in np.quantile(values, [0, 0.05, 0.5, 0.95, 1])))
-            for what, values in zip(frames.labels.quantities, frames.label_values.T, strict=True)
+            (
+                str(QUANTITIES[name]),
+                *(f"{value:.3f}" for value in np.nanquantile(frames.columns[name], _SHARES)),
+            )
+            for name in usual_labels(frames.columns)
         ],
         samples=_samples(frames),
         gap=None if base is None else {"base": base.name, "rows": gap_rows(frames, base)},
@@ -262,15 +262,16 @@ def _base64(png: bytes) -> str:
 
 def _samples(frames: LabelledFrames, count: int = 14) -> list[dict[str, str]]:
     """Return the reference and frames of evenly spread classes, or without classes of an evenly spread label."""
-    order = np.argsort(frames.label_values[:, -1])
+    names = usual_labels(frames.columns)
+    order = np.argsort(frames.columns[names[-1]]) if names else np.arange(len(frames))
     if frames.has_classes:
         order = np.lexsort((frames.point_id, frames.contact_class))
     chosen = order[np.unique(np.linspace(0, len(order) - 1, count).astype(int))] if len(order) else order
     shown = [{"png": _base64(encode_png(frames.reference)), "caption": "reference"}]
     for index in chosen.tolist():
-        values = ", ".join(f"{value:.2f}" for value in frames.label_values[index])
-        units = ", ".join(dict.fromkeys(what.unit for what in frames.labels.quantities))
-        caption = f"({values}) {units}" if len(frames.labels) > 1 else f"{values} {units}"
+        values = ", ".join(f"{frames.columns[name][index]:.2f}" for name in names) or f"frame {index}"
+        units = ", ".join(dict.fromkeys(QUANTITIES[name].unit for name in names))
+        caption = f"({values}) {units}" if len(names) > 1 else f"{values} {units}"
         if frames.contact_class[index] >= 0:
             caption = f"class {frames.contact_class[index]}: {caption}"
         shown.append({"png": _base64(encode_png(frames.picture(index))), "caption": caption})

@@ -26,10 +26,11 @@ register("linear-mmd", MeanMatching)
 
 def main(source: Path, target: Path, profile: str = "smoke") -> None:
     runs = adapt_folders(source, target, ("source-only", "linear-mmd"), profile=profile)
-    for run in runs:
-        print(f"{run.method:<14} mean error on the target {run.target_test.mean_mae_n:.3f} N")
+    errors_n = {run.method: run.target_test.mean_mae_n for run in runs if run.target_test is not None}
+    for method, error_n in errors_n.items():
+        print(f"{method:<14} mean error on the target {error_n:.3f} N")
     axes = plt.figure(figsize=(5, 3), layout="constrained").subplots()
-    axes.bar([run.method for run in runs], [run.target_test.mean_mae_n for run in runs])
+    axes.bar(list(errors_n), list(errors_n.values()))
     axes.set_ylabel("mean error on the target, N")
 
 

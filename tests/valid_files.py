@@ -14,7 +14,7 @@ from quick_solves import coarsen
 from gelgap.adapt import (
     ForceModel,
     Profile,
-    adapt_frames,
+    adapt_folders,
     load_predictions,
     load_runs,
     make_network,
@@ -117,7 +117,7 @@ def _runs(folder: Path) -> None:
     """Write a finished run, and weights as torchvision saves them."""
     runs = folder / "runs"
     source, target = open_domain(folder / "pictures"), open_domain(folder / "published")
-    (run,) = adapt_frames(source, target, ["source-only"], PROFILE, out_dir=runs)
+    (run,) = adapt_folders(source, target, ["source-only"], PROFILE, out_dir=runs)
     run.folder.rename(runs / "run")
     torch.save(make_network(PROFILE, 2, seed=0).backbone.state_dict(), runs / "weights.pt")
 

@@ -24,7 +24,7 @@ import pandas as pd
 from gelgap.assets.image_file import read_image
 from gelgap.domains import ConvertedClip, convert
 from gelgap.domains.formats.convert import Clip, Layout, Selection, mean_rgb, video_pictures
-from gelgap.domains.frames.folders import read_table
+from gelgap.domains.frames.tables import read_table
 
 LOG = logging.getLogger(__name__)
 WEDGE_CLONE = "git clone https://github.com/GelSight-lab/EstimateModulus"

@@ -22,8 +22,9 @@ from gelgap.assets.image_file import read_image
 from gelgap.assets.names import is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import encode_png, resized
-from gelgap.domains.frames.folders import GROUPS, known_columns, picture_path
+from gelgap.domains.frames.folders import picture_path
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
+from gelgap.domains.frames.tables import GROUPS, known_columns
 
 if TYPE_CHECKING:
     from cv2 import VideoCapture
@@ -280,7 +281,7 @@ def _recordings(folder: Path, every: int) -> Iterator[Selection]:
 
 
 def _recorded_clip(table: Path) -> Clip:
-    columns = known_columns(table, ("time_s", *QUANTITIES))
+    columns, _ = known_columns(table, ("time_s", *QUANTITIES))
     names = known_labels(columns)
     if "time_s" not in columns or not set(names) & set(FORCE_COLUMNS):
         raise ValueError(
@@ -303,7 +304,7 @@ def _recorded_clip(table: Path) -> Clip:
     (source,) = sources
     if source.is_dir():
         tables = sorted(source.glob("*.csv"))
-        of_pictures = known_columns(tables[0], ("picture", "time_s")) if len(tables) == 1 else {}
+        of_pictures, _ = known_columns(tables[0], ("picture", "time_s")) if len(tables) == 1 else ({}, [])
         if not {"picture", "time_s"} <= of_pictures.keys():
             raise ValueError(f"{source} must hold one table with the columns picture, time_s")
         paths = [picture_path(tables[0], name) for name in of_pictures["picture"]]

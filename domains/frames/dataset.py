@@ -56,8 +56,8 @@ class LabelledFrames(ABC):
     name
         The domain's.
     columns
-        What is known of each frame, arrays (n,) by name; at least one of them is a label (`QUANTITIES`). `reference_id`
-        says which of several reference pictures is a frame's own.
+        What is known of each frame, arrays (n,) by name. Some may be labels (`QUANTITIES`); NaN is a label that a frame
+        does not have. `reference_id` says which of several reference pictures is a frame's own.
     force_range_n
         The range of each axis of the force, (3, 2) N.
     declares_ranges
@@ -136,10 +136,20 @@ class LabelledFrames(ABC):
         """Forces (n, 3) in N; a ValueError where an axis is absent."""
         return self.values_of(FORCE_COLUMNS)
 
+    @property
+    def known_labels(self) -> tuple[str, ...]:
+        """Names of the labels that at least one frame has."""
+        return tuple(name for name in known_labels(self.columns) if not np.isnan(self.columns[name]).all())
+
     @cached_property
     def labels(self) -> Labels:
         """The labels with their ranges: the axes of the force that there are, or without any all other labels."""
-        return Labels.of({name: self.label_range(name) for name in usual_labels(self.columns)})
+        return Labels.of({name: self.label_range(name) for name in usual_labels(self.known_labels)})
+
+    @property
+    def is_labelled(self) -> np.ndarray:
+        """Which frames (n,) have all labels."""
+        return ~np.isnan(self.label_values).any(axis=1) & (len(self.labels) > 0)
 
     @cached_property
     def label_values(self) -> np.ndarray:
@@ -152,6 +162,8 @@ class LabelledFrames(ABC):
         if missing:
             has = ", ".join(known_labels(self.columns)) or "none"
             raise ValueError(f"data set {self.name} has no label {', '.join(missing)}; its labels: {has}")
+        if not names:
+            return np.empty((len(self), 0))
         return np.stack([self.columns[name] for name in names], axis=1)
 
     def label_range(self, name: str) -> Range:
@@ -189,6 +201,8 @@ class LabelledFrames(ABC):
             If one does not; the message names the first such frame.
         """
         labels, values = self.labels, self.label_values
+        if not labels:
+            raise ValueError(f"domain {self.name} has no labels")
         wrong = ~((values >= labels.low) & (values <= labels.high))
         if wrong.any():
             frame, label = np.argwhere(wrong)[0]
@@ -276,11 +290,11 @@ class ArrayFrames(LabelledFrames):
     images, reference
         (n, h, w, 3) and (h, w, 3) uint8 RGB.
     force_n
-        (n, 3) N, or None where the labels are among the columns.
+        (n, 3) N, or None where the labels are among the columns, or there are none.
     force_range_n, n_classes
         As in `LabelledFrames`.
     contact_class, point_id, **columns
-        What else is known of each frame, (n,) each: `fz_n`, `x_mm`, `clip`, `split`, ….
+        What else is known of each frame, (n,) each: `fz_n` (NaN: unlabelled), `x_mm`, `clip`, `split`, ….
 
     Raises
     ------
@@ -319,9 +333,8 @@ class ArrayFrames(LabelledFrames):
                 raise ValueError(f"domain {name}: {label} has shape {values.shape}; {n} images need {needed}")
         if not (np.diff(self.force_range_n) > 0).all():
             raise ValueError(f"domain {name}: force_range_n must be (3, 2) with lower < upper bounds")
-        self.columns = ({} if force_n is None else dict(zip(FORCE_COLUMNS, force_n.T, strict=True))) | columns
-        if not known_labels(self.columns):
-            raise ValueError(f"domain {name} has no label; known labels: {', '.join(QUANTITIES)}")
+        forces = {} if force_n is None else dict(zip(FORCE_COLUMNS, force_n.T, strict=True))
+        self.columns = {"frame_id": np.arange(n)} | forces | columns
 
     @cached_property
     def digest(self) -> str:
@@ -395,6 +408,11 @@ def with_labels(frames: LabelledFrames, labels: Labels) -> LabelledFrames:
     return DerivedFrames(frames, frames.columns, change, labels=labels)
 
 
+def labelled_frames(frames: LabelledFrames) -> LabelledFrames:
+    """Return the frames that have all labels; the frames themselves where all have."""
+    return frames if frames.is_labelled.all() else frames.take(np.flatnonzero(frames.is_labelled))
+
+
 def force_classes(train: LabelledFrames, count: int) -> LabelledFrames:
     """Return training frames with `count` contact classes of equal size, by Fz, or by the first label without it.
 
@@ -426,8 +444,8 @@ def labels_of_run(
     """Return the labels of a run with one range each for both domains, and sentences on what is unusual about them.
 
     A range is the given one, or else spans what the two data sets declare (the paper's for forces that neither
-    declares). Where the source does not declare it, it is widened to cover the source's training labels. The target's
-    labels never move it; that some lie beyond it is only said.
+    declares); one without that label declares nothing. Where the source does not declare it, it is widened to cover
+    the source's training labels. The target's labels never move it; that some lie beyond it is only said.
 
     Parameters
     ----------
@@ -444,9 +462,9 @@ def labels_of_run(
         If a name or range is wrong, a range is given for another label, or a domain lacks a label.
     """
     if names is None:
-        names = usual_labels(set(source.columns) & set(target.columns))
+        names = usual_labels(set(source.known_labels) & set(target.known_labels))
         if not names:
-            has = (f"{f.name} has {', '.join(known_labels(f.columns))}" for f in (source, target))
+            has = (f"{f.name} has {', '.join(f.known_labels) or 'none'}" for f in (source, target))
             raise ValueError(f"source and target share no label: {'; '.join(has)}")
     check_names(names)
     for frames in (source, target):
@@ -456,7 +474,8 @@ def labels_of_run(
         raise ValueError(f"a range is given for {', '.join(stray)}, but the labels are {', '.join(names)}")
     found, notes = {}, []
     for name in names:
-        declared = hull(frames.declared_range(name) for frames in (source, target)) or PAPER_RANGES.get(name)
+        having = [frames for frames in (source, target) if name in frames.known_labels]
+        declared = hull(frames.declared_range(name) for frames in having) or PAPER_RANGES.get(name)
         found[name] = ranges.get(name) or declared
         if name not in ranges and (declared is None or not source.declares_ranges):
             found[name] = covering(source.columns[name], declared)
@@ -548,11 +567,11 @@ def _counted_on(numbers: Sequence[np.ndarray], counts: Sequence[int]) -> np.ndar
 
 
 def outside(frames: LabelledFrames, labels: Labels) -> np.ndarray:
-    """Return which frames (n,) have a label outside its range."""
+    """Return which frames (n,) have a label outside its range; none that lacks it."""
     values = frames.values_of(labels.names)
     return np.any((values < labels.low) | (values > labels.high), axis=1)
 
 
 def within_range(frames: LabelledFrames) -> LabelledFrames:
-    """Return the frames whose labels lie within their ranges."""
-    return frames.take(np.flatnonzero(~outside(frames, frames.labels)))
+    """Return the frames that have all labels, and these within their ranges."""
+    return frames.take(np.flatnonzero(frames.is_labelled & ~outside(frames, frames.labels)))

@@ -4,26 +4,27 @@ Published: `<domain>/{train,test,ori}/images/0.jpg …` with `forcePosition/forc
 folder of pictures and one CSV table with named columns, as of a GelSight Mini.
 """
 
-import csv
-from collections.abc import Iterable, Sequence
+import re
+from collections import Counter
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from gelgap.assets.checksums import sha256
-from gelgap.assets.names import quoted, stays_inside
+from gelgap.assets.image_file import SUFFIXES
+from gelgap.assets.names import stays_inside
 from gelgap.domains.formats.domain_folder import MANIFEST
 from gelgap.domains.frames.dataset import CONTACT_CLASSES, LabelledFrames, join_domains
 from gelgap.domains.frames.labels import (
     FORCE_COLUMNS,
     PAPER_RANGES,
-    QUANTITIES,
     Labels,
     covering,
-    known_labels,
 )
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
+from gelgap.domains.frames.tables import known_columns, plain_name, read_table, whole_numbers
 
 PUBLISHED_REFERENCE = "ref.jpg"
 # All frames of the published parts once more, in one folder.
@@ -32,23 +33,9 @@ PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
 _ALIASES = {"inpainting": "wmb0i0"}
 
-# Names under which people write the same thing; letters and digits alone count.
-PICTURE_NAMES = ("image", "file", "filename", "path", "picture", "frame", "img", "imagepath", "imagefile")
-NUMBERS = {
-    **{f"f{axis}_n": (f"f{axis}", f"f{axis}n", f"force{axis}", f"force{axis}n") for axis in "xyz"},
-    **{f"m{axis}_nmm": (f"m{axis}", f"m{axis}nmm", f"torque{axis}", f"torque{axis}nmm") for axis in "xyz"},
-    "x_mm": ("xmm", "x"),
-    "y_mm": ("ymm", "y"),
-    "depth_mm": ("depthmm", "depth"),
-    "time_s": ("times",),
-}
-WHOLE_NUMBERS = {"contact_class": ("contactclass", "class", "label"), "point_id": ("pointid", "point")}
-GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
-TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",), "picture": PICTURE_NAMES}
-COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
-PICTURES = (".png", ".jpg", ".jpeg", ".bmp")
 REFERENCE_STEMS = ("reference", "ref", "background", "bg", "nocontact")
 REFERENCES = "references"
+IMAGES = "images"
 
 
 def open_domain(folder: Path | str) -> StoredFrames:
@@ -94,7 +81,7 @@ def domain_folders(folder: Path | str) -> tuple[Path, ...]:
 
 def layout_problem(folder: Path) -> str | None:
     """Return why a folder is not a data set, and what was looked for; None if it has a known layout."""
-    tables = sorted(folder.glob("*.csv"))
+    tables = _tables(folder)
     if (folder / MANIFEST).exists() or _is_published(folder) or len(tables) == 1:
         return None
     if tables:
@@ -102,13 +89,33 @@ def layout_problem(folder: Path) -> str | None:
             f"holds {len(tables)} CSV tables ({', '.join(table.name for table in tables)}): keep one, "
             "with a row per picture"
         )
-    what = "does not exist" if not folder.exists() else "is not a data set"
     inside = [path.name for path in domain_folders(folder) if path != folder] if folder.exists() else []
+    if not inside and any(not _is_reference(path) for path in _pictures(folder)):
+        return None
+    what = "does not exist" if not folder.exists() else "is not a data set"
     hint = f"; it holds the domains {', '.join(inside)}: name one of them" if inside else ""
     return (
         f"{what}; expected a folder with {MANIFEST} (gelgap generate), with ref.jpg and train/images "
-        f"(the published layout), or with pictures and one CSV table{hint}"
+        f"(the published layout), or with pictures and at most one CSV table{hint}"
     )
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return what lies in a folder and in its `images/`, frame_2 before frame_10, without hidden files."""
+    found = [*folder.glob("[!.]*"), *(folder / IMAGES).glob("[!.]*")]
+    return sorted(found, key=lambda path: re.sub("[0-9]+", lambda number: number[0].zfill(20), str(path)))
+
+
+def _tables(folder: Path) -> list[Path]:
+    return [path for path in _files(folder) if path.parent == folder and path.suffix.lower() == ".csv"]
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return [path for path in _files(folder) if path.suffix.lower() in SUFFIXES]
+
+
+def _is_reference(picture: Path) -> bool:
+    return plain_name(picture.stem) in REFERENCE_STEMS
 
 
 _LARGEST_LIKELY_N = 150.0
@@ -146,24 +153,6 @@ class PictureFiles(StoredFrames):
 
     def place_of(self, index: int) -> str:
         return str(self.picture_paths[index].relative_to(self.folder))
-
-
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV table by the names of its columns, without spaces around names and values."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            header = reader.fieldnames or ()
-            if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-                raise ValueError(
-                    f"{path} has no comma in its header {quoted(header[0])}: separate columns by commas"
-                )
-            return [
-                {name.strip(): (value or "").strip() for name, value in row.items() if name is not None}
-                for row in reader
-            ]
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None
 
 
 def _is_published(folder: Path) -> bool:
@@ -206,9 +195,10 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
     part = table.parents[1]
     if not table.is_file():
         raise FileNotFoundError(f"{table} is missing; every part has its forces there")
-    columns, classes = known_columns(table, FORCE_COLUMNS), [row.get("label") for row in read_table(table)]
+    columns, _ = known_columns(table, FORCE_COLUMNS)
+    classes = [row.get("label") for row in read_table(table)]
     if all(classes):
-        columns["contact_class"] = _whole_numbers(classes, f"{table}, column 'label'")
+        columns["contact_class"] = whole_numbers(np.array(classes, float), f"{table}, column 'label'")
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
@@ -222,19 +212,25 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
 
 
 def _picture_folder(folder: Path) -> PictureFiles:
-    """Read a folder with one CSV table: a column that names the picture, and one at least that is a label.
+    """Read a folder of pictures; a CSV table names them and gives their labels, or else none has any.
 
     Pictures lie in the folder or in its `images/`. Labels beyond the paper's ranges of forces widen them to the next
     0.1 N, which is noted.
     """
-    (table,) = folder.glob("*.csv")
-    columns, notes = known_columns(table), []
-    if "picture" not in columns or not known_labels(columns):
-        raise ValueError(
-            f"{table} has no label, or names no pictures: it needs a column picture and at least one of "
-            f"{', '.join(QUANTITIES)}; it has {', '.join(read_table(table)[0])}"
-        )
-    paths = [picture_path(table, name) for name in columns.pop("picture")]
+    tables = _tables(folder)
+    if tables:
+        columns, notes = known_columns(tables[0], needed=["picture"])
+        paths = [picture_path(tables[0], name) for name in columns.pop("picture")]
+    else:
+        columns, notes = {}, []
+        paths = [path for path in _pictures(folder) if not _is_reference(path)]
+        if others := Counter(
+            "folders" if path.is_dir() else path.suffix.lower()
+            for path in _files(folder)
+            if path.suffix.lower() not in SUFFIXES and path.name not in (IMAGES, "Thumbs.db", "desktop.ini")
+        ):
+            kinds = ", ".join(f"{count} {kind or 'others'}" for kind, count in others.items())
+            notes.append(f"not read, beside {len(paths)} pictures without a table: {kinds}")
     columns = {"frame_id": np.arange(len(paths))} | columns
     if repeated := len(paths) - len(set(paths)):
         notes.append(f"{repeated} rows name a picture that a row before them names")
@@ -245,94 +241,43 @@ def _picture_folder(folder: Path) -> PictureFiles:
         notes.append(f"forces go beyond the paper's range: the declared range is {told}")
     if (largest_n := np.abs(list(ranges.values())).max()) > _LARGEST_LIKELY_N:
         notes.append(f"forces reach {largest_n:g} N, beyond any such sensor's: are they in mN?")
-    references = _references(table, columns, paths, notes)
-    frames = PictureFiles(folder, folder.name, columns, paths, references, [table, *references], notes)
+    own = _own_references(tables[0], columns) if tables else []
+    references = list(dict.fromkeys(own)) or [_shared_reference(folder, columns, paths, notes)]
+    if own:
+        columns["reference_id"] = np.array([references.index(path) for path in own])
+    frames = PictureFiles(folder, folder.name, columns, paths, references, [*tables, *references], notes)
     frames.force_range_n, frames.declares_ranges = np.array(list(ranges.values())), False
     return frames
 
 
-def known_columns(table: Path, wanted: Iterable[str] = COLUMNS) -> dict[str, np.ndarray]:
-    """Return the wanted columns that a table has, (n,) each by our name: numbers, whole numbers, or texts.
+def _own_references(table: Path, columns: dict[str, np.ndarray]) -> list[Path]:
+    """Return the rest picture of each row: what its column `reference` names, or that of its clip.
 
-    Numbers of classes and points are left out if no row has one.
-
-    Raises
-    ------
-    ValueError
-        If there is no row, or a cell is not what its column needs.
+    The latter is `references/<clip>.png`. Without either it is empty: all rows share one.
     """
-    rows = read_table(table)
-    if not rows:
-        raise ValueError(f"{table} has no rows")
-    found: dict[str, np.ndarray] = {}
-    for ours in wanted:
-        theirs = next((name for name in rows[0] if name and _plain(name) in COLUMNS[ours]), None)
-        if theirs is None:
-            continue
-        values, where = [row[theirs] for row in rows], f"{table}, column {theirs!r}"
-        if ours in TEXTS:
-            if ours in GROUPS and not all(values):
-                raise ValueError(f"{where}: every row must hold a name")
-            found[ours] = np.array(values, dtype=object)
-        elif ours in NUMBERS:
-            found[ours] = _numbers(values, where)
-        elif any(values):
-            found[ours] = _whole_numbers(values, where)
-    return found
-
-
-def _numbers(values: list[str], where: str) -> np.ndarray:
-    numbers = np.empty(len(values))
-    for row, value in enumerate(values):
-        try:
-            numbers[row] = float(value)
-        except ValueError:
-            raise ValueError(
-                f"{where}: every row must hold a number, and row {row + 1} below the header holds "
-                f"{quoted(value) if value else 'nothing'}"
-            ) from None
-    return numbers
-
-
-def _whole_numbers(values: list[str], where: str) -> np.ndarray:
-    numbers = _numbers(values, where)
-    if not (np.abs(numbers) < 2**31).all():
-        raise ValueError(f"{where}: every row must hold a whole number")
-    return numbers.astype(np.int64)
-
-
-def _plain(name: str) -> str:
-    return "".join(letter for letter in name.lower().split("(")[0] if letter.isalnum())
-
-
-def _references(
-    table: Path, columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
-) -> list[Path]:
-    """Return the rest pictures; where frames have their own, the column `reference_id` says which.
-
-    That of a row is what its column `reference` names, or else that of its clip, `references/<clip>.png`. Without
-    either all rows share one: the picture called reference, ref, background or bg, or else the frame that shows least
-    contact, which is noted.
-    """
-    folder = table.parent
     if "reference" in columns:
-        own = [picture_path(table, name) for name in columns.pop("reference")]
-    elif "clip" in columns and (folder / REFERENCES).is_dir():
-        of_clip = {
-            clip: _file_of(table, f"clip {clip!r}", [f"{REFERENCES}/{clip}{ending}" for ending in PICTURES])
-            for clip in dict.fromkeys(columns["clip"])
-        }
-        own = [of_clip[clip] for clip in columns["clip"]]
-    else:
-        for path in sorted([*folder.iterdir(), *(folder / "images").glob("*")]):
-            if path.suffix.lower() in PICTURES and _plain(path.stem) in REFERENCE_STEMS:
-                return [path]
-        index = _lightest_touch(folder, columns)
-        notes.append(f"no reference picture: frame {index}, which shows least contact, takes its place")
-        return [paths[index]]
-    number = {path: i for i, path in enumerate(dict.fromkeys(own))}
-    columns["reference_id"] = np.array([number[path] for path in own])
-    return list(number)
+        return [picture_path(table, name) for name in columns.pop("reference")]
+    if "clip" not in columns or not (table.parent / REFERENCES).is_dir():
+        return []
+    of_clip = {
+        clip: _file_of(table, f"clip {clip!r}", [f"{REFERENCES}/{clip}{ending}" for ending in SUFFIXES])
+        for clip in dict.fromkeys(columns["clip"])
+    }
+    return [of_clip[clip] for clip in columns["clip"]]
+
+
+def _shared_reference(
+    folder: Path, columns: dict[str, np.ndarray], paths: list[Path], notes: list[str]
+) -> Path:
+    """Return the picture called reference, ref, background or bg, or else the frame that shows least contact, noted."""
+    named = [path for path in _pictures(folder) if _is_reference(path)]
+    if len(named) > 1:
+        notes.append(f"{len(named)} pictures are called a reference: {named[0].name} is taken")
+    if named:
+        return named[0]
+    index = _lightest_touch(folder, columns)
+    notes.append(f"no reference picture: frame {index}, which shows least contact, takes its place")
+    return paths[index]
 
 
 def picture_path(table: Path, name: str) -> Path:
@@ -361,6 +306,7 @@ def _lightest_touch(folder: Path, columns: dict[str, np.ndarray]) -> int:
     size = np.linalg.norm(forces, axis=0) if forces else columns.get("depth_mm")
     if size is None:
         raise FileNotFoundError(
-            f"{folder} has no reference picture: put reference.png there, or name rest pictures in a column reference"
+            f"{folder} has no reference picture: add a picture without contact as reference.png there, or name "
+            "rest pictures in a column reference"
         )
     return int(np.nan_to_num(size, nan=np.inf).argmin())

@@ -50,19 +50,20 @@ class Labels:
     """The labels of a data set or a model: names of columns, and for each its range (low, high) in its unit.
 
     Labels are normalised by their range; one outside it is an error and never clipped. By default the three axes of
-    the force in the paper's ranges.
+    the force in the paper's ranges. Pictures alone have none, `Labels((), ())`.
 
     Raises
     ------
     ValueError
-        If there is none, a name is unknown or stands twice, or a lower bound is not below the upper one.
+        If a name is unknown or stands twice, or a lower bound is not below the upper one.
     """
 
     names: tuple[str, ...] = FORCE_COLUMNS
     ranges: tuple[Range, ...] = PAPER_FORCE_RANGE_N
 
     def __post_init__(self) -> None:
-        check_names(self.names)
+        if self.names:
+            check_names(self.names)
         for name, (low, high) in zip(self.names, self.ranges, strict=True):
             if not (np.isfinite([low, high]).all() and low < high):
                 raise ValueError(
@@ -77,12 +78,12 @@ class Labels:
     @property
     def low(self) -> np.ndarray:
         """Lower bounds (k,)."""
-        return np.array(self.ranges, float)[:, 0]
+        return np.array(self.ranges, float).reshape(-1, 2)[:, 0]
 
     @property
     def high(self) -> np.ndarray:
         """Upper bounds (k,)."""
-        return np.array(self.ranges, float)[:, 1]
+        return np.array(self.ranges, float).reshape(-1, 2)[:, 1]
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:

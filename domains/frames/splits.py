@@ -1,4 +1,4 @@
-"""What a run takes from its data sets: training, validation and test frames, and contacts that both show.
+"""What a run takes from its data sets: labels, training, validation and test frames, and contacts that both show.
 
 One seed gives one split, for a domain alone or for two.
 """
@@ -11,13 +11,14 @@ import pandas as pd
 
 from gelgap.assets.names import quoted
 from gelgap.domains.domain import random_stream
-from gelgap.domains.frames.dataset import LabelledFrames
+from gelgap.domains.frames.dataset import DerivedFrames, LabelledFrames
+from gelgap.domains.frames.labels import check_names, usual_labels
 
 WAYS = ("random", "point", "given")
 Shares = Sequence[float]
 PAPER_SHARES = (0.6, 0.2, 0.2)
 PARTS = ("train", "validation", "test")
-_TEST = PARTS.index("test")
+_TRAIN, _TEST = PARTS.index("train"), PARTS.index("test")
 _POINT = ("x_mm", "y_mm")
 _POSE = (*_POINT, "depth_mm", "shear_x_mm", "shear_y_mm")
 # Commanded poses that agree to a micrometre are one: it is far below what a rig can tell.
@@ -32,6 +33,32 @@ class DomainSplit(NamedTuple):
     target_train: np.ndarray
     target_validation: np.ndarray
     target_test: np.ndarray
+
+
+def labelled_for_run(
+    source: LabelledFrames, target: LabelledFrames, names: Sequence[str] | None = None
+) -> tuple[LabelledFrames, LabelledFrames, Sequence[str]]:
+    """Return the source's frames with all labels of a run, the target with NaN for those it lacks, and their names.
+
+    Without names these are the axes of the force that both domains have, or without any all labels that both have.
+    Where they share none, they are the source's, and the target is unlabelled.
+
+    Raises
+    ------
+    ValueError
+        If a name is wrong, or no frame of the source has all these labels.
+    """
+    if names is None:
+        names = usual_labels(set(source.known_labels) & set(target.known_labels) or source.known_labels)
+    if names:
+        check_names(names)
+    is_labelled = ~np.isnan(source.values_of(names)).any(axis=1) & (len(names) > 0)
+    if not is_labelled.any():
+        wanted = " and ".join(names) or "a label"
+        raise ValueError(f"source {source.name}: none of its {len(source)} frames has {wanted} to learn from")
+    labelled = source if is_labelled.all() else source.take(np.flatnonzero(is_labelled))
+    absent = {name: np.full(len(target), np.nan) for name in names if name not in target.columns}
+    return labelled, DerivedFrames(target, target.columns | absent, b"") if absent else target, names
 
 
 def draw_parts(count: int, seed: int, shares: Shares = PAPER_SHARES) -> np.ndarray:
@@ -96,6 +123,7 @@ def split_domains(
     shares: Shares = PAPER_SHARES,
     held_out: float = 0.1,
     stratify_by: str | None = None,
+    is_labelled: np.ndarray | None = None,
 ) -> DomainSplit:
     """Split a source into training and held-out frames, and a target into training, validation and test frames.
 
@@ -112,16 +140,36 @@ def split_domains(
     held_out
         Share of the source that is held out. A source that states its split holds out its test part, or nothing if this
         share is 0.
+    is_labelled
+        Which frames (m,) of the target have labels; by default all. A target without any is trained on as a whole.
+        Where some have and the split is at random, the training part takes its share from the frames without labels
+        first, and the others are test frames: there is no validation part.
 
     Raises
     ------
     ValueError
-        As `split_frames`.
+        As `split_frames`, or if no frame with labels is in the target's test part.
     """
     if by not in (None, "random", "given"):
         held_out = max(held_out, shares[_TEST])
-    both = [(1 - held_out, 0.0, held_out), shares]
-    of_source, of_target = _parts([source, target], by, seed, both, stratify_by)
+    source_shares = 1 - held_out, 0.0, held_out
+    labelled = np.arange(len(target)) if is_labelled is None else np.flatnonzero(is_labelled)
+    is_random = by == "random" or (by is None and "split" not in target.columns)
+    of_target = np.full(len(target), _TRAIN)
+    if len(labelled) == 0:
+        (of_source,) = _parts([source], by, seed, [source_shares], stratify_by)
+    elif len(labelled) == len(target) or not is_random:
+        of_source, of_target = _parts([source, target], by, seed, [source_shares, shares], stratify_by)
+        if not (of_target[labelled] == _TEST).any():
+            raise ValueError(
+                f"data set {target.name}: none of its {len(labelled)} frames with labels is in the test part; take "
+                "another seed, or split at random"
+            )
+    else:
+        unlabelled = len(target) - len(labelled)
+        needed = max(0, int(shares[_TRAIN] * len(target)) - unlabelled) / len(labelled)
+        both, own_shares = [source, target.take(labelled)], (needed, 0.0, 1 - needed)
+        of_source, of_target[labelled] = _parts(both, by, seed, [source_shares, own_shares], stratify_by)
     is_held_out = (of_source == _TEST) & (held_out > 0)
     return DomainSplit(
         np.flatnonzero(~is_held_out),

@@ -11,7 +11,7 @@ import pytest
 from gelgap.adapt import (
     Evaluation,
     ForceModel,
-    adapt_frames,
+    adapt_folders,
     affine_correction,
     fine_tune,
     force_scatter,
@@ -46,7 +46,7 @@ def on(frames: ArrayFrames, *axes: str, **columns) -> ArrayFrames:
 def fz_runs(source, target, short, tmp_path_factory):
     methods = ["source-only", "cdan", "uga", "tasfar", "dsan", "supervised", "constant-mean"]
     out = tmp_path_factory.mktemp("fz")
-    return adapt_frames(on(source, "fz_n"), on(target, "fz_n"), methods, short, out_dir=out)
+    return adapt_folders(on(source, "fz_n"), on(target, "fz_n"), methods, short, out_dir=out)
 
 
 def test_absent_axes_are_absent(fz_runs, source, target, short):
@@ -82,15 +82,15 @@ def test_records_name_other_labels_and_only_those(fz_runs, source, target, short
     record = json.loads((fz_runs[0].folder / "run.json").read_text())
     assert list(record["target_test"]) == ["n", "mae", "mae_percent", "r2", "labels"]
     assert load_run(fz_runs[0].folder) == fz_runs[0]
-    (run,) = adapt_frames(source, target, ["constant-mean"], short, out_dir=tmp_path)
+    (run,) = adapt_folders(source, target, ["constant-mean"], short, out_dir=tmp_path)
     record = json.loads((run.folder / "run.json").read_text())
-    assert list(record["target_test"]) == ["n", "mae_n", "mae_percent", "r2"]
+    assert record["labels"] == ["fx_n", "fy_n", "fz_n"]
     assert "stratify_by" not in record["profile"]
     assert load_run(run.folder).target_test == run.target_test
 
 
 def test_the_report_has_tables_of_each_set_of_labels(fz_runs, source, target, short):
-    (forces,) = adapt_frames(source, target, ["constant-mean"], short, out_dir=fz_runs[0].folder.parent)
+    (forces,) = adapt_folders(source, target, ["constant-mean"], short, out_dir=fz_runs[0].folder.parent)
     page = write_report(fz_runs[0].folder.parent)
     text = page.with_suffix(".md").read_text()
     assert "## Mean error on the target's test frames (Fz), N" in text
@@ -103,7 +103,7 @@ def test_the_report_has_tables_of_each_set_of_labels(fz_runs, source, target, sh
 def test_a_run_of_generated_domains_keeps_its_oracles_and_what_no_picture_shows(
     source, target, short, tmp_path
 ):
-    (run,) = adapt_frames(source, target, ["constant-mean"], short, out_dir=tmp_path)
+    (run,) = adapt_folders(source, target, ["constant-mean"], short, out_dir=tmp_path)
     assert (run.oracles, run.unseen) == ({}, ())
     told = replace(run, oracles={"pose oracle": run.target_test}, unseen=("modulus 1 and 2 MPa",))
     record = json.loads((run.folder / "run.json").read_text())
@@ -120,7 +120,7 @@ def test_labels_of_several_units_are_not_averaged(source, target, short, tmp_pat
     x_mm = np.random.default_rng(0).uniform(-4, 4, len(source))
     pair = [on(frames, "fz_n", x_mm=x_mm) for frames in (source, target)]
     ranges = {"fz_n": (-5.0, 0.0)}
-    (run,) = adapt_frames(
+    (run,) = adapt_folders(
         *pair, ["constant-mean"], short, labels=["x_mm", "fz_n"], ranges=ranges, out_dir=tmp_path
     )
     assert run.target_test.mean_mae is None
@@ -136,7 +136,7 @@ def test_labels_of_several_units_are_not_averaged(source, target, short, tmp_pat
 
 def test_keys_tell_labels_and_ranges_apart(source, target, short):
     def key(**choice) -> str:
-        return adapt_frames(source, target, ["constant-mean"], short, **choice)[0].key
+        return adapt_folders(source, target, ["constant-mean"], short, **choice)[0].key
 
     forces = ["fx_n", "fy_n", "fz_n"]
     keys = [key(), key(labels=["fz_n"]), key(ranges={"fz_n": (-4.0, 0.0)}), key(labels=forces)]
@@ -226,7 +226,7 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
     choice = ["--labels", "fz_n", "--range", "fz_n=-12:0.5", "--classes", "from-force", "4"]
     main([*arguments, *choice, "--split-by", "clip", "--stratify", "object"])
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "one+two → late, target test frames"
+    assert lines[0] == "one+two → late, 8 target test frames"
     assert lines[1].split() == ["MAE", "Fz/N", "mean", "R²", "Fz"]
     assert lines[2].startswith("constant mean")
     (record,) = (tmp_path / "runs").glob("*/run.json")
@@ -261,7 +261,7 @@ def test_target_labels_beyond_the_range_stop_only_what_trains_on_them(
 ):
     deep = on(target, fz_n=2 * target.columns["fz_n"])
     with pytest.raises(ValueError, match=r"domain wmb1i1: .* outside the declared range; .*never clipped"):
-        adapt_frames(on(source, "fz_n"), deep, ["source-only", "supervised"], short, out_dir=tmp_path)
+        adapt_folders(on(source, "fz_n"), deep, ["source-only", "supervised"], short, out_dir=tmp_path)
     assert not list(tmp_path.iterdir())
-    adapt_frames(on(source, "fz_n"), deep, ["constant-mean"], short)
+    adapt_folders(on(source, "fz_n"), deep, ["constant-mean"], short)
     assert "frames of wmb1i1 have a label beyond the range (fz_n=-3:0)" in caplog.messages[-1]

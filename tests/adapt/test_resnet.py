@@ -7,7 +7,7 @@ import torch
 from gelgap.adapt.data import split_for_training
 from gelgap.adapt.network import ResNet, load_imagenet_weights
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.runs import adapt_frames, run_key
+from gelgap.adapt.runs import adapt_folders, run_key
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("resnet18", 11_176_512), ("resnet50", 23_508_032)])
@@ -75,7 +75,7 @@ def test_paper_profile_runs_on_imagenet_weights(source, target, tmp_path):
     weights = tmp_path / "resnet50.pth"
     torch.save({**ResNet("resnet50").state_dict(), "fc.weight": torch.zeros(1000, 2048)}, weights)
     few = [frames.take(np.arange(14)) for frames in (source, target)]
-    (run,) = adapt_frames(*few, ["dsan"], short, weights=weights)
+    (run,) = adapt_folders(*few, ["dsan"], short, weights=weights)
     assert [record["skipped_steps"] for record in run.history] == [0, 0]
     assert run.history[1]["losses"].keys() == {"regression", "classification", "transfer"}
     assert np.isfinite(run.target_test.mae_n).all()

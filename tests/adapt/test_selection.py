@@ -9,7 +9,7 @@ from sklearn.metrics import mean_absolute_error, r2_score
 from gelgap.adapt.evaluation import BASELINES, evaluate_predictions
 from gelgap.adapt.report import error_table, feature_tsne, force_scatter, write_report
 from gelgap.adapt.result_table import ResultTable
-from gelgap.adapt.runs import adapt_frames
+from gelgap.adapt.runs import adapt_folders
 from gelgap.adapt.selection import (
     SELECTORS,
     Candidate,
@@ -107,7 +107,7 @@ def test_selection_avoids_constant_predictors_and_names_unknown_selectors():
 
 def test_tables_and_figures(source, target, profile, tmp_path):
     short = profile.replace(source_epochs=1, adapt_epochs=1)
-    runs = adapt_frames(source, target, ["source-only", "adabn"], short, out_dir=tmp_path / "runs")
+    runs = adapt_folders(source, target, ["source-only", "adabn"], short, out_dir=tmp_path / "runs")
     table = error_table(runs)
     assert sorted(table.columns[1:3]) == ["adabn", "source-only"]
     assert table.columns[0] == "group"

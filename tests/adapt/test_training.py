@@ -15,7 +15,7 @@ from gelgap.adapt.methods.registry import find_method, make_method, method_names
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
-from gelgap.adapt.runs import adapt_frames, load_predictions, load_runs, run_key, stage1_key, stage1_profile
+from gelgap.adapt.runs import adapt_folders, load_predictions, load_runs, run_key, stage1_key, stage1_profile
 from gelgap.adapt.trainer import adapt, train_source
 from gelgap.domains import ArrayFrames, join_domains
 
@@ -185,7 +185,7 @@ def test_pictures_of_another_size_are_resized_and_too_small_ones_are_an_error(st
     with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
         adapt(stage1, source, small, "adabn")
     with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
-        adapt_frames(source, small, ["constant-mean"], stage1.profile)
+        adapt_folders(source, small, ["constant-mean"], stage1.profile)
     large = altered(
         target,
         images=target.images().repeat(2, axis=1).repeat(2, axis=2),
@@ -194,18 +194,18 @@ def test_pictures_of_another_size_are_resized_and_too_small_ones_are_an_error(st
     same, resized = (adapt(stage1, source, frames, "adabn") for frames in (target, large))
     np.testing.assert_array_equal(weights(same), weights(resized))
     np.testing.assert_array_equal(same.predict_n(target), resized.predict_n(large))
-    adapt_frames(source, large, ["constant-mean"], stage1.profile)
+    adapt_folders(source, large, ["constant-mean"], stage1.profile)
     assert not caplog.messages
     tall = altered(
         target, images=target.images().repeat(2, axis=1), reference=target.reference.repeat(2, axis=0)
     )
-    adapt_frames(source, tall, ["constant-mean"], stage1.profile)
+    adapt_folders(source, tall, ["constant-mean"], stage1.profile)
     assert "40×32 px and those of wmb1i1 40×64 px" in caplog.messages[0]
     caplog.clear()
-    adapt_frames(join_domains([tall, source]), source, ["constant-mean"], stage1.profile)
+    adapt_folders(join_domains([tall, source]), source, ["constant-mean"], stage1.profile)
     assert ["pictures of wmb1i1 are 40×64 px" in note for note in caplog.messages] == [True]
     with pytest.raises(ValueError, match="pictures are 32×32 px and are only down-sampled"):
-        adapt_frames(join_domains([source, small]), source, ["constant-mean"], stage1.profile)
+        adapt_folders(join_domains([source, small]), source, ["constant-mean"], stage1.profile)
 
 
 def test_unknown_method_lists_the_known_ones(stage1, source, target):
@@ -269,13 +269,13 @@ def test_a_method_that_collapses_is_recorded_and_the_others_go_on(source, target
     register("collapsing", Collapsing)
     long = profile.replace(adapt_epochs=10)
     methods = ["adabn", "collapsing", "source-only"]
-    runs = adapt_frames(source, target, methods, long, out_dir=tmp_path)
+    runs = adapt_folders(source, target, methods, long, out_dir=tmp_path)
     assert [run.method for run in runs] == methods
     assert [run.problem is None for run in runs] == [True, False, True]
     assert "features collapsed" in runs[1].problem
     assert runs[1].target_test == runs[1].target_constant_mean
     assert runs[1].source_held_out is None
-    assert adapt_frames(source, target, methods, long, out_dir=tmp_path, progress=pytest.fail) == runs
+    assert adapt_folders(source, target, methods, long, out_dir=tmp_path, progress=pytest.fail) == runs
     with pytest.raises(RuntimeError, match=r"collapsing has no predictions: .*features collapsed"):
         load_predictions(runs[1])
     report = write_report(tmp_path).with_suffix(".md").read_text()
@@ -284,9 +284,9 @@ def test_a_method_that_collapses_is_recorded_and_the_others_go_on(source, target
 
 def test_runs_are_folders_and_nothing_is_computed_twice(source, target, profile, tmp_path):
     short = profile.replace(source_epochs=2, adapt_epochs=1)
-    runs = adapt_frames(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
+    runs = adapt_folders(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
     assert runs[1].wall_s["stage1"] == 0
-    again = adapt_frames(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
+    again = adapt_folders(source, target, ["source-only", "dsan"], short, out_dir=tmp_path)
     assert again == runs
     assert sorted(run.method for run in load_runs(tmp_path)) == ["dsan", "source-only"]
     arrays = load_predictions(runs[1])
@@ -333,14 +333,14 @@ def test_two_runs_into_one_folder_are_not_mixed(source, target, profile, tmp_pat
     def intrude(title, done, total, message):
         for method in ("dsan", "adabn"):
             with pytest.raises(RuntimeError, match=r"another process \(pid \d+\) is writing to"):
-                adapt_frames(source, target, [method], short, out_dir=tmp_path)
+                adapt_folders(source, target, [method], short, out_dir=tmp_path)
             refused.append(title)
             if not title.startswith("source"):
                 break
 
-    runs = adapt_frames(source, target, ["dsan"], short, out_dir=tmp_path, progress=intrude)
+    runs = adapt_folders(source, target, ["dsan"], short, out_dir=tmp_path, progress=intrude)
     assert refused == 4 * ["source mb0i0"] + 2 * ["dsan mb0i0 → wmb1i1"]
-    assert adapt_frames(source, target, ["dsan"], short, out_dir=tmp_path) == runs
+    assert adapt_folders(source, target, ["dsan"], short, out_dir=tmp_path) == runs
 
 
 def test_another_method_joins_while_stage_2_runs(source, target, profile, tmp_path):
@@ -349,9 +349,9 @@ def test_another_method_joins_while_stage_2_runs(source, target, profile, tmp_pa
 
     def join(title, done, total, message):
         if title.startswith("dsan"):
-            joined.extend(adapt_frames(source, target, ["adabn"], short, out_dir=tmp_path))
+            joined.extend(adapt_folders(source, target, ["adabn"], short, out_dir=tmp_path))
 
-    adapt_frames(source, target, ["dsan"], short, out_dir=tmp_path, progress=join)
+    adapt_folders(source, target, ["dsan"], short, out_dir=tmp_path, progress=join)
     assert [run.method for run in joined] == ["adabn"]
     assert joined[0].wall_s["stage1"] == 0
     assert len(load_runs(tmp_path)) == 2
@@ -361,7 +361,7 @@ def test_without_a_folder_stage_1_is_trained_once(source, target, profile):
     short = profile.replace(source_epochs=2, adapt_epochs=1)
     titles = []
     methods = ["source-only", "adabn", "adabn"]
-    runs = adapt_frames(source, target, methods, short, progress=lambda title, *_: titles.append(title))
+    runs = adapt_folders(source, target, methods, short, progress=lambda title, *_: titles.append(title))
     assert titles == 2 * ["source mb0i0"]
     assert [run.method for run in runs] == methods
 
@@ -371,7 +371,7 @@ def test_a_wrong_setting_of_a_method_is_an_error_before_any_work(source, target,
     with pytest.raises(
         ValueError, match=r"settings of method dsan: force_width = -1\.0: input should be greater"
     ):
-        adapt_frames(source, target, ["source-only", "dsan"], wrong, progress=pytest.fail)
+        adapt_folders(source, target, ["source-only", "dsan"], wrong, progress=pytest.fail)
 
 
 @pytest.mark.parametrize("name", ["smoke", "cpu", "board", "paper"])
@@ -396,6 +396,6 @@ def test_bad_profiles():
 
 def test_the_source_is_judged_under_its_own_statistics(source, target, profile):
     per_domain = profile.replace(batch_statistics="per_domain")
-    plain, adabn = adapt_frames(source, target, ["source-only", "adabn"], per_domain)
+    plain, adabn = adapt_folders(source, target, ["source-only", "adabn"], per_domain)
     assert adabn.source_held_out.mean_mae_n < 1.3 * plain.source_held_out.mean_mae_n
     assert adabn.source_held_out.mean_mae_n < 0.6 * adabn.source_constant_mean.mean_mae_n

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelgap.domains import inspect_domain, open_domain
+from gelgap.domains import inspect_domain, open_domain, verify_domain, write_overview
+from gelgap.domains.frames.labels import known_labels
 
 
 def picture(path: Path, level: int, size: tuple[int, int] = (64, 48)) -> None:
@@ -123,12 +124,41 @@ def test_without_a_reference_the_lightest_touch_takes_its_place(tmp_path: Path):
     assert "frame 5" in data.notes[-1]
 
 
-def test_a_table_without_forces_says_what_it_has(tmp_path: Path):
-    picture(tmp_path / "a.png", 1)
-    table(tmp_path / "t.csv", [{"image": "a.png", "torque": 1}])
-    with pytest.raises(
-        ValueError, match=r"has no label, .*at least one of fx_n, .*depth_mm; it has image, torque"
-    ):
+def test_a_table_without_labels_is_an_unlabelled_domain(tmp_path: Path):
+    folder = picture_folder(tmp_path / "named", "image,torque\n1.png,1\n0.png,2\n")
+    picture(folder / "reference.png", 99)
+    data = open_domain(folder)
+    assert known_labels(data.columns) == ()
+    assert data.picture(0).mean() > data.picture(1).mean()
+    assert data.notes == ("columns that are not read: torque",)
+
+
+def test_a_folder_of_pictures_alone_is_an_unlabelled_domain(tmp_path: Path):
+    for number in (10, 9, 2, 1):
+        picture(tmp_path / f"frame_{number}.png", number)
+    picture(tmp_path / "reference.png", 99)
+    for name in (".DS_Store", "Thumbs.db", "._frame_1.png", "a.webp", "b.webp", "labels.xlsx", "more/c.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"no picture")
+    data = open_domain(tmp_path)
+    assert list(data.columns) == ["frame_id"]
+    assert [path.name for path in data.picture_paths] == [f"frame_{number}.png" for number in (1, 2, 9, 10)]
+    assert data.notes == ("not read, beside 4 pictures without a table: 2 .webp, 1 .xlsx, 1 folders",)
+    assert "labels   none" in str(inspect_domain(tmp_path))
+    assert verify_domain(tmp_path) == ()
+    assert "No frame has a label" in write_overview(tmp_path, tmp_path / "page.html").read_text()
+    (tmp_path / "reference.png").unlink()
+    with pytest.raises(FileNotFoundError, match=r"no reference picture: add .* reference\.png"):
+        open_domain(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"), [("reference.png", "is not a data set"), ("old.CSV", "must have the")]
+)
+def test_what_is_no_folder_of_pictures_is_not_taken_for_one(tmp_path: Path, name: str, problem: str):
+    picture(tmp_path / "reference.png", 99)
+    (tmp_path / name).write_text("a,b\n1,2\n")
+    with pytest.raises((FileNotFoundError, ValueError), match=problem):
         open_domain(tmp_path)
 
 
@@ -142,7 +172,6 @@ def picture_folder(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("picture,fz_n\n0.png,0\n1.png,\n2.png,-1\n", "row 2 below the header holds nothing"),
         ("picture,fz_n\n0.png,0\n1.png,-0.5\n2.png,soft\n", "row 3 below the header holds 'soft'"),
         ("picture;fz_n\n0.png;0\n1.png;-0.5\n", "'picture;fz_n': separate columns by commas"),
     ],
