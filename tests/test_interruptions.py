@@ -82,7 +82,7 @@ GENERATE = "generate mb0i0 --path {inputs}/path.toml --quality draft --size 64 4
 COMMANDS = {
     "generate": Command(f"{GENERATE} --scheduler synchronous", finished_shards, files_of),
     "adapt": Command(
-        "adapt --source {inputs}/pictures --target {inputs}/published --method source-only coral"
+        "adapt --source {inputs}/pictures --target {inputs}/published --method source-only dan"
         " --profile {inputs}/profile.toml",
         finished_runs,
         runs_of,

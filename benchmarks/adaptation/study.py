@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 RUNS, BOARD = "runs.jsonl", "board"
 _CONTROLS = {"adabn": board.PLAIN, "no-transfer": "adabn", "classifier-only": "no-transfer"}
-_CONTROLS |= dict.fromkeys(board.SOURCE_FREE, "adabn")
 _RUN = ("source", "target", "method", "seed", "data", "changes", "settings")
 
 

@@ -6,8 +6,7 @@ import torch
 
 from gelgap.adapt.methods.base import Step
 from gelgap.adapt.methods.dan import bandwidth, multi_gaussian, squared_distances
-from gelgap.adapt.methods.dsan import coarse_classes
-from gelgap.adapt.methods.registry import find_method
+from gelgap.adapt.methods.dsan import DSAN
 from gelgap.adapt.network import Activations
 from gelgap.adapt.trainer import adapt, train_source
 
@@ -46,7 +45,7 @@ def dsan_batches(n_classes, classes, seed=0):
 def test_dsan_aligns_the_classes_of_the_source_that_are_argmax_in_the_target(seed):
     rng = np.random.default_rng(seed)
     source, target = dsan_batches(12, rng.integers(0, 12, 8).tolist(), seed)
-    dsan = make_dsan("dsan", 12)
+    dsan = make_dsan(12)
     expected, common = brute_force_lmmd(
         source.features, target.features, source.contact_class, target.logits.softmax(dim=1)
     )
@@ -56,45 +55,17 @@ def test_dsan_aligns_the_classes_of_the_source_that_are_argmax_in_the_target(see
     assert found.weight == STEP.weight
     assert float(found.value) == pytest.approx(expected, rel=1e-4)
     assert found.diagnostics == {"common_classes": len(common), "no_common_class": 0}
-    unmasked = make_dsan("dsan-unmasked", 12).loss(source, target, STEP)
-    assert float(unmasked.value) != pytest.approx(expected, rel=1e-2)
-    assert unmasked.diagnostics["common_classes"] == present
 
 
-def make_dsan(name, n_classes):
-    kind = find_method(name)
-    return kind(kind.Settings(), 12, n_classes)
-
-
-def test_coarse_classes():
-    group = coarse_classes(361, 1, 4)
-    assert group[0] == 0
-    assert len(np.unique(group)) == 1 + 5 * 4
-    first_depth = group[1:13]
-    assert first_depth[0] == first_depth[1] == first_depth[11]
-    assert len(set(first_depth.tolist())) == 4
-    assert np.bincount(group)[1:].tolist() == [18] * 20
-
-
-def test_coarse_groups_are_masked_as_groups():
-    coarse = make_dsan("dsan-coarse", 361)
-    group = torch.from_numpy(coarse.groups())
-    source, target = dsan_batches(361, [1, 2, 40, 80, 81, 150, 200, 360])
-    probability = torch.zeros(8, int(group.max()) + 1).index_add(1, group, target.logits.softmax(dim=1))
-    expected, common = brute_force_lmmd(
-        source.features, target.features, group[source.contact_class], probability
-    )
-    assert 0 < len(common) < len(set(group[source.contact_class].tolist()))
-    found = coarse.loss(source, target, STEP)
-    assert float(found.value) == pytest.approx(expected, rel=1e-4)
-    assert found.diagnostics["common_classes"] == len(common)
+def make_dsan(n_classes):
+    return DSAN(DSAN.Settings(), 12, n_classes)
 
 
 def test_dsan_without_a_common_class_has_no_loss_and_says_so():
     source, target = dsan_batches(6, 8 * [5])
     target.logits[:, 5] = -9.0
     source.features.requires_grad_(True)
-    dsan = make_dsan("dsan", 6)
+    dsan = make_dsan(6)
     found = dsan.loss(source, target, STEP)
     found.value.backward()
     assert found.value.item() == 0

@@ -77,7 +77,7 @@ def test_stage_2_hides_markers_in_both_domains_independently(source, target, pro
 def test_without_hiding_nothing_is_inpainted(source, target, profile, monkeypatch):
     monkeypatch.setattr("gelgap.domains.frames.dataset.without_markers", pytest.fail)
     short = profile.replace(source_epochs=1, adapt_epochs=1)
-    adapt(train_source(source, short), source, target, "coral")
+    adapt(train_source(source, short), source, target, "dan")
 
 
 def test_hiding_changes_training_and_the_key_of_stage_1(source, profile, easy_markers):

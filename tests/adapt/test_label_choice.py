@@ -44,7 +44,7 @@ def on(frames: ArrayFrames, *axes: str, **columns) -> ArrayFrames:
 
 @pytest.fixture(scope="module")
 def fz_runs(source, target, short, tmp_path_factory):
-    methods = ["source-only", "cdan", "uga", "tasfar", "dsan", "supervised", "constant-mean"]
+    methods = ["source-only", "cdan", "uga", "dsan", "supervised", "constant-mean"]
     out = tmp_path_factory.mktemp("fz")
     return adapt_folders(on(source, "fz_n"), on(target, "fz_n"), methods, short, out_dir=out)
 

@@ -94,11 +94,11 @@ def test_watching_shows_each_epochs_model_and_changes_nothing(stage1, source, ta
     profile = stage1.profile.replace(batch_statistics=statistics)
     seen = {}
     model = adapt(
-        stage1, source, target, "coral", profile, watch=lambda epoch, m: seen.update({epoch: weights(m)})
+        stage1, source, target, "dan", profile, watch=lambda epoch, m: seen.update({epoch: weights(m)})
     )
     assert sorted(seen) == list(range(1, profile.adapt_epochs + 1))
     np.testing.assert_array_equal(seen[profile.adapt_epochs], weights(model))
-    unwatched = adapt(stage1, source, target, "coral", profile)
+    unwatched = adapt(stage1, source, target, "dan", profile)
     np.testing.assert_array_equal(weights(model), weights(unwatched))
 
 
@@ -170,7 +170,7 @@ def test_a_domain_of_one_frame_is_an_error(stage1, source, target):
     with pytest.raises(ValueError, match=r"mb0i0: 1 frame\(s\); training needs at least 2"):
         train_source(source.take(one), stage1.profile)
     with pytest.raises(ValueError, match=r"wmb1i1: 1 frame\(s\); training"):
-        adapt(stage1, source, target.take(one), "coral")
+        adapt(stage1, source, target.take(one), "dan")
 
 
 def test_label_outside_the_declared_range_is_an_error(source, profile):
