@@ -78,7 +78,7 @@ def headline_grid(
     """Return all runs: a seed is complete, ceilings first, before the next one begins; shifted labels are last."""
     seeds, groups = list(seeds), list(groups or (*GROUPS, *LIGHT_GROUPS))
     own = [method for method in methods or board.METHODS if method != CEILING]
-    main = [method for method in methods or (*board.MAIN_METHODS, "label-shift") if method != CEILING]
+    main = [method for method in methods or board.MAIN_METHODS if method != CEILING]
     found = []
     for seed in seeds:
         runs = grid([(designs.DATA, group) for group in groups], own, [seed])

@@ -41,7 +41,7 @@ def study(tmp_path, monkeypatch):
 
 def run_of(study: Study, method: str, seed: int, off_n: float, group=GROUP, **results) -> Record:
     """Return a run that nobody trained, whose predictions are off by as much."""
-    (run,) = grid([(designs.DATA, group)], ["coral" if "." in method else method], [seed])
+    (run,) = grid([(designs.DATA, group)], ["dan" if "." in method else method], [seed])
     frames = study.frames_of(run)
     found = {
         "when": "2026-11-25",
