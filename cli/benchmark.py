@@ -27,7 +27,7 @@ class Benchmark(opt.Command):
     fills_cache = True
 
     subject: Annotated[
-        tyro.conf.Positional[Literal[*BENCHMARKS]], tyro.conf.arg(help=f"What to measure. {LISTED}.")
+        tyro.conf.Positional[Literal[*BENCHMARKS]], tyro.conf.arg(help=f"The subject to measure. {LISTED}.")
     ]
     quick: opt.Flag = False
     """A short form: one or two small cases of each table; a minute or two, for adaptation more."""

@@ -119,51 +119,34 @@ def test_corners_outside_of_the_pictures_are_refused(own_wedge: Path, tmp_path: 
         convert(own_wedge, LAYOUTS["wedge"], tmp_path / "out")
 
 
+CORNERS, VIDEO = "wedge_config/config_100.csv", "example_data/day/ball_1.avi"
+FORCES = "example_data/day/ball_1_forces.pkl"
+
+
+def change(clone: Path, file: str, content: bytes | None) -> None:
+    """Give a file of a clone another content; None: none."""
+    if content is None:
+        (clone / file).unlink()
+    else:
+        (clone / file).write_bytes(content)
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("file", "content", "message"),
     [
-        (
-            lambda clone: shutil.rmtree(clone / "wedge_config"),
-            r"no clone of EstimateModulus.*git clone https",
-        ),
-        (lambda clone: shutil.rmtree(clone / "example_data"), r"holds no videos.*git clone https"),
-        (
-            lambda clone: (clone / "wedge_config/config_100.csv").write_text("Name,x,y\ntopleft,1,a\n"),
-            "must have a row",
-        ),
-        (
-            lambda clone: (clone / "example_data/day/ball_1_forces.pkl").unlink(),
-            r"ball_1_forces.pkl is missing",
-        ),
-        (lambda clone: (clone / "example_data/day/ball_1.avi").write_bytes(b"RIFF"), "not a video"),
-        (
-            lambda clone: (clone / "example_data/day/ball_1_forces.pkl").write_bytes(
-                pickle.dumps(np.arange(30.0))
-            ),
-            "40 pictures and 30 times",
-        ),
-        (
-            lambda clone: (clone / "example_data/day/ball_1_forces.pkl").write_bytes(
-                pickle.dumps(np.zeros(40))
-            ),
-            "do not change",
-        ),
-        (
-            lambda clone: (clone / "example_data/day/ball_1_forces.pkl").write_bytes(
-                pickle.dumps(np.zeros(3))
-            ),
-            "at least 10",
-        ),
-        (
-            lambda clone: (clone / "example_data/day/ball_1_forces.pkl").write_bytes(
-                pickle.dumps(np.zeros((4, 3)))
-            ),
-            "one number a picture",
-        ),
+        (CORNERS, None, r"no clone of EstimateModulus.*git clone https"),
+        (CORNERS, b"Name,x,y\ntopleft,1,a\n", "must have a row"),
+        (VIDEO, None, r"holds no videos.*git clone https"),
+        (VIDEO, b"RIFF", "not a video"),
+        (FORCES, None, r"ball_1_forces.pkl is missing"),
+        (FORCES, pickle.dumps(np.arange(30.0)), "40 pictures and 30 times"),
+        (FORCES, pickle.dumps(np.zeros(40)), "do not change"),
+        (FORCES, pickle.dumps(np.zeros(3)), "at least 10"),
+        (FORCES, pickle.dumps(np.zeros((4, 3))), "one number a picture"),
     ],
 )
-def test_what_is_no_such_clone_is_refused(own_wedge: Path, tmp_path: Path, change, message: str):
-    change(own_wedge)
+def test_what_is_no_such_clone_is_refused(own_wedge: Path, tmp_path: Path, file, content, message):
+    change(own_wedge, file, content)
     with pytest.raises(ValueError, match=message):
         convert(own_wedge, LAYOUTS["wedge"], tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -240,25 +223,18 @@ def test_presses_have_their_centre_from_the_pictures_middle(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("file", "content", "message"),
     [
-        (lambda clone: shutil.rmtree(clone / "data"), r"no clone of yanglh14/gelsight.*git clone https"),
-        (
-            lambda clone: (clone / "data/calibration/ball_position/ball-2.txt").unlink(),
-            r"ball-2.txt is missing",
-        ),
-        (
-            lambda clone: (clone / "data/calibration/ball_position/ball-2.txt").write_text("1 b"),
-            "three numbers",
-        ),
-        (
-            lambda clone: (clone / "data/calibration2/cal-0.jpg").write_bytes(b"no"),
-            r"cal-0.jpg is not readable",
-        ),
+        ("calibration/ball_position/ball-2.txt", None, r"ball-2.txt is missing"),
+        ("calibration/ball_position/ball-2.txt", b"1 b", "three numbers"),
+        ("calibration2/cal-0.jpg", b"no", r"cal-0.jpg is not readable"),
     ],
 )
-def test_what_is_no_clone_of_presses_is_refused(tmp_path: Path, change, message: str):
+def test_what_is_no_clone_of_presses_is_refused(tmp_path: Path, file, content, message):
     clone = write_ball_clone(tmp_path / "gelsight", presses=3)
-    change(clone)
+    change(clone / "data", file, content)
     with pytest.raises(ValueError, match=message):
+        convert(clone, LAYOUTS["ball-presses"], tmp_path / "out")
+    shutil.rmtree(clone / "data")
+    with pytest.raises(ValueError, match=r"no clone of yanglh14/gelsight.*git clone https"):
         convert(clone, LAYOUTS["ball-presses"], tmp_path / "out")
