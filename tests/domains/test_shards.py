@@ -1,25 +1,45 @@
+"""Columns are offered and described as they are; a frame's noise is its own and repeats itself."""
+
 from pathlib import Path
 from typing import get_args
 
-import pytest
+import numpy as np
 
 from gelgap.cli.generate import OptionalColumn
+from gelgap.domains import DomainRecipe, make_recipes
 from gelgap.domains.formats import shards
-from gelgap.domains.formats.shards import IMAGE, LABELS, OPTIONAL, Column
+from gelgap.domains.formats.shards import IMAGE, LABELS, OPTIONAL
+from gelgap.domains.generation.shard import picture_cells
+from gelgap.sim import MembraneState, grid_axes
 
 GUIDE = Path(__file__).parents[2] / "docs" / "data.md"
 
 
-def test_the_command_offers_every_optional_column():
+def test_the_command_offers_every_optional_column() -> None:
     assert get_args(OptionalColumn) == get_args(shards.OptionalColumn) == tuple(OPTIONAL)
 
 
-@pytest.mark.parametrize(
-    "column", [*LABELS, IMAGE, *(OPTIONAL[name][0] for name in OPTIONAL)], ids=lambda column: column.name
-)
-def test_the_guide_lists_every_column_with_its_unit(column: Column):
+def test_the_guide_lists_every_column_with_its_unit() -> None:
     _, table = GUIDE.read_text(encoding="utf-8").split("\n| `frame_id` |")
     table = ("| `frame_id` |" + table).split("\n\n")[0]
     rows = [line.split("|") for line in table.splitlines()]
-    (units,) = [row[2] for row in rows if f"`{column.name}`" in row[1]]
-    assert column.unit in units.strip().split(", ") if column.unit else not units.strip()
+    for column in (*LABELS, IMAGE, *(OPTIONAL[name][0] for name in OPTIONAL)):
+        (units,) = [row[2].strip() for row in rows if f"`{column.name}`" in row[1]]
+        assert column.unit in units.split(", ") if column.unit else not units, column.name
+
+
+def test_noise_differs_from_frame_to_frame_and_from_seed_to_seed_and_repeats_itself() -> None:
+    x_mm, y_mm = grid_axes()
+    shape = (len(y_mm), len(x_mm))
+    flat = MembraneState(
+        x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, bool), np.zeros(3), 0.0
+    )
+    (recipe,) = make_recipes(["mb0i0"], "smoke", size_px=(64, 48), render_quality="draft")
+
+    def png(of: DomainRecipe, frame: int) -> bytes:
+        (cells,) = picture_cells([of], frame, flat)
+        return cells["image"]["bytes"]
+
+    assert png(recipe, 7) == png(recipe, 7)
+    assert png(recipe, 7) != png(recipe, 8)
+    assert png(recipe, 7) != png(recipe.model_copy(update={"seed": 1}), 7)

@@ -295,6 +295,7 @@ def test_marked_circles_are_refined(pictures):
     np.testing.assert_allclose(fit.poses_mm[:, 2], 0.6, atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_new_press_is_as_far_off_its_mark_as_the_fitted_ones(pictures):
     start, reference, shots = pictures
     (x, y), radius_px = (0.12, -0.1), profiles({3.0}, None)[3.0].contact_radius_mm(0.6) * PX_PER_MM

@@ -32,7 +32,12 @@ def sizes_mm(slip_mm: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("body", "pose"), [(Sphere(), DRAG), (Sphere(), TWIST), (Cylinder(edge_radius_mm=0.3), LEAN)]
+    ("body", "pose"),
+    [
+        (Sphere(), DRAG),
+        pytest.param(Sphere(), TWIST, marks=pytest.mark.slow),
+        (Cylinder(edge_radius_mm=0.3), LEAN),
+    ],
 )
 def test_what_sticks_goes_where_the_indenter_carries_it(body: Sphere | Cylinder, pose: Pose) -> None:
     found = sizes_mm(solve_slip(GEL, body, pose, "draft").slip_mm)
