@@ -20,7 +20,7 @@ from gelgap.render.light.spectra import (
     clear_led_cache,
 )
 from gelgap.render.renderer import MembraneRenderer, reference_gap
-from gelgap.render.sensor import Markers, Sensor, marker_rest_mm
+from gelgap.render.sensor import Markers, Sensor, marker_rest_mm, save_sensor
 from gelgap.render.variation import Variation, vary_illumination, vary_sensor
 
 NIKON = "Nikon 5100 (NPL)"
@@ -117,8 +117,65 @@ def test_markers_are_seeded_and_may_be_missing():
     regular = marker_rest_mm(Markers())
     assert np.abs(one - regular)[~missing].max() <= 0.2
     assert marker_rest_mm(Markers(layout="none")).size == 0
-    with pytest.raises(ValueError, match=r"leave at most 0\.350 mm"):
-        marker_rest_mm(Markers(jitter_mm=0.4))
+
+
+def test_a_grid_of_markers_has_two_pitches_an_offset_and_gaps():
+    markers = Markers(columns=3, rows=2, pitch_mm=(1.0, 2.0), offset_mm=(0.5, -0.25), missing=((1, 0),))
+    rest_mm = marker_rest_mm(markers)
+    np.testing.assert_allclose(rest_mm[0], [(-0.5, -1.25), (0.5, -1.25), (1.5, -1.25)])
+    np.testing.assert_allclose(rest_mm[1], [(np.nan, np.nan), (0.5, 0.75), (1.5, 0.75)])
+
+
+LISTED = ((0.0, 0.0), (2.0, -1.5), (-3.25, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("markers", "absent"),
+    [
+        (Markers(), {"offset_mm", "missing", "positions_mm", "shape"}),
+        (Markers(pitch_mm=(1.0, 1.5), offset_mm=(0.1, 0.0), missing=((0, 1),)), {"positions_mm", "shape"}),
+        (
+            Markers(positions_mm=LISTED, shape="square"),
+            {"columns", "rows", "pitch_mm", "offset_mm", "missing"},
+        ),
+    ],
+)
+def test_a_saved_sensor_has_its_markers(tmp_path, markers, absent):
+    save_sensor(Sensor(name="own", markers=markers), tmp_path / "own.toml")
+    assert Sensor.load(tmp_path / "own.toml").markers == markers
+    assert (
+        set(Markers.model_fields) - set(markers.model_dump()) == absent
+    )  # recipes without it keep their hashes
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"jitter_mm": 0.4}, r"jitter_mm = 0\.4: .* leave at most 0\.350 mm"),
+        ({"pitch_mm": "wide"}, "pitch_mm = 'wide': must be one number in .* or two"),
+        ({"pitch_mm": [1, 2, 3]}, "pitch_mm = .* or two"),
+        ({"pitch_mm": [1.1, 0.3]}, "pitch_mm = .* must be at least diameter_mm = 0.4"),
+        ({"missing": [[8, 0]]}, r"missing = \(8, 0\): must be a row in 0…7 and a column in 0…10"),
+        ({"missing": [[0, -1]]}, r"missing = \(0, -1\)"),
+        ({"positions_mm": LISTED, "pitch_mm": 1.1}, "positions_mm lists each dot, and pitch_mm is of a grid"),
+        ({"positions_mm": LISTED, "missing": [[0, 0]]}, "missing is of a grid"),
+        ({"positions_mm": LISTED, "layout": "none"}, "layout = 'none': positions_mm lists dots"),
+        ({"positions_mm": [*LISTED, (2.0, -1.5)]}, r"positions_mm.1 = .* and positions_mm.3 = .* 0 mm apart"),
+        ({"positions_mm": [(0, 0), (0.3, 0)]}, r"0\.3 mm apart, less than diameter_mm"),
+        ({"positions_mm": [(60, 0)]}, "positions_mm.0.0 = 60"),
+        ({"shape": "star"}, "shape = 'star': input should be 'round' or 'square'"),
+    ],
+)
+def test_markers_that_cannot_be_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        Markers(**values)
+
+
+def test_overlap_is_of_the_dots_shape():
+    corner_to_corner = ((0.0, 0.0), (0.39, 0.39))  # 0.55 mm
+    Markers(positions_mm=corner_to_corner)
+    with pytest.raises(ValueError, match="overlap"):
+        Markers(positions_mm=corner_to_corner, shape="square")
 
 
 @given(seed=st.integers(0, 2**32 - 1))
