@@ -39,6 +39,7 @@ class FlatField(Settings):
     sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$", description="of the file; checked if given")
     gain: tuple[tuple[float, ...], ...] = Field(
         default=((), (), ()),
+        repr=False,
         description="by channel: relative level by 1, x, y, x², xy, y² of the dent's place",
     )
     volume_mm3: float = Field(default=1.0, gt=0, le=1e5, description="volume of the calibration's dents")

@@ -82,6 +82,12 @@ class MembraneRenderer:
         self._set_scattered(illumination)
         self._set_leds(illumination)
 
+    def __repr__(self) -> str:
+        width, height = self.size_px
+        return (
+            f"MembraneRenderer({self.sensor!r}, {self.illumination!r}, {width}×{height} px, {self.quality})"
+        )
+
     def relit(self, illumination: Illumination) -> "MembraneRenderer":
         """Return the renderer of the same sensor under another illumination.
 

@@ -1,6 +1,7 @@
 """A sensor: camera, coating and markers, and, where it has its own, the LEDs; one readable TOML file each."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -122,6 +123,10 @@ class Markers(Settings):
             absent.update(_GRID)
         return {name: value for name, value in dump(self).items() if name not in absent}
 
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        for name, value in self.model_dump().items():
+            yield name, len(value) if name == "positions_mm" else value
+
     @property
     def spacing_mm(self) -> float:
         """The least distance between the centres of two dots, before any jitter; infinite for one dot of a list."""
@@ -193,6 +198,12 @@ class Sensor(PresetSettings):
         exclude_if=lambda value: value is None,
         description="what the real reference shows beyond the model",
     )
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        yield None, self.name
+        yield "width_mm", round(self.camera.footprint_mm((1, 1))[0], 2)
+        yield "markers", self.markers.layout
+        yield "illumination", self.illumination
 
     @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:

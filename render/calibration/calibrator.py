@@ -56,7 +56,7 @@ class HeldOut:
     table: tuple[float, float]
     marked: tuple[float, float]
     refined: tuple[float, float]
-    draw: Callable[[], np.ndarray]  # uint8 (h, w, 3)
+    draw: Callable[[], np.ndarray] = field(repr=False)  # uint8 (h, w, 3)
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,10 @@ class LightCalibration:
     sphere_size: SphereSize | None = None  # of an unknown sphere
     nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
     at_limits: tuple[str, ...] = ()  # what was fitted to an end of the range that is searched, in words
+
+    def __repr__(self) -> str:
+        rms = f"{self.rms_code_values:.2f} code values rms"
+        return f"LightCalibration({self.sensor!r}, {len(self.names)} presses, {rms})"
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores several threads are many times slower

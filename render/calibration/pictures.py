@@ -5,7 +5,7 @@ the table that a model has to be better than.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -39,7 +39,7 @@ class PressPicture:
     same in all presses.
     """
 
-    picture: np.ndarray  # uint8 (h, w, 3)
+    picture: np.ndarray = field(repr=False)  # uint8 (h, w, 3)
     sphere_diameter_mm: float | None
     depth_mm: float | None = None
     point_mm: tuple[float, float] | None = None

@@ -6,6 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelgap.assets import list_presets
+from gelgap.render.calibration.pictures import PressPicture
+from gelgap.render.calibration.profiles import SolvedPress
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import picture_gap
 from gelgap.render.light import spectra
@@ -169,6 +171,26 @@ def test_a_saved_sensor_has_its_markers(tmp_path, markers, absent):
 def test_markers_that_cannot_be_are_refused(values, message):
     with pytest.raises(ValueError, match=message):
         Markers(**values)
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        Sensor.preset("gelsight-mini-fitted"),
+        Sensor(
+            name="own", markers=Markers(positions_mm=[(x, y) for x in range(-5, 6) for y in range(-4, 5)])
+        ).markers,
+        Sensor.preset("gelsight-mini-fitted").illumination.scattered,
+        MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"), (64, 48)),
+        PressPicture(np.zeros((480, 640, 3), np.uint8), 3.0, depth_mm=0.6),
+        SolvedPress(0.6, np.arange(70.0), np.zeros(70), 0.5),
+    ],
+)
+def test_objects_are_shown_in_one_line(shown):
+    for text in (repr(shown), str(shown)):
+        assert len(text) < 260
+        assert "\n" not in text
+        assert "array" not in text
 
 
 def test_overlap_is_of_the_dots_shape():
