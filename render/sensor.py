@@ -74,45 +74,27 @@ class Markers(Settings):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.layout == "grid":
-            if self.positions_mm:
-                self._check_list()
-            else:
-                self._check_grid()
-            room_mm = (self.spacing_mm - self.diameter_mm) / 2
-            if self.jitter_mm > room_mm:
-                raise ValueError(
-                    f"jitter_mm = {self.jitter_mm}: dots of {self.diameter_mm} mm at a pitch of "
-                    f"{self.spacing_mm:.4g} mm leave at most {room_mm:.3f} mm"
-                )
-        elif self.positions_mm:
-            raise ValueError("layout = 'none': positions_mm lists dots; leave out one of the two")
-        return self
-
-    def _check_grid(self) -> None:
-        if self.spacing_mm < self.diameter_mm:
-            raise ValueError(
-                f"pitch_mm = {self.pitch_mm}: must be at least diameter_mm = {self.diameter_mm}, or dots overlap"
-            )
+        given = [name for name in _GRID if name in self.model_fields_set]
+        if self.positions_mm and (given or self.layout == "none"):
+            other = given[0] if given else "layout = 'none'"
+            raise ValueError(f"positions_mm lists each dot: leave it out, or leave out {other}")
         for row, column in self.missing:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise ValueError(
                     f"missing = ({row}, {column}): must be a row in 0…{self.rows - 1} and a column in "
                     f"0…{self.columns - 1}"
                 )
-
-    def _check_list(self) -> None:
-        if given := [name for name in _GRID if name in self.model_fields_set]:
+        if self.layout != "none" and self.jitter_mm > (self.spacing_mm - self.diameter_mm) / 2:
+            least_mm, which = self.diameter_mm + 2 * self.jitter_mm, f"pitch_mm = {self.pitch_mm}"
+            if self.positions_mm:
+                which = " and ".join(
+                    f"positions_mm.{k} = {self.positions_mm[k]}" for k in _closest_pair(self)[1:]
+                )
             raise ValueError(
-                f"positions_mm lists each dot, and {given[0]} is of a grid; leave out one of the two"
+                f"{which}: dots are {self.spacing_mm:.3g} mm apart; diameter_mm + 2 jitter_mm, {least_mm:.3g} mm, is "
+                "the least at which they do not overlap"
             )
-        distance_mm, *pair = _closest_pair(self)
-        if distance_mm < self.diameter_mm:
-            one, other = (f"positions_mm.{k} = {self.positions_mm[k]}" for k in pair)
-            raise ValueError(
-                f"{one} and {other} are {distance_mm:.3g} mm apart, less than diameter_mm = {self.diameter_mm}: dots "
-                "must not overlap"
-            )
+        return self
 
     @model_serializer(mode="wrap")
     def _as_table(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -142,8 +124,8 @@ class Markers(Settings):
         for number, place_mm in enumerate(self.positions_mm):
             if (np.abs(place_mm) > np.array(pad_size_mm) / 2).any():
                 raise ValueError(
-                    f"markers.positions_mm.{number} = {place_mm}: must lie on the pad of {pad_size_mm[0]:g} × "
-                    f"{pad_size_mm[1]:g} mm, whose centre is (0, 0)"
+                    f"markers.positions_mm.{number} = {place_mm}: must lie on the pad around (0, 0), which is "
+                    f"{pad_size_mm[0]:g} × {pad_size_mm[1]:g} mm"
                 )
 
 
