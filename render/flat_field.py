@@ -190,9 +190,8 @@ def map_dots(dots: np.ndarray, at_px: np.ndarray) -> np.ndarray:
     import cv2
 
     # OpenCV maps at most 32,766 rows, so that a list of points is folded to rows.
-    points = np.resize(
-        at_px.astype(np.float32), (-(-at_px.size // (2 * _MAPPED_COLUMNS)), _MAPPED_COLUMNS, 2)
-    )
+    rows = at_px.size // (2 * _MAPPED_COLUMNS) + 1
+    points = np.resize(at_px.astype(np.float32), (rows, _MAPPED_COLUMNS, 2))
     found = cv2.remap(dots, points[..., 0], points[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return found.reshape(-1, 3)[: at_px.size // 2].reshape(*at_px.shape[:-1], 3)
 
