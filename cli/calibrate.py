@@ -31,6 +31,15 @@ DIFFERENCE_GAIN = 4
 NEARLY_PARALLEL_MM = 200
 
 
+def check_mm_per_px(value: float) -> None:
+    """Raise ValueError for a scale that is none; pixels per mm, which other programs ask for, are more than 1."""
+    if value > 1:
+        raise ValueError(
+            f"must lie in [0.001, 1] mm per pixel; {value:g} pixels per mm are {1 / value:.3g} mm per pixel"
+        )
+    opt.between(0.001, 1, "mm per pixel")(value)
+
+
 @dataclass(frozen=True)
 class Calibrate(opt.Command):
     """Fit LEDs, scattered light and flat field to a reference picture and pictures of pressed spheres.
@@ -65,7 +74,7 @@ class Calibrate(opt.Command):
     """Where the fit starts, instead of mm_per_px: a sensor preset or TOML file; LEDs of its own within 30°, or none."""
     from_taxim: Annotated[str | None, opt.optional("NAME")] = None
     """Instead of all these: gelsight or gelsight_mini of the package taxim, or a folder with such a dataPack.npz."""
-    mm_per_px: Annotated[float | None, opt.optional("MM"), opt.between(0.001, 1)] = None
+    mm_per_px: Annotated[float | None, opt.optional("MM"), check_mm_per_px] = None
     """How much of the gel a pixel shows. With --from-taxim 0.0295 if left out, as those packages say."""
     sphere_diameter_mm: Annotated[float | None, opt.optional("MM"), opt.between(0.5, 50)] = None
     """The sphere's diameter in all presses, whatever the list or the package says."""
@@ -157,6 +166,8 @@ def report_lines(fit: "render.LightCalibration") -> list[str]:
     for kind, what in HELD_OUT.items() if fit.held_out else ():
         inside, ring = (f"{median(levels):.1f} ({min(levels):.1f})" for levels in _levels(fit, kind))
         lines.append(f"  {what:32s} inside the contact {inside}, from one to two radii {ring}")
+    if fit.held_out:
+        lines.append(f"  the press that gains least: {_worst(fit)[1]}")
     if len(fit.levels):
         low, high = fit.levels.min(), fit.levels.max()
         lines.append(f"brightness far from the contacts {low:.2f}…{high:.2f} of the reference's, taken out")
@@ -174,6 +185,10 @@ def report_lines(fit: "render.LightCalibration") -> list[str]:
     blur = f"point spread {blur_px:.1f} px of a picture 320 px wide" if blur_px else "sharp"
     lines.append(f"camera {distance} mm from the gel{parallel}, {blur}")
     depths = fit.poses_mm[:, 2]
+    if fit.at_limits:
+        lines.append(
+            f"at an end of the range that is searched, so that it may lie beyond: {', '.join(fit.at_limits)}"
+        )
     lines.append(f"presses {depths.min():.2f}…{depths.max():.2f} mm deep, mean {depths.mean():.2f} mm")
     return lines
 
@@ -189,6 +204,11 @@ def warnings_of(fit: "render.LightCalibration") -> list[str]:
             "that no pictures are mirrored or have red and blue exchanged, diameters, scale and, among few presses, "
             "the picture of each, since one can spoil the fit"
         )
+    if fit.held_out and _worst(fit)[0] < 0:
+        warnings.append(
+            f"a press is predicted worse than by the unchanged reference: {_worst(fit)[1]}; look at its picture among "
+            "those of the held-out presses, and mark it anew or leave it out of the list"
+        )
     predicted = zip(("inside", "around"), _levels(fit, "table"), _levels(fit, "marked"), strict=False)
     for where, table, marked in predicted:
         if (better := median(table) - median(marked)) > DOUBTFUL_DB:
@@ -198,6 +218,16 @@ def warnings_of(fit: "render.LightCalibration") -> list[str]:
                 "sensor has light or shadows that the fit lacks"
             )
     return warnings
+
+
+def _worst(fit: "render.LightCalibration") -> tuple[float, str]:
+    """Return by how many dB the worst held-out press is better than the unchanged reference, and in words which."""
+    found = []
+    for press in fit.held_out:
+        for where, marked, unchanged in zip(("inside", "around"), press.marked, press.unchanged, strict=True):
+            said = f"{press.name}, {where} its contact {marked:.1f} dB (unchanged reference {unchanged:.1f})"
+            found.append((marked - unchanged, said))
+    return min(found)
 
 
 def _levels(fit: "render.LightCalibration", kind: str) -> list[tuple[float, ...]]:

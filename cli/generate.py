@@ -133,6 +133,7 @@ class Generate(opt.Command):
     def _recipes(self) -> "tuple[tuple[domains.DomainRecipe, ...], tuple[Variant, ...]]":
         """Return the domains to make and, of a sweep, its variants."""
         from gelgap.assets.image_file import read_image
+        from gelgap.assets.toml_file import named_in_errors
 
         settings = {
             "indenter": self.body.make(),
@@ -168,5 +169,6 @@ class Generate(opt.Command):
         )
         if self.lights_like is None:
             return (recipe,), ()
-        like = read_image(self.lights_like)
-        return domains.in_drawn_lights(recipe, like, self.illumination and [recipe.illumination]), ()
+        like, kinds = read_image(self.lights_like), self.illumination and [recipe.illumination]
+        with named_in_errors(self.lights_like):
+            return domains.in_drawn_lights(recipe, like, kinds), ()

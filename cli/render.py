@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from gelgap import render, sim
 from gelgap.cli import options as opt
+
+if TYPE_CHECKING:
+    import numpy as np
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tiff")
 
@@ -34,6 +37,8 @@ class Render(opt.Command):
     size: opt.PictureSize = (320, 240)
     linear: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npy")] = None
     """Also write float32 (h, w, 3) linear camera RGB, before noise and encoding, to this .npy."""
+    height_map: Annotated[Path | None, opt.optional("PATH"), opt.output_file(".npy", ".png")] = None
+    """Also write how far the membrane in each pixel stands towards the camera: mm in a .npy, codes in a 16-bit .png."""
     noise_seed: Annotated[opt.Seed | None, opt.optional("N", "no noise")] = None
     """Add the camera's shot and read noise, drawn from this seed."""
     quality: opt.Quality = "standard"
@@ -47,12 +52,17 @@ class Render(opt.Command):
         try:
             state = sim.MembraneState.load(self.state)
         except ValueError as error:
-            raise ValueError(f"{error}; write one with: gelgap press --save {self.state}") from None
+            raise ValueError(
+                f"{error}; needed is an .npz with x_mm (nx,), y_mm (ny,) and displacement_mm (ny, nx, 3), as written "
+                "by: gelgap press --save state.npz"
+            ) from None
         sensor = opt.named(render.Sensor, self.sensor)
         light = opt.light_in(sensor, self.illumination)
         renderer = render.MembraneRenderer(sensor, light, self.size, self.quality)
         membrane = state.x_mm, state.y_mm, state.displacement_mm
         linear = renderer.linear(*membrane, markers=self.markers, frame_name=self.state.name)
+        if self.height_map is not None:
+            self._write_height_map(renderer.height_map_mm(*membrane, frame_name=self.state.name))
         if self.linear is not None:
             np.save(self.linear, linear)
         if self.noise_seed is not None:
@@ -60,3 +70,24 @@ class Render(opt.Command):
         if not cv2.imwrite(str(self.output), render.encode(linear)[..., ::-1]):
             raise RuntimeError(f"{self.output} could not be written")
         print(f"wrote {self.output}" + (f" and {self.linear}" if self.linear else ""))
+
+    def _write_height_map(self, height_mm: "np.ndarray") -> None:
+        import numpy as np
+
+        from gelgap.assets.whole_file import write_whole
+        from gelgap.domains.formats.pictures import encode_png
+        from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM
+
+        if self.height_map.suffix.lower() == ".npy":
+            np.save(self.height_map, height_mm)
+            print(f"wrote {self.height_map}: height towards the camera in mm")
+            return
+        low, step = HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM
+        codes = np.rint((height_mm - low) / step)
+        if codes.min() < 0 or codes.max() > 65535:
+            raise ValueError(
+                f"--height-map {self.height_map}: a 16-bit PNG holds {low:g} to {low + 65535 * step:.2f} mm, and "
+                f"heights are {height_mm.min():.2f} to {height_mm.max():.2f} mm: write a .npy"
+            )
+        write_whole(self.height_map, encode_png(codes.astype(np.uint16)))
+        print(f"wrote {self.height_map}: height towards the camera in mm is {low:g} + {step:g} × code")

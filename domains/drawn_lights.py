@@ -65,7 +65,7 @@ def in_drawn_lights(
     Raises
     ------
     ValueError
-        If the picture has fewer pixels than the comparison takes.
+        If the picture has other proportions than the recipe's, or fewer pixels than the comparison takes.
     """
     kinds = kinds or [Illumination.preset(name) for name in KINDS]
     numbers = range(LIGHTS) if like is None else _nearest(recipe, like, kinds).tolist()
@@ -105,6 +105,12 @@ def _nearest(
     """Return the numbers of the lights whose picture without contact is nearest to a picture, the nearest first."""
     width, height = recipe.size_px
     size_px = round(_HEIGHT_PX * width / height), _HEIGHT_PX
+    seen_height, seen_width, _ = like.shape
+    if abs(seen_width * height - width * seen_height) > 0.02 * width * seen_height or seen_width < size_px[0]:
+        raise ValueError(
+            f"the image without contact has {seen_width}×{seen_height} px: it must have the proportions of the "
+            f"domain's {width}×{height} px (--size), and at least {size_px[0]}×{size_px[1]} px"
+        )
     seen = resized(like, size_px).astype(float)
 
     def distance(number: int) -> float:

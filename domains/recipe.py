@@ -176,6 +176,11 @@ class DomainRecipe(Settings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _check_markers(self) -> "DomainRecipe":
+        self.sensor.markers.check_on_pad(self.elastomer.pad_size_mm)
+        return self
+
     @property
     def _has_what_a_library_serves(self) -> bool:
         """One indenter whose directions are alike; and membranes, forces and torques, but no tractions."""

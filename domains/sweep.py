@@ -17,7 +17,7 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.pretraining import RisingInterval
 from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
-from gelgap.render import Variation, reference_gap, vary_illumination, vary_sensor
+from gelgap.render import Markers, Variation, reference_gap, vary_illumination, vary_sensor
 
 Value = float | int | str | bool | None
 
@@ -190,7 +190,7 @@ class DomainGap:
 
     `modulus_ratio` is E over the base's E; `colour_difference` the mean CIEDE2000 between the two reference pictures
     without markers and noise, `colour_difference_p95` its 95th percentile over the pixels; `markers` says whether they
-    are `equal`, `added` or `removed`, `fields` which fields of the configuration differ.
+    are `equal`, `added`, `removed` or `changed`, `fields` which fields of the configuration differ.
     """
 
     modulus_ratio: float
@@ -203,14 +203,22 @@ class DomainGap:
 def domain_gap(base: DomainRecipe, other: DomainRecipe) -> DomainGap:
     """Return the gap from `base` to `other`, from their recipes alone."""
     colours = reference_gap(renderer_of(base), renderer_of(other))
-    changed = (other.markers, base.markers)
+    before, after = _shown_markers(base), _shown_markers(other)
+    changed = "added" if before is None else "removed" if after is None else "changed"
     return DomainGap(
         modulus_ratio=round(other.elastomer.young_modulus_mpa / base.elastomer.young_modulus_mpa, 6),
         colour_difference=round(colours.mean, 3),
         colour_difference_p95=round(colours.percentile_95, 3),
-        markers={(True, False): "added", (False, True): "removed"}.get(changed, "equal"),
+        markers="equal" if before == after else changed,
         fields=tuple(differing_fields(base.configuration(), other.configuration())),
     )
+
+
+def _shown_markers(recipe: DomainRecipe) -> Markers | None:
+    """Return the markers that a domain's pictures show; a flat field may have them where the sensor lists none."""
+    sensor = recipe.sensor
+    has_markers = sensor.markers.layout != "none" or sensor.flat_field is not None
+    return sensor.markers if recipe.markers and has_markers else None
 
 
 def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
@@ -243,7 +251,7 @@ def unseen_differences(source: DomainRecipe, target: DomainRecipe) -> list[str]:
             f"friction {' and '.join(frictions)}: as long as a contact sticks, no picture shows how much "
             "shear it would bear; where one gel slips and the other sticks, shear differs"
         )
-    if bare := [recipe.name for recipe in (source, target) if not recipe.markers]:
+    if bare := [recipe.name for recipe in (source, target) if _shown_markers(recipe) is None]:
         notes.append(
             f"no markers on {' and '.join(bare)}: shear is seen only in how the dent and its shading lean, not in a "
             "displacement field"

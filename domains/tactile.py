@@ -91,6 +91,7 @@ class TactileSensor:
         self.elastomer = Elastomer.preset(elastomer) if isinstance(elastomer, str) else elastomer
         sensor = Sensor.preset(sensor) if isinstance(sensor, str) else sensor
         light = Illumination.preset(illumination) if isinstance(illumination, str) else illumination
+        sensor.markers.check_on_pad(self.elastomer.pad_size_mm)
         light = light or sensor.illumination or Illumination.preset("i0")
         ranges = PoseRanges(deepest_mm / 8, deepest_mm, farthest_mm)
         plan = LibraryPlan(self.elastomer, indenter or Sphere(), ranges, quality)

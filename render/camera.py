@@ -67,7 +67,11 @@ class Camera(Settings):
 
     @classmethod
     def showing(cls, width_mm: float, distance_mm: float = 25.0) -> "Camera":
-        """Return the camera that shows some width of the undeformed membrane."""
+        """Return the camera that shows some width of the undeformed membrane, 0.5 to 150 mm, or raise ValueError."""
+        if not 0.5 <= width_mm <= 150:
+            raise ValueError(
+                f"images would show {width_mm:.3g} mm of the gel, allowed are 0.5 to 150 mm: check the mm per pixel"
+            )
         fov_deg = 2 * degrees(atan(width_mm / 2 / distance_mm))
         return cls(position_mm=(0.0, 0.0, -distance_mm), horizontal_field_of_view_deg=fov_deg)
 

@@ -26,6 +26,7 @@ from gelgap.render.surface import Surface
 LOADED_BOUNDS = (0.25, 4.0)
 BOUNDS = {"ratio": (0.0, 8.0), "loaded": LOADED_BOUNDS, "offset": (-8.0, 8.0), "dots": (0.0, 2.0)}
 SIDES_PX = (8, 4096)
+_MAPPED_COLUMNS = 1024
 LARGEST_FILE_BYTES = 256 << 20
 # A dent larger than the calibration's counts as this many times its volume at most.
 LARGEST_VOLUME = 2.0
@@ -38,6 +39,7 @@ class FlatField(Settings):
     sha256: str = Field(default="", pattern="^([0-9a-f]{64})?$", description="of the file; checked if given")
     gain: tuple[tuple[float, ...], ...] = Field(
         default=((), (), ()),
+        repr=False,
         description="by channel: relative level by 1, x, y, x², xy, y² of the dent's place",
     )
     volume_mm3: float = Field(default=1.0, gt=0, le=1e5, description="volume of the calibration's dents")
@@ -184,11 +186,14 @@ def save_maps(maps: FlatFieldMaps, path: Path) -> str:
 
 
 def map_dots(dots: np.ndarray, at_px: np.ndarray) -> np.ndarray:
-    """Return (rows, columns, 3): dots (h, w, 3) where the points seen are in the reference, (rows, columns, 2)."""
+    """Return (…, 3): dots (h, w, 3) where the points seen are in the reference, (…, 2)."""
     import cv2
 
-    x, y = np.moveaxis(at_px.astype(np.float32), 2, 0)
-    return cv2.remap(dots, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    # OpenCV maps at most 32,766 rows, so that a list of points is folded to rows.
+    rows = at_px.size // (2 * _MAPPED_COLUMNS) + 1
+    points = np.resize(at_px.astype(np.float32), (rows, _MAPPED_COLUMNS, 2))
+    found = cv2.remap(dots, points[..., 0], points[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return found.reshape(-1, 3)[: at_px.size // 2].reshape(*at_px.shape[:-1], 3)
 
 
 @numba.njit(cache=True)

@@ -1,4 +1,4 @@
-"""From light on the membrane to the camera's picture: gathering, markers, lens, noise, sRGB; and pictures compared."""
+"""From light on the membrane to the camera's picture: gathering, lens, noise, sRGB; and pictures compared."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -61,67 +61,6 @@ def gather(geometry, values, grid, most_mm, out):
                     + w01 * flat[below]
                     + w11 * flat[below + np.uint64(3)]
                 )
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _one_more(values, out):
-    """Copy (h, w) values to (h + 1, w + 1), continued linearly."""
-    height, width = values.shape
-    for j in range(height):
-        for i in range(width):
-            out[j, i] = values[j, i]
-        out[j, width] = out[j, width - 1] + (out[j, width - 1] - out[j, width - 2])
-    for i in range(width):
-        out[height, i] = out[height - 1, i] + (out[height - 1, i] - out[height - 2, i])
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath=True)
-def _dot_coverage(x, y, x_below, y_below, from_x, from_y, radius, reach, coverage):
-    """Fill how much of each pixel of a row the nearest dot covers; `from_x` and `from_y` lead there from its centre.
-
-    Beyond `reach`, as where the next pixel sees no membrane, it covers nothing. Rows of coordinates have one pixel
-    more. Without a branch, so that the loop runs in vector registers.
-    """
-    half, zero, one, tiny = np.float32(0.5), np.float32(0), np.float32(1), np.float32(1e-9)
-    for i in range(len(coverage)):
-        along_row = from_x[i] * (x[i + 1] - x[i]) + from_y[i] * (y[i + 1] - y[i])
-        along_column = from_x[i] * (x_below[i] - x[i]) + from_y[i] * (y_below[i] - y[i])
-        distance = np.sqrt(from_x[i] * from_x[i] + from_y[i] * from_y[i]) + tiny
-        pixel = np.sqrt(along_row * along_row + along_column * along_column) / distance + tiny
-        covered = half + (radius - distance) / pixel if distance < reach else zero
-        covered = covered if covered > zero else zero
-        coverage[i] = covered if covered < one else one
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath=True)
-def paint_markers(geometry, rest_mm, pitch, radius, ratio, out):
-    """Multiply the picture by the dots' relative reflectance, anti-aliased by the dots' size in pixels.
-
-    A dot stays within its own cell of the pitch; a missing one is far away.
-    """
-    height, width, _ = geometry.shape
-    rows, columns, _ = rest_mm.shape
-    half, zero, one = np.float32(0.5), np.float32(0), np.float32(1)
-    first_x, first_y, inverse_pitch = half * np.float32(columns), half * np.float32(rows), one / pitch
-    reach = radius + np.float32(0.2) * pitch
-    last_column, last_row = np.float32(columns - 1), np.float32(rows - 1)
-    dots = rest_mm.ravel()
-    x, y = np.empty((height + 1, width + 1), np.float32), np.empty((height + 1, width + 1), np.float32)
-    _one_more(geometry[:, :, 0], x)
-    _one_more(geometry[:, :, 1], y)
-    from_x, from_y = np.empty(width, np.float32), np.empty(width, np.float32)
-    coverage = np.empty(width, np.float32)
-    for j in range(height):
-        for i in range(width):
-            column = np.int64(min(max(x[j, i] * inverse_pitch + first_x, zero), last_column))
-            row = np.int64(min(max(y[j, i] * inverse_pitch + first_y, zero), last_row))
-            dot = np.uint64(2 * (row * columns + column))
-            from_x[i], from_y[i] = x[j, i] - dots[dot], y[j, i] - dots[dot + np.uint64(1)]
-        _dot_coverage(x[j], y[j], x[j + 1], y[j + 1], from_x, from_y, radius, reach, coverage)
-        for i in range(width):
-            if coverage[i] > zero:
-                for k in range(3):
-                    out[j, i, k] *= one + coverage[i] * (ratio[k] - one)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -8,13 +8,14 @@ import numpy as np
 from numba.core import event
 
 from gelgap.render import imaging
+from gelgap.render.dots import dot_cells, paint_dots
 from gelgap.render.flat_field import FlatFieldFilter
 from gelgap.render.light.gloss import gloss
 from gelgap.render.light.irradiance import DirectLight, direct_light
 from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
 from gelgap.render.light.scattered import ScatteredTable
 from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
-from gelgap.render.sensor import Sensor, marker_rest_mm
+from gelgap.render.sensor import LARGEST_PITCH_MM, Sensor, marker_rest_mm
 from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
 
 # The rastered mesh only says which rest point a pixel sees; light is gathered from the finer shaded grid. How many
@@ -71,8 +72,7 @@ class MembraneRenderer:
         self._raster_step = min(max(int(RASTER_STEPS_PER_MM * pixel_mm), RASTER_STEPS[0]), RASTER_STEPS[1])
         self.lattice = Lattice.covering(sensor.camera, self.size_px, spacing_mm, self._raster_step)
         self._flat = np.zeros((self.lattice.rows, self.lattice.columns, 3), np.float32)
-        rest_mm = marker_rest_mm(sensor.markers)
-        self._marker_rest_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM).astype(np.float32)
+        self._dots = dot_cells(sensor.markers)
         ratio = np.asarray(sensor.markers.albedo) / np.maximum(sensor.coating.albedo, 1e-6)
         self._marker_ratio = ratio.astype(np.float32)
         vignetted, field = sensor.camera.vignetting > 0, sensor.flat_field
@@ -81,6 +81,12 @@ class MembraneRenderer:
         self._set_colours(illumination)
         self._set_scattered(illumination)
         self._set_leds(illumination)
+
+    def __repr__(self) -> str:
+        width, height = self.size_px
+        return (
+            f"MembraneRenderer({self.sensor!r}, {self.illumination!r}, {width}×{height} px, {self.quality})"
+        )
 
     def relit(self, illumination: Illumination) -> "MembraneRenderer":
         """Return the renderer of the same sensor under another illumination.
@@ -152,14 +158,16 @@ class MembraneRenderer:
         return out
 
     def _paint_markers(self, geometry: np.ndarray, linear: np.ndarray) -> None:
-        layout = self.sensor.markers
-        pitch, radius = np.float32(layout.pitch_mm), np.float32(layout.diameter_mm / 2)
-        imaging.paint_markers(geometry, self._marker_rest_mm, pitch, radius, self._marker_ratio, linear)
+        markers, cells = self.sensor.markers, self._dots
+        radius = np.float32(markers.diameter_mm / 2)
+        reach = radius + np.float32(0.2) * np.float32(min(markers.spacing_mm, LARGEST_PITCH_MM))
+        placed = cells.dots_mm, cells.first, cells.per_mm, radius, reach, markers.shape == "square"
+        paint_dots(geometry, *placed, self._marker_ratio, linear)
 
     def _linear(self, surface: Surface, markers: bool) -> np.ndarray:
         geometry = self._geometry(surface)
         linear = self._gather(geometry, self._radiance(surface))
-        if markers and self._marker_rest_mm.size:
+        if markers and self._dots is not None:
             self._paint_markers(geometry, linear)
         if self._gain is not None:
             linear *= self._gain
@@ -252,7 +260,10 @@ class MembraneRenderer:
     def marker_px(
         self, x_mm: np.ndarray, y_mm: np.ndarray, displacement_mm: np.ndarray, frame_name: str = "membrane"
     ) -> np.ndarray:
-        """Return (rows, columns, 2): each dot's centre in the picture (pixel centres at +0.5); NaN: missing."""
+        """Return (rows, columns, 2), or (1, n, 2) of a list: dots' centres in the picture (pixel centres at +0.5).
+
+        A missing dot is NaN.
+        """
         from scipy.ndimage import map_coordinates
 
         rest_mm = marker_rest_mm(self.sensor.markers)

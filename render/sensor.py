@@ -1,12 +1,21 @@
 """A sensor: camera, coating and markers, and, where it has its own, the LEDs; one readable TOML file each."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 import tomli_w
-from pydantic import Field
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_serializer,
+    model_validator,
+)
 
 from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.assets.whole_file import write_whole
@@ -26,42 +35,129 @@ class Coating(Settings):
     roughness: float = Field(default=0.3, ge=0.1, le=0.8, description="Beckmann α of the rough-plastic part")
 
 
+def _one_or_two(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+    """Replace pydantic's report on both kinds of a pitch by one sentence."""
+    try:
+        return handler(value)
+    except ValidationError:
+        raise ValueError("must be one number in (0.05, 20] mm, or two, along x and along y") from None
+
+
+LARGEST_PITCH_MM = 20.0
+Pitch = Annotated[float, Field(gt=0.05, le=LARGEST_PITCH_MM)]
+Place = Annotated[float, Field(ge=-50, le=50)]
+_GRID = ("columns", "rows", "pitch_mm", "offset_mm", "missing")
+
+
 class Markers(Settings):
-    """Printed dots, given in rest coordinates, so that they move and stretch with the membrane."""
+    """Printed dots, given in rest coordinates, so that they move and stretch with the membrane: a grid or a list."""
 
     layout: Literal["grid", "none"] = "grid"
     columns: int = Field(default=11, ge=1, le=200)
     rows: int = Field(default=8, ge=1, le=200)
-    pitch_mm: float = Field(default=1.1, gt=0.05, le=20, description="distance between neighbours")
-    diameter_mm: float = Field(default=0.4, gt=0.01, le=10)
+    pitch_mm: Annotated[Pitch | tuple[Pitch, Pitch], WrapValidator(_one_or_two)] = Field(
+        default=1.1, description="distance between neighbours: one number, or two, along x and along y"
+    )
+    diameter_mm: float = Field(default=0.4, gt=0.01, le=10, description="of a square dot its side")
     albedo: Rgb = Field(default=(0.04, 0.04, 0.04), description="reflectance of the dots' paint")
     jitter_mm: float = Field(default=0.0, ge=0, le=5, description="largest random offset along x and along y")
     missing_fraction: float = Field(default=0.0, ge=0, le=1, description="share of dots that are not there")
     seed: int = Field(default=0, ge=0, description="of jitter and missing dots")
+    offset_mm: tuple[Place, Place] = Field(default=(0.0, 0.0), description="centre of the grid (x, y)")
+    missing: tuple[tuple[int, int], ...] = Field(
+        default=(), description="(row, column) of dots that are not there, counted from 0 at the upper left"
+    )
+    positions_mm: tuple[tuple[Place, Place], ...] = Field(
+        default=(), max_length=40_000, description="(x, y) of each dot, instead of a grid"
+    )
+    shape: Literal["round", "square"] = Field(default="round", description="squares lie along x and y")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = [name for name in _GRID if name in self.model_fields_set]
+        if self.positions_mm and (given or self.layout == "none"):
+            other = given[0] if given else "layout = 'none'"
+            raise ValueError(f"positions_mm lists each dot: leave it out, or leave out {other}")
+        for row, column in self.missing:
+            if not (0 <= row < self.rows and 0 <= column < self.columns):
+                raise ValueError(
+                    f"missing = ({row}, {column}): must be a row in 0…{self.rows - 1} and a column in "
+                    f"0…{self.columns - 1}"
+                )
+        if self.layout != "none" and self.jitter_mm > (self.spacing_mm - self.diameter_mm) / 2:
+            least_mm, which = self.diameter_mm + 2 * self.jitter_mm, f"pitch_mm = {self.pitch_mm}"
+            if self.positions_mm:
+                which = " and ".join(
+                    f"positions_mm.{k} = {self.positions_mm[k]}" for k in _closest_pair(self)[1:]
+                )
+            raise ValueError(
+                f"{which}: dots are {self.spacing_mm:.3g} mm apart; diameter_mm + 2 jitter_mm, {least_mm:.3g} mm, is "
+                "the least at which they do not overlap"
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_table(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what a list or a plain grid does not have, so that recipes without it keep their hashes."""
+        later = ("offset_mm", "missing", "positions_mm", "shape")
+        absent = {name for name in later if getattr(self, name) == type(self).model_fields[name].default}
+        if self.positions_mm:
+            absent.update(_GRID)
+        return {name: value for name, value in dump(self).items() if name not in absent}
+
+    def __repr_args__(self) -> Iterator[tuple[str, Any]]:
+        for name, value in self.model_dump().items():
+            yield name, len(value) if name == "positions_mm" else value
+
+    @property
+    def spacing_mm(self) -> float:
+        """The least distance between the centres of two dots, before any jitter; infinite for one dot of a list."""
+        return _closest_pair(self)[0] if self.positions_mm else float(np.min(self.pitch_mm))
+
+    @property
+    def norm(self) -> float:
+        """In which norm a dot is a ball: 2 for round ones, infinite for squares."""
+        return np.inf if self.shape == "square" else 2.0
+
+    def check_on_pad(self, pad_size_mm: tuple[float, float]) -> None:
+        """Raise ValueError for a listed dot whose centre is not on a pad (x, y)."""
+        for number, place_mm in enumerate(self.positions_mm):
+            if (np.abs(place_mm) > np.array(pad_size_mm) / 2).any():
+                raise ValueError(
+                    f"markers.positions_mm.{number} = {place_mm}: must lie on the pad around (0, 0), which is "
+                    f"{pad_size_mm[0]:g} × {pad_size_mm[1]:g} mm"
+                )
+
+
+def _closest_pair(markers: Markers) -> tuple[float, int, int]:
+    """Return the least distance between two listed dots, and their indices; infinite for one dot."""
+    from scipy.spatial import cKDTree
+
+    distances, neighbours = cKDTree(markers.positions_mm).query(markers.positions_mm, k=2, p=markers.norm)
+    one = int(distances[:, 1].argmin())
+    other = neighbours[one, 0] if neighbours[one, 1] == one else neighbours[one, 1]
+    return float(distances[one, 1]), one, int(other)
 
 
 def marker_rest_mm(markers: Markers) -> np.ndarray:
-    """Return (rows, columns, 2) rest positions of the dots; a missing dot is NaN. Layout `none` gives (0, 0, 2).
+    """Return (rows, columns, 2) rest positions of the dots; a missing dot is NaN.
 
-    Raises
-    ------
-    ValueError
-        If jitter could make dots overlap.
+    A list of positions is one row. Layout `none` gives (0, 0, 2).
     """
     if markers.layout == "none":
         return np.zeros((0, 0, 2))
-    room_mm = (markers.pitch_mm - markers.diameter_mm) / 2
-    if markers.jitter_mm > room_mm:
-        raise ValueError(
-            f"markers.jitter_mm is {markers.jitter_mm}; dots of {markers.diameter_mm} mm at a pitch of "
-            f"{markers.pitch_mm} mm leave at most {max(room_mm, 0):.3f} mm"
-        )
-    column = (np.arange(markers.columns) - (markers.columns - 1) / 2) * markers.pitch_mm
-    row = (np.arange(markers.rows) - (markers.rows - 1) / 2) * markers.pitch_mm
-    positions = np.stack(np.meshgrid(column, row), axis=-1)
+    if markers.positions_mm:
+        positions = np.array([markers.positions_mm])
+    else:
+        pitch_x, pitch_y = np.broadcast_to(markers.pitch_mm, 2)
+        column = (np.arange(markers.columns) - (markers.columns - 1) / 2) * pitch_x
+        row = (np.arange(markers.rows) - (markers.rows - 1) / 2) * pitch_y
+        positions = np.stack(np.meshgrid(column, row), axis=-1) + markers.offset_mm
     rng = np.random.default_rng(markers.seed)
     positions += rng.uniform(-1, 1, positions.shape) * markers.jitter_mm
     positions[rng.random(positions.shape[:2]) < markers.missing_fraction] = np.nan
+    for row, column in markers.missing:
+        positions[row, column] = np.nan
     return positions
 
 
@@ -84,6 +180,12 @@ class Sensor(PresetSettings):
         exclude_if=lambda value: value is None,
         description="what the real reference shows beyond the model",
     )
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        yield None, self.name
+        yield "width_mm", round(self.camera.footprint_mm((1, 1))[0], 2)
+        yield "markers", self.markers.layout
+        yield "illumination", self.illumination
 
     @classmethod
     def _of_table(cls, values: dict[str, Any], name: str, folder: Path) -> Self:

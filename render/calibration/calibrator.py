@@ -4,7 +4,7 @@ Presses that the fit has not seen say how good it is: it is done again without a
 What the membrane looks like around a sphere is given, so that nothing here solves anything.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gelgap.render.calibration.fit import LightFit
+from gelgap.render.calibration.fit import MOST_BLUR_PX, LightFit
 from gelgap.render.calibration.light import Bars, Light, gain_of
 from gelgap.render.calibration.pictures import PlainTable, PressPicture, check_presses
 from gelgap.render.calibration.poses import MODELLED_MM, SCORED_RADII, PlacedPresses, place_presses
@@ -56,7 +56,7 @@ class HeldOut:
     table: tuple[float, float]
     marked: tuple[float, float]
     refined: tuple[float, float]
-    draw: Callable[[], np.ndarray]  # uint8 (h, w, 3)
+    draw: Callable[[], np.ndarray] = field(repr=False)  # uint8 (h, w, 3)
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,11 @@ class LightCalibration:
     led_elevations_deg: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     sphere_size: SphereSize | None = None  # of an unknown sphere
     nearness_error_per_mm: float = float("nan")  # standard error of 1 / the camera's distance; NaN: not known
+    at_limits: tuple[str, ...] = ()  # what was fitted to an end of the range that is searched, in words
+
+    def __repr__(self) -> str:
+        rms = f"{self.rms_code_values:.2f} code values rms"
+        return f"LightCalibration({self.sensor!r}, {len(self.names)} presses, {rms})"
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # on busy cores several threads are many times slower
@@ -193,6 +198,7 @@ def calibrate_light(
         led_azimuths_deg=azimuths,
         led_elevations_deg=elevations,
         sphere_size=size,
+        at_limits=tuple(_at_limits(fit, [led.name for led in sensor.illumination.leds])),
         nearness_error_per_mm=float("nan") if keep_camera else float(nearness_error),
     )
 
@@ -255,6 +261,20 @@ def _angle_errors(fit: LightFit) -> np.ndarray:
 def led_angles(bars: Bars) -> np.ndarray:
     """Return (2, leds): azimuth and elevation in degrees."""
     return np.degrees([np.angle(np.exp(1j * bars.azimuth)), np.arctan2(bars.height, bars.distance)])
+
+
+def _at_limits(fit: LightFit, names: Sequence[str]) -> Iterator[str]:
+    """Yield what lies at an end of its range, except that a camera may look from as far as can be told."""
+    bars = fit.light.bars
+    for part, limits in bars.limits.items():
+        for number, value in enumerate(getattr(bars, part), start=1):
+            if np.isclose(value, limits).any():
+                yield f"{part} of LED {names[number - 1] or number} ({value:.1f} mm)"
+    if fit.nearness_range is not None:
+        if np.isclose(1 / fit.distance_mm, fit.nearness_range[1]):
+            yield f"the camera's distance ({fit.distance_mm:.1f} mm)"
+        if fit.camera.point_spread_px >= MOST_BLUR_PX:
+            yield f"the camera's point spread ({fit.camera.point_spread_px:.1f} px of a picture 320 px wide)"
 
 
 def _jackknife_error(values: np.ndarray) -> np.ndarray:

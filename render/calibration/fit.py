@@ -26,7 +26,7 @@ PRIOR = {"azimuth": 0.35, "distance": 0.25, "height": 0.6, "length": 0.4, "tall"
 PRIOR_WEIGHT = 30.0
 _MOST_STEP_MM = 0.06
 _LEAST_DEPTH_MM = 0.02
-_MOST_BLUR_PX = 4.0
+MOST_BLUR_PX = 4.0
 # By what share the error must fall for a blur to be believed: less is what meshes and pixels blur.
 _LEAST_GAIN = 0.02
 # By which slopes of marks' errors over place (a wrong scale) and depth (marks exaggerate it) are drawn to 0.
@@ -223,7 +223,7 @@ class LightFit:
         """Search the camera's point spread; it stays unless another leaves less error by `_LEAST_GAIN`."""
         if self.nearness_range is not None:
             blurred = lambda value: self.camera.model_copy(update={"point_spread_px": float(value)})  # noqa: E731
-            tried = self._under_cameras(blurred, self.camera.point_spread_px, (0.0, _MOST_BLUR_PX), 1.0)
+            tried = self._under_cameras(blurred, self.camera.point_spread_px, (0.0, MOST_BLUR_PX), 1.0)
             kept = next((own for own in tried if own.camera == self.camera), None) or self._seen_by(
                 self.camera
             )

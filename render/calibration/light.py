@@ -51,15 +51,14 @@ class Bars:
         return cls(nearest_mm, np.arctan2(y, x), np.hypot(x, y), -z, length, tall)._bounded()
 
     def _bounded(self) -> "Bars":
-        """Return the bars within what a sensor can be: beyond the view, within 80 mm, above the membrane."""
-        height = np.clip(self.height, 0.5, 60.0)
-        return replace(
-            self,
-            distance=np.clip(self.distance, self.nearest, 80.0),
-            height=height,
-            length=np.clip(self.length, 1.0, 120.0),
-            tall=np.minimum(self.tall, 1.9 * height),
-        )
+        """Return the bars within what a sensor can be, above the membrane."""
+        values = {field: np.clip(getattr(self, field), *limits) for field, limits in self.limits.items()}
+        return replace(self, **values, tall=np.minimum(self.tall, 1.9 * values["height"]))
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """The least and most of distance, which is beyond the view, height and length."""
+        return {"distance": (self.nearest, 80.0), "height": (0.5, 60.0), "length": (1.0, 120.0)}
 
     def packed(self, fields: tuple[str, ...]) -> np.ndarray:
         """Return some fields as a vector, lengths as logarithms."""

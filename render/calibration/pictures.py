@@ -5,7 +5,7 @@ the table that a model has to be better than.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -39,7 +39,7 @@ class PressPicture:
     same in all presses.
     """
 
-    picture: np.ndarray  # uint8 (h, w, 3)
+    picture: np.ndarray = field(repr=False)  # uint8 (h, w, 3)
     sphere_diameter_mm: float | None
     depth_mm: float | None = None
     point_mm: tuple[float, float] | None = None
@@ -77,6 +77,12 @@ class ListedPress(Settings):
     marks_off_px: float = 3.0
 
 
+_NEEDED = (
+    "a calibration needs a TOML file with a table [[presses]] for each image: picture, sphere_diameter_mm, and "
+    "depth_mm or radius_px"
+)
+
+
 class _PressList(Settings):
     presses: tuple[ListedPress, ...]
 
@@ -91,8 +97,15 @@ def read_presses(path: Path) -> tuple[PressPicture, ...]:
     ValueError
         If the list is not valid TOML, or a field of a press is unknown, missing or not what it should be.
     """
+    try:
+        if path.is_file() and path.suffix.lower() != ".toml":
+            raise ValueError(f"{path} is not a TOML file")
+        if "presses" not in (table := read_toml(path)):
+            raise ValueError(f"{path} has no table [[presses]]")
+    except (ValueError, FileNotFoundError) as error:
+        raise type(error)(f"{error}; {_NEEDED}") from None
     with named_in_errors(path):
-        listed = _PressList(presses=read_toml(path).get("presses", ())).presses
+        listed = _PressList(**table).presses
     return tuple(
         PressPicture(
             read_image(path.parent / press.picture),

@@ -212,7 +212,7 @@ class PlacedPresses:
             base *= self.dots.reshape(-1, 3)
             # Dots go where their points of the gel go.
             rest = self.camera.project_px(pressed.positions * (1, 1, 0), self.size_px) - 0.5
-            moved = map_dots(self.dots, rest.astype(np.float32)[:, None])[:, 0]
+            moved = map_dots(self.dots, rest)
             base[near] *= moved / np.maximum(self.dots.reshape(-1, 3)[near], 1e-4)
         return np.round(255 * srgb_encode(factor * base)).astype(np.uint8).reshape(self.reference.shape)
 

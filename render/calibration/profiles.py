@@ -1,7 +1,7 @@
 """The membrane around a pressed sphere as a calibration needs it: height over distance from the axis, for any depth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -21,8 +21,8 @@ class SolvedPress:
     """One straight press by a sphere: the membrane's points (n,) along a radius, deformed, and its contact's radius."""
 
     depth_mm: float
-    radius_mm: np.ndarray
-    z_mm: np.ndarray
+    radius_mm: np.ndarray = field(repr=False)
+    z_mm: np.ndarray = field(repr=False)
     contact_radius_mm: float
 
 
@@ -35,10 +35,12 @@ class PressProfiles:
     """
 
     sphere_radius_mm: float
-    depths_mm: np.ndarray  # (depths,)
-    z_mm: np.ndarray  # (depths, radii)
-    edges_mm: np.ndarray  # (solves + 1, 2): depth, distance within which the membrane is the sphere
-    contact_radii_mm: np.ndarray  # (solves + 1, 2): depth, radius of the contact
+    depths_mm: np.ndarray = field(repr=False)  # (depths,)
+    z_mm: np.ndarray = field(repr=False)  # (depths, radii)
+    edges_mm: np.ndarray = field(
+        repr=False
+    )  # (solves + 1, 2): depth, distance within which the membrane is the sphere
+    contact_radii_mm: np.ndarray = field(repr=False)  # (solves + 1, 2): depth, radius of the contact
     softness_mm: float = 0.0
 
     @classmethod

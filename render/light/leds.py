@@ -1,9 +1,10 @@
 """LEDs: where each is and what shines, those of a sensor as an illumination, and LEDs cut up for integration."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from math import ceil
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -144,6 +145,11 @@ class Illumination(PresetSettings):
         exclude_if=lambda value: value is None,
         description="light that comes from no LED directly; none: none",
     )
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        yield None, self.name
+        yield "leds", len(self.leds)
+        yield "scattered", self.scattered is not None
 
     def led_to_camera(self, camera: Camera) -> np.ndarray:
         """Return (n_leds, 3): the linear camera RGB of each LED's radiance, with drive, white balance and exposure."""

@@ -28,10 +28,12 @@ class Scattered(Settings):
     order: int = Field(default=0, ge=0, le=3, description="highest order of the harmonics; 0: none")
     degree: int = Field(default=0, ge=0, le=2, description="highest degree of the place")
     coefficients: tuple[tuple[float, ...], ...] = Field(
+        repr=False,
         default=((), (), ()),
         description="by channel; harmonics × places, places fastest; each at most 5 in size",
     )
     ambient: tuple[tuple[float, ...], ...] = Field(
+        repr=False,
         default=((), (), ()),
         description="by channel: light of the flat membrane too, for 1, x and y; none if empty",
     )

@@ -41,9 +41,11 @@ class PeakSpectrum(Settings):
 class TableSpectrum(Settings):
     """A measured spectrum; between its wavelengths it is interpolated linearly, outside it is 0."""
 
-    wavelength_nm: tuple[float, ...] = Field(min_length=2, description="increasing wavelengths, nm")
+    wavelength_nm: tuple[float, ...] = Field(
+        min_length=2, repr=False, description="increasing wavelengths, nm"
+    )
     power: tuple[Annotated[float, Field(ge=0)], ...] = Field(
-        min_length=2, description="relative spectral power"
+        repr=False, min_length=2, description="relative spectral power"
     )
 
     @model_validator(mode="after")

@@ -95,6 +95,65 @@ def test_a_large_residual_is_warned_of(
         assert ("warning: a residual of 23.60 code values" in capsys.readouterr().err) == warned
 
 
+def test_what_makes_a_fit_doubtful_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
+    fit = fitted_light()
+    bad = HeldOut("press 2 (q.png)", (18, 24), (29, 30), (30, 21.5), (33, 34), fit.held_out[0].draw)
+    monkeypatch.setattr("gelgap.cli.calibrate.write_comparisons", lambda *_: None)
+    for held_out, limits in ((fit.held_out, ()), ((*fit.held_out, bad), ("height of LED red (60.0 mm)",))):
+        found = replace(fit, held_out=held_out, at_limits=limits)
+        monkeypatch.setattr("gelgap.render.calibrate_light", lambda *_, found=found, **__: found)
+        main(["calibrate", *given, "--sensor", "digit-like", "-o", str(tmp_path / "own.toml")])
+        out, err = capsys.readouterr()
+        worse = "press 2 (q.png), around its contact 21.5 dB (unchanged reference 24.0)"
+        assert (worse in out) == (worse in err) == bool(limits)
+        assert (
+            "at an end of the range that is searched, so that it may lie beyond: height of" in out
+        ) == bool(limits)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "problem"),
+    [
+        ("labels.csv", "file,depth_mm\np.png,0.6\n", "is not a TOML file"),
+        ("clip.mp4", "\0\0ftypisom", "is not a TOML file"),
+        ("own.toml", "[camera]\n", "has no table [[presses]]"),
+        ("own.toml", "file,depth_mm\n", "is not valid TOML"),
+        ("15.9", None, "does not exist"),
+    ],
+)
+def test_another_file_than_a_list_of_presses_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: str | None, problem: str
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    given = [str(tmp_path / name), "--reference", str(tmp_path / "p.png"), "--mm-per-px", "0.03"]
+    with pytest.raises(SystemExit, match="2"):
+        main(["calibrate", *given, "-o", str(tmp_path / "own.toml")])
+    said = capsys.readouterr().err
+    assert f"{name} {problem}" in said
+    assert "needs a TOML file with a table [[presses]] for each image" in said
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        ("15.9", "15.9 pixels per mm are 0.0629 mm per pixel"),
+        ("0", "must lie in [0.001, 1] mm per pixel"),
+        ("0.01", "images would show 0.32 mm of the gel"),
+    ],
+)
+def test_a_scale_that_cannot_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: str, said: str
+) -> None:
+    given = [str(listed(tmp_path, "depth_mm = 0.6")), "--reference", str(tmp_path / "p.png")]
+    with pytest.raises(SystemExit, match="2"):
+        main(["calibrate", *given, "--mm-per-px", scale, "-o", str(tmp_path / "own.toml")])
+    assert said in capsys.readouterr().err
+
+
 def test_without_presses_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["calibrate", "-o", str(tmp_path / "fitted.toml")])

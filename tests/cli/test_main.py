@@ -184,6 +184,28 @@ def test_press_prints_the_contract_and_render_draws_what_it_saved(
     assert values.shape == (120, 160, 3)
 
 
+def test_render_writes_the_height_map(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    x_mm, y_mm = 0.1 * np.arange(-70, 71), 0.1 * np.arange(-55, 56)
+    dent = -0.8 * np.exp(-(x_mm**2) - y_mm[:, None] ** 2)
+    state, picture = str(tmp_path / "state.npz"), str(tmp_path / "picture.png")
+    for deep, name, expected in ((1.0, "heights.npy", 0), (1.0, "heights.png", 0), (9.0, "deep.png", 2)):
+        displacement = np.stack([0 * dent, 0 * dent, deep * dent], axis=-1)
+        np.savez(state, x_mm=x_mm, y_mm=y_mm, displacement_mm=displacement)
+        size = ["--size", "80", "60", "--quality", "draft"]
+        code, _, err = run(
+            ["render", state, *size, "--height-map", str(tmp_path / name), "-o", picture], capsys
+        )
+        assert code == expected
+    assert "a 16-bit PNG holds -0.5 to 6.05 mm" in err
+    assert not (tmp_path / "deep.png").exists()
+    height_mm = np.load(tmp_path / "heights.npy")
+    assert height_mm.shape == (60, 80)
+    assert 0.7 < height_mm.max() < 0.81
+    codes = cv2.imread(str(tmp_path / "heights.png"), cv2.IMREAD_UNCHANGED)
+    assert codes.dtype == np.uint16
+    np.testing.assert_allclose(-0.5 + 1e-4 * codes, height_mm, atol=1e-4)
+
+
 def test_render_refuses_what_is_no_membrane(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.npz"
     np.savez(wrong, x_mm=np.zeros(3))
@@ -202,7 +224,7 @@ def test_render_says_what_file_it_needs(
     code, _, err = run(["render", str(wrong), "-o", str(tmp_path / "out.png")], capsys)
     assert code == 2
     assert "is not an .npz file" in err
-    assert f"gelgap press --save {wrong}" in err
+    assert "displacement_mm (ny, nx, 3), as written by: gelgap press --save state.npz" in err
 
 
 def test_every_preset_is_listed_with_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,8 @@ import pytest
 
 from gelgap.domains.generation.plan import plan_generation
 from gelgap.domains.recipe import make_recipes
-from gelgap.domains.sweep import Sweep, sweep_variants, write_sweep
+from gelgap.domains.sweep import Sweep, domain_gap, sweep_variants, unseen_differences, write_sweep
+from gelgap.render import Markers, Sensor
 
 
 def load(tmp_path: Path, text: str) -> Sweep:
@@ -124,3 +125,28 @@ def test_leds_and_coat_are_drawn_around_the_base_and_repeat(tmp_path: Path):
     assert variant.recipe.illumination == drawn[0].illumination
     with pytest.raises(ValueError, match="needs factors, a variation, or both"):
         load(tmp_path, 'base = "mb0i0"\n')
+
+
+def test_the_gap_says_how_markers_differ():
+    sensor = Sensor.preset("paper")
+    (base,) = make_recipes(["mb0i0"], "smoke", size_px=(80, 60))
+    looks = {
+        "equal": sensor.markers,
+        "changed": Markers(pitch_mm=(1.1, 1.3)),
+        "removed": Markers(layout="none"),
+    }
+    for expected, markers in looks.items():
+        own = sensor.model_copy(update={"markers": markers})
+        (other,) = make_recipes(["mb0i0"], "smoke", size_px=(80, 60), sensor=own)
+        assert domain_gap(base, other).markers == expected
+        assert any("no markers" in note for note in unseen_differences(base, other)) == (
+            expected == "removed"
+        )
+
+
+def test_markers_lie_on_the_pad():
+    sensor = Sensor.preset("paper").model_copy(update={"markers": Markers(positions_mm=((0, 0), (13.0, 0)))})
+    with pytest.raises(
+        ValueError, match=r"markers.positions_mm.1 = \(13.0, 0.0\): .* on the pad .* 24 × 20 mm"
+    ):
+        make_recipes(["mb0i0"], "smoke", sensor=sensor)

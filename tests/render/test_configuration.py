@@ -6,6 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelgap.assets import list_presets
+from gelgap.render.calibration.pictures import PressPicture
+from gelgap.render.calibration.profiles import SolvedPress
 from gelgap.render.camera import Camera
 from gelgap.render.imaging import picture_gap
 from gelgap.render.light import spectra
@@ -20,7 +22,7 @@ from gelgap.render.light.spectra import (
     clear_led_cache,
 )
 from gelgap.render.renderer import MembraneRenderer, reference_gap
-from gelgap.render.sensor import Markers, Sensor, marker_rest_mm
+from gelgap.render.sensor import Markers, Sensor, marker_rest_mm, save_sensor
 from gelgap.render.variation import Variation, vary_illumination, vary_sensor
 
 NIKON = "Nikon 5100 (NPL)"
@@ -117,8 +119,91 @@ def test_markers_are_seeded_and_may_be_missing():
     regular = marker_rest_mm(Markers())
     assert np.abs(one - regular)[~missing].max() <= 0.2
     assert marker_rest_mm(Markers(layout="none")).size == 0
-    with pytest.raises(ValueError, match=r"leave at most 0\.350 mm"):
-        marker_rest_mm(Markers(jitter_mm=0.4))
+
+
+def test_a_grid_of_markers_has_two_pitches_an_offset_and_gaps():
+    markers = Markers(columns=3, rows=2, pitch_mm=(1.0, 2.0), offset_mm=(0.5, -0.25), missing=((1, 0),))
+    rest_mm = marker_rest_mm(markers)
+    np.testing.assert_allclose(rest_mm[0], [(-0.5, -1.25), (0.5, -1.25), (1.5, -1.25)])
+    np.testing.assert_allclose(rest_mm[1], [(np.nan, np.nan), (0.5, 0.75), (1.5, 0.75)])
+
+
+LISTED = ((0.0, 0.0), (2.0, -1.5), (-3.25, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("markers", "absent"),
+    [
+        (Markers(), {"offset_mm", "missing", "positions_mm", "shape"}),
+        (Markers(pitch_mm=(1.0, 1.5), offset_mm=(0.1, 0.0), missing=((0, 1),)), {"positions_mm", "shape"}),
+        (
+            Markers(positions_mm=LISTED, shape="square"),
+            {"columns", "rows", "pitch_mm", "offset_mm", "missing"},
+        ),
+    ],
+)
+def test_a_saved_sensor_has_its_markers(tmp_path, markers, absent):
+    save_sensor(Sensor(name="own", markers=markers), tmp_path / "own.toml")
+    assert Sensor.load(tmp_path / "own.toml").markers == markers
+    assert (
+        set(Markers.model_fields) - set(markers.model_dump()) == absent
+    )  # recipes without it keep their hashes
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"jitter_mm": 0.4}, r"pitch_mm = 1\.1: dots are 1\.1 mm apart; .* 1\.2 mm, is the least"),
+        ({"pitch_mm": "wide"}, "pitch_mm = 'wide': must be one number in .* or two"),
+        ({"pitch_mm": [1, 2, 3]}, "pitch_mm = .* or two"),
+        ({"pitch_mm": [1.1, 0.3]}, r"pitch_mm = \(1\.1, 0\.3\): dots are 0\.3 mm apart; .* 0\.4 mm"),
+        ({"missing": [[8, 0]]}, r"missing = \(8, 0\): must be a row in 0…7 and a column in 0…10"),
+        ({"missing": [[0, -1]]}, r"missing = \(0, -1\)"),
+        (
+            {"positions_mm": LISTED, "pitch_mm": 1.1},
+            "positions_mm lists each dot: leave it out, or leave out pitch_mm",
+        ),
+        ({"positions_mm": LISTED, "missing": [[0, 0]]}, "leave out missing"),
+        ({"positions_mm": LISTED, "layout": "none"}, "leave out layout = 'none'"),
+        (
+            {"positions_mm": [*LISTED, (2.0, -1.5)]},
+            r"positions_mm.1 = .* and positions_mm.3 = .*: dots are 0 mm apart",
+        ),
+        ({"positions_mm": [(0, 0), (0.3, 0)]}, r"0\.3 mm apart; .* 0\.4 mm"),
+        ({"positions_mm": [(60, 0)]}, "positions_mm.0.0 = 60"),
+        ({"shape": "star"}, "shape = 'star': input should be 'round' or 'square'"),
+    ],
+)
+def test_markers_that_cannot_be_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        Markers(**values)
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        Sensor.preset("gelsight-mini-fitted"),
+        Sensor(
+            name="own", markers=Markers(positions_mm=[(x, y) for x in range(-5, 6) for y in range(-4, 5)])
+        ).markers,
+        Sensor.preset("gelsight-mini-fitted").illumination.scattered,
+        MembraneRenderer(Sensor.preset("paper"), Illumination.preset("i0"), (64, 48)),
+        PressPicture(np.zeros((480, 640, 3), np.uint8), 3.0, depth_mm=0.6),
+        SolvedPress(0.6, np.arange(70.0), np.zeros(70), 0.5),
+    ],
+)
+def test_objects_are_shown_in_one_line(shown):
+    for text in (repr(shown), str(shown)):
+        assert len(text) < 260
+        assert "\n" not in text
+        assert "array" not in text
+
+
+def test_overlap_is_of_the_dots_shape():
+    corner_to_corner = ((0.0, 0.0), (0.39, 0.39))  # 0.55 mm
+    Markers(positions_mm=corner_to_corner)
+    with pytest.raises(ValueError, match="overlap"):
+        Markers(positions_mm=corner_to_corner, shape="square")
 
 
 @given(seed=st.integers(0, 2**32 - 1))

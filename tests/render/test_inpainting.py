@@ -5,6 +5,9 @@ import pytest
 
 from gelgap.render.imaging import psnr_db
 from gelgap.render.inpainting import detect_markers, inpaint_biharmonic, inpaint_telea
+from gelgap.render.light.leds import Illumination
+from gelgap.render.renderer import MembraneRenderer
+from gelgap.render.sensor import Markers, Sensor
 
 
 @pytest.mark.parametrize("illumination", ["i0", "i1", "i2"])
@@ -31,6 +34,21 @@ def test_inpainting_comes_close_to_the_unmarked_picture(renderer, dent):
     assert np.array_equal(telea[~mask], marked[~mask])
     assert psnr_db(telea, plain) > 45
     assert psnr_db(biharmonic, plain) > psnr_db(telea, plain)
+
+
+@pytest.mark.parametrize(
+    "markers",
+    [
+        Markers(shape="square"),
+        Markers(pitch_mm=(1.0, 1.6), rows=5, offset_mm=(0.2, 0.1)),
+        Markers(positions_mm=((0.1, 0.2), (2.13, -1.52), (-3.25, 1.04), (4.4, 3.2), (-4.1, -2.7))),
+    ],
+)
+def test_other_markers_are_filled_in_as_well(dent, markers):
+    sensor = Sensor.preset("paper").model_copy(update={"markers": markers})
+    render = MembraneRenderer(sensor, Illumination.preset("i0"))
+    marked, plain = (render.picture(*dent(0.6, (0.2, 0.0)), markers=flag) for flag in (True, False))
+    assert psnr_db(inpaint_telea(marked, detect_markers(marked)), plain) > 45
 
 
 def test_bad_pictures_are_refused():

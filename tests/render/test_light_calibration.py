@@ -12,6 +12,7 @@ from gelgap.benchmarks.render.scenes import sphere_dent
 from gelgap.domains import lit_from_dents
 from gelgap.render.calibration.calibrator import (
     LightTask,
+    _at_limits,
     _suspects,
     calibrate_light,
     fit_sphere_size,
@@ -19,6 +20,7 @@ from gelgap.render.calibration.calibrator import (
     save_calibration,
     unknown_sphere_size,
 )
+from gelgap.render.calibration.fit import LightFit
 from gelgap.render.calibration.pictures import PressPicture
 from gelgap.render.calibration.poses import place_presses
 from gelgap.render.calibration.profiles import PressProfiles, SolvedPress
@@ -322,6 +324,35 @@ def test_presses_far_out_of_the_others_are_named():
     like_each_other = np.delete(errors, 3)
     assert named(like_each_other) == [4]  # the worst of few
     assert named(np.tile(like_each_other, 3)) == []
+
+
+def test_a_gel_with_dots_is_fitted_at_full_size():
+    size_px, sensor = (640, 480), Sensor.preset("paper")
+    lit = sensor.model_copy(update={"illumination": Illumination.preset("i0")})
+    renderer, rng = MembraneRenderer(lit, lit.illumination, size_px), np.random.default_rng(5)
+    shots = [renderer.picture(*sphere_dent(0.6, point_mm=point), rng=rng) for point in POINTS]
+    presses = pressed(shots, depth_mm=0.6)
+    placed = place_presses(lit.camera, renderer.reference(rng=rng), presses, profiles(None, None))
+    assert placed.has_dots
+    last = len(presses) - 1
+    fit = LightTask(lit, placed, 0, 0, keep_camera=True).fit(np.arange(last))
+    # All 307,200 pixels are modelled, in one list of points.
+    predicted = placed.picture_of(fit.light, fit.field, last, fit.expected_mm(last), 20.0)
+    marked, unchanged = (placed.scores(last, picture) for picture in (predicted, placed.reference))
+    assert (np.array(marked) > np.array(unchanged) + 3).all()
+
+
+def test_what_is_fitted_to_a_limit_is_said(pictures):
+    start, reference, shots = pictures
+    (led, *others) = start.illumination.leds
+    far = led.model_copy(update={"position_mm": (*np.array(led.position_mm[:2]) * 20, led.position_mm[2])})
+    light = start.illumination.model_copy(update={"leds": (far, *others)})
+    placed = place_presses(start.camera, reference, pressed(shots[:-1], depth_mm=0.6), profiles(None, None))
+    task = LightTask(start.model_copy(update={"illumination": light}), placed, 0, 0, keep_camera=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(LightFit, "run", lambda self: None)
+        fit = task.fit(np.arange(len(POINTS)))
+    assert next(_at_limits(fit, ["far", *"bcd"])) == "distance of LED far (80.0 mm)"
 
 
 def eight_presses(shots):

@@ -9,7 +9,7 @@ import pytest
 from gelgap.assets import list_presets
 from gelgap.render.light.leds import Illumination
 from gelgap.render.renderer import QUALITIES, MembraneRenderer
-from gelgap.render.sensor import Coating, Sensor
+from gelgap.render.sensor import Coating, Markers, Sensor, marker_rest_mm
 from gelgap.render.surface import _world_heights, deformed_surface
 
 pytestmark = pytest.mark.numerical
@@ -93,6 +93,48 @@ def test_marker_centres_follow_the_membrane(renderer, dent):
             assert np.hypot(*(found - (column, row))) < 0.1
             checked += 1
     assert checked > 30
+
+
+def with_markers(markers):
+    sensor = Sensor.preset("paper").model_copy(update={"markers": markers})
+    return MembraneRenderer(sensor, Illumination.preset("i0"))
+
+
+PLACES = ((0.0, 0.0), (2.13, -1.52), (-3.25, 1.04), (4.4, 3.2))
+
+
+@pytest.mark.parametrize(
+    "markers",
+    [
+        Markers(columns=4, rows=3, pitch_mm=(1.7, 2.3), offset_mm=(0.41, -0.17), missing=((0, 1), (2, 3))),
+        Markers(columns=4, rows=3, pitch_mm=(2.3, 1.7), offset_mm=(-0.41, 0.17), shape="square"),
+        Markers(positions_mm=PLACES, diameter_mm=0.5),
+        Markers(positions_mm=PLACES, diameter_mm=0.5, shape="square"),
+        Markers(positions_mm=PLACES[:1]),
+    ],
+    ids=["pitches", "squares", "list", "listed squares", "one"],
+)
+def test_each_marker_covers_its_area_around_its_centre(dent, markers):
+    render, displacement = with_markers(markers), dent(0.3, (0.0, 0.0), (-5.0, -3.5))
+    covered = 1 - render.linear(*displacement).sum(2) / render.linear(*displacement, markers=False).sum(2)
+    covered = covered / (1 - 0.04 / 0.5)
+    centers_px = render.marker_px(*displacement).reshape(-1, 2)
+    centers_px = centers_px[np.isfinite(centers_px).all(axis=1)]
+    side_px = markers.diameter_mm * 320 / 12
+    area_px = side_px**2 * (1 if markers.shape == "square" else np.pi / 4)
+    np.testing.assert_allclose(covered.sum(), len(centers_px) * area_px, rtol=0.01)
+    for column, row in centers_px:
+        left, top = round(column) - 13, round(row) - 13
+        own = covered[top : top + 26, left : left + 26]
+        np.testing.assert_allclose(centroid_px(own), (column - left, row - top), atol=0.1)
+        np.testing.assert_allclose(own.sum(), area_px, rtol=0.03)
+
+
+def test_a_grid_that_is_listed_gives_the_same_picture(dent):
+    grid = Markers()
+    listed = Markers(positions_mm=[tuple(place) for place in marker_rest_mm(grid).reshape(-1, 2).tolist()])
+    one, other = (with_markers(markers).picture(*dent(0.7, (0.2, 0.1))) for markers in (grid, listed))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_a_rigid_shift_moves_all_markers_by_its_pixels(renderer, dent):
