@@ -69,7 +69,10 @@ def export_onnx(model: ForceModel, path: str | Path) -> float:
 
     (width, height), names = model.profile.image_size_px, model.labels.names
     whole = PictureToLabels(model).eval()
-    pictures = torch.from_numpy(np.random.default_rng(0).integers(0, 256, (5, height, width, 3), np.uint8))
+    # From dark to bright, so that pictures are darker than their reference in the trace and brighter after it.
+    brightest = np.array([50, 100, 150, 200, 250]).reshape(5, 1, 1, 1)
+    noise = np.random.default_rng(0).uniform(0, brightest, (5, height, width, 3))
+    pictures = torch.from_numpy(noise.astype(np.uint8))
     inputs = pictures[:2], pictures[4:]
     axes = {name: {0: "n"} for name in ("picture", *names)} | {"reference": {0: "one or n"}}
     with whole_file(Path(path)) as temporary, warnings.catch_warnings():
@@ -122,6 +125,7 @@ def _difference(whole: PictureToLabels, path: Path, pictures: Tensor) -> float:
     import onnxruntime
 
     session = onnxruntime.InferenceSession(path.read_bytes(), providers=["CPUExecutionProvider"])
-    given = {"picture": pictures.numpy(), "reference": pictures[:1].numpy()}
-    found, wanted = np.stack(session.run(None, given)), torch.stack(whole(pictures, pictures[:1])).numpy()
+    inputs = pictures, pictures.flip(0)
+    given = dict(zip(("picture", "reference"), (image.numpy() for image in inputs), strict=True))
+    found, wanted = np.stack(session.run(None, given)), torch.stack(whole(*inputs)).numpy()
     return float((np.abs(found - wanted) / whole.scale.abs().numpy()[:, None]).max())

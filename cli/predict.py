@@ -25,7 +25,7 @@ class Predict(opt.Command):
 
     For example:
       gelgap predict tuned.pt pressed.png harder.png --reference rest.png
-      gelgap predict tuned.pt pictures --reference rest.png --csv forces.csv
+      gelgap predict tuned.pt own/mine/press-1 --reference own/mine/press-1/reference.png --csv forces.csv
       gelgap predict tuned.pt --camera 0 --reference rest.png
     """
 

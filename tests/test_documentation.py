@@ -75,6 +75,7 @@ NOT_RUN = {
     r"gelgap (generate .*--lights-like|adapt --source drawn)": "needs a picture; tests/cli has one",
     r"gelgap generate .* --scheduler tcp": "needs the cluster that tests/domains/test_cluster.py starts",
     r"pip install (--no-deps taxim|'gelgap\[view\]')": "installs a package",
+    r"gelgap predict tuned.pt (--camera|p\w+)": "needs pictures or a camera; tests/adapt/test_own_backbone.py runs it",
     r"gelgap view": "serves until Ctrl-C; tests/cli/test_view.py and tests/view run it",
     r"python scripts/guide_pictures.py docs/pictures --view": "needs a browser; tests/view/test_page.py opens one",
     r"gelgap (benchmark sensors|calibrate --from-taxim)": "needs the package taxim, which tests do not install",

@@ -49,6 +49,11 @@ def test_own_method_trains(own_gap: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "linear-mmd" in capsys.readouterr().out
 
 
+def test_own_backbone_trains(own_gap: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    load("own_backbone").main(own_gap / "wmb0i0", own_gap / "harder-slippery-redder")
+    assert capsys.readouterr().out.startswith("make_backbone source-only  mean error on the target")
+
+
 def test_own_sensor_sees_the_contact_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     pixels = load("own_sensor").main(picture=tmp_path / "own.png", quality="draft")
