@@ -125,7 +125,7 @@ def split_for_training(
         notes.append(f"{left_out} of {len(source)} frames of {source.name} lack {', '.join(names)}: left out")
     if not is_labelled.all():
         notes.append(
-            f"{is_labelled.sum()} of {len(target)} frames of {target.name} have labels ({', '.join(names)}): "
+            f"{is_labelled.sum()} of {len(target)} frames of {target.name} have {', '.join(names)}: "
             f"{len(target_train)} are trained on without them, {len(target_test)} are tested on"
         )
     return SplitFrames(
