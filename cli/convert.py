@@ -1,5 +1,6 @@
 """`gelgap convert`: recordings of real sensors made into picture folders."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,8 @@ class Convert(opt.Command):
       recordings: your own. For each clip press.csv with time_s and fz_n, and press.mp4; or a folder press/ of
         pictures and a table with picture and time_s.
 
-    The lag between pictures and forces is estimated for each clip from the clip itself, and printed.
+    The lag between pictures and forces is estimated for each clip from the clip itself, and printed with the range of
+    lags that fit as well.
 
     For example:
       gelgap convert clones/EstimateModulus --layout wedge --out wedge
@@ -35,12 +37,19 @@ class Convert(opt.Command):
     """New folder that gets a folder for each domain."""
     every: Annotated[int, opt.between(1, 1000)] = 1
     """Of the pictures in contact, write every n-th."""
+    lag: Annotated[int | None, opt.optional("FRAMES")] = None
+    """By how many pictures the forces trail, where you know it; 0 takes the clocks as they are."""
 
     def run(self, started: float) -> None:
         """Convert, print what became of each clip, and name what was written."""
         from gelgap.benchmarks.real.published_sets import LAYOUTS
 
-        clips = domains.convert(self.folder, LAYOUTS.get(self.layout, self.layout), self.out, self.every)
+        if self.lag is not None and self.layout == "ball-presses":
+            raise ValueError(
+                f"--lag {self.lag}: the pictures of ball-presses have marks and no times; leave it out"
+            )
+        layout = LAYOUTS.get(self.layout, self.layout)
+        clips = domains.convert(self.folder, layout, self.out, self.every, self.lag)
         print(_table(clips))
         for domain in dict.fromkeys(clip.domain for clip in clips):
             print(f"wrote {self.out / domain}")
@@ -54,21 +63,35 @@ def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
     sums = dict.fromkeys(("pictures", "in contact", "dropped", "written"), "sum")
     formats = dict.fromkeys(means, "{:.1f}".format) | dict.fromkeys(("r", "r at 0"), "{:.3f}".format)
     formats["lag"] = "{:.0f}".format
-    names = {"in_contact": "in contact", "correlation": "r", "correlation_at_0": "r at 0"}
+    formats["range"] = lambda lags: "" if lags is None else f"{lags[0]}…{lags[1]}"
+    names = {
+        "in_contact": "in contact",
+        "lag_range": "range",
+        "correlation": "r",
+        "correlation_at_0": "r at 0",
+    }
     every = pd.DataFrame(map(vars, clips)).rename(columns=names)
     every[[*means]] = every["reference_rgb"].tolist()
-    by_clip = every.set_index(["session", "name"])[[*sums, "lag", "r", "r at 0", *means]]
+    by_clip = every.set_index(["session", "name"])[[*sums, "lag", "range", "r", "r at 0", *means]]
     by_session = by_clip.groupby(level="session", sort=False).agg(sums | means)
     lines = [own.to_string(formatters=formats, na_rep="") + "\n" for own in (by_clip, by_session)]
     if every["lag"].notna().any():
         lines.append(
-            "lag: by how many pictures the forces trail, by the clip itself; r: how the two correlate there and at 0"
+            "lag: by how many pictures the forces trail, by the clip itself unless you stated it; range: the lags that "
+            "fit as well; r: how pictures and forces correlate at the lag and at 0"
         )
-    noted = {
-        "the largest lag that was tried fits best, so the clocks may differ by more": "lag_at_limit",
-        "begins with a force, so its reference is its first picture": "begins_in_contact",
-    }
-    for what, field in noted.items():
-        if every[field].any():
-            lines.append(f"{what}: {', '.join((every['session'] + '/' + every['name'])[every[field]])}")
+    noted = defaultdict(list)
+    for clip in clips:
+        name = f"{clip.session}/{clip.name}"
+        if clip.lag_at_limit:
+            noted["the largest lag that was tried fits best, so the clocks may differ by more"].append(name)
+        if clip.lag and clip.lag_range and clip.lag_range[0] <= 0 <= clip.lag_range[1]:
+            noted["a lag of 0 fits as well as the applied one; --lag 0 applies it"].append(name)
+        if clip.begins_in_contact:
+            noted["begins with a force, so its reference is its first picture"].append(name)
+        if clip.in_holes:
+            noted["pictures without labels, in holes of the log"].append(f"{name} ({clip.in_holes})")
+        for note in clip.notes:
+            noted[note].append(name)
+    lines += [f"{what}: {', '.join(names)}" for what, names in noted.items()]
     return "\n".join(lines)

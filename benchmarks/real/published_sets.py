@@ -104,8 +104,9 @@ def _pad_corners(clone: Path) -> Corners:
         raise ValueError(
             f"{clone} is no clone of EstimateModulus: it has no {_CORNERS}; get one: {WEDGE_CLONE}"
         )
-    found = {row.get("Name"): (row.get("x"), row.get("y")) for row in read_table(table)}
+    columns = dict(read_table(table))
     try:
+        found = dict(zip(columns["Name"], zip(columns["x"], columns["y"], strict=True), strict=True))
         return tuple((float(x), float(y)) for x, y in (found[name] for name in _CORNER_NAMES))
     except (KeyError, TypeError, ValueError):
         raise ValueError(
@@ -232,8 +233,8 @@ def _center_px(picture: Path) -> tuple[float, float]:
 
 
 LAYOUTS: dict[str, Layout] = {
-    "wedge": lambda clone, every: (clip.selected(every) for clip in _wedge_clips(clone)),
-    "ball-presses": lambda clone, every: (_ball_presses(clone, name, every) for name in SERIES),
+    "wedge": lambda clone, every, lag: (clip.selected(every, lag) for clip in _wedge_clips(clone)),
+    "ball-presses": lambda clone, every, lag: (_ball_presses(clone, name, every) for name in SERIES),
 }
 """What `gelgap.domains.convert` reads of a clone, by name."""
 

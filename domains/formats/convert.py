@@ -3,7 +3,8 @@
 The folder holds for each clip `<clip>.csv` with `time_s` and labels by the names of a picture folder (`fz_n`, …), and
 `<clip>.mp4` (or another video) or `<clip>/` with pictures and a table `picture, time_s` of its own. The two clocks
 differ by a lag that no file states. It is estimated from the clip alone, by cross-correlation: at which lag does the
-change of the pictures go best with the force? No model is trained for it, and no other clip is used.
+change of the pictures go best with the force? No model is trained for it, and no other clip is used; a user may state
+it instead.
 """
 
 import logging
@@ -22,7 +23,7 @@ from gelgap.assets.image_file import read_image
 from gelgap.assets.names import is_plain_name
 from gelgap.domains.formats.domain_folder import new_folder
 from gelgap.domains.formats.pictures import encode_png, resized
-from gelgap.domains.frames.folders import picture_path
+from gelgap.domains.frames.folders import picture_paths, tables_in
 from gelgap.domains.frames.labels import FORCE_COLUMNS, QUANTITIES, known_labels
 from gelgap.domains.frames.tables import GROUPS, known_columns
 
@@ -44,6 +45,8 @@ _LAGS = range(-15, 16)
 _REFERENCE_FRAMES = 5
 _FEWEST_FRAMES = 10
 _SIGNAL_PX = (80, 60)
+_LONGEST_GAP = 3.5
+"""A hole of a log is longer than this many of its usual periods: three, with some jitter."""
 _NUMBER = re.compile(r"[\s_-]*(t=)?\d+$")
 
 
@@ -52,8 +55,9 @@ class ConvertedClip:
     """What became of one clip, or of one series of presses.
 
     `pictures` and `in_contact` count pictures of the recording, `dropped` errors of the gauge and wrong marks,
-    `written` rows of the new table. The lag is in frames, positive where forces trail pictures; the correlation of
-    pictures and force there and at lag 0 says how sure it is. It is None where nothing is measured in time.
+    `written` rows of the new table, `in_holes` pictures without labels because the log has a hole there. The lag is in
+    frames, positive where forces trail pictures, None where nothing is measured in time; `lag_range` are the least and
+    the greatest that fit as well, None where the user stated it. `notes` say what is unusual about the tables.
     """
 
     domain: str
@@ -67,8 +71,11 @@ class ConvertedClip:
     lag: int | None = None
     correlation: float | None = None
     correlation_at_0: float | None = None
+    lag_range: tuple[int, int] | None = None
     lag_at_limit: bool = False
     begins_in_contact: bool = False
+    in_holes: int = 0
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,17 +92,21 @@ class Selection:
     table: pd.DataFrame
 
 
-Layout = Callable[[Path, int], Iterable[Selection]]
-"""Reads what is in a folder, the recordings of a domain one after the other; selects every n-th picture in contact."""
+Layout = Callable[[Path, int, int | None], Iterable[Selection]]
+"""Reads what is in a folder, the recordings of a domain one after the other; selects every n-th picture in contact.
+
+The last argument is the lag in frames, None where each clip's is estimated.
+"""
 
 
 def convert(
-    folder: Path | str, layout: str | Layout, out_dir: Path | str, every: int = 1
+    folder: Path | str, layout: str | Layout, out_dir: Path | str, every: int = 1, lag: int | None = None
 ) -> tuple[ConvertedClip, ...]:
     """Write recordings as picture folders, one a domain, below a new folder, and return what became of each clip.
 
     Of the pictures in contact every n-th is written (n = `every`), and the few before that make a clip's reference.
-    The layout is `recordings`, a user's folder, or a function of the folder and n that reads another one:
+    Without a `lag` in frames each clip's is estimated; 0 takes the clocks as they are. The layout is `recordings`, a
+    user's folder, or a function of the folder, n and the lag that reads another one:
     `gelgap.benchmarks.real.published_sets.LAYOUTS` has those of two public repositories, by name.
 
     Raises
@@ -109,7 +120,7 @@ def convert(
             raise ValueError(f"layout {layout!r} is unknown; known layouts: {', '.join(LAYOUTS)}")
         layout = LAYOUTS[layout]
     with new_folder(Path(out_dir)) as building:
-        return tuple(_write(layout(Path(folder), every), building))
+        return tuple(_write(layout(Path(folder), every, lag), building))
 
 
 def _write(selections: Iterable[Selection], out_dir: Path) -> Iterator[ConvertedClip]:
@@ -169,15 +180,17 @@ class Clip:
     time_s: np.ndarray
     labels: pd.DataFrame
     lags: range = _LAGS
+    notes: tuple[str, ...] = ()
 
-    def selected(self, every: int) -> Selection:
-        """Find the lag and the reference, and select pictures in contact and those before; its session is a domain."""
+    def selected(self, every: int, lag: int | None = None) -> Selection:
+        """Find the lag, unless it is given, and the reference, and select pictures in contact and those before."""
         LOG.info("converting %s/%s", self.session, self.name)
-        correlations = self._correlations()
-        best = int(np.nanargmax(correlations))
-        lag = self.lags[best]
-        labels = self.labels_at(lag)
+        self._check_times()
+        found = LagEstimate(lag) if lag is not None else self._estimated_lag()
+        labels = self.labels_at(found.lag)
         pressed_n, known = _pressing_n(labels), np.isfinite(labels).all(axis=1).to_numpy()
+        if not known.any():
+            raise ValueError(f"clip {self.name}: no picture has labels at a lag of {found.lag} frames")
         touches = pressed_n > CONTACT_N
         # The reference is made of the pictures before the contact, less one as a lag may be wrong by one.
         before = int(np.argmax(touches)) if touches.any() else len(touches)
@@ -197,31 +210,57 @@ class Clip:
             dropped=int((~np.isfinite(self.labels)).any(axis=1).sum()),
             written=len(chosen),
             reference_rgb=mean_rgb(reference),
-            lag=lag,
-            correlation=correlations[best],
-            correlation_at_0=correlations[self.lags.index(0)],
-            lag_at_limit=lag != 0 and lag in (self.lags[0], self.lags[-1]),
+            lag=found.lag,
+            correlation=found.correlation,
+            correlation_at_0=found.correlation_at_0,
+            lag_range=found.range,
+            lag_at_limit=lag is None and found.lag != 0 and found.lag in (self.lags[0], self.lags[-1]),
             begins_in_contact=bool(pressed_n[np.isfinite(pressed_n)][0] > CONTACT_N),
+            in_holes=int(self._in_holes(found.lag).any(axis=1).sum()),
+            notes=self.notes,
         )
         return Selection(facts, reference, self.pictures, table)
 
     def labels_at(self, lag: int) -> pd.DataFrame:
         """Return the labels of each picture at a lag in frames, interpolated in time.
 
-        NaN where there are none, or the nearest value is NaN or more than half a frame away.
+        NaN where there are none, in a hole, or where the nearest value is NaN or more than half a frame away.
         """
-        frame_s = float(np.median(np.diff(self.time_s)))
-        time_s, measured_s = self.time_s + lag * frame_s, self.labels.index.to_numpy()
+        time_s, measured_s = self._shifted_s(lag), self.labels.index.to_numpy()
         nearest = np.searchsorted((measured_s[1:] + measured_s[:-1]) / 2, time_s)
-        inside = (time_s >= measured_s[0] - frame_s / 2) & (time_s <= measured_s[-1] + frame_s / 2)
-        finite, found = np.isfinite(self.labels.to_numpy()), {}
+        half_s = self._frame_s / 2
+        inside = (time_s >= measured_s[0] - half_s) & (time_s <= measured_s[-1] + half_s)
+        finite, found = np.isfinite(self.labels.to_numpy()), self._in_holes(lag)
         for known, (name, values) in zip(finite.T, self.labels.items(), strict=True):
             between = np.interp(time_s, measured_s[known], values[known]) if known.any() else np.nan
-            found[name] = np.where(known[nearest] & inside, between, np.nan)
+            found[name] = np.where(known[nearest] & inside & ~found[name], between, np.nan)
+        return found
+
+    @property
+    def _frame_s(self) -> float:
+        return float(np.median(np.diff(self.time_s)))
+
+    def _shifted_s(self, lag: int) -> np.ndarray:
+        return self.time_s + lag * self._frame_s
+
+    def _in_holes(self, lag: int) -> pd.DataFrame:
+        """Return for each picture and label whether the log has a hole there: values are missing for longer than usual.
+
+        Longer than a picture too, as values that come in bunches leave such gaps; and further than half a usual period
+        from the hole's ends.
+        """
+        time_s, measured_s = self._shifted_s(lag), self.labels.index.to_numpy()
+        period_s = float(np.median(np.diff(measured_s)))
+        longest_s, found = max(_LONGEST_GAP * period_s, self._frame_s), {}
+        for name, values in self.labels.items():
+            known_s = np.array([-np.inf, *measured_s[np.isfinite(values)], np.inf])
+            behind = np.clip(np.searchsorted(known_s, time_s), 1, len(known_s) - 1)
+            before_s, after_s = known_s[behind - 1], known_s[behind]
+            is_far = np.minimum(time_s - before_s, after_s - time_s) > period_s / 2
+            found[name] = is_far & (after_s - before_s > longest_s) & np.isfinite(after_s - before_s)
         return pd.DataFrame(found)
 
-    def _correlations(self) -> list[float]:
-        """Return Pearson's correlation of change and force at each lag; NaN where one of the two is constant."""
+    def _check_times(self) -> None:
         measured_s, n, m = self.labels.index, len(self.time_s), len(self.labels)
         if min(n, m) < _FEWEST_FRAMES:
             raise ValueError(
@@ -233,31 +272,83 @@ class Clip:
                 f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
                 f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
             )
-        pictures = (resized(picture, _SIGNAL_PX).astype(np.int16) for picture in self.pictures())
-        first = next(pictures, None)
-        change = pd.Series(np.array([0.0, *(np.abs(picture - first).mean() for picture in pictures)]))
-        if len(change) != n:
-            raise ValueError(f"clip {self.name} has {len(change)} pictures and {n} times of pictures")
-        pressed_n = (pd.Series(_pressing_n(self.labels_at(lag))) for lag in self.lags)
-        found = [_correlation(change, own) for own in pressed_n]
-        if np.isnan(found).all():
+
+    def _pressed_signal(self) -> np.ndarray:
+        """Return how far each picture (n,) has gone from rest towards the most pressed ones.
+
+        That is its projection on their mean difference, in which the noise of pixels averages out; their mean absolute
+        difference begins at the noise, and is exactly 0 for the first picture alone.
+        """
+        reduced = [resized(picture, _SIGNAL_PX) for picture in self.pictures()]
+        if len(reduced) != len(self.time_s):
+            raise ValueError(
+                f"clip {self.name} has {len(reduced)} pictures and {len(self.time_s)} times of pictures"
+            )
+        pictures = np.stack(reduced).reshape(len(reduced), -1).astype(np.float32)
+        change = np.abs(pictures - pictures[0]).mean(axis=1)
+        most = np.argsort(change)[-max(len(pictures) // 10, 1) :]
+        rest = pictures[:_REFERENCE_FRAMES].mean(axis=0)
+        return (pictures - rest) @ (pictures[most].mean(axis=0) - rest)
+
+    def _estimated_lag(self) -> "LagEstimate":
+        """Return the lag at which pictures and force correlate best, and the range of those that do as well.
+
+        Where force is a line in the signal plus noise, twice the log likelihood of a lag is −n log(1 − r²), and falls
+        by 4 at the ends of an interval of 95 %. Errors of neighbouring pictures go together, so n is divided by the sum
+        of their autocorrelation up to its first zero.
+        """
+        signal = self._pressed_signal()
+        pressed_n = [_pressing_n(self.labels_at(lag)) for lag in self.lags]
+        correlations = np.array([_correlation(signal, own) for own in pressed_n])
+        if np.isnan(correlations).all():
             raise ValueError(
                 f"clip {self.name}: its force or its pictures do not change, or fewer than {_FEWEST_FRAMES} pictures "
                 "have labels; take it out of the folder"
             )
-        return found
+        best = int(np.nanargmax(correlations))
+        unexplained = np.where(correlations > 0, 1 - correlations**2, 1.0)
+        independent = _independent_errors(signal, pressed_n[best])
+        fitting = np.flatnonzero(unexplained <= unexplained[best] * np.exp(4 / independent))
+        return LagEstimate(
+            self.lags[best],
+            (self.lags[fitting[0]], self.lags[fitting[-1]]),
+            correlations[best],
+            correlations[self.lags.index(0)],
+        )
 
 
-def _correlation(change: pd.Series, own: pd.Series) -> float:
-    """Return the correlation where both are known; NaN for too few, or if one does not change.
+@dataclass(frozen=True)
+class LagEstimate:
+    """A lag in frames; unless it was stated, the range of those that fit as well, and how signals correlate."""
+
+    lag: int
+    range: tuple[int, int] | None = None
+    correlation: float | None = None
+    correlation_at_0: float | None = None
+
+
+def _correlation(signal: np.ndarray, pressed_n: np.ndarray) -> float:
+    """Return Pearson's correlation where both are known; NaN for too few, or if one does not change.
 
     Rounding would decide the latter.
     """
-    known = own.notna()
-    change, own = change[known], own[known]
-    if len(own) < _FEWEST_FRAMES or np.ptp(change) == 0 or np.ptp(own) == 0:
+    known = np.isfinite(pressed_n)
+    signal, pressed_n = signal[known], pressed_n[known]
+    if len(pressed_n) < _FEWEST_FRAMES or np.ptp(signal) == 0 or np.ptp(pressed_n) == 0:
         return float("nan")
-    return float(change.corr(own))
+    return float(np.corrcoef(signal, pressed_n)[0, 1])
+
+
+def _independent_errors(signal: np.ndarray, pressed_n: np.ndarray) -> float:
+    """Return how many independent errors a line from the signal to the force has, one at least."""
+    known = np.isfinite(pressed_n)
+    line = np.polynomial.Polynomial.fit(signal[known], pressed_n[known], 1)
+    errors = pressed_n[known] - line(signal[known])
+    correlated = np.correlate(errors, errors, "full")[len(errors) - 1 :]
+    positive = correlated[: np.argmax(correlated <= 0) or None]
+    return (
+        max(len(errors) * correlated[0] / (2 * positive.sum() - correlated[0]), 1.0) if correlated[0] else 1.0
+    )
 
 
 def _pressing_n(labels: pd.DataFrame) -> np.ndarray:
@@ -272,30 +363,32 @@ def mean_rgb(picture: np.ndarray) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _recordings(folder: Path, every: int) -> Iterator[Selection]:
+def _recordings(folder: Path, every: int, lag: int | None) -> Iterator[Selection]:
     """Select from the clips of a user's folder; the folder is their session."""
-    tables = sorted(folder.glob("*.csv"))
+    tables = tables_in(folder)
     if not tables:
         raise ValueError(f"{folder} holds no recordings: {_LAYOUT}")
-    return (_recorded_clip(table).selected(every) for table in tables)
+    return (_recorded_clip(table).selected(every, lag) for table in tables)
 
 
 def _recorded_clip(table: Path) -> Clip:
-    columns, _ = known_columns(table, ("time_s", *QUANTITIES))
+    columns, notes = known_columns(table, ("time_s", *QUANTITIES), needed=["time_s"])
     names = known_labels(columns)
-    if "time_s" not in columns or not set(names) & set(FORCE_COLUMNS):
+    if not set(names) & set(FORCE_COLUMNS):
         raise ValueError(
             f"{table} must have the column time_s and one of {', '.join(FORCE_COLUMNS)} at least"
         )
     labels = pd.DataFrame({name: columns[name] for name in names}, columns["time_s"])
-    if not np.isfinite(labels).all(axis=None):
-        raise ValueError(f"{table}: every label must be a finite number")
     pressed_n = _pressing_n(labels)
-    if pressed_n.max() < -pressed_n.min():
+    if np.nanmax(pressed_n) < -np.nanmin(pressed_n):
         raise ValueError(
-            f"{table}: fz_n reaches {-pressed_n.min():.3g} N and no less than {-pressed_n.max():.3g} N; in compression "
-            "Fz must be negative (the force of the indenter on the sensor): turn its sign"
+            f"{table}: fz_n reaches {-np.nanmin(pressed_n):.3g} N and no less than {-np.nanmax(pressed_n):.3g} N; in "
+            "compression Fz must be negative (the force of the indenter on the sensor): turn its sign"
         )
+    _check_order(columns["time_s"], table)
+    if repeated := int(labels.index.duplicated().sum()):
+        labels = labels.groupby(level=0).mean()
+        notes.append(f"{repeated} rows repeat the time of the row before: their mean is taken")
     beside = [table.with_suffix(suffix) for suffix in ("", *VIDEOS)]
     sources = [path for path in beside if path.exists()]
     if len(sources) != 1:
@@ -303,21 +396,39 @@ def _recorded_clip(table: Path) -> Clip:
         raise ValueError(f"the clip of {table}{many}; {_LAYOUT}")
     (source,) = sources
     if source.is_dir():
-        tables = sorted(source.glob("*.csv"))
-        of_pictures, _ = known_columns(tables[0], ("picture", "time_s")) if len(tables) == 1 else ({}, [])
-        if not {"picture", "time_s"} <= of_pictures.keys():
+        tables = tables_in(source)
+        if len(tables) != 1:
             raise ValueError(f"{source} must hold one table with the columns picture, time_s")
-        paths = [picture_path(tables[0], name) for name in of_pictures["picture"]]
+        of_pictures, notes_of_pictures = known_columns(tables[0], (needed := ("picture", "time_s")), needed)
+        notes += notes_of_pictures
         time_s = of_pictures["time_s"]
-        pictures: Callable[[], Iterable[np.ndarray]] = partial(map, read_image, paths)
+        pictures = partial(map, read_image, picture_paths(tables[0], of_pictures["picture"]))
+        _check_order(time_s, tables[0])
+        if (repeats := np.flatnonzero(np.diff(time_s) == 0)).size:
+            raise ValueError(
+                f"{tables[0]}: rows {repeats[0] + 1} and {repeats[0] + 2} below the header have one time, "
+                f"{time_s[repeats[0]]:.10g} s: a camera takes one picture at a time"
+            )
     else:
         # 0 is OpenCV's CAP_PROP_POS_MSEC.
         time_s = np.array([video.get(0) / 1000 for video in _grabbed(source)])
         pictures = partial(video_pictures, source)
-    for times, place in ((time_s, source), (columns["time_s"], table)):
-        if not (np.isfinite(times).all() and (np.diff(times) > 0).all()):
-            raise ValueError(f"{place}: times must be finite and increase from row to row")
-    return Clip(table.stem, table.parent.resolve().name, pictures, time_s, labels)
+        _check_order(time_s, source)
+    # Tables are written with seven digits, which the seconds since 1970 need for themselves.
+    labels.index -= (origin_s := labels.index[0])
+    return Clip(
+        table.stem, table.parent.resolve().name, pictures, time_s - origin_s, labels, notes=tuple(notes)
+    )
+
+
+def _check_order(time_s: np.ndarray, place: Path) -> None:
+    for row in np.flatnonzero(~np.isfinite(time_s)).tolist():
+        raise ValueError(f"{place}: row {row + 1} below the header has no time")
+    for row in np.flatnonzero(np.diff(time_s) < 0).tolist():
+        raise ValueError(
+            f"{place}: times must not fall, and in row {row + 2} below the header {time_s[row + 1]:.10g} s comes after "
+            f"{time_s[row]:.10g} s"
+        )
 
 
 def video_pictures(path: Path) -> Iterator[np.ndarray]:

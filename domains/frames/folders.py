@@ -6,7 +6,7 @@ folder of pictures and one CSV table with named columns, as of a GelSight Mini.
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from gelgap.domains.frames.labels import (
     covering,
 )
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
-from gelgap.domains.frames.tables import known_columns, plain_name, read_table, whole_numbers
+from gelgap.domains.frames.tables import known_columns, plain_name
 
 PUBLISHED_REFERENCE = "ref.jpg"
 # All frames of the published parts once more, in one folder.
@@ -81,7 +81,7 @@ def domain_folders(folder: Path | str) -> tuple[Path, ...]:
 
 def layout_problem(folder: Path) -> str | None:
     """Return why a folder is not a data set, and what was looked for; None if it has a known layout."""
-    tables = _tables(folder)
+    tables = tables_in(folder)
     if (folder / MANIFEST).exists() or _is_published(folder) or len(tables) == 1:
         return None
     if tables:
@@ -106,7 +106,8 @@ def _files(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: re.sub("[0-9]+", lambda number: number[0].zfill(20), str(path)))
 
 
-def _tables(folder: Path) -> list[Path]:
+def tables_in(folder: Path) -> list[Path]:
+    """Return the CSV tables of a folder."""
     return [path for path in _files(folder) if path.parent == folder and path.suffix.lower() == ".csv"]
 
 
@@ -195,10 +196,7 @@ def _published_part(table: Path) -> tuple[list[Path], dict[str, np.ndarray]]:
     part = table.parents[1]
     if not table.is_file():
         raise FileNotFoundError(f"{table} is missing; every part has its forces there")
-    columns, _ = known_columns(table, FORCE_COLUMNS)
-    classes = [row.get("label") for row in read_table(table)]
-    if all(classes):
-        columns["contact_class"] = whole_numbers(np.array(classes, float), f"{table}, column 'label'")
+    columns, _ = known_columns(table, (*FORCE_COLUMNS, "contact_class"))
     if not set(FORCE_COLUMNS) <= columns.keys():
         raise ValueError(f"{table} lacks one of the columns {', '.join(PUBLISHED_FORCES)}")
     paths = [part / "images" / f"{number}.jpg" for number in range(len(columns["fz_n"]))]
@@ -217,10 +215,10 @@ def _picture_folder(folder: Path) -> PictureFiles:
     Pictures lie in the folder or in its `images/`. Labels beyond the paper's ranges of forces widen them to the next
     0.1 N, which is noted.
     """
-    tables = _tables(folder)
+    tables = tables_in(folder)
     if tables:
         columns, notes = known_columns(tables[0], needed=["picture"])
-        paths = [picture_path(tables[0], name) for name in columns.pop("picture")]
+        paths = picture_paths(tables[0], columns.pop("picture"))
     else:
         columns, notes = {}, []
         paths = [path for path in _pictures(folder) if not _is_reference(path)]
@@ -256,7 +254,7 @@ def _own_references(table: Path, columns: dict[str, np.ndarray]) -> list[Path]:
     The latter is `references/<clip>.png`. Without either it is empty: all rows share one.
     """
     if "reference" in columns:
-        return [picture_path(table, name) for name in columns.pop("reference")]
+        return picture_paths(table, columns.pop("reference"))
     if "clip" not in columns or not (table.parent / REFERENCES).is_dir():
         return []
     of_clip = {
@@ -280,9 +278,12 @@ def _shared_reference(
     return paths[index]
 
 
-def picture_path(table: Path, name: str) -> Path:
-    """Return the picture that a table names, in its folder or `images/`; a ValueError if it is not there."""
-    return _file_of(table, f"the picture {name!r}", [name, f"images/{name}"])
+def picture_paths(table: Path, names: Iterable[str]) -> list[Path]:
+    """Return the picture of each row of a table, in its folder or `images/`; a ValueError if one is not there."""
+    return [
+        _file_of(table, f"the picture {name!r} in row {row} below the header", [name, f"{IMAGES}/{name}"])
+        for row, name in enumerate(names, 1)
+    ]
 
 
 def _file_of(table: Path, what: str, places: Sequence[str]) -> Path:

@@ -1,121 +1,280 @@
-"""Tables as people write them: columns found by the names that are usual, cells checked row by row."""
+"""Tables as people write them: columns found by usual names, units converted to gelgap's, cells checked row by row."""
 
+import codecs
 import csv
-from collections.abc import Iterable
+import io
+import re
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
 
+from gelgap.assets.image_file import SUFFIXES
 from gelgap.assets.names import quoted
+from gelgap.assets.toml_file import named_in_errors
+from gelgap.domains.frames.labels import QUANTITIES, known_labels
 
-# Names under which people write the same thing; letters and digits alone count.
-PICTURE_NAMES = ("image", "file", "filename", "path", "picture", "frame", "img", "imagepath", "imagefile")
+MOST_BYTES = 2**28
+
+# Names under which people write the same thing; case does not count, nor what stands between their parts.
 NUMBERS = {
-    **{f"f{axis}_n": (f"f{axis}", f"f{axis}n", f"force{axis}", f"force{axis}n") for axis in "xyz"},
-    **{f"m{axis}_nmm": (f"m{axis}", f"m{axis}nmm", f"torque{axis}", f"torque{axis}nmm") for axis in "xyz"},
-    "x_mm": ("xmm", "x"),
-    "y_mm": ("ymm", "y"),
-    "depth_mm": ("depthmm", "depth"),
-    "time_s": ("times",),
+    **{f"f{axis}_n": (f"f {axis}", f"force {axis}", f"{axis} force") for axis in "xyz"},
+    **{
+        f"m{axis}_nmm": (f"m {axis}", f"t {axis}", f"torque {axis}", f"moment {axis}", f"{axis} torque")
+        for axis in "xyz"
+    },
+    "x_mm": ("x",),
+    "y_mm": ("y",),
+    "depth_mm": ("depth",),
+    "time_s": ("times", "time stamps", "ts", "time stamp", "time", "stamp", "t"),
 }
-WHOLE_NUMBERS = {"contact_class": ("contactclass", "class", "label"), "point_id": ("pointid", "point")}
+WHOLE_NUMBERS = {"contact_class": ("contact class", "class", "label"), "point_id": ("point id", "point")}
 GROUPS = {"clip": ("clip",), "object": ("object",), "session": ("session",)}
+PICTURE_NAMES = (
+    *("image", "file", "file name", "path", "picture", "frame", "img", "image path", "image file"),
+    *("image name", "img path", "file path"),
+)
 TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",), "picture": PICTURE_NAMES}
 COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
+# One force of several axes, or of none that is known.
+_WHOLE_FORCES = ("force", "forces", "wrench", "ft", "force torque", "load")
+
+UNITS = {
+    "N": {"n": 1, "mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "kg": 9.80665, "lb": 4.4482216, "oz": 0.27801385},
+    "N·mm": {"nmm": 1, "nm": 1e3, "ncm": 10, "mnm": 1, "mnmm": 1e-3, "kgcm": 98.0665, "inlb": 112.98483}
+    | {"lbin": 112.98483, "inoz": 7.0615518, "ozin": 7.0615518},
+    "mm": {"mm": 1, "cm": 10, "m": 1e3, "um": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4},
+    "s": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60},
+}
+"""What one of each unit is in gelgap's; names as `_plain_unit` writes them."""
+_LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um"}
+_LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
+_UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?P<appended>.+))?"
 # What people and programs write where there is no value.
 EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "null", "none")
+# Times without a unit are seconds if they are closer than this; milliseconds of a log at 1 kHz are 1 apart.
+_LONGEST_LIKELY_STEP_S = 0.5
 
 
-def read_table(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV table by the names of its columns, without spaces around names and values."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
-            header = reader.fieldnames or ()
-            if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-                raise ValueError(
-                    f"{path} has no comma in its header {quoted(header[0])}: separate columns by commas"
-                )
-            return [
-                {name.strip(): (value or "").strip() for name, value in row.items() if name is not None}
-                for row in reader
-            ]
-    except (csv.Error, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None
+class _UnusableError(ValueError):
+    """A column holds something else than its name says."""
 
 
-def known_columns(
-    table: Path, wanted: Iterable[str] = COLUMNS, needed: Iterable[str] = ()
-) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Return the wanted columns that a table has, (n,) each by our name, and sentences on what is unusual about them.
+def read_table(path: Path) -> list[tuple[str, list[str]]]:
+    """Return the columns of a CSV table, (header, cells), without spaces around them.
 
-    Where a cell has no value, a number is NaN, that of a class or point −1. A column without any value is left out, and
-    so is one that holds something else than its name says, unless it is needed.
+    Tabs or semicolons separate its columns if the header has one, else commas. It is in UTF-8, or UTF-16 with a mark.
 
     Raises
     ------
     ValueError
-        If there is no row, a cell is not what its column needs, or a needed column is absent.
+        If it is too large, is not such a table, or a row has another number of cells than the header.
     """
-    rows = read_table(table)
-    if not rows:
-        raise ValueError(f"{table} has no rows")
-    found: dict[str, np.ndarray] = {}
-    notes: list[str] = []
-    unread = dict.fromkeys(name for name in rows[0] if name)
-    for ours in wanted:
-        theirs = next((name for name in rows[0] if name and plain_name(name) in COLUMNS[ours]), None)
-        if theirs is None:
-            continue
-        unread.pop(theirs)
-        values, where = [row[theirs] for row in rows], f"{table}, column {theirs!r}"
-        if ours in TEXTS:
-            if ours in GROUPS and not all(values):
-                raise ValueError(f"{where}: every row must hold a name")
-            found[ours] = np.array(values, dtype=object)
-            continue
-        numbers = _numbers(values, where)
-        lacking = int(np.isnan(numbers).sum())
-        if lacking == len(numbers):
-            notes.append(f"no row has a value of {theirs!r}: the column is left out")
-            continue
-        if lacking:
-            notes.append(f"{lacking} of {len(numbers)} rows have no value of {theirs!r}")
-        found[ours] = numbers if ours in NUMBERS else whole_numbers(numbers, where)
-    if missing := [name for name in needed if name not in found]:
+    if path.stat().st_size > MOST_BYTES:
         raise ValueError(
-            f"{table} must have the column {missing[0]}; it has {', '.join(name for name in rows[0] if name)}"
+            f"{path} has {path.stat().st_size >> 20} MiB; tables have at most {MOST_BYTES >> 20} MiB"
         )
+    data = path.read_bytes()
+    is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = data.decode("utf-16" if is_utf_16 else "utf-8-sig")
+        separator = next((mark for mark in "\t;" if mark in text.partition("\n")[0]), ",")
+        lines = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
+        rows = [row for row in ([cell.strip() for cell in line] for line in lines) if any(row)]
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise ValueError(f"{path} is not a CSV table in UTF-8: {error}") from None
+    if len(rows) < 2:
+        raise ValueError(f"{path} has no rows")
+    header = rows.pop(0)
+    for number, row in enumerate(rows, 1):
+        if len(row) < len(header) or any(row[len(header) :]):
+            raise ValueError(
+                f"{path}: row {number} below the header has {len(row)} cells, and the header {len(header)}; numbers "
+                "are written with a decimal point, and texts with a comma in quotes"
+            )
+    return [(name, [row[place] for row in rows]) for place, name in enumerate(header)]
+
+
+def known_columns(
+    table: Path, wanted: Iterable[str] = COLUMNS, needed: Collection[str] = ()
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Return the wanted columns that a table has, (n,) each by our name, and sentences on what is unusual about them.
+
+    Units that headers state are converted. Where a cell has no value, a number is NaN, that of a class or point −1. A
+    column without any value is left out, and so is one that holds something else than its name says, unless it is
+    needed or the only label.
+
+    Raises
+    ------
+    ValueError
+        If a cell is not what its column needs, a header states an unknown unit, two headers mean the same label, or a
+        needed column is absent; the message names the header and the row.
+    """
+    with named_in_errors(table):
+        return _known_columns(read_table(table), wanted, needed)
+
+
+def _known_columns(
+    columns: list[tuple[str, list[str]]], wanted: Iterable[str], needed: Collection[str]
+) -> tuple[dict[str, np.ndarray], list[str]]:
+    found: dict[str, np.ndarray] = {}
+    unusable: dict[str, str] = {}
+    notes: list[str] = []
+    without_unit: dict[str, str] = {}
+    unread = [header for header, _ in columns if header]
+    for ours in wanted:
+        usable = []
+        for header, cells in columns:
+            unit = _unit(header, COLUMNS[ours], _own_unit(ours))
+            if unit is None:
+                continue
+            unread = [other for other in unread if other != header]
+            if all(cell.lower() in EMPTY for cell in cells):
+                notes.append(f"no row has a value of {header!r}: the column is left out")
+                continue
+            try:
+                usable.append((header, unit, _values(ours, header, cells, unit)))
+            except _UnusableError as problem:
+                unusable[ours] = str(problem)
+        if len(usable) > 1:
+            headers = " and ".join(repr(header) for header, *_ in usable)
+            unusable[ours] = f"the columns {headers} mean the same, {ours}: take one out, or rename it"
+            if ours in QUANTITIES:
+                raise ValueError(unusable[ours])
+        for header, unit, values in usable[:1] if len(usable) == 1 else ():
+            found[ours] = values
+            if ours not in NUMBERS:
+                continue
+            if lacking := int(np.isnan(values).sum()):
+                notes.append(f"{lacking} of {len(values)} rows have no value of {header!r}")
+            if not unit:
+                without_unit[header] = _own_unit(ours)
+            elif UNITS[_own_unit(ours)][unit] != 1:
+                notes.append(f"{header!r} is converted to {_own_unit(ours)}")
+    for name in needed:
+        if name not in found:
+            there = ", ".join(header for header, _ in columns if header)
+            raise ValueError(unusable.get(name, f"the column {name} is needed; there are {there}"))
+    if not known_labels(found):
+        _check_unlabelled(unusable, unread)
+    notes += [f"{problem}; not read" for problem in unusable.values()]
+    if without_unit:
+        told = ", ".join(f"{header} is read in {unit}" for header, unit in without_unit.items())
+        notes.append(f"no unit is stated: {told}")
     if unread:
         notes.append(f"columns that are not read: {', '.join(unread)}")
     return found, notes
 
 
-def _numbers(values: list[str], where: str) -> np.ndarray:
+def _check_unlabelled(unusable: dict[str, str], unread: Iterable[str]) -> None:
+    """Raise a ValueError if a table without a usable label has a column that was meant as one."""
+    for name in known_labels(unusable):
+        raise ValueError(unusable[name])
+    for header in unread:
+        if _unit(header, _WHOLE_FORCES, "N") is not None:
+            raise ValueError(
+                f"column {header!r} does not say which axis of the force it is: write a column for each that was "
+                "measured, fx_n, fy_n, fz_n in N (pressing gives a negative fz_n)"
+            )
+
+
+def _own_unit(ours: str) -> str:
+    return QUANTITIES[ours].unit if ours in QUANTITIES else "s" if ours == "time_s" else ""
+
+
+def _unit(header: str, names: Iterable[str], own_unit: str) -> str | None:
+    """Return the unit that a header states, a key of `UNITS[own_unit]`, empty where it states none.
+
+    None if it is none of the names. `Fz [mN]`, `Force Z, mN`, `fz/mN`, `Fz_mN` and `FzmN` state one.
+
+    Raises
+    ------
+    ValueError
+        If the unit is unknown, or one of another quantity.
+    """
+    # Longest first: `time stamp` is no `time` with a unit.
+    any_name = "|".join(name.replace(" ", r"[\W_]*") for name in sorted(names, key=len, reverse=True))
+    stated = re.fullmatch(f"(?:{any_name}){_UNIT}", header, re.IGNORECASE)
+    if stated is None:
+        return None
+    told = stated["bracketed"] or stated["listed"] or stated["appended"] or ""
+    unit = re.sub(r"[\s·⋅*.^_-]|f(?=$|cm|in)", "", told.lower().replace("µ", "u").replace("μ", "u"))
+    unit = _LONG_UNITS.get(unit, unit)
+    known = UNITS.get(own_unit, {})
+    if not told or unit in known:
+        return unit
+    is_unit = stated["gap"] and any(unit in others for others in UNITS.values())
+    if not known or (stated["appended"] and not is_unit):
+        return None
+    raise ValueError(f"column {header!r} states the unit {told!r}: known units are {', '.join(known)}")
+
+
+def _values(ours: str, header: str, cells: list[str], unit: str) -> np.ndarray:
+    """Return the values (n,) of a column.
+
+    Raises
+    ------
+    _UnusableError, ValueError
+        If it holds something else than its name says; if it is broken.
+    """
+    if ours in TEXTS:
+        return _texts(ours, header, cells)
+    numbers = _numbers(header, cells)
+    if ours in WHOLE_NUMBERS:
+        numbers = np.nan_to_num(numbers, nan=-1)
+        for row in np.flatnonzero((numbers != np.rint(numbers)) | (np.abs(numbers) >= 2**31)).tolist():
+            raise ValueError(
+                f"column {header!r}: every row must hold a whole number, and row {row + 1} below the header holds "
+                f"{quoted(cells[row])}"
+            )
+        return numbers.astype(np.int64)
+    steps = np.abs(np.diff(numbers[np.isfinite(numbers)]))
+    if ours == "time_s" and not unit and len(steps) and np.median(steps) > _LONGEST_LIKELY_STEP_S:
+        raise _UnusableError(
+            f"column {header!r} states no unit, and its values are {np.median(steps):g} apart, much for seconds: state "
+            "the unit, as in time_s or time_ms"
+        )
+    return numbers * UNITS[_own_unit(ours)].get(unit, 1)
+
+
+def _texts(ours: str, header: str, cells: list[str]) -> np.ndarray:
+    for row, cell in enumerate(cells, 1):
+        held = quoted(cell) if cell else "nothing"
+        if ours == "picture" and Path(cell).suffix.lower() not in SUFFIXES:
+            raise _UnusableError(
+                f"column {header!r}: row {row} below the header holds {held}, and names of pictures end in "
+                f"{', '.join(SUFFIXES)}"
+            )
+        if not cell:
+            kind = ValueError if ours == "reference" else _UnusableError
+            raise kind(
+                f"column {header!r}: every row must hold a name, and row {row} below the header holds {held}"
+            )
+    return np.array(cells, dtype=object)
+
+
+def _numbers(header: str, cells: list[str]) -> np.ndarray:
     """Return numbers (n,), NaN where a cell has no value."""
-    numbers = np.full(len(values), np.nan)
-    for row, value in enumerate(values):
-        if value.lower() in EMPTY:
+    numbers = np.full(len(cells), np.nan)
+    wrong = {}
+    for row, cell in enumerate(cells):
+        if cell.lower() in EMPTY:
             continue
         try:
-            numbers[row] = float(value)
+            numbers[row] = float(cell)
         except ValueError:
-            numbers[row] = np.inf
+            wrong[row] = cell
         if np.isinf(numbers[row]):
-            raise ValueError(
-                f"{where}: every row must hold a finite number or nothing, and row {row + 1} below the header holds "
-                f"{quoted(value)}"
-            )
+            wrong[row] = cell
+    for row, cell in wrong.items():
+        remedy = "; write a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", cell) else ""
+        kind = _UnusableError if np.isnan(numbers).all() else ValueError
+        raise kind(
+            f"column {header!r}: every row must hold a finite number or nothing, and row {row + 1} below the header "
+            f"holds {quoted(cell)}{remedy}"
+        )
     return numbers
 
 
-def whole_numbers(numbers: np.ndarray, where: str) -> np.ndarray:
-    """Return numbers (n,) as integers, −1 where one is NaN."""
-    numbers = np.nan_to_num(numbers, nan=-1)
-    if not (np.abs(numbers) < 2**31).all():
-        raise ValueError(f"{where}: every row must hold a whole number")
-    return numbers.astype(np.int64)
-
-
 def plain_name(name: str) -> str:
-    return "".join(letter for letter in name.lower().split("(")[0] if letter.isalnum())
+    return "".join(letter for letter in name.lower() if letter.isalnum())

@@ -153,7 +153,8 @@ def test_a_folder_of_pictures_alone_is_an_unlabelled_domain(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("name", "problem"), [("reference.png", "is not a data set"), ("old.CSV", "must have the")]
+    ("name", "problem"),
+    [("reference.png", "is not a data set"), ("old.CSV", "column picture is needed; there are a, b")],
 )
 def test_what_is_no_folder_of_pictures_is_not_taken_for_one(tmp_path: Path, name: str, problem: str):
     picture(tmp_path / "reference.png", 99)
@@ -173,7 +174,21 @@ def picture_folder(folder: Path, text: str) -> Path:
     ("text", "problem"),
     [
         ("picture,fz_n\n0.png,0\n1.png,-0.5\n2.png,soft\n", "row 3 below the header holds 'soft'"),
-        ("picture;fz_n\n0.png;0\n1.png;-0.5\n", "'picture;fz_n': separate columns by commas"),
+        ("picture;fz_n\n0.png;0\n1.png;-0,5\n", "row 2 below the header holds '-0,5'; write a decimal point"),
+        ("picture,fz_n\n0.png,0\n1.png,-0,5\n", "row 2 below the header has 3 cells, and the header 2"),
+        ("picture,fz_n,fx\n0.png,0,0\n1.png,-0.5\n", "row 2 below the header has 2 cells, and the header 3"),
+        ("picture,fz_n\n0.png,0\n,-0.5\n", "column 'picture': row 2 below the header holds nothing"),
+        (
+            "picture,fz_n\n0.png,0\n7.png,-0.5\n",
+            "the picture '7.png' in row 2 below the header, which is not",
+        ),
+        (
+            "picture,fz_n,label\n0.png,0,0.2\n1.png,-1,0.9\n",
+            "whole number, and row 1 below the header holds '0.2'",
+        ),
+        ("picture,fz_n\n0.png,soft\n1.png,hard\n", "row 1 below the header holds 'soft'"),
+        ('picture,force\n0.png,"[0.1, 0.2]"\n', "'force' does not say which axis"),
+        ("picture,Fz (mN),Fz (N)\n0.png,-50,-0.05\n", r"'Fz \(mN\)' and 'Fz \(N\)' mean the same, fz_n"),
     ],
 )
 def test_a_table_that_cannot_be_read_names_the_row_or_the_separator(text: str, problem: str, tmp_path: Path):
