@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.locks import cache_folder
+from gelgap.assets.names import one_line
 from gelgap.assets.whole_file import DAMAGED_SUFFIX, TEMPORARY_SUFFIX, set_aside, write_whole
 from gelgap.sim.problem import ContactProblem
 
@@ -91,6 +92,8 @@ class Solution:
 
     A problem has one solution, so two solutions are equal if their problems are.
     """
+
+    __repr__ = one_line
 
     problem: ContactProblem
     rest_mm: NDArray[np.float64]

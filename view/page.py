@@ -12,7 +12,7 @@ import viser
 from gelgap.assets.names import quoted
 from gelgap.render import difference_picture
 from gelgap.view.controls import Controls
-from gelgap.view.panels import ComparePanel, DataPanel, Readout, narrow_html
+from gelgap.view.panels import ComparePanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
 from gelgap.view.scene3d import Scene3d
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
@@ -85,8 +85,6 @@ class Page:
             self._compare = ComparePanel(gui, self._model.pictures)
         with tabs.add_tab("Save"):
             add_savers(gui, self._save)
-        with tabs.add_tab("Data"):
-            self._data = DataPanel(gui)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_KNOBS_WIDTH_PX)
         self.controls.solve.on_click(lambda _: self._solve_pose())
