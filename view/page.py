@@ -27,6 +27,12 @@ window.gelgapKeys ||= (document.body.addEventListener('keydown', (event) => {
 }), true)">"""
 
 
+# In a window too narrow for panels side by side, viser's one panel covers all but a strip of the scene.
+_SCENE_STAYS_IN_VIEW = """<style>@media (max-width: 699px) {
+  .mantine-Paper-root:has([role=tablist]) { width: 100% !important; max-height: 40% !important }
+}</style>"""
+
+
 def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -> "Page":
     """Open the page of a configuration; port 0 takes any free one, and `close` ends it.
 
@@ -75,7 +81,7 @@ class Page:
             self._readout = Readout(gui)
         pictures.dock_left()
         pictures.set_width(_PICTURES_WIDTH_PX)
-        gui.add_html(_KEYS_STAY_WITH_SLIDERS)
+        gui.add_html(_KEYS_STAY_WITH_SLIDERS + _SCENE_STAYS_IN_VIEW)
         self._scene = Scene3d(self._server, lambda number, place: self.controls.move_led(number, place))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Turn"):
