@@ -1,11 +1,13 @@
-"""Names and values in error sentences, and names that become names of files."""
+"""Names and values in error sentences and in the one line of a repr, and names that become names of files."""
 
+import reprlib
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from pathlib import PurePosixPath, PureWindowsPath
 
 LONGEST_QUOTED = 80
 _MOST_LISTED = 12
+_PROSE = ("description", "known", "assumed")
 
 
 def unknown_name(what: str, name: str, known: Iterable[str], of_known: str = "known") -> str:
@@ -62,3 +64,24 @@ def stays_inside(name: str) -> bool:
         and "\0" not in name
         and not any(path.is_absolute() or path.anchor or ".." in path.parts for path in paths)
     )
+
+
+def one_line(self: object) -> str:
+    """Return the public attributes of an object in a line, as its `__repr__`: of large ones what they are."""
+    told = [
+        f"{name}={_brief(value)}"
+        for name, value in vars(self).items()
+        if not name.startswith("_") and name not in _PROSE
+    ]
+    return f"{type(self).__name__}({', '.join(told)})"
+
+
+def _brief(value: object) -> str:
+    """Return an array's shape, a preset's name, how many objects a tuple has, and of other objects the type."""
+    if hasattr(value, "ndim") and value.ndim > 0:
+        return f"array {value.shape}" if value.size > 3 else str(value.round(4).tolist())
+    if isinstance(value, tuple) and value and hasattr(value[0], "__dict__"):
+        return f"{len(value)} × {type(value[0]).__name__}"
+    if hasattr(value, "__dict__"):
+        return repr(value.name) if getattr(value, "name", "") else f"{type(value).__name__}(…)"
+    return f"{len(value)} entries" if isinstance(value, dict) else reprlib.repr(value)

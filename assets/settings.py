@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from gelgap.assets import asset_path, load_preset
-from gelgap.assets.names import closest_name, quoted
+from gelgap.assets.names import closest_name, one_line, quoted
 from gelgap.assets.toml_file import named_in_errors, read_toml
 
 # As pydantic has them.
@@ -21,6 +21,8 @@ class Settings(BaseModel):
     """A frozen pydantic model that raises ValueError with one plain sentence instead of pydantic's report."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    __repr__ = one_line
 
     def __init__(self, /, **values: Any) -> None:
         try:

@@ -12,7 +12,9 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
+from gelgap.assets.names import one_line
 from gelgap.domains.domain import word
+from gelgap.domains.formats.pictures import encode_png
 from gelgap.domains.frames.dataset import ArrayFrames, LabelledFrames, join_domains, within_range
 from gelgap.domains.pretraining import SHARE_OF_VIEW, Draws, PretrainingRanges
 from gelgap.render import MembraneRenderer
@@ -50,6 +52,14 @@ class PressSample(NamedTuple):
     reference: np.ndarray
     force_n: np.ndarray
     draw: dict[str, float]
+
+    def __repr__(self) -> str:
+        x_n, y_n, z_n = self.force_n
+        return f"PressSample({self.number}, force ({x_n:+.3f}, {y_n:+.3f}, {z_n:+.3f}) N)"
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture beside its reference, which notebooks show."""
+        return encode_png(np.hstack([self.picture, self.reference]))
 
 
 class _Look(NamedTuple):
@@ -116,6 +126,8 @@ class PressStream(IterableDataset):
         self.start, self.stop, self.batch_size = start, stop, batch_size
         self._draws = Draws(self.ranges, seed, frozenset(without))
         self._libraries: dict[int, PoseLibrary] = {}
+
+    __repr__ = one_line
 
     def __iter__(self) -> Iterator[PressSample]:
         info = get_worker_info()

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gelgap.assets.names import one_line
+from gelgap.domains.formats.pictures import encode_png
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.sim import (
     Elastomer,
@@ -40,6 +42,15 @@ class Reading:
     force_error_n: NDArray[np.float64]
     state: MembraneState
     flags: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        pairs = zip(self.force_n, self.force_error_n, strict=True)
+        force = ", ".join(f"{value:+.3f} ± {error:.3f}" for value, error in pairs)
+        return f"Reading(force ({force}) N{''.join(f', {flag}' for flag in self.flags)})"
+
+    def _repr_png_(self) -> bytes | None:
+        """Return the picture, which notebooks show."""
+        return None if self.picture is None else encode_png(self.picture)
 
 
 class TactileSensor:
@@ -101,6 +112,8 @@ class TactileSensor:
         self._rng = None if noise_seed is None else np.random.default_rng(noise_seed)
         self._slides_from_mm = _sliding_travels(self.library)
         self.reset()
+
+    __repr__ = one_line
 
     def reset(self) -> None:
         """Lift the indenter off the gel, which forgets the contact."""

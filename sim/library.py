@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.checksums import canonical_json, sha256
+from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
 from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Floats, Indenter
@@ -248,6 +249,8 @@ class PoseLibrary:
     point, whose rows lie at `radius_mm`; `numbers` values or vectors by name. `held_out` has a row for each pose that
     was held out, None if none was; `solves` counts all that were needed.
     """
+
+    __repr__ = one_line
 
     plan: LibraryPlan
     depths_mm: Floats

@@ -1,5 +1,6 @@
 """The deformed outer membrane of one pose: its state and file, and how it follows from a solution's vertices."""
 
+import io
 import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.array_file import read_arrays
+from gelgap.assets.names import one_line
 from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
@@ -77,6 +79,28 @@ class MembraneState:
     converged: bool = True
     diagnostics: Diagnostics = field(default_factory=Diagnostics)
     torque_n_mm: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def __repr__(self) -> str:
+        x_n, y_n, z_n = self.force_n
+        how = "converged" if self.converged else "NOT converged"
+        return (
+            f"MembraneState(force ({x_n:+.3f}, {y_n:+.3f}, {z_n:+.3f}) N, contact radius {self.contact_radius_mm:.2f} "
+            f"mm, {len(self.x_mm)}×{len(self.y_mm)} points, {how})"
+        )
+
+    def _repr_png_(self) -> bytes:
+        """Return the membrane's depth as a picture, which notebooks show."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(4.5, 3.2), layout="constrained")
+        panel = figure.subplots()
+        edges_mm = self.x_mm[0], self.x_mm[-1], self.y_mm[-1], self.y_mm[0]
+        depth = panel.imshow(-self.displacement_mm[..., 2], extent=edges_mm)
+        panel.set(xlabel="x, mm", ylabel="y, mm")
+        figure.colorbar(depth, ax=panel, label="depth, mm")
+        png = io.BytesIO()
+        figure.savefig(png, format="png")
+        return png.getvalue()
 
     @property
     def rest_mm(self) -> Floats:
@@ -175,6 +199,8 @@ class SolvedPose:
     `pressure_mpa` is the normal pressure on the rest grid, (ny, nx), and `indenter_mm` (3,) how far the indenter has
     come from where it touches the gel, in the sensor's frame: less deep than commanded if a spring mounts it.
     """
+
+    __repr__ = one_line
 
     state: MembraneState
     pressure_mpa: NDArray[np.float32]

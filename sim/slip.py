@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelgap.assets.names import one_line
 from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.plan import SolvePlan, plan_visit
 from gelgap.sim.scene import Elastomer, Pose
@@ -19,6 +20,8 @@ class Slip:
     It is net slip: what went and came back is none. At the contact's rim, where the grid is finer than the mesh, it is
     uncertain by some hundredths of a millimetre.
     """
+
+    __repr__ = one_line
 
     x_mm: Floats
     y_mm: Floats

@@ -14,6 +14,7 @@ from pydantic import TypeAdapter
 
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.locks import cache_folder
+from gelgap.assets.names import one_line
 from gelgap.assets.whole_file import TEMPORARY_SUFFIX, write_whole
 from gelgap.sim.problem import ContactProblem
 
@@ -88,6 +89,8 @@ class Solution:
 
     A problem has one solution, so two solutions are equal if their problems are.
     """
+
+    __repr__ = one_line
 
     problem: ContactProblem
     rest_mm: NDArray[np.float64]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelgap.assets.names import one_line
 from gelgap.sim.indenter import Floats
 from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, traction_table
 from gelgap.sim.plan import SolvePlan, plan_visit
@@ -28,6 +29,8 @@ class Traction:
     `area_mm2` (ny, nx) that area: the sum of their product is the state's force, and of its moment the torque, to
     1e-6. `correction` is the share of the map that was added for this.
     """
+
+    __repr__ = one_line
 
     state: MembraneState
     point_mm: tuple[float, float]

@@ -22,6 +22,7 @@ OWN = "own"
 """What a dropdown says of a gel or light that is no preset; of a light also where it is the sensor's own."""
 # A value beyond a knob's range makes the range this many times as large as the value.
 _ROOM = 2.0
+_TYPING_S = 1.0
 
 
 class Controls:
@@ -146,11 +147,24 @@ class Controls:
 
         def callback(event: viser.GuiEvent) -> None:
             # Knobs that this class turns itself call back in the same thread.
-            if self._filling_thread != threading.get_ident():
+            if self._filling_thread == threading.get_ident():
+                return
+            if _lies_beyond(event.target):
+                # A number may be half typed.
+                threading.Timer(_TYPING_S, self._put_back, (event.target,)).start()
+            else:
                 self._apply(changed, event.target)
 
         self._knobs.append((knob, value))
         knob.on_update(callback)
+
+    def _put_back(self, knob: Any) -> None:
+        """Move a slider to the nearer end if the value that was typed for it still lies beyond its range."""
+        if _lies_beyond(knob):
+            typed, knob.value = knob.value, min(max(knob.value, knob.min), knob.max)
+            self._on_problem(
+                f"{knob.label} = {typed:g} lies outside {knob.min:g} to {knob.max:g}: {knob.value:g} is shown"
+            )
 
     def _apply(self, changed: Callable[[], Configuration], turned: Any = None) -> None:
         with self._lock:
@@ -229,6 +243,11 @@ class Controls:
     def _with_colour(self) -> Configuration:
         picked = recoloured(self._led, self.colour.value, self.wanted.sensor.camera)
         return self._with_led(spectrum=picked.spectrum)
+
+
+def _lies_beyond(knob: Any) -> bool:
+    """Return whether a knob has a range and its value is none of it."""
+    return getattr(knob, "min", None) is not None and not knob.min <= knob.value <= knob.max
 
 
 def _replaced(thing: Any, path: str, value: Any) -> Any:

@@ -12,7 +12,7 @@ import viser
 from gelgap.assets.names import quoted
 from gelgap.render import difference_picture
 from gelgap.view.controls import Controls
-from gelgap.view.panels import ComparePanel, DataPanel, Readout, narrow_html
+from gelgap.view.panels import ComparePanel, Readout, narrow_html
 from gelgap.view.saving import Files, add_savers, recipe_toml
 from gelgap.view.scene3d import Scene3d
 from gelgap.view.solver import Answer, Failed, Progress, Solved, Solver
@@ -25,6 +25,12 @@ _KEYS_STAY_WITH_SLIDERS = """<img src="data:," alt="" style="display:none" onerr
 window.gelgapKeys ||= (document.body.addEventListener('keydown', (event) => {
   if (event.target.closest('[role=slider], input')) event.stopPropagation();
 }), true)">"""
+
+
+# In a window too narrow for panels side by side, viser's one panel covers all but a strip of the scene.
+_SCENE_STAYS_IN_VIEW = """<style>@media (max-width: 699px) {
+  .mantine-Paper-root:has([role=tablist]) { width: 100% !important; max-height: 40% !important }
+}</style>"""
 
 
 def open_page(start: Configuration, host: str = "127.0.0.1", port: int = 8080) -> "Page":
@@ -75,7 +81,7 @@ class Page:
             self._readout = Readout(gui)
         pictures.dock_left()
         pictures.set_width(_PICTURES_WIDTH_PX)
-        gui.add_html(_KEYS_STAY_WITH_SLIDERS)
+        gui.add_html(_KEYS_STAY_WITH_SLIDERS + _SCENE_STAYS_IN_VIEW)
         self._scene = Scene3d(self._server, lambda number, place: self.controls.move_led(number, place))
         tabs = gui.add_tab_group()
         with tabs.add_tab("Turn"):
@@ -85,8 +91,6 @@ class Page:
             self._compare = ComparePanel(gui, self._model.pictures)
         with tabs.add_tab("Save"):
             add_savers(gui, self._save)
-        with tabs.add_tab("Data"):
-            self._data = DataPanel(gui)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_KNOBS_WIDTH_PX)
         self.controls.solve.on_click(lambda _: self._solve_pose())

@@ -1,27 +1,20 @@
-"""Parts of the page that show things: camera and figures, a source beside the target, and a domain on disk."""
+"""Parts of the page that show things: camera and figures, and a source beside the target."""
 
 from base64 import b64encode
-from collections.abc import Iterator
-from contextlib import contextmanager
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import viser
 
 from gelgap.assets import html_page
-from gelgap.domains import QUANTITIES, LabelledFrames, open_domain
 from gelgap.domains.formats.pictures import encode_jpeg
 from gelgap.domains.sweep import DomainGap
-from gelgap.render import difference_picture
 from gelgap.view.pictures import SIZE_PX, Picture, PictureMaker
 from gelgap.view.state import Configuration, Shown
 
 _GOOD, _BAD, _MIDDLING = "#2b8a3e", "#c92a2a", "#b08900"
 _GREY = np.full((SIZE_PX[1], SIZE_PX[0], 3), 128, np.uint8)
-# What is told of a frame beside its labels, where the data set has it.
-_COLUMNS = ("shear_x_mm", "shear_y_mm", "contact_class", "clip", "object", "session")
 
 
 class PicturePair:
@@ -151,74 +144,3 @@ def gap_html(gap: DomainGap, source: Shown, target: Shown) -> str:
         ("force of the target, N", forces[1]),
     )
     return html_page("panel.html", rows=rows)
-
-
-class DataPanel:
-    """The tab that opens a folder's frames, one at a time: picture, difference to the frame's reference, and labels."""
-
-    def __init__(self, gui: viser.GuiApi) -> None:
-        gui.add_markdown(
-            "Frames of a data set; the other panel and the scene go on showing the **live press**."
-        )
-        self._frames: LabelledFrames | None = None
-        self._references = np.empty((0, 0, 0, 3), np.uint8)
-        self._folder = gui.add_text("folder", "", hint="The folder of one domain, such as data/mb0i0")
-        opened = gui.add_button("Open")
-        self._index = gui.add_slider("frame", 0, 1, 1, 0, disabled=True)
-        self._pair = PicturePair(gui, "frame", "difference, ×2")
-        self._labels = gui.add_html("")
-        opened.on_click(lambda _: self.open(self._folder.value))
-        self._index.on_update(lambda _: self.show(int(self._index.value)))
-
-    def open(self, folder: str) -> None:
-        """Open a domain and show its first frame, or say why it cannot be opened."""
-        with self._told():
-            if not folder.strip():
-                raise ValueError("name the folder of one domain, such as data/mb0i0")
-            frames = open_domain(Path(folder.strip()).expanduser())
-            self._references = frames.references_at()
-            self._frames = frames
-            self._index.max = max(len(frames) - 1, 1)
-            self._index.disabled = False
-            self._index.value = 0
-            self.show(0)
-
-    def show(self, index: int) -> None:
-        """Show a frame, or say why it cannot be read."""
-        if (frames := self._frames) is None:
-            return
-        index = min(index, len(frames) - 1)
-        with self._told():
-            picture = frames.picture(index)
-            reference = self._references[frames.reference_id[index]]
-            self._pair.show(_enlarged(picture), _enlarged(difference_picture(picture, reference, 2.0)))
-            self._labels.content = labels_html(frames, index)
-
-    @contextmanager
-    def _told(self) -> Iterator[None]:
-        """Say on the page what is wrong with a data set."""
-        try:
-            yield
-        except (ValueError, OSError, RuntimeError) as error:
-            self._labels.content = sentence_html(str(error), bad=True)
-
-
-def labels_html(frames: LabelledFrames, index: int) -> str:
-    """Return a frame's labels, and what else is known of it, as HTML."""
-    rows = [("domain", frames.name), ("frame", f"{index} of {len(frames)}")]
-    columns = frames.columns
-    for name, (symbol, unit) in QUANTITIES.items():
-        if name in columns:
-            rows.append((f"{symbol}, {unit}", f"{round(columns[name][index], 3) + 0.0:+.3f}"))
-    for name in _COLUMNS:
-        if name in columns:
-            value = columns[name][index]
-            is_float = isinstance(value, float | np.floating)
-            rows.append((name, f"{round(float(value), 4) + 0.0:g}" if is_float else str(value)))
-    return html_page("panel.html", rows=rows)
-
-
-def _enlarged(picture: Picture) -> Picture:
-    """Return a small picture with each pixel repeated, so that it can be seen."""
-    times = max(1, SIZE_PX[0] // picture.shape[1])
-    return picture.repeat(times, axis=0).repeat(times, axis=1)

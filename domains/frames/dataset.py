@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelgap.assets.checksums import sha256
-from gelgap.domains.formats.pictures import resized, without_markers
+from gelgap.domains.formats.pictures import encode_png, resized, without_markers
 from gelgap.domains.frames.labels import (
     FORCE_COLUMNS,
     PAPER_FORCE_RANGE_N,
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 CONTACT_CLASSES = 361
 """How many contact classes the paper's grid has: without contact, and 5 depths × 6 radii × 12 directions."""
+_SHOWN_FRAMES, _SHOWN_PX = 6, 160
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,14 @@ class Frame:
     contact_class: int
     point_id: int
     labels: dict[str, float]
+
+    def __repr__(self) -> str:
+        labels = ", ".join(f"{name} {round(value, 4) + 0.0:g}" for name, value in self.labels.items())
+        return f"Frame({self.image.shape[1]}×{self.image.shape[0]} px, {labels})"
+
+    def _repr_png_(self) -> bytes:
+        """Return the picture, which notebooks show."""
+        return encode_png(self.image)
 
 
 class LabelledFrames(ABC):
@@ -119,6 +128,18 @@ class LabelledFrames(ABC):
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values())))
+
+    def __repr__(self) -> str:
+        labels = ", ".join(known_labels(self.columns)) or "none"
+        return f"{type(self).__name__}({self.name!r}, {len(self)} frames, labels {labels})"
+
+    def _repr_png_(self) -> bytes | None:
+        """Return some of the pictures side by side, which notebooks show."""
+        if not len(self):
+            return None
+        shown = np.linspace(0, len(self) - 1, min(len(self), _SHOWN_FRAMES)).astype(int)
+        size_px = self.image_size_px(_SHOWN_PX)
+        return encode_png(np.hstack([resized(self.picture(index), size_px) for index in shown]))
 
     def __getitem__(self, index: int) -> Frame:
         index = range(len(self))[index]

@@ -106,7 +106,7 @@ class StoredFrames(LabelledFrames):
             picture = self.decoded(data, f"{self.place_of(index)}: frame {index}")
             return resized(picture if markers else without_markers(picture), size_px)
 
-        doing = "decoding pictures" if markers else "hiding the markers"
+        doing = "decoding the pictures" if markers else "decoding the pictures and inpainting any markers"
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
             for start in range(0, len(self), _CHUNK):
                 LOG.info("%s of %s at %d×%d px, once: %d of %d", doing, self.name, *size_px, start, len(self))

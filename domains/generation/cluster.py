@@ -4,9 +4,11 @@ import contextlib
 import logging
 import os
 import re
+import socket
 from collections.abc import Iterator
 from itertools import count
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from gelgap.assets.locks import defer_signals
 from gelgap.assets.names import quoted
@@ -25,6 +27,7 @@ SYNCHRONOUS = "synchronous"
 # A worker that dies takes its task with it; the task is tried this many times again before it gets the blame.
 _RETRIES_AFTER_WORKER_DEATH = 5
 CONNECTION_TIMEOUT_S = 20
+ANSWER_TIMEOUT_S = 5
 # On a machine with far more to do than cores, processes of one's own take a while to answer.
 LOCAL_TIMEOUT_S = 120
 _ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^\s/]+:\d{1,5}/?|inproc://\S+")
@@ -44,6 +47,26 @@ def check_scheduler(scheduler: str | None, workers: int | None = None) -> None:
         )
     if scheduler not in (None, SYNCHRONOUS) and workers is not None:
         raise ValueError(f"workers = {workers}: the cluster at {scheduler} has its own; leave workers out")
+
+
+def check_answers(scheduler: str | None) -> None:
+    """Raise RuntimeError if nothing listens at a scheduler's address; Dask itself would try for half a minute."""
+    if scheduler in (None, SYNCHRONOUS):
+        return
+    kind, _, place = scheduler.rpartition("://")
+    address = urlsplit(f"//{place}")
+    if kind in ("", "tcp", "tls"):
+        try:
+            socket.create_connection((address.hostname, address.port), timeout=ANSWER_TIMEOUT_S).close()
+        except (OSError, ValueError) as error:
+            raise _no_answer(scheduler, error) from error
+
+
+def _no_answer(scheduler: str, error: Exception) -> RuntimeError:
+    return RuntimeError(
+        f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler` "
+        "and workers with `dask worker ADDRESS --nthreads 1`"
+    )
 
 
 def run(
@@ -151,16 +174,16 @@ def dask_client(scheduler: str | None, workers: int | None) -> Iterator["Client"
     from distributed import Client, LocalCluster
 
     # Dask reports every lost connection in many lines; what matters is raised as one error.
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in tuple(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
     check_scheduler(scheduler, workers)
     if scheduler is not None:
+        check_answers(scheduler)
         try:
             client = Client(scheduler, timeout=CONNECTION_TIMEOUT_S, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
-            raise RuntimeError(
-                f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler` "
-                "and workers with `dask worker ADDRESS --nthreads 1`"
-            ) from error
+            raise _no_answer(scheduler, error) from error
         try:
             yield client
         finally:

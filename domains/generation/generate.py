@@ -22,7 +22,7 @@ from gelgap.assets.whole_file import TEMPORARY_SUFFIX
 from gelgap.domains.domain import Domain
 from gelgap.domains.formats.domain_folder import REFERENCE, SHARDS, DomainFolder
 from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM, SCHEMA_VERSION
-from gelgap.domains.generation.cluster import check_scheduler, run
+from gelgap.domains.generation.cluster import check_answers, check_scheduler, run
 from gelgap.domains.generation.estimate import force_notes
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation, shard_starts
 from gelgap.domains.generation.shard import Shard, reference_png
@@ -142,6 +142,7 @@ def generate_recipes(
     names = tuple(recipe.name for recipe in recipes)
     check_named_once(names)
     check_scheduler(scheduler, workers)
+    check_answers(scheduler)
     plan = plan_generation(recipes)  # refuses contacts that cannot be solved before anything is written
     for note in force_notes(recipes):
         LOG.warning("%s", note)

@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from loaded_file import load_file
 
@@ -150,45 +149,6 @@ def test_a_source_is_set_beside_the_target(page: Any) -> None:
     page.do(page._swap)
     settled(page, lambda: page.shown.configuration.elastomer.young_modulus_mpa == 0.4)
     assert page.controls.elastomer.value == "e04"
-
-
-def write_pictures(folder: Path, table: str, size_px: tuple[int, int] = (32, 24)) -> None:
-    """Write a folder of three pictures of grey 0, 40 and 80, two references of grey 0 and 10, and a table."""
-    import cv2
-
-    greys = {"0.png": 0, "1.png": 40, "2.png": 80, "ref.png": 0, "other.png": 10}
-    for name, grey in greys.items():
-        cv2.imwrite(str(folder / name), np.full((size_px[1], size_px[0], 3), grey, np.uint8))
-    (folder / "labels.csv").write_text(table)
-
-
-def test_a_domain_is_opened_and_a_missing_one_is_not(page: Any, tmp_path: Path) -> None:
-    rows = "".join(f"{number}.png,0.1,0.2,-{number}\n" for number in range(3))
-    write_pictures(tmp_path, f"image,fx_n,fy_n,fz_n\n{rows}")
-    panel = page._data
-    panel.open("")
-    assert "name the folder" in panel._labels.content
-    panel.open(str(tmp_path / "nothing"))
-    assert "does not exist" in panel._labels.content
-    panel.open(str(tmp_path))
-    panel._index.value = 2
-    assert "-2.000" in panel._labels.content, panel._labels.content
-    assert panel._pair._handles[0].image.max() == 80
-
-
-def test_a_domain_with_fz_alone_and_references_of_its_own_is_shown(page: Any, tmp_path: Path) -> None:
-    rows = "0.png,ref.png,0,<a>\n1.png,ref.png,-1,<a>\n2.png,other.png,-2,b\n"
-    write_pictures(tmp_path, f"picture,reference,fz_n,clip\n{rows}")
-    panel = page._data
-    panel.open(str(tmp_path))
-    assert "Fx" not in panel._labels.content
-    assert "&lt;a&gt;" in panel._labels.content
-    panel.show(2)
-    assert "-2.000" in panel._labels.content
-    assert panel._pair._handles[1].image.max() == 255  # 128 + 2 × (80 − 10), clipped
-    panel.show(1)
-    assert panel._pair._handles[1].image.max() == 128 + 2 * 40
-    assert panel._pair._handles[0].image.shape == (240, 320, 3)
 
 
 @needs_browser
