@@ -24,6 +24,7 @@ NO_CLASS = -1
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
 _INTERIOR_THICKNESSES = 2.4
 _DEEPEST_THICKNESSES = 0.6
+_DEPTH_STEP_MM = 1e-3
 LARGEST_TURN_DEG = 90.0
 
 
@@ -124,6 +125,20 @@ class Elastomer(PresetSettings):
         """The moduli with which MuJoCo's energy acts as this gel's."""
         own = Moduli(self.young_modulus_mpa, self.poisson_ratio)
         return equivalent_moduli(own) if self.strain_energy == "isochoric" else own
+
+
+def deepest_mm(elastomer: Elastomer, indenter: Indenter) -> float:
+    """Return the largest depth that a gel allows: by its thickness, the indenter, and the size of its pad."""
+    from scipy.optimize import bisect
+
+    def too_wide_mm(depth_mm: float) -> float:
+        width_mm = np.ptp(np.reshape(indenter.cut_mm(depth_mm), (2, 2)), axis=1)
+        return float((width_mm - elastomer.pad_size_mm).max())
+
+    deepest = min(_DEEPEST_THICKNESSES * elastomer.thickness_mm, indenter.deepest_mm)
+    if too_wide_mm(deepest) <= 0 or too_wide_mm(_DEPTH_STEP_MM) > 0:
+        return deepest
+    return max(bisect(too_wide_mm, _DEPTH_STEP_MM, deepest, xtol=_DEPTH_STEP_MM) - _DEPTH_STEP_MM, 0.0)
 
 
 @dataclass(frozen=True)
