@@ -1,15 +1,13 @@
 """The body of a mesh file: its lower end, as far up as it is convex, in mm."""
 
 import logging
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gelgap.sim.indenter import Floats
-from gelgap.sim.rounded import LARGEST_TILT_DEG, from_triangles
+from gelgap.sim.rounded import from_triangles
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -17,10 +15,11 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 
 MeshUnit = Literal["mm", "cm", "m", "inch", "um"]
-_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "inch": 25.4, "um": 1e-3}
+# By trimesh's names.
+_UNITS = {"mm": "mm", "cm": "cm", "m": "m", "inch": "inch", "um": "microns"}
 _CAD_SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd", ".ipt", ".blend")
 _SMALLEST_MM, _LARGEST_MM = 0.1, 500.0
-MOST_HULL_POINTS = 4000
+_MOST_CORNERS = 4000
 # A body is convex if its hull's surface is nowhere further from its own, at this many places.
 _CONVEX_WITHIN_MM = 0.05
 _PLACES = 2000
@@ -30,19 +29,13 @@ _JUST_BELOW_MM = 1e-4
 _NUMBERS_AT_A_TIME = 10_000_000
 
 
-class ConvexPart(NamedTuple):
-    """The lowest point is at z = 0, and the middle of the lowest face on the axis.
+def convex_part(
+    path: Path, unit: MeshUnit | None, flip: bool, edge_radius_mm: float
+) -> tuple[Floats, Floats]:
+    """Return what can be pressed of a mesh file, by its bottom (−z) or if `flip` by its top, and what lies above.
 
-    `core_mm` (n, 3) are the corners of the convex part less its rounding, lifted onto z = 0; `above_mm` (m, 3) is what
-    of the rest comes lowest as the body is tilted.
-    """
-
-    core_mm: Floats
-    above_mm: Floats
-
-
-def convex_part(path: Path, unit: MeshUnit | None, flip: bool, edge_radius_mm: float) -> ConvexPart:
-    """Return what can be pressed of a mesh file: of its bottom (−z), or if `flip` of its top.
+    The first are the corners (n, 3) of the convex part less its rounding, lifted onto z = 0, the middle of its lowest
+    face on the axis; the second corners (m, 3) of the rest, over the lowest point of the rounded body.
 
     Raises
     ------
@@ -51,11 +44,15 @@ def convex_part(path: Path, unit: MeshUnit | None, flip: bool, edge_radius_mm: f
     ValueError
         If it is no mesh, its size is not credible, or its lower end is not convex or too small for the rounding.
     """
+    from scipy.spatial import QhullError
+
     try:
         mesh = _read(path, unit)
         if flip:
             mesh.vertices *= [1, -1, -1]
         return _part(mesh, path.name, edge_radius_mm)
+    except QhullError:
+        raise ValueError(f"indenter = {str(path)!r}: is flat where it touches the gel") from None
     except ValueError as error:
         raise ValueError(f"indenter = {str(path)!r}: {error}") from None
 
@@ -63,32 +60,34 @@ def convex_part(path: Path, unit: MeshUnit | None, flip: bool, edge_radius_mm: f
 def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
     import trimesh
 
+    if unit is not None and unit not in _UNITS:
+        raise ValueError(f"unit = {unit!r}: must be {', '.join(_UNITS)}")
     if not path.is_file():
         raise FileNotFoundError(f"mesh {path} does not exist")
     suffix = path.suffix.lower()
     if suffix in _CAD_SUFFIXES:
         raise ValueError("is no mesh but a CAD file; export STL, OBJ or GLB from the CAD program")
     try:
-        scene = trimesh.load_scene(path)
+        scene = trimesh.load_scene(path, process=False)
         mesh = scene.to_mesh()
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
     except Exception as error:  # readers of other people's formats raise whatever they like
         raise ValueError(f"is not a mesh that can be read ({error}); export STL, OBJ or GLB") from None
     if not len(mesh.faces):
-        raise ValueError("has no triangles; export a surface")
+        raise ValueError("holds no triangles; export a surface as STL, OBJ or GLB")
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("has corners that are not finite numbers; export it anew")
     unit = unit or mesh.units or ("m" if suffix in (".glb", ".gltf") else "mm")
-    mesh.vertices *= _MM[unit] if unit in _MM else trimesh.units.unit_conversion(unit, "mm")
-    size_mm = mesh.extents.max()
+    size = mesh.extents.max()
+    size_mm = size * trimesh.units.unit_conversion(_UNITS.get(unit, unit), "mm")
     if not _SMALLEST_MM <= size_mm <= _LARGEST_MM:
-        likely = {"m", "mm"} - {unit}
         raise ValueError(
-            f"is {size_mm:.3g} mm large if its numbers are in {unit}, must be {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm; "
-            f"are they in {' or '.join(sorted(likely))}? give --mesh-unit (in a TOML file: unit)"
+            f"is {size_mm:.6g} mm large if its numbers are in {unit}, must be {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm; "
+            f"are they in {'m' if size_mm < _SMALLEST_MM else 'mm'}? give --mesh-unit (in a TOML file: unit)"
         )
+    mesh.vertices *= size_mm / size
     if len(bodies := scene.graph.nodes_geometry) > 1:
         LOG.warning("%s: its %d bodies are pressed as one", path.name, len(bodies))
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
     faces = len(mesh.faces)
     mesh.fill_holes()
     if len(mesh.faces) > faces:
@@ -96,20 +95,16 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
     return mesh
 
 
-def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> ConvexPart:
+def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> tuple[Floats, Floats]:
     mesh.vertices[:, 2] -= mesh.bounds[0, 2]
     convex_mm, part, above = _convex_mm(mesh), mesh, np.zeros((0, 3))
     if convex_mm < mesh.extents[2]:
         part = _below(mesh, convex_mm)
         above = mesh.vertices[mesh.vertices[:, 2] > convex_mm - _JUST_BELOW_MM]
-        above = above[_extreme(above, _directions(math.radians(LARGEST_TILT_DEG + 5)))]
+        above = _extreme(above)
         size = " × ".join(f"{side:.3g}" for side in mesh.extents)
-        LOG.warning(
-            "%s: %s mm, is pressed by the lowest %.3g mm, which are convex; what is above has to stay off the gel",
-            name,
-            size,
-            convex_mm,
-        )
+        pressed = f"its lowest {convex_mm:.3g} mm are convex and are pressed"
+        LOG.warning("%s (%s mm): %s; what is above has to stay off the gel", name, size, pressed)
     corners = np.array(part.convex_hull.vertices)
     is_top = corners[:, 2] > convex_mm - 2 * _JUST_BELOW_MM
     if len(above) and np.all(np.ptp(corners[is_top, :2], axis=0) > np.ptp(corners[:, :2], axis=0) - 1e-6):
@@ -120,16 +115,18 @@ def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> ConvexPart:
         corners = _fewer(_eroded(corners, edge_radius_mm), name)
     lowest = corners[corners[:, 2] < corners[:, 2].min() + 1e-6]
     origin = np.array([*lowest[:, :2].mean(axis=0), corners[:, 2].min()])
-    return ConvexPart(corners - origin, above - origin + [0.0, 0.0, edge_radius_mm])
+    return corners - origin, above - origin + [0.0, 0.0, edge_radius_mm]
 
 
 def _convex_mm(mesh: "Trimesh") -> float:
     """Return the height up to which a mesh that stands on z = 0 is convex, which ends where there are corners."""
-    levels = np.unique(mesh.vertices[:, 2].round(4))
+    levels = np.append(np.unique(mesh.vertices[:, 2].round(4))[:-1], mesh.extents[2])
     levels = levels[levels > _LEAST_CONVEX_MM]
+    if not len(levels):
+        raise ValueError(f"is only {mesh.extents[2]:.3g} mm high, must be more than {_LEAST_CONVEX_MM:g} mm")
     # What is convex up to a level is so up to every one below.
     convex, not_convex = -1, len(levels)
-    level = not_convex - 1
+    level = len(levels) - 1
     while not_convex - convex > 1:
         off_mm, place = _off_hull(mesh, levels[level])
         if off_mm <= _CONVEX_WITHIN_MM:
@@ -139,9 +136,9 @@ def _convex_mm(mesh: "Trimesh") -> float:
         level = (convex + not_convex) // 2
     if convex < 0:
         raise ValueError(
-            f"must be convex where it touches the gel: at x, y = {place[0]:.3g}, {place[1]:.3g} mm, {place[2]:.3g} mm "
-            f"above the lowest point, its surface lies {off_mm:.2g} mm inside its convex hull, of {_CONVEX_WITHIN_MM:g} "
-            "mm at most; press another side (--flip, in a TOML file flip, turns it over)"
+            f"must be convex where it touches the gel: its surface lies {off_mm:.2g} mm inside its convex hull, of "
+            f"{_CONVEX_WITHIN_MM:g} mm at most, at x, y = {place[0]:.2f}, {place[1]:.2f} mm, {place[2]:.2f} mm above "
+            "the lowest point; press another side (--flip, in a TOML file flip, turns it over)"
         )
     return float(levels[convex])
 
@@ -154,12 +151,8 @@ def _off_hull(mesh: "Trimesh", level_mm: float) -> tuple[float, Floats]:
     hull = part.convex_hull
     is_lid = hull.triangles[:, :, 2].min(axis=1) > level_mm - 2 * _JUST_BELOW_MM
     places, _ = sample_surface(hull, _PLACES, face_weight=hull.area_faces * ~is_lid, seed=0)
-    off_mm = np.concatenate(
-        [
-            np.linalg.norm(from_triangles(some, part.triangles), axis=1)
-            for some in _in_parts(places, len(part.faces))
-        ]
-    )
+    apart = [from_triangles(some, part.triangles) for some in _in_parts(places, len(part.faces))]
+    off_mm = np.linalg.norm(np.concatenate(apart), axis=1)
     return float(off_mm.max()), places[off_mm.argmax()]
 
 
@@ -174,23 +167,18 @@ def _below(mesh: "Trimesh", level_mm: float) -> "Trimesh":
 
 
 def _fewer(corners: Floats, name: str) -> Floats:
-    """Return corners (n, 3) of a convex hull, of too many those that are extreme in evenly spread directions."""
+    """Return the corners (n, 3) of a convex hull, or of too many the extreme ones."""
     from scipy.spatial import ConvexHull
 
-    if len(corners) <= MOST_HULL_POINTS:
+    if len(corners) <= _MOST_CORNERS:
         return corners
-    kept = corners[_extreme(corners, _directions(math.pi))]
+    kept = _extreme(corners)
     planes = ConvexHull(kept).equations
     beyond_mm = max(
         float((some @ planes[:, :3].T + planes[:, 3]).max()) for some in _in_parts(corners, len(planes))
     )
-    LOG.warning(
-        "%s: its %d corners are reduced to %d, which moves its surface by at most %.2g mm",
-        name,
-        len(corners),
-        len(kept),
-        max(beyond_mm, 0.0),
-    )
+    reduced = f"its {len(corners)} corners are reduced to {len(kept)}"
+    LOG.warning("%s: %s, which moves its surface by up to %.2g mm", name, reduced, beyond_mm)
     return kept
 
 
@@ -212,19 +200,12 @@ def _eroded(corners: Floats, radius_mm: float) -> Floats:
     return np.unique(inside.round(6) + 0.0, axis=0)
 
 
-def _directions(from_down_rad: float) -> Floats:
-    """Return unit vectors (n, 3), evenly spread, at most so far from −z."""
+def _extreme(points: Floats) -> Floats:
+    """Return those of the points (n, 3) that are furthest in some of 2562 directions."""
     from trimesh.creation import icosphere
 
-    around = np.array(icosphere(subdivisions=4).vertices)
-    return around[around[:, 2] <= -math.cos(from_down_rad)]
-
-
-def _extreme(points: Floats, directions: Floats) -> NDArray[np.intp]:
-    """Return the indices of the points (n, 3) that are furthest in any direction (m, 3)."""
-    return np.unique(
-        np.concatenate([(some @ points.T).argmax(axis=1) for some in _in_parts(directions, len(points))])
-    )
+    directions = _in_parts(icosphere(subdivisions=4).vertices, len(points))
+    return points[np.unique(np.concatenate([(some @ points.T).argmax(axis=1) for some in directions]))]
 
 
 def _in_parts(points: Floats, others: int) -> list[Floats]:

@@ -27,6 +27,9 @@ _POINTS_AT_A_TIME = 500
 # Fields that a rounding may be half of.
 _SIZES = ("diameter_mm", "length_mm", "size_mm")
 
+# Fields of a mesh that are not sizes.
+UNLISTED = ("hull_mm", "above_mm", "flip")
+
 Angle = Annotated[float, within(-180.0, 180.0, "°")]
 Tilt = Annotated[float, within(-LARGEST_TILT_DEG, LARGEST_TILT_DEG, "°")]
 
@@ -89,7 +92,7 @@ class Shape(Indenter):
 
     @property
     def label(self) -> str:
-        fields = ((name, value) for name, value in self if name != "hull_mm" and np.any(value))
+        fields = ((name, value) for name, value in self if name not in UNLISTED and np.any(value))
         words = [
             f"{name.rpartition('_')[0].replace('_', ' ')} {_plain(value)}{'°' * name.endswith('_deg')}"
             for name, value in fields

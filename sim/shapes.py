@@ -216,7 +216,7 @@ class ConvexMesh(RoundedHull):
     )
     above_mm: Corners = Field(
         default=(),
-        description="Corners, mm, of what lies above the convex part and comes lowest when tilted.",
+        description="Corners of what lies above the convex part and stays off the gel, mm.",
         exclude_if=lambda value: not value,
     )
     flip: bool = Field(
@@ -250,16 +250,12 @@ class ConvexMesh(RoundedHull):
     @property
     def label(self) -> str:
         x, y, z = np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm
+        whole = ""
         if self.above_mm:
-            z = np.min(self.above_mm, axis=0)[2]
+            z, whole = np.min(self.above_mm, axis=0)[2], " (the convex end of a larger body)"
         side = "top (+z of the file)" if self.flip else "bottom (−z of the file)"
-        words = [
-            f"mesh of {len(self.hull_mm)} corners, {x:.3g} × {y:.3g} × {z:.3g} mm, touches by its {side}"
-        ]
-        words += [f"edge radius {self.edge_radius_mm:g}"] if self.edge_radius_mm else []
-        words += [f"yaw {self.yaw_deg:g}°"] if self.yaw_deg else []
-        words += ["tilt {:g} × {:g}°".format(*self.tilt_deg)] if any(self.tilt_deg) else []
-        return ", ".join(words)
+        own = f"mesh of {len(self.hull_mm)} corners, {x:.3g} × {y:.3g} × {z:.3g} mm{whole}, touches by its {side}"
+        return super().label.replace(self.shape, own, 1)
 
     @property
     def deepest_mm(self) -> float:
