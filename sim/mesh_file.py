@@ -102,9 +102,6 @@ def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> tuple[Floats, Fl
         part = _below(mesh, convex_mm)
         above = mesh.vertices[mesh.vertices[:, 2] > convex_mm - _JUST_BELOW_MM]
         above = _extreme(above)
-        size = " × ".join(f"{side:.3g}" for side in mesh.extents)
-        pressed = f"its lowest {convex_mm:.3g} mm are convex and are pressed"
-        LOG.warning("%s (%s mm): %s; what is above has to stay off the gel", name, size, pressed)
     corners = np.array(part.convex_hull.vertices)
     is_top = corners[:, 2] > convex_mm - 2 * _JUST_BELOW_MM
     if len(above) and np.all(np.ptp(corners[is_top, :2], axis=0) > np.ptp(corners[:, :2], axis=0) - 1e-6):

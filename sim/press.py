@@ -139,16 +139,19 @@ def _depths_by_force(
     """Return the depth as a function of normal forces up to about `most_n`, which a message calls `named`."""
     from scipy.interpolate import PchipInterpolator
 
-    deepest = deepest_mm(elastomer, indenter)
-    for end in sorted({min(elastomer.thickness_mm / 3, 0.8 * indenter.deepest_mm, deepest), deepest}):
+    shallowest, deepest = indenter.shallowest_mm, deepest_mm(elastomer, indenter)
+    if deepest <= shallowest:
+        raise ValueError(f"{named}: no depth on this gel lets all of the indenter ({indenter.label}) touch")
+    usual = min(elastomer.thickness_mm / 3, 0.8 * indenter.deepest_mm, deepest)
+    for end in (usual, deepest) if shallowest < usual < deepest else (deepest,):
         depths, force = _descent(end, elastomer, indenter, point_mm, quality, sharing)
         if force[-1] >= most_n:
             # Force grows about as depth^1.5, so its power 2/3 is nearly straight.
             by_power = PchipInterpolator(force ** (2 / 3), depths)
             return lambda force_n: round(min(float(by_power(force_n ** (2 / 3))), deepest), 6)
     raise ValueError(
-        f"{named}: must be at most {force[-1]:.4g} N, what the largest depth that this gel allows takes, "
-        f"{depths[-1]:.4g} mm"
+        f"{named}: must be at most {force[-1]:.4g} N, at {depths[-1]:.4g} mm, the largest depth that can be solved on "
+        "this gel"
     )
 
 
@@ -161,8 +164,7 @@ def _descent(
     sharing: Sharing | None,
 ) -> tuple[Floats, Floats]:
     """Return depths in ten steps, as far as they converge, and normal forces there, both from 0."""
-    depths = np.round(np.linspace(0.0, end_mm, 11), 9)
-    depths = depths[(depths == 0) | (depths >= indenter.shallowest_mm)]
+    depths = np.append(0.0, np.round(np.linspace(indenter.shallowest_mm, end_mm, 11)[1:], 9))
     place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
     poses = tuple(Pose(depth_mm=float(depth), **place) for depth in depths[1:])
     states = solve_poses(elastomer, indenter, poses, quality, sharing)

@@ -25,6 +25,7 @@ NO_CLASS = -1
 _INTERIOR_THICKNESSES = 2.4
 _DEEPEST_THICKNESSES = 0.6
 _DEPTH_STEP_MM = 1e-3
+_ROUNDING_MM = 1e-9
 LARGEST_TURN_DEG = 90.0
 
 
@@ -235,7 +236,7 @@ class Scene:
             if abs(value) > half:
                 raise ValueError(f"{name} = {value:g}: lies off the pad, must be in [{-half:g}, {half:g}] mm")
         deepest = min(_DEEPEST_THICKNESSES * gel.thickness_mm, indenter.deepest_mm)
-        if depth_mm > deepest:
+        if depth_mm > deepest + _ROUNDING_MM:
             raise ValueError(
                 f"depth_mm = {depth_mm:g}: must be in [0, {deepest:g}] mm, at most {_DEEPEST_THICKNESSES:g} of "
                 f"the pad's thickness and {indenter.deepest_mm:g} mm for the indenter ({indenter.label})"

@@ -249,12 +249,14 @@ class ConvexMesh(RoundedHull):
 
     @property
     def label(self) -> str:
-        x, y, z = np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm
-        whole = ""
+        size_mm, whole = np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm, ""
         if self.above_mm:
-            z, whole = np.min(self.above_mm, axis=0)[2], " (the convex end of a larger body)"
+            above_mm = _points_mm(self.above_mm)
+            size_mm[2] = above_mm[:, 2].min()
+            whole_mm = np.maximum(size_mm, [*np.ptp(above_mm[:, :2], axis=0), above_mm[:, 2].max()])
+            whole = f", the convex end of a body of {_by(whole_mm)} mm whose rest stays off the gel"
         side = "top (+z of the file)" if self.flip else "bottom (−z of the file)"
-        own = f"mesh of {len(self.hull_mm)} corners, {x:.3g} × {y:.3g} × {z:.3g} mm{whole}, touches by its {side}"
+        own = f"mesh of {len(self.hull_mm)} corners, {_by(size_mm)} mm{whole}, touches by its {side}"
         return super().label.replace(self.shape, own, 1)
 
     @property
@@ -327,6 +329,10 @@ def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) ->
         if name not in known:
             raise ValueError(f"{name}: a {shape.shape} has none; it has {', '.join(known)}")
     return shape(**fields) if mesh is None else shape.load(mesh, **fields)
+
+
+def _by(size_mm: Floats) -> str:
+    return " × ".join(f"{side:.3g}" for side in size_mm)
 
 
 @lru_cache(maxsize=8)
