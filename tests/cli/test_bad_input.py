@@ -76,7 +76,6 @@ BESIDE: dict[tuple[str, str], dict[str, list[str] | None]] = {
     ("generate", "--illumination"): {"--name": ["own"]},
     ("generate", "--lights-like"): {"--name": ["own"]},
     ("calibrate", "--from-taxim"): {"presses": None, "--reference": None, "--sensor": None},
-    ("benchmark", "--what"): {"subject": ["adaptation"]},
     ("benchmark", "--data"): {"subject": ["real"]},
 }
 """Where an option needs others than that, or none of one (None)."""

@@ -172,7 +172,7 @@ def test_the_configuration_is_that_of_profile_and_sessions(study: FoldStudy, mon
 def test_the_quick_form_of_networks_runs_from_the_command_line_and_repeats_nothing(
     wedge: Path, tmp_path: Path, capsys, monkeypatch
 ):
-    command = ["benchmark", "real", "--what", "networks", "--quick"]
+    command = ["benchmark", "real-networks", "--quick"]
     command += ["--data", str(wedge.parent), "--out", str(tmp_path / "out")]
     main(command)
     assert "2023-12-06 → 2023-12-16" in capsys.readouterr().out
