@@ -1,56 +1,59 @@
 """The dots on the membrane as the camera sees them: which of them a pixel may show, and how much of it."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from gelgap.render.rasterizer import NOWHERE_MM
-from gelgap.render.sensor import Markers, marker_rest_mm
+from gelgap.render.sensor import LARGEST_PITCH_MM, Markers, marker_rest_mm
 
 # Cells of a list of dots: so many for the width of a dot, so that dots that touch lose 2 % of their area at most, and
 # no more along the list's longer side.
 _CELLS_PER_DOT, _MOST_CELLS = 16, 1000
 
 
-@dataclass(frozen=True)
-class DotCells:
+class DotCells(NamedTuple):
     """The undeformed membrane in cells, each with the only dot that it may show; a missing one is far away.
 
     The cell of a point is `first` + `per_mm` × (x, y), rounded down. A dot of a grid has one cell, of a list many.
+    Beyond `reach_mm` from its centre a dot covers nothing.
     """
 
     dots_mm: np.ndarray  # float32 (rows, columns, 2)
     first: np.ndarray  # float32 (2,)
     per_mm: np.ndarray  # float32 (2,)
+    radius_mm: np.float32
+    reach_mm: np.float32
+    are_squares: bool
 
 
 def dot_cells(markers: Markers) -> DotCells | None:
     """Return the cells of a sensor's dots; None if it has none."""
     rest_mm = marker_rest_mm(markers)
-    if markers.positions_mm:
-        return _cells_of_list(rest_mm[~np.isnan(rest_mm[..., 0])], markers)
-    if rest_mm.size == 0:
+    if np.isnan(rest_mm).all():
         return None
-    dots_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM).astype(np.float32)
-    pitch_mm = np.broadcast_to(markers.pitch_mm, 2).astype(np.float32)
-    cells = np.array([markers.columns, markers.rows]) / 2 - np.array(markers.offset_mm) / pitch_mm
-    return DotCells(dots_mm, cells.astype(np.float32), 1 / pitch_mm)
+    if markers.positions_mm:
+        dots_mm, first, per_mm = _cells_of_list(rest_mm[~np.isnan(rest_mm[..., 0])], markers)
+    else:
+        dots_mm, per_mm = np.nan_to_num(rest_mm, nan=-NOWHERE_MM), 1 / np.broadcast_to(markers.pitch_mm, 2)
+        first = np.array([markers.columns, markers.rows]) / 2 - np.array(markers.offset_mm) * per_mm
+    radius_mm = np.float32(markers.diameter_mm / 2)
+    reach_mm = radius_mm + np.float32(0.2 * min(markers.spacing_mm, LARGEST_PITCH_MM))
+    arrays = (values.astype(np.float32) for values in (dots_mm, first, per_mm))
+    return DotCells(*arrays, radius_mm, reach_mm, markers.shape == "square")
 
 
-def _cells_of_list(points_mm: np.ndarray, markers: Markers) -> DotCells | None:
+def _cells_of_list(points_mm: np.ndarray, markers: Markers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return small cells around dots (n, 2), each with the dot that is nearest to its middle."""
     from scipy.spatial import cKDTree
 
-    if len(points_mm) == 0:
-        return None
     low, high = points_mm.min(0) - markers.diameter_mm, points_mm.max(0) + markers.diameter_mm
     cell_mm = max(markers.diameter_mm / _CELLS_PER_DOT, (high - low).max() / _MOST_CELLS)
     columns, rows = np.ceil((high - low) / cell_mm).astype(int)
     middles = low + (np.indices((rows, columns))[::-1].transpose(1, 2, 0) + 0.5) * cell_mm
     nearest = cKDTree(points_mm).query(middles, p=markers.norm)[1]
-    per_mm = np.full(2, 1 / cell_mm, np.float32)
-    return DotCells(points_mm[nearest].astype(np.float32), (-low / cell_mm).astype(np.float32), per_mm)
+    return points_mm[nearest], -low / cell_mm, np.full(2, 1 / cell_mm)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=True)

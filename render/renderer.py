@@ -15,7 +15,7 @@ from gelgap.render.light.irradiance import DirectLight, direct_light
 from gelgap.render.light.leds import Illumination, ShadowDetail, led_samples
 from gelgap.render.light.scattered import ScatteredTable
 from gelgap.render.rasterizer import NOWHERE_MM, Rasterizer, rasterizer_for
-from gelgap.render.sensor import LARGEST_PITCH_MM, Sensor, marker_rest_mm
+from gelgap.render.sensor import Sensor, marker_rest_mm
 from gelgap.render.surface import Lattice, Membrane, Surface, shared_surface
 
 # The rastered mesh only says which rest point a pixel sees; light is gathered from the finer shaded grid. How many
@@ -157,18 +157,11 @@ class MembraneRenderer:
         imaging.gather(geometry, values, self.lattice.grid, np.float32(NOWHERE_MM), out)
         return out
 
-    def _paint_markers(self, geometry: np.ndarray, linear: np.ndarray) -> None:
-        markers, cells = self.sensor.markers, self._dots
-        radius = np.float32(markers.diameter_mm / 2)
-        reach = radius + np.float32(0.2) * np.float32(min(markers.spacing_mm, LARGEST_PITCH_MM))
-        placed = cells.dots_mm, cells.first, cells.per_mm, radius, reach, markers.shape == "square"
-        paint_dots(geometry, *placed, self._marker_ratio, linear)
-
     def _linear(self, surface: Surface, markers: bool) -> np.ndarray:
         geometry = self._geometry(surface)
         linear = self._gather(geometry, self._radiance(surface))
         if markers and self._dots is not None:
-            self._paint_markers(geometry, linear)
+            paint_dots(geometry, *self._dots, self._marker_ratio, linear)
         if self._gain is not None:
             linear *= self._gain
         if self.sensor.camera.point_spread_px > 0:
