@@ -189,6 +189,16 @@ def test_a_copy_that_went_wrong_is_named(files: Path, name: str) -> None:
             kind.read(file)
 
 
+def test_a_changed_label_is_named(files: Path) -> None:
+    """Parquet has no checksum of its own: only the manifest's tells it."""
+    folder = files / "data" / DOMAIN
+    (shard,) = folder.glob("frames-*.parquet")
+    content = pq.read_table(shard)
+    pq.write_table(with_column(content, "fx_n", pa.array([9.0] * len(content))), shard, use_dictionary=False)
+    with pytest.raises(RuntimeError, match=rf"{shard.name} is damaged \(has other bytes"):
+        open_domain(folder)
+
+
 def with_column(shard: pa.Table, name: str, cells: pa.Array) -> pa.Table:
     index = shard.schema.get_field_index(name)
     return shard.set_column(index, name, cells) if index >= 0 else shard.append_column(name, cells)

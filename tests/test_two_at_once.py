@@ -179,6 +179,7 @@ def two_domains(pictures: Path) -> tuple[Path, Path]:
     return pictures, target
 
 
+@pytest.mark.slow
 def test_two_adaptations_on_one_output(
     two_domains: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

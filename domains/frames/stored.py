@@ -84,12 +84,13 @@ class StoredFrames(LabelledFrames):
         path = self._cache_file(size_px, markers)
         shape = (len(self), size_px[1], size_px[0], 3)
         pictures = open_kept_pictures(path, shape)
-        if pictures is None:
-            with key_lock(path.parent, path.name):
-                pictures = open_kept_pictures(path, shape)
-                if pictures is None:
-                    write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
-                    pictures = open_kept_pictures(path, shape)
+        if pictures is not None:
+            return pictures
+        with key_lock(path.parent, path.name):
+            pictures = open_kept_pictures(path, shape)
+            if pictures is None:
+                write_kept_pictures(path, shape, self._decoded_chunks(size_px, markers))
+                pictures = np.lib.format.open_memmap(path, mode="c")
         return pictures
 
     def _cache_file(self, size_px: tuple[int, int], markers: bool) -> Path:

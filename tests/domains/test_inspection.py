@@ -17,17 +17,18 @@ def test_the_facts_are_those_of_the_data(data: Path):
     assert domain_folders(data / "mb0i0") == (data / "mb0i0",)
 
 
-@pytest.mark.parametrize("offset", [0, 1, 0.1, 0.5, 0.9, -1])
 @pytest.mark.parametrize("name", ["frames-00000.parquet", "reference.png", "manifest.json"])
-def test_every_flipped_bit_is_found(data: Path, tmp_path: Path, name: str, offset: float):
-    shutil.copytree(data / "mb0i1", tmp_path / "copy", ignore=shutil.ignore_patterns(".cache"))
-    assert verify_domain(tmp_path / "copy") == ()
-    content = bytearray((tmp_path / "copy" / name).read_bytes())
-    place = int(offset * len(content)) if isinstance(offset, float) else offset
-    content[place] ^= 1
-    (tmp_path / "copy" / name).write_bytes(content)
-    (damage,) = verify_domain(tmp_path / "copy")
-    assert damage.file == name
+def test_every_flipped_bit_is_found(data: Path, tmp_path: Path, name: str):
+    folder = tmp_path / "copy"
+    shutil.copytree(data / "mb0i1", folder, ignore=shutil.ignore_patterns(".cache"))
+    assert verify_domain(folder) == ()
+    whole = (folder / name).read_bytes()
+    for place in (0, 1, len(whole) // 10, len(whole) // 2, len(whole) * 9 // 10, len(whole) - 1):
+        content = bytearray(whole)
+        content[place] ^= 1
+        (folder / name).write_bytes(content)
+        (damage,) = verify_domain(folder)
+        assert damage.file == name
 
 
 def test_missing_and_unknown_files_are_found(data: Path, tmp_path: Path):

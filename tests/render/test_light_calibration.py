@@ -444,6 +444,7 @@ def test_a_fit_that_predicts_worse_than_the_reference_is_refused(pictures):
         calibrate_light(start, reference, pressed(noise, depth_mm=0.6), profiles, folds=2)
 
 
+@pytest.mark.slow
 def test_rough_marks_are_only_where_to_look(pictures):
     start, reference, shots = pictures
     rng = np.random.default_rng(3)

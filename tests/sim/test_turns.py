@@ -113,6 +113,7 @@ def test_a_rolling_sphere_hardly_drags() -> None:
     assert rolled.force_n[2] == pytest.approx(dragged.force_n[2], rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("coarse")
 def test_without_friction_a_turn_ends_where_a_turned_body_begins() -> None:
     body = Ellipsoid(diameters_mm=(5.0, 3.0, 3.0))
