@@ -14,9 +14,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from gelgap.assets.names import unknown_name
+
 if TYPE_CHECKING:
     from torch import nn
 
+RESNETS = ("resnet18", "resnet50")
+"""Feature extractors of gelgap's own."""
 _BACKBONES: "dict[str, tuple[Callable[[int], nn.Module], str]]" = {}
 """Functions that make a user's feature extractor, by file and function, each with the hash of its code."""
 _log = logging.getLogger(__name__)
@@ -36,10 +40,12 @@ def use_backbone(name: str) -> str:
     Raises
     ------
     ValueError
-        If the file cannot be run, or has no such function.
+        If there is no such feature extractor, or the file cannot be run or has no such function.
     """
-    if ":" not in name:
+    if name in RESNETS:
         return name
+    if ":" not in name:
+        raise ValueError(unknown_name("backbone", name, (*RESNETS, "file.py:make_backbone")))
     module, function = imported(name, "backbone")
     make = getattr(module, function, None)
     if not callable(make):

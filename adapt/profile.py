@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from gelgap.adapt.inputs import INPUTS
-from gelgap.adapt.own_code import use_backbone
+from gelgap.adapt.own_code import RESNETS, use_backbone
 from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import PresetSettings
 
@@ -102,7 +102,7 @@ class Profile(PresetSettings):
     @field_validator("backbone")
     @classmethod
     def _is_known(cls, name: str) -> str:
-        if not re.fullmatch(r"resnet18|resnet50|[\w.-]+:\w+#[0-9a-f]*", name):
+        if not re.fullmatch(r"[\w.-]+:\w+#[0-9a-f]*", name) and name not in RESNETS:
             raise ValueError(
                 "must be resnet18, resnet50 or your own, file.py:make_backbone (in Python what use_backbone returns)"
             )

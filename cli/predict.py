@@ -44,7 +44,9 @@ class Predict(opt.Command):
     def run(self, started: float) -> None:
         """Predict, print a table, and write it if asked."""
         if (self.camera is None) == (not self.pictures):
-            raise ValueError("name pictures or folders, or a camera by --camera: one of the two is needed")
+            raise ValueError(
+                "name a model, and after it either pictures or folders, or a camera (--camera 0)"
+            )
         from gelgap.assets.image_file import read_image
 
         model, reference = adapt.ForceModel.load(self.model, self.backbone), read_image(self.reference)

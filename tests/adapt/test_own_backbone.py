@@ -126,12 +126,20 @@ def write_pictures(folder: Path, frames) -> None:
         ("net.py:other", "other is not a function of"),
         ("net.py:nothing", "it makes NoneType, not a torch.nn.Module"),
         ("net.py:one_number", r"returns \(\d+,\) for 2 pictures \(3, 32, 40\); \(2, features\) or"),
-        ("vgg", "backbone = 'vgg': must be resnet18, resnet50 or your own"),
+        ("vgg", "backbone 'vgg' is unknown; known: resnet18, resnet50, file.py:make_backbone"),
     ],
 )
 def test_what_is_no_feature_extractor_is_refused(name, message, profile):
     with pytest.raises(ValueError, match=message):
         OwnBackbone(profile.replace(backbone=use_backbone(name)).backbone, profile.input_shape)
+
+
+def test_a_profile_takes_no_name_whose_code_was_not_named_by_the_user(profile):
+    with pytest.raises(
+        ValueError, match=r"backbone = 'net\.py:maps': must be resnet18, resnet50 or your own"
+    ):
+        profile.replace(backbone="net.py:maps")
+    assert not Path("ran").exists()
 
 
 def test_what_needs_a_resnet_says_so(profile, source, stage1):

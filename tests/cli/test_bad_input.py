@@ -43,6 +43,12 @@ RIGHT: dict[str, dict[str, list[str]]] = {
     "pretrain": {"--out": ["pretrained"], "--quick": []},
     "adapt": {"--source": ["real"], "--target": ["real"], "--out": ["runs"]},
     "finetune": {"checkpoint": ["checkpoint.pt"], "--on": ["real"], "--test": ["real"], "--frames": ["2"]},
+    "predict": {
+        "model": ["checkpoint.pt"],
+        "pictures": ["real/1.png"],
+        "--reference": ["real/reference.png"],
+    },
+    "export-model": {"model": ["checkpoint.pt"], "--out": ["model.onnx"]},
     "report": {"runs": ["finished"]},
     "benchmark": {"subject": ["physics"], "--out": ["results"]},
     "presets": {},
@@ -76,6 +82,7 @@ BESIDE: dict[tuple[str, str], dict[str, list[str] | None]] = {
     ("generate", "--illumination"): {"--name": ["own"]},
     ("generate", "--lights-like"): {"--name": ["own"]},
     ("calibrate", "--from-taxim"): {"presses": None, "--reference": None, "--sensor": None},
+    ("predict", "--camera"): {"pictures": []},
     ("benchmark", "--data"): {"subject": ["real"]},
 }
 """Where an option needs others than that, or none of one (None)."""
