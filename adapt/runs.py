@@ -527,6 +527,8 @@ def load_run(folder: str | Path) -> Run:
             raise ValueError("source, target and method must be plain names")
         if not isinstance(run.profile.get("name"), str) or not {"stage1", "stage2"} <= run.wall_s.keys():
             raise ValueError("the profile must have a name, and wall_s both stages")
+        if run.target_test is None and run.label_free is None and run.problem is None:
+            raise ValueError("it has neither errors nor what is known without labels")
     except (ValueError, TypeError) as error:
         reason = one_sentence(error) if isinstance(error, ValidationError) else str(error)
         raise _damaged(path, f"is not the record of a run: {reason}") from None

@@ -57,7 +57,7 @@ class Adapt(opt.Command):
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dsan --profile cpu --classes from-force 20
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method dan --labels fz_n --range fz_n=-4:0 --out runs
       gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --input calibrated --out colour-runs
-      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dan dann --select reverse-validation
+      gelgap adapt --source data/mb0i0 --target data/wmb1i1 --method adabn dann --select reverse-validation --out chosen
     """
 
     when_stopped = "finished runs and epochs are kept, run the same command again to go on"
