@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError, field_validator
 
 from gelgap.assets import asset_path, load_preset
 from gelgap.assets.names import closest_name, one_line, quoted
@@ -18,9 +19,18 @@ _MODEL = re.compile(r"(?:^|, )[A-Z]\w*\]?$")
 
 
 class Settings(BaseModel):
-    """A frozen pydantic model that raises ValueError with one plain sentence instead of pydantic's report."""
+    """A frozen pydantic model that raises ValueError with one plain sentence instead of pydantic's report.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    Values must have the type of their field: neither `true` nor `"0.3"` is a number, and 5.0 is not a whole number.
+    A whole number is a float too, a list is a tuple, and NumPy's numbers are numbers.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _plain(cls, value: Any) -> Any:
+        return _plain_value(value)
 
     __repr__ = one_line
 
@@ -29,6 +39,13 @@ class Settings(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise ValueError(one_sentence(error, type(self))) from None
+
+
+def _plain_value(value: Any) -> Any:
+    """Return what TOML and NumPy give as Python's numbers and tuples."""
+    if isinstance(value, np.generic):
+        return value.item()
+    return tuple(map(_plain_value, value)) if isinstance(value, list | tuple) else value
 
 
 class PresetSettings(Settings):

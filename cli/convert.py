@@ -37,7 +37,7 @@ class Convert(opt.Command):
     """New folder that gets a folder for each domain."""
     every: Annotated[int, opt.between(1, 1000)] = 1
     """Of the pictures in contact, write every n-th."""
-    lag: Annotated[int | None, opt.optional("FRAMES")] = None
+    lag: Annotated[int | None, opt.optional("FRAMES"), opt.between(-1000, 1000)] = None
     """By how many pictures the forces trail, where you know it; 0 takes the clocks as they are."""
 
     def run(self, started: float) -> None:

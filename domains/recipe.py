@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+from pydantic import BeforeValidator, Field, NonNegativeFloat, PositiveFloat, TypeAdapter, model_validator
 
 from gelgap.assets import load_preset
 from gelgap.assets.checksums import canonical_json, sha256
@@ -128,16 +128,24 @@ def _rounded(value_mm: float) -> float:
     return round(round(value_mm / _RESOLUTION_MM) * _RESOLUTION_MM, 9)
 
 
+# A manifest has tables for them, of which a strict model makes no dataclasses by itself.
+_Path = Annotated[
+    DrawnPath | ContactPath | PosePath,
+    BeforeValidator(TypeAdapter(DrawnPath | ContactPath | PosePath).validate_python),
+]
+_Indenter = Annotated[AnyIndenter, BeforeValidator(TypeAdapter(AnyIndenter).validate_python)]
+
+
 class DomainRecipe(Settings):
     """One domain, completely: the same recipe and package versions give the same bytes."""
 
     name: DomainName = Field(description="the domain's name, and its folder's")
     elastomer: Elastomer
-    indenter: AnyIndenter = Sphere()
-    further_indenters: tuple[AnyIndenter, ...] = Field(
+    indenter: _Indenter = Sphere()
+    further_indenters: tuple[_Indenter, ...] = Field(
         default=(), description="indenters that go the whole path one after another, after the first"
     )
-    path: DrawnPath | ContactPath | PosePath
+    path: _Path
     quality: QualityName = Field(default="standard", description="quality of the physics")
     sensor: Sensor
     illumination: Illumination

@@ -31,11 +31,11 @@ def pictures_of(force_n: np.ndarray, light: tuple[int, int, int] = (0, 0, 0)) ->
     ]
 
 
-def write_video(path: Path, pictures: list[np.ndarray]) -> None:
-    """Write a Motion JPEG of 30 pictures a second."""
+def write_video(path: Path, pictures: list[np.ndarray], codec: str = "MJPG") -> None:
+    """Write a video of 30 pictures a second."""
     path.parent.mkdir(parents=True, exist_ok=True)
     height, width = pictures[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (width, height))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 30.0, (width, height))
     for picture in pictures:
         writer.write(picture[..., ::-1])
     writer.release()

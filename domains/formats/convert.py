@@ -402,7 +402,9 @@ def _recorded_clip(table: Path) -> Clip:
         of_pictures, notes_of_pictures = known_columns(tables[0], (needed := ("picture", "time_s")), needed)
         notes += notes_of_pictures
         time_s = of_pictures["time_s"]
-        pictures = partial(map, read_image, picture_paths(tables[0], of_pictures["picture"]))
+        pictures: Callable[[], Iterable[np.ndarray]] = partial(
+            map, read_image, picture_paths(tables[0], of_pictures["picture"])
+        )
         _check_order(time_s, tables[0])
         if (repeats := np.flatnonzero(np.diff(time_s) == 0)).size:
             raise ValueError(

@@ -119,7 +119,7 @@ class DomainFolder:
         return found
 
 
-class _Checked(Settings, extra="allow", strict=True):
+class _Checked(Settings, extra="allow"):
     """What is checked of a manifest whose checksum is right; it may state more."""
 
 
@@ -129,7 +129,7 @@ class _FileEntry(_Checked):
 
 
 class _Configuration(_Checked):
-    columns: list[str]
+    columns: tuple[str, ...]
 
 
 class _Manifest(_Checked):
@@ -139,9 +139,7 @@ class _Manifest(_Checked):
     versions: dict[str, Any]
     complete: bool
     schema_version: int
-    force_range_n: Annotated[
-        list[Annotated[list[float], Field(min_length=2, max_length=2)]], Field(min_length=3, max_length=3)
-    ]
+    force_range_n: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 
 
 @contextmanager

@@ -49,7 +49,7 @@ UNITS = {
 """What one of each unit is in gelgap's; names as `_plain_unit` writes them."""
 _LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um"}
 _LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
-_UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?P<appended>.+))?"
+_UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?:in[\s_]+)?(?P<appended>.+))?"
 # What people and programs write where there is no value.
 EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "null", "none")
 # Times without a unit are seconds if they are closer than this; milliseconds of a log at 1 kHz are 1 apart.

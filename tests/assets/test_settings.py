@@ -1,9 +1,13 @@
 """Settings refuse what they do not know in one sentence."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 from pydantic import Field, model_validator
 
 from gelgap.assets.settings import Settings
+from gelgap.assets.toml_file import named_in_errors, read_toml
 
 
 class Lamp(Settings):
@@ -21,6 +25,45 @@ class Table(Settings):
     @model_validator(mode="after")
     def _check(self) -> "Table":
         return self
+
+
+class Bulb(Settings):
+    number: int = 1
+    power_w: float = 1.0
+    place_mm: tuple[float, float] = (0, 0)
+    name: str = ""
+    is_on: bool = True
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ("power_w = true", "power_w = True: "),
+        ('power_w = "0.3"', "power_w = '0.3': "),
+        ("number = 2.0", r"number = 2\.0: "),
+        ("number = true", "number = True: "),
+        ('place_mm = [1, "2"]', r"place_mm\.1 = '2': "),
+        ("is_on = 1", "is_on = 1: "),
+        ("name = 3", "name = 3: "),
+    ],
+)
+def test_a_value_of_another_type_is_refused_by_file_and_field(tmp_path: Path, values: str, message: str):
+    (tmp_path / "bulb.toml").write_text(values)
+    with pytest.raises(ValueError, match=rf"bulb\.toml: {message}"), named_in_errors(tmp_path / "bulb.toml"):
+        Bulb(**read_toml(tmp_path / "bulb.toml"))
+
+
+def test_whole_numbers_lists_and_numbers_of_numpy_are_taken(tmp_path: Path):
+    (tmp_path / "bulb.toml").write_bytes(b"\xef\xbb\xbfpower_w = 5\nplace_mm = [1, 2.5]\n")
+    bulb = Bulb(**read_toml(tmp_path / "bulb.toml"), number=np.int64(3))
+    assert (bulb.power_w, bulb.place_mm, bulb.number) == (5.0, (1.0, 2.5), 3)
+    assert Bulb(power_w=np.float32(0.5), place_mm=tuple(np.ones(2, np.float32))).place_mm == (1, 1)
+
+
+def test_a_large_file_is_refused_by_its_size(tmp_path: Path):
+    (tmp_path / "large.toml").write_text("a = 1\n" + "#" * 2**20)
+    with pytest.raises(ValueError, match=r"large\.toml has 1048582 bytes; TOML files have at most 1048576"):
+        read_toml(tmp_path / "large.toml")
 
 
 class Lamps(Settings):
@@ -53,4 +96,4 @@ def test_of_several_kinds_the_one_that_was_meant_is_told() -> None:
     told = refusal(spectrum={"wavelength_nm": [1.0, "red"]})
     assert told.startswith("spectrum: wavelength_nm.1 = 'red': ")
     assert refusal(spectrum={"colour": 1}) == "spectrum: must have peak_nm and width_nm, or wavelength_nm"
-    assert refusal(lamps=[]).startswith("lamps = []: tuple should have at least 1 item")
+    assert refusal(lamps=[]).startswith("lamps = (): tuple should have at least 1 item")

@@ -143,6 +143,7 @@ ALLOWED: dict[tuple[str | Check, str], str] = {
     ("generate --further-indenters", "missing"): "one indenter alone",
     ("pretrain --without", "missing"): "all is drawn",
     ("calibrate --from-taxim", "huge"): "of a name that is too long the system tells",
+    ("convert --lag", "negative"): "forces may lead",
     ("generate --name", "unknown"): ANY_NAME,
     ("generate --name", "unknown file"): ANY_NAME,
     ("generate --name", "folder"): ANY_NAME,

@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pandas as pd
 import pytest
-from real_clones import force_of, rows_of, write_recordings, write_table
+from real_clones import force_of, pictures_of, rows_of, write_recordings, write_table, write_video
 
 from gelgap.domains import convert
 from gelgap.domains.formats.convert import COLUMNS, write_picture_table
@@ -99,3 +101,82 @@ def test_a_table_has_no_empty_cells(tmp_path: Path):
     with pytest.raises(ValueError, match="no frame is left"):
         write_picture_table(tmp_path, rows[:0])
     assert COLUMNS[0] == "picture"
+
+
+def write_noisy_clip(
+    folder: Path, kind: str, lag: int, frames: int = 60, hole_s: tuple[float, float] = (9, 9)
+) -> Path:
+    """Write a press that starts and ends at rest, seen by a noisy camera; its forces trail by `lag` frames."""
+    random = np.random.default_rng(lag + 20)
+
+    def force_n(frame: np.ndarray) -> np.ndarray:
+        return 5 * np.sin(np.clip((frame - 12) / 36, 0, 1) * np.pi) ** 2
+
+    noisy = [
+        np.clip(picture + random.normal(0, 3, picture.shape), 0, 255).astype(np.uint8)
+        for picture in pictures_of(force_n(np.arange(frames)))
+    ]
+    if kind == "mp4":
+        write_video(folder / "press.mp4", noisy, "mp4v")
+    else:
+        rows = [{"picture": f"{number}.png", "time_s": number / 30} for number in range(frames)]
+        write_table(folder / "press/times.csv", rows)
+        for row, picture in zip(rows, noisy, strict=True):
+            cv2.imwrite(str(folder / "press" / row["picture"]), picture[..., ::-1])
+    time_s = np.arange(0, frames / 30, 0.01)
+    time_s = time_s[(time_s < hole_s[0]) | (time_s > hole_s[1])]
+    measured_n = force_n(time_s * 30 - lag) + random.normal(0, 0.02, len(time_s))
+    write_table(
+        folder / "press.csv",
+        [{"time (ms)": 1000 * t, "Fz [mN]": -1000 * f} for t, f in zip(time_s, measured_n, strict=True)],
+    )
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["png", "mp4"])
+@pytest.mark.parametrize("lag", range(-6, 7))
+def test_the_lag_of_a_noisy_clip_that_starts_at_rest_is_found(tmp_path: Path, kind: str, lag: int):
+    (clip,) = convert(write_noisy_clip(tmp_path / "mine", kind, lag), "recordings", tmp_path / "out")
+    assert clip.lag == lag
+    low, high = clip.lag_range
+    assert low <= lag <= high <= low + 2
+    assert clip.notes == ("'Fz [mN]' is converted to N", "'time (ms)' is converted to s")[::-1]
+
+
+def test_a_stated_lag_is_taken_and_a_hole_of_the_log_has_no_labels(tmp_path: Path):
+    mine = write_noisy_clip(tmp_path / "mine", "png", 2, hole_s=(0.5, 1.0))
+    (clip,) = convert(mine, "recordings", tmp_path / "out", lag=0)
+    assert (clip.lag, clip.lag_range, clip.in_holes) == (0, None, 16)
+    written = force_of(tmp_path / "out/mine", "press")
+    assert not set(range(15, 31)) & set(written)
+    assert 31 in written
+    (clip,) = convert(mine, "recordings", tmp_path / "again")
+    assert clip.lag == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,Fz (N)\n0,-1\n1,-2\n2,-3\n", "'time' states no unit, and its values are 1 apart"),
+        ("time_s,Fz (V)\n0,-1\n1,-2\n", r"'Fz \(V\)' states the unit 'V': known units are n, mn"),
+        ("time_s,time (ms),fz_n\n0,0,-1\n1,1000,-2\n", r"'time_s' and 'time \(ms\)' mean the same, time_s"),
+        ("time_s,fz_n\n0,-1\n,-2\n", "row 2 below the header has no time"),
+    ],
+)
+def test_a_log_that_does_not_say_what_it_measures_is_refused(tmp_path: Path, text: str, message: str):
+    mine = write_recordings(tmp_path / "mine")
+    (mine / "press-1.csv").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        convert(mine, "recordings", tmp_path / "out")
+
+
+def test_forces_of_one_time_are_averaged(tmp_path: Path):
+    mine = write_recordings(tmp_path / "mine")
+    table = pd.read_csv(mine / "press-2.csv")
+    pd.concat([table, table]).sort_values("time_s").to_csv(mine / "press-2.csv", index=False)
+    found = convert(mine, "recordings", tmp_path / "out")
+    assert found[1].notes == ("40 rows repeat the time of the row before: their mean is taken",)
+    times = mine / "press-2/times.csv"
+    pd.read_csv(times).assign(time_s=[5, 5, *range(6, 44)]).to_csv(times, index=False)
+    with pytest.raises(ValueError, match=r"times.csv: rows 1 and 2 below the header have one time, 5 s"):
+        convert(mine, "recordings", tmp_path / "again")

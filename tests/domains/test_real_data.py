@@ -1,6 +1,7 @@
 """The published layout and picture folders, from a fixture written here."""
 
 import csv
+import re
 from pathlib import Path
 
 import cv2
@@ -201,3 +202,77 @@ def test_millinewtons_and_repeated_pictures_are_noted(tmp_path: Path):
     notes = " ".join(open_domain(picture_folder(tmp_path, text)).notes)
     assert "1 rows name a picture that a row before them names" in notes
     assert "forces reach 2500 N, beyond any such sensor's: are they in mN?" in notes
+
+
+@pytest.mark.parametrize(
+    ("header", "column", "factor"),
+    [
+        *[
+            (header, "fz_n", 1e-3)
+            for header in ("Fz (mN)", "Fz [mN]", "Fz_mN", "fz/mN", "Force Z, mN", "force.z mN")
+        ],
+        *[
+            (header, "fz_n", 1)
+            for header in ("Fz", "fz_n", "Fz(N)", "Force_z", "FzN", "fz in N", "Z Force (Newton)")
+        ],
+        *[("Fz (g)", "fz_n", 9.80665e-3), ("Fz (gf)", "fz_n", 9.80665e-3), ("fz kgf", "fz_n", 9.80665)],
+        *[("Fz (lbf)", "fz_n", 4.4482216), ("Fz_oz", "fz_n", 0.27801385)],
+        *[
+            ("Mx (Nm)", "mx_nmm", 1e3),
+            ("Tx (N·m)", "mx_nmm", 1e3),
+            ("Mx (N*m)", "mx_nmm", 1e3),
+            ("Tx", "mx_nmm", 1),
+        ],
+        *[("Mx [N.mm]", "mx_nmm", 1), ("torque x (mNm)", "mx_nmm", 1), ("Mx_Ncm", "mx_nmm", 10)],
+        *[("depth (um)", "depth_mm", 1e-3), ("depth (µm)", "depth_mm", 1e-3), ("depth_μm", "depth_mm", 1e-3)],
+        *[("x (cm)", "x_mm", 10), ("x/m", "x_mm", 1e3), ("x_in", "x_mm", 25.4)],
+        *[
+            ("time (us)", "time_s", 1e-6),
+            ("t_ns", "time_s", 1e-9),
+            ("timestamp [s]", "time_s", 1),
+            ("ts", "time_s", 1),
+        ],
+    ],
+)
+def test_the_unit_of_a_header_is_converted(tmp_path: Path, header: str, column: str, factor: float):
+    text = f'picture,"{header}"\n0.png,-0.5\n1.png,-0.25\n'
+    picture(picture_folder(tmp_path, text) / "reference.png", 9)
+    data = open_domain(tmp_path)
+    assert data.columns[column] == pytest.approx(np.array([-0.5, -0.25]) * factor)
+    assert any("is converted to" in note for note in data.notes) == (factor != 1)
+
+
+@pytest.mark.parametrize(
+    "header", ["Fz (V)", "Fz (counts)", "x (px)", "Fz (%)", "Fz (mm)", "Fz_mm", "Fz/kPa"]
+)
+def test_an_unknown_unit_or_one_of_another_quantity_is_refused(tmp_path: Path, header: str):
+    with pytest.raises(ValueError, match=rf"{re.escape(header)}' states the unit '.*': known units are"):
+        open_domain(picture_folder(tmp_path, f"picture,{header}\n0.png,-50\n"))
+
+
+def test_a_column_that_nobody_needs_is_skipped_and_said(tmp_path: Path):
+    data = open_domain(
+        picture_folder(
+            tmp_path,
+            "frame,image,fz_n,depth,label,object,timestamp,pose\n"
+            "0,0.png,0,d/0.npy,sphere,,1700000000000,a\n1,1.png,-1,d/1.npy,cube,b,1700000000033,b\n",
+        )
+    )
+    assert list(data.columns) == ["frame_id", "fz_n"]
+    notes = " ".join(data.notes)
+    for told in (
+        "'frame': row 1",
+        "'depth'",
+        "'label'",
+        "'object'",
+        "'timestamp' states no unit",
+        "not read: pose",
+    ):
+        assert told in notes
+
+
+@pytest.mark.parametrize(("encoding", "separator"), [("utf-16", "\t"), ("utf-8-sig", ";"), ("utf-8", "\t")])
+def test_tables_of_excel_are_read(tmp_path: Path, encoding: str, separator: str):
+    text = "picture,Fz (mN)\n0.png,0\n1.png,-500\n".replace(",", separator)
+    (picture_folder(tmp_path, "") / "labels.csv").write_bytes(text.encode(encoding))
+    assert open_domain(tmp_path).columns["fz_n"].tolist() == [0, -0.5]
