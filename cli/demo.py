@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from gelgap import adapt, domains, render, sim
+from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
 SOURCE, TARGET = "mb0i0", "wmb1i1"
@@ -65,7 +66,7 @@ class Demo(opt.Command):
         print(
             f"2/3  training on {SOURCE}, adapting to {TARGET} without its labels (profile {self.profile!r})"
         )
-        with adapt.console_progress() as progress:
+        with shown_progress() as progress:
             runs = adapt.adapt_folders(
                 self.out / "data" / SOURCE,
                 self.out / "data" / TARGET,

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from gelgap import adapt, domains
+from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
 Factor = Literal["gel", "sphere", "light", "camera", "blur", "noise", "markers"]
@@ -84,7 +85,7 @@ class Pretrain(opt.Command):
             return
         self.generation.generate(recipes, self.out / "domains")
         folders = [self.out / "domains" / recipe.name for recipe in recipes]
-        with adapt.console_progress() as progress:
+        with shown_progress() as progress:
             print(adapt.pretrain(folders, self.out, profile, self.seed, progress=progress))
 
     def _train_on_stream(
@@ -101,6 +102,6 @@ class Pretrain(opt.Command):
         )
         if self.generation.dry_run:
             return
-        with adapt.console_progress() as progress:
+        with shown_progress() as progress:
             every = {"frames_per_epoch": frames_per_epoch, "progress": progress}
             print(adapt.pretrain_on_stream(stream, self.out, profile, self.seed, **every))

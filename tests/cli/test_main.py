@@ -1,6 +1,7 @@
 """The command line: what it prints, its exit codes, and one-line errors that say what would be right."""
 
 import json
+import os
 import subprocess
 import sys
 from importlib.metadata import version
@@ -11,7 +12,6 @@ import numpy as np
 import pytest
 
 from gelgap.cli.main import COMMANDS, main
-from gelgap.cli.start import start
 
 
 def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
@@ -35,10 +35,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
         (["press", "--elastomer", "b7"], ("b7", "b0, b1, b2")),
         (["press", "--elastomer", "gel.toml"], ("gel.toml does not exist",)),
         (["press", "--indenter", "tip.stl"], ("tip.stl does not exist",)),
-        (["press", "--quality", "superb"], ("superb", "standard")),
-        (["press", "--depht-mm", "1"], ("--depht-mm", "--depth-mm")),
         (["generate", "mb9i0", "--out", "never"], ("mb9i0", "b0, b1, b2")),
-        (["generate", "mb0i0"], ("--out",)),
         (["generate", "--out", "never"], ("preset",)),
         (["generate", "--preset", "huge", "--out", "never"], ("huge", "smoke")),
         (["generate", "mb0i0", "--preset", "smoke", "--out", "never"], ("one of", "--sweep")),
@@ -83,14 +80,13 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
             ("name", "mb0i0", "presets"),
         ),
         (["adapt", "--source", ".", "--target", ".", "--out", "x", "--method"], ("--method", "dsan")),
-        (["generat"], ("command 'generat' is unknown", "did you mean generate?", "press")),
-        (["generate", "mb0i0", "--presett", "paper", "--out", "x"], ("--presett", "meant: --preset NAME")),
         (["generate", "--preset", "papre", "--out", "never"], ("papre", "did you mean paper?")),
         (["press", "--save", "nowhere/state.npz"], ("--save", "nowhere", "does not exist; create it first")),
         (["press", "--save", "/proc/state.npz"], ("--save", "/proc cannot be written to")),
         (["press", "--save", "."], ("--save", "is a folder")),
         (["benchmark", "adaptation-tuning", "--quick"], ("--quick", "no quick form")),
         (["presets", "gels"], ("gels", "elastomers")),
+        (["press", "--save="], ("a value is empty", "press --save=")),
         (["adapt", "--source", ".", "--target", ".", "--method", "magic"], ("magic", "dsan")),
     ],
 )
@@ -109,6 +105,83 @@ def test_bad_input_is_one_line_and_exit_code_2(
     assert err.count("\n") == 1
     assert all(word in err for word in words), err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["press", "--quality", "superb"], ("superb", "standard")),
+        (["press", "--depth-mm", "deep"], ("--depth-mm", "deep")),
+        (["press", "--depht-mm", "1"], ("--depht-mm", "--depth-mm")),
+        (["press", "--size-mm", "1"], ("--size-mm", "MM MM")),
+        (["generate", "mb0i0"], ("Missing", "--out")),
+        (["generate", "--out"], ("Missing value", "--out")),
+        (["generat"], ("generat", "press", "generate")),
+    ],
+)
+def test_words_that_do_not_parse_are_told_by_tyro_with_exit_code_2(arguments, words, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    code, out, err = run(arguments, capsys)
+    assert (code, out) == (2, "")
+    assert all(word in err for word in words), err
+
+
+SCRIPT = (sys.executable, "-m", "gelgap.cli.start")
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    "arguments", [["--version"], ["--help"], ["generate", "--help"], ["presets"]], ids=str
+)
+def test_output_that_nobody_reads_or_that_finds_no_room_is_no_traceback(arguments, unbuffered, monkeypatch):
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
+    reader, closed = os.pipe()
+    os.close(reader)
+    ended = subprocess.run([*SCRIPT, *arguments], stdout=closed, stderr=subprocess.PIPE, text=True)
+    os.close(closed)
+    assert ended.returncode == 0 or arguments == ["presets"]
+    assert "Traceback" not in ended.stderr
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run([*SCRIPT, *arguments], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("gelgap: what is printed cannot be written (No space left on device)")
+    assert ended.stderr.count("\n") == 1
+
+
+def test_a_result_that_could_not_be_told_is_not_computed(tmp_path):
+    command = f"{' '.join(SCRIPT)} press --save {tmp_path / 'state.npz'} >&-"
+    ended = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr) == (
+        2,
+        "gelgap: standard output is closed, and results are printed there; open it\n",
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_ascii_terminal_gets_the_result(monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    ended = subprocess.run([*SCRIPT, "presets"], capture_output=True)
+    assert ended.returncode == 0, ended.stderr
+    assert rb"\xd7" in ended.stdout
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        ValueError("Error: engine error: Could not allocate memory"),
+        ImportError("a.so: failed to map segment from shared object"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_little_memory_is_no_bad_input(error, capsys, monkeypatch):
+    def solve(self, started):
+        raise error
+
+    monkeypatch.setattr(COMMANDS["press"], "run", solve)
+    code, _, err = run(["press"], capsys)
+    assert code == 1
+    assert err.startswith("gelgap: out of memory (")
 
 
 def test_a_missing_data_set_is_bad_input(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -254,33 +327,13 @@ def test_a_sweep_file_is_planned(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert not (tmp_path / "data").exists()
 
 
-IMPORT_STOPPED = """
-import sys, time
-from gelgap.cli import main
-stops = main._counted_stops()
-sys.path.insert(0, {folder!r})
-try:
-    import package
-    print("imported", flush=True)
-    time.sleep(60)
-except KeyboardInterrupt:
-    print("stopped", len(stops) > 0)
-"""
-
-
-@pytest.mark.parametrize(
-    "body",
-    [
-        "os.kill(os.getpid(), signal.SIGINT)\nlast_line = 1",
-        "try:\n    os.kill(os.getpid(), signal.SIGINT)\n    last_line = 1\nexcept BaseException:\n    pass",
-    ],
-    ids=["would be cut in two", "would catch it"],
-)
-def test_ctrl_c_waits_for_the_end_of_an_import(tmp_path, body):
-    (tmp_path / "package.py").write_text(f"import os, signal\n{body}\n")
-    code = IMPORT_STOPPED.format(folder=str(tmp_path))
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert ended.stdout.split() == ["imported", "stopped", "True"], ended.stderr
+def test_a_home_that_takes_no_cache_is_named(capsys, monkeypatch):
+    monkeypatch.delenv("GELGAP_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nowhere")
+    code, out, err = run(["press"], capsys)
+    assert (code, out) == (2, "")
+    assert "the folder of the cache, '/proc/nowhere/gelgap': /proc cannot be written to" in err
+    assert "name another in GELGAP_CACHE" in err
 
 
 def test_a_command_stopped_while_it_reads_its_arguments_ends_with_a_sentence(monkeypatch, capsys):
@@ -288,10 +341,4 @@ def test_a_command_stopped_while_it_reads_its_arguments_ends_with_a_sentence(mon
         raise KeyboardInterrupt
 
     monkeypatch.setattr("gelgap.cli.main.parse", stopped)
-    with pytest.raises(SystemExit) as stop:
-        start()
-    assert stop.value.code == 130
-    assert (
-        capsys.readouterr().err
-        == "gelgap: interrupted before anything was done; run the same command again\n"
-    )
+    assert run(["press"], capsys) == (130, "", "gelgap: interrupted; run the same command again\n")

@@ -108,6 +108,15 @@ def test_a_value_beyond_a_knob_widens_its_range(page: Any) -> None:
     assert page.controls.elastomer.value == "own"
 
 
+def test_a_number_typed_beyond_a_slider_becomes_its_end_with_a_sentence(page: Any) -> None:
+    settled(page, lambda: page.shown is not None and "interpolated" in page.shown.source)
+    page.controls.depth.value = 1309.0
+    assert page.controls.wanted.pose.depth_mm == 0.6
+    page.controls._put_back(page.controls.depth)
+    assert page.controls.depth.value == page.controls.wanted.pose.depth_mm == 1.0
+    assert "1309 lies outside 0 to 1: 1 is shown" in page._readout.message.content
+
+
 def test_a_knob_changes_nothing_but_its_own_value(page: Any) -> None:
     """Travel and direction are shown rounded; turning the depth turned the drag to what they show."""
     pose = Pose(depth_mm=0.7, shear_x_mm=0.35, shear_y_mm=-0.15)
