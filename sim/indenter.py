@@ -69,6 +69,11 @@ class Indenter(Settings, ABC):
         return self.origin_height_mm
 
     @property
+    def shallowest_mm(self) -> float:
+        """Depth that the body must at least be pressed to, so that all of its face touches."""
+        return 0.0
+
+    @property
     @abstractmethod
     def mujoco_geom(self) -> str:
         """Attributes of MuJoCo's geom, in mm: the body, or a box around it; near it, MuJoCo looks for contacts."""

@@ -9,7 +9,7 @@ from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import MembraneState, SolvedPose
 from gelgap.sim.path import ContactPath, ForcePath, PosePath
 from gelgap.sim.plan import plan_visit, solved_pose
-from gelgap.sim.scene import Elastomer, Pose, Sharing
+from gelgap.sim.scene import Elastomer, Pose, Sharing, deepest_mm
 
 # Load control ends within this share of its force, or gives up after this many corrections of the depth.
 _FORCE_TOLERANCE = 0.01
@@ -78,9 +78,9 @@ def pose_for_force(
 ) -> Pose:
     """Return the pose whose depth gives a normal force (load control): `normal_force_n` is positive, as −Fz.
 
-    One descent in ten steps, down to a third of the thickness or 0.8 of the indenter's largest depth, is solved and
-    inverted by a monotone cubic. The depth found is solved by itself, on the mesh that it needs, and corrected until
-    its force is within 1 % of the target.
+    A descent in ten steps is solved and inverted by a monotone cubic: down to a third of the thickness or 0.8 of the
+    indenter's largest depth, and if that does not reach the force, to the largest depth that the gel allows. The depth
+    found is solved by itself, on the mesh that it needs, and corrected until its force is within 1 % of the target.
 
     Raises
     ------
@@ -91,13 +91,12 @@ def pose_for_force(
     """
     if not normal_force_n > 0:
         raise ValueError(f"normal_force_n = {normal_force_n!r}: must be more than 0 N")
-    depth_of, most_n = _depths_by_force(elastomer, indenter, point_mm, quality, sharing)
-    if normal_force_n > most_n:
-        raise ValueError(f"normal_force_n = {normal_force_n:g}: must be at most {most_n:.4g} N on this gel")
+    named = f"normal_force_n = {normal_force_n:g}"
+    depth_of = _depths_by_force(named, normal_force_n, elastomer, indenter, point_mm, quality, sharing)
     place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
     sought = normal_force_n
     for _ in range(_DEPTH_CORRECTIONS + 1):
-        pose = Pose(depth_mm=depth_of(min(sought, most_n)), **place)
+        pose = Pose(depth_mm=depth_of(sought), **place)
         reached = -solve_pose(elastomer, indenter, pose, quality, sharing).force_n[2]
         if abs(reached / normal_force_n - 1) <= _FORCE_TOLERANCE:
             return pose
@@ -122,36 +121,59 @@ def path_on_gel(
     RuntimeError
         If the descent does not converge.
     """
-    depth_of, most_n = _depths_by_force(elastomer, indenter, (0.0, 0.0), quality)
-    if path.forces_n[-1] > most_n:
-        raise ValueError(
-            f"force_n = {path.forces_n[-1]:g} of path {path.in_newtons.name}: must be at most {most_n:.4g} N on "
-            "this gel"
-        )
+    most_n = path.forces_n[-1]
+    named = f"force_n = {most_n:g} of path {path.in_newtons.name}"
+    depth_of = _depths_by_force(named, most_n, elastomer, indenter, (0.0, 0.0), quality)
     return path.at_depths([depth_of(force) for force in path.forces_n])
 
 
 def _depths_by_force(
+    named: str,
+    most_n: float,
     elastomer: Elastomer,
     indenter: Indenter,
     point_mm: tuple[float, float],
     quality: str,
     sharing: Sharing | None = None,
-) -> tuple[Callable[[float], float], float]:
-    """Return the depth as a function of normal force, by a descent in ten steps, and the force at its end."""
+) -> Callable[[float], float]:
+    """Return the depth as a function of normal forces up to about `most_n`, which a message calls `named`."""
     from scipy.interpolate import PchipInterpolator
 
-    deepest = min(elastomer.thickness_mm / 3, 0.8 * indenter.deepest_mm)
-    depths = np.round(np.linspace(0.0, deepest, 11), 9)
+    shallowest, deepest = indenter.shallowest_mm, deepest_mm(elastomer, indenter)
+    if deepest <= shallowest:
+        raise ValueError(f"{named}: no depth on this gel lets all of the indenter ({indenter.label}) touch")
+    usual = min(elastomer.thickness_mm / 3, 0.8 * indenter.deepest_mm, deepest)
+    for end in (usual, deepest) if shallowest < usual < deepest else (deepest,):
+        depths, force = _descent(end, elastomer, indenter, point_mm, quality, sharing)
+        if force[-1] >= most_n:
+            # Force grows about as depth^1.5, so its power 2/3 is nearly straight.
+            by_power = PchipInterpolator(force ** (2 / 3), depths)
+            return lambda force_n: round(min(float(by_power(force_n ** (2 / 3))), deepest), 6)
+    raise ValueError(
+        f"{named}: must be at most {force[-1]:.4g} N, at {depths[-1]:.4g} mm, the largest depth that can be solved on "
+        "this gel"
+    )
+
+
+def _descent(
+    end_mm: float,
+    elastomer: Elastomer,
+    indenter: Indenter,
+    point_mm: tuple[float, float],
+    quality: str,
+    sharing: Sharing | None,
+) -> tuple[Floats, Floats]:
+    """Return depths in ten steps, as far as they converge, and normal forces there, both from 0."""
+    depths = np.append(0.0, np.round(np.linspace(indenter.shallowest_mm, end_mm, 11)[1:], 9))
     place = {"point_x_mm": point_mm[0], "point_y_mm": point_mm[1]}
     poses = tuple(Pose(depth_mm=float(depth), **place) for depth in depths[1:])
     states = solve_poses(elastomer, indenter, poses, quality, sharing)
     force = np.array([0.0, *(-state.force_n[2] for state in states)])
-    if not all(state.converged for state in states) or np.any(np.diff(force) <= 0):
+    holds = [True, *(state.converged for state in states)] & (np.diff(force, prepend=-1.0) > 0)
+    number = len(holds) if holds.all() else int(holds.argmin())
+    if number < 3:
         raise RuntimeError("the descent that load control inverts did not converge; try another quality")
-    # Force grows about as depth^1.5, so its power 2/3 is nearly straight.
-    by_power = PchipInterpolator(force ** (2 / 3), depths)
-    return lambda force_n: round(float(by_power(force_n ** (2 / 3))), 6), float(force[-1])
+    return depths[:number], force[:number]
 
 
 def bonded_layer_force_n(

@@ -27,6 +27,9 @@ _POINTS_AT_A_TIME = 500
 # Fields that a rounding may be half of.
 _SIZES = ("diameter_mm", "length_mm", "size_mm")
 
+# Fields of a mesh that are not sizes.
+UNLISTED = ("hull_mm", "above_mm", "flip")
+
 Angle = Annotated[float, within(-180.0, 180.0, "°")]
 Tilt = Annotated[float, within(-LARGEST_TILT_DEG, LARGEST_TILT_DEG, "°")]
 
@@ -89,7 +92,7 @@ class Shape(Indenter):
 
     @property
     def label(self) -> str:
-        fields = ((name, value) for name, value in self if name != "hull_mm" and np.any(value))
+        fields = ((name, value) for name, value in self if name not in UNLISTED and np.any(value))
         words = [
             f"{name.rpartition('_')[0].replace('_', ' ')} {_plain(value)}{'°' * name.endswith('_deg')}"
             for name, value in fields
@@ -144,6 +147,10 @@ class Shape(Indenter):
         return self._height_mm / 2
 
     @property
+    def shallowest_mm(self) -> float:
+        return float(np.ptp(self._face_mm @ self._turn[2])) if any(self.tilt_deg) else 0.0
+
+    @property
     def mujoco_geom(self) -> str:
         ends = self._support_mm(np.concatenate([np.eye(3), -np.eye(3)]))
         centre, half = self._turn @ (ends[:3] - ends[3:]) / 2, (ends[:3] + ends[3:]) / 2
@@ -176,11 +183,10 @@ class Shape(Indenter):
                 f"roll_deg: tilts the {self.shape} by {np.abs(self.tilt_deg).max():.3g}° about x or y; "
                 f"must be at most {LARGEST_TILT_DEG:g}°"
             )
-        lifted_mm = float(np.ptp(self._face_mm @ self._turn[2]))
-        if any(self.tilt_deg) and lifted_mm > depth_mm:
+        if self.shallowest_mm > depth_mm:
             raise ValueError(
                 f"tilt_deg = {self.tilt_deg[0]:g} {self.tilt_deg[1]:g}: lifts the far side of the {self.shape} by "
-                f"{lifted_mm:.3g} mm, off the gel at a depth of {depth_mm:g} mm; tilt less or press deeper"
+                f"{self.shallowest_mm:.3g} mm, off the gel at a depth of {depth_mm:g} mm; tilt less or press deeper"
             )
 
 
@@ -252,27 +258,32 @@ def _facets(body: RoundedHull) -> _Facets:
 
 def _onto_hull(points_mm: Floats, facets: _Facets) -> tuple[Floats, Floats]:
     """Return signed distance (n,) and gradient (n, 3) at points (n, 3) of a convex hull."""
-    from scipy.spatial.distance import cdist
-    from trimesh.triangles import closest_point
-
     triangles, normals, offsets = facets
     heights = points_mm @ normals.T + offsets
     face = heights.argmax(axis=1)
     distance_mm, normal = heights[np.arange(len(face)), face], normals[face]
     outside = np.flatnonzero(distance_mm > 0)
-    # No triangle is nearer than its centre less its size; one is as near as the nearest centre.
-    to_centre = cdist(points_mm[outside], triangles.mean(axis=1))
-    size_mm = np.linalg.norm(triangles - triangles.mean(axis=1, keepdims=True), axis=2).max(axis=1)
-    pairs = np.argwhere(to_centre - size_mm <= to_centre.min(axis=1, keepdims=True))
-    at, of = outside[pairs[:, 0]], pairs[:, 1]
-    apart = points_mm[at] - closest_point(triangles[of], points_mm[at])
+    apart = from_triangles(points_mm[outside], triangles)
     length = np.linalg.norm(apart, axis=1)
-    order = np.lexsort([length, at])
-    first = order[np.unique(at[order], return_index=True)[1]]
-    clear = first[length[first] > 1e-9]
-    distance_mm[at[clear]] = length[clear]
-    normal[at[clear]] = apart[clear] / length[clear, None]
+    clear = length > 1e-9
+    distance_mm[outside[clear]] = length[clear]
+    normal[outside[clear]] = apart[clear] / length[clear, None]
     return distance_mm, normal
+
+
+def from_triangles(points_mm: Floats, triangles_mm: Floats) -> Floats:
+    """Return vectors (n, 3) to points (n, 3) from the nearest point of any of the triangles (m, 3, 3)."""
+    from scipy.spatial.distance import cdist
+    from trimesh.triangles import closest_point
+
+    # No triangle is nearer than its centre less its size; one is as near as the nearest centre.
+    centres = triangles_mm.mean(axis=1)
+    to_centre = cdist(points_mm, centres)
+    size_mm = np.linalg.norm(triangles_mm - centres[:, None], axis=2).max(axis=1)
+    at, of = np.nonzero(to_centre - size_mm <= to_centre.min(axis=1, keepdims=True))
+    apart = points_mm[at] - closest_point(triangles_mm[of], points_mm[at])
+    order = np.lexsort([np.linalg.norm(apart, axis=1), at])
+    return apart[order[np.unique(at[order], return_index=True)[1]]]
 
 
 @lru_cache(maxsize=64)

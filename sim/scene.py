@@ -24,6 +24,8 @@ NO_CLASS = -1
 # A contact is interior if the pad's edges are further away than this many thicknesses (docs/physics.md).
 _INTERIOR_THICKNESSES = 2.4
 _DEEPEST_THICKNESSES = 0.6
+_DEPTH_STEP_MM = 1e-3
+_ROUNDING_MM = 1e-9
 LARGEST_TURN_DEG = 90.0
 
 
@@ -126,6 +128,20 @@ class Elastomer(PresetSettings):
         return equivalent_moduli(own) if self.strain_energy == "isochoric" else own
 
 
+def deepest_mm(elastomer: Elastomer, indenter: Indenter) -> float:
+    """Return the largest depth that a gel allows: by its thickness, the indenter, and the size of its pad."""
+    from scipy.optimize import bisect
+
+    def too_wide_mm(depth_mm: float) -> float:
+        width_mm = np.ptp(np.reshape(indenter.cut_mm(depth_mm), (2, 2)), axis=1)
+        return float((width_mm - elastomer.pad_size_mm).max())
+
+    deepest = min(_DEEPEST_THICKNESSES * elastomer.thickness_mm, indenter.deepest_mm)
+    if too_wide_mm(deepest) <= 0 or too_wide_mm(_DEPTH_STEP_MM) > 0:
+        return deepest
+    return max(bisect(too_wide_mm, _DEPTH_STEP_MM, deepest, xtol=_DEPTH_STEP_MM) - _DEPTH_STEP_MM, 0.0)
+
+
 @dataclass(frozen=True)
 class Pose:
     """One commanded contact: at a point of the pad, `depth_mm` down, then sideways by the shear in one straight line.
@@ -220,7 +236,7 @@ class Scene:
             if abs(value) > half:
                 raise ValueError(f"{name} = {value:g}: lies off the pad, must be in [{-half:g}, {half:g}] mm")
         deepest = min(_DEEPEST_THICKNESSES * gel.thickness_mm, indenter.deepest_mm)
-        if depth_mm > deepest:
+        if depth_mm > deepest + _ROUNDING_MM:
             raise ValueError(
                 f"depth_mm = {depth_mm:g}: must be in [0, {deepest:g}] mm, at most {_DEEPEST_THICKNESSES:g} of "
                 f"the pad's thickness and {indenter.deepest_mm:g} mm for the indenter ({indenter.label})"

@@ -17,7 +17,8 @@ from gelgap.sim.press import (
     solve_pose,
     solve_poses,
 )
-from gelgap.sim.scene import Elastomer, Pose, Sharing
+from gelgap.sim.scene import Elastomer, Pose, Scene, Sharing, deepest_mm
+from gelgap.sim.shapes import Cylinder
 from gelgap.sim.solution import cache_use
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.8)
@@ -200,10 +201,32 @@ def test_a_press_of_a_fifth_of_a_micrometre_is_in_equilibrium() -> None:
 
 @pytest.mark.usefixtures("coarse")
 def test_load_control_finds_the_depth_of_a_force() -> None:
-    pose = pose_for_force(GEL, BALL, 0.2, quality="draft")
-    assert -solve_pose(GEL, BALL, pose, "draft").force_n[2] == pytest.approx(0.2, rel=0.01)
-    with pytest.raises(ValueError, match="normal_force_n"):
+    """Down to a third of the thickness the ball takes 1.2 N."""
+    for force_n in (0.2, 2.0):
+        pose = pose_for_force(GEL, BALL, force_n, quality="draft")
+        reached_n = -solve_pose(GEL, BALL, pose, "draft").force_n[2]
+        assert reached_n == pytest.approx(force_n, rel=0.01)
+    assert pose.depth_mm > GEL.thickness_mm / 3
+    with pytest.raises(
+        ValueError, match=r"normal_force_n = 50: must be at most 2.* N, at 1.5 mm, the largest depth"
+    ):
         pose_for_force(GEL, BALL, 50.0, quality="draft")
+
+
+def test_load_control_presses_a_tilted_face_until_all_of_it_touches() -> None:
+    tilted = Cylinder(diameter_mm=8.0, tilt_deg=(15.0, 0.0))
+    assert tilted.shallowest_mm == pytest.approx((8 - 0.4) * np.sin(np.radians(15)))
+    with pytest.raises(ValueError, match="no depth on this gel lets all of the indenter"):
+        pose_for_force(GEL, tilted, 1.0)
+
+
+def test_a_pad_may_allow_less_depth_than_gel_and_indenter() -> None:
+    thick, wide = GEL.model_copy(update={"thickness_mm": 20.0}), Sphere(diameter_mm=30.0)
+    deepest = deepest_mm(thick, wide)
+    assert wide.penetration_radius_mm(deepest) == pytest.approx(10.0, abs=2e-3)
+    Scene(thick, wide, "draft", Sharing()).check(Pose(depth_mm=deepest))
+    assert deepest_mm(GEL, wide) == pytest.approx(1.8)
+    Scene(GEL, wide, "draft", Sharing()).check(Pose(depth_mm=1.8))
 
 
 @pytest.mark.usefixtures("coarse")
@@ -261,7 +284,7 @@ def test_a_path_of_forces_reaches_them_on_its_gel() -> None:
         assert -solve_pose(GEL, BALL, Pose(depth_mm=depth), "draft").force_n[2] == pytest.approx(
             force, rel=0.05
         )
-    with pytest.raises(ValueError, match=r"force_n = 90 of path forces: must be at most .* N on this gel"):
+    with pytest.raises(ValueError, match=r"force_n = 90 of path forces: must be at most .* N, at 1.5 mm"):
         path_on_gel(
             ForcePath(ContactPath("forces", (0.0,), (0.0,), (90.0,), (0.0,), (0.0,))), GEL, BALL, "draft"
         )
