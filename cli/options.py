@@ -98,6 +98,7 @@ def _check_takes_files(folder: Path) -> None:
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(help_behavior_hint="")]
 """A switch that is off unless it is given."""
 Quality = Literal["draft", "standard", "fine"]
+MeshUnit = Literal["mm", "cm", "m", "inch", "um"]
 Seed = Annotated[int, between(0, 2**63 - 1)]
 PictureSize = Annotated[
     tuple[int, int],
@@ -172,13 +173,20 @@ class IndenterOptions:
     """Turn of the indenter about the vertical axis in degrees, from +x towards +y."""
     tilt_deg: Annotated[tuple[float, float] | None, optional("DEG DEG", "0 0")] = None
     """Tilt of the indenter about x and about y in degrees."""
+    flip: Flag = False
+    """Press the top (+z) of a mesh file instead of its bottom."""
+    mesh_unit: Annotated[MeshUnit | None, optional("{mm,cm,m,inch,um}", "the file's own; mm")] = None
+    """Unit of a mesh file that does not state it."""
 
     def make(self) -> "sim.AnyIndenter":
         """Return the indenter."""
-        given = {name: value for name, value in vars(self).items() if value is not None}
+        given = {
+            name: value for name, value in vars(self).items() if value is not None and value is not False
+        }
         name = given.pop("indenter")
-        if "indenter_diameter_mm" in given:
-            given["diameter_mm"] = given.pop("indenter_diameter_mm")
+        for option, field in (("indenter_diameter_mm", "diameter_mm"), ("mesh_unit", "unit")):
+            if option in given:
+                given[field] = given.pop(option)
         return sim.load_indenter(name, **given)
 
 

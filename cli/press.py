@@ -117,6 +117,7 @@ class Press(opt.Command):
                 self.mesh, solved, point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture
             )
         report = {
+            "indenter": indenter.label,
             "force_n": state.force_n.tolist(),
             "torque_n_mm": state.torque_n_mm.tolist(),
             "contact_radius_mm": float(state.contact_radius_mm),
@@ -144,6 +145,7 @@ class Press(opt.Command):
         torque = zip("xyz", report["torque_n_mm"], strict=True)
         radius = f"{report['contact_radius_mm']:.3f} ± {report['contact_radius_error_mm']:.3f}"
         rows = {
+            "indenter": report["indenter"],
             "depth": f"{depth_mm:.4g} mm",
             "force": f"{'  '.join(f'F{axis} {n:+.4f} ± {e:.4f}' for axis, n, e in force)} N",
             "torque": f"{'  '.join(f'T{axis} {t:+.4f}' for axis, t in torque)} N mm, contact point",

@@ -117,5 +117,5 @@ def check_sharpness(problem: ContactProblem) -> None:
         if radius.min(initial=np.inf) < 0.98 * served_mm:
             raise ValueError(
                 f"indenter ({indenter.label}): has an edge sharper than the mesh at quality {problem.quality.name} "
-                f"serves; the smallest radius that it serves here is {served_mm:.2g} mm"
+                f"serves; the smallest radius that it serves here is {served_mm:.2g} mm: give a larger edge_radius_mm"
             )

@@ -13,16 +13,17 @@ from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import within
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.indenter import Floats, Indenter, Sphere, Symmetry
+from gelgap.sim.mesh_file import MeshUnit, convex_part
 from gelgap.sim.rounded import RoundedHull, RoundedProfile, Shape
 
-MOST_HULL_POINTS = 4000
 # Bodies whose height no field says are as high as they are wide, and at least this high.
 _SMALLEST_HEIGHT_MM = 10.0
-# A mesh is convex if its volume is this share of its hull's.
-_CONVEX_VOLUME_SHARE = 0.995
+# Beside a body the gel rises by up to a quarter of the depth (8 × 8 mm on 4 mm of gel: by 0.14 of it).
+_STAYS_OFF = 0.8
 
 Size = Annotated[float, within(0.5, 50.0, "mm")]
 Rounding = Annotated[float, within(0.01, 25.0, "mm")]
+Corners = tuple[tuple[float, float, float], ...]
 
 
 class Cylinder(RoundedProfile):
@@ -200,59 +201,70 @@ class Box(RoundedHull):
 
 
 class ConvexMesh(RoundedHull):
-    """A convex body of any shape, by its corners, which stands on the gel as it is in its file."""
+    """A convex body of any shape, by its corners, which stands on the gel as it is in its file.
+
+    What lies above may be of any shape, as long as it stays off the gel.
+    """
 
     shape: ClassVar[str] = "mesh"
 
-    hull_mm: tuple[tuple[float, float, float], ...] = Field(
-        description="Corners of the convex hull, mm; the lowest is moved to z = 0."
+    hull_mm: Corners = Field(
+        description="Corners of the convex hull less its rounding, mm; the lowest is moved to z = 0."
     )
     edge_radius_mm: Annotated[float, within(0.0, 25.0, "mm")] = Field(
-        default=0.0, description="Radius of the ball that rolls around the hull and rounds it, mm, 0 to 25."
+        default=0.0, description="Radius of the ball that rolls around these corners, mm, 0 to 25."
+    )
+    above_mm: Corners = Field(
+        default=(),
+        description="Corners of what lies above the convex part and stays off the gel, mm.",
+        exclude_if=lambda value: not value,
+    )
+    flip: bool = Field(
+        default=False,
+        strict=True,
+        description="Whether it is the file's top that touches, and not its bottom, −z.",
+        exclude_if=lambda value: not value,
     )
 
     @classmethod
-    def load(cls, path: str | Path, **fields: Any) -> Self:
-        """Read a mesh file (STL, PLY, OBJ, …) in mm, centred over its lowest point's face.
+    def load(cls, path: str | Path, unit: MeshUnit | None = None, **fields: Any) -> Self:
+        """Read a mesh file (STL, PLY, OBJ, GLB, 3MF, OFF), centred over its lowest point's face.
+
+        Its size stays when its edges are rounded. `unit` is by default what the file states, or mm. Of a body that is
+        convex only at its lower end, that end is pressed.
 
         Raises
         ------
         FileNotFoundError
             If there is no such file.
         ValueError
-            If it is no mesh, or one that is open or not convex, or has too many corners.
+            If it is no mesh, its size is not credible, its lower end is not convex, or too small for the rounding.
         """
-        import trimesh
-
-        path = Path(path)
-        if not path.is_file():
-            raise FileNotFoundError(f"mesh {path} does not exist")
-        try:
-            mesh = trimesh.load_mesh(path)
-            mesh.merge_vertices()
-            watertight, volume, hull = mesh.is_watertight, abs(mesh.volume), mesh.convex_hull
-        except Exception as error:  # readers of other people's formats raise whatever they like
-            raise ValueError(f"indenter = {str(path)!r}: is not a mesh that can be read ({error})") from None
-        if not watertight:
-            raise ValueError(f"indenter = {str(path)!r}: the mesh is open; close it")
-        if volume < _CONVEX_VOLUME_SHARE * hull.volume:
-            share = 100 * volume / hull.volume
-            raise ValueError(
-                f"indenter = {str(path)!r}: must be convex; it fills {share:.1f} % of its convex hull"
-            )
-        corners = np.array(hull.vertices)
-        if len(corners) > MOST_HULL_POINTS:
-            raise ValueError(f"indenter = {str(path)!r}: has {len(corners)} corners, of {MOST_HULL_POINTS}")
-        lowest = corners[corners[:, 2] < corners[:, 2].min() + 1e-6]
-        corners -= [*lowest[:, :2].mean(axis=0), corners[:, 2].min()]
-        return cls(hull_mm=tuple(map(tuple, np.round(corners, 6).tolist())), **fields)
+        body = cls(hull_mm=(), **fields)
+        core_mm, above_mm = convex_part(Path(path), unit, body.flip, body.edge_radius_mm)
+        corners = {"hull_mm": core_mm, "above_mm": above_mm}
+        return body.model_copy(
+            update={name: tuple(map(tuple, np.round(of, 6).tolist())) for name, of in corners.items()}
+        )
 
     @property
     def label(self) -> str:
-        size = " × ".join(
-            f"{side:.3g}" for side in np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm
-        )
-        return super().label.replace(self.shape, f"mesh of {len(self.hull_mm)} corners, size {size}", 1)
+        size_mm, whole = np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm, ""
+        if self.above_mm:
+            above_mm = _points_mm(self.above_mm)
+            size_mm[2] = above_mm[:, 2].min()
+            whole_mm = np.maximum(size_mm, [*np.ptp(above_mm[:, :2], axis=0), above_mm[:, 2].max()])
+            whole = f", the convex end of a body of {_by(whole_mm)} mm whose rest stays off the gel"
+        side = "top (+z of the file)" if self.flip else "bottom (−z of the file)"
+        own = f"mesh of {len(self.hull_mm)} corners, {_by(size_mm)} mm{whole}, touches by its {side}"
+        return super().label.replace(self.shape, own, 1)
+
+    @property
+    def deepest_mm(self) -> float:
+        if not self.above_mm:
+            return super().deepest_mm
+        lowest_mm = float((_points_mm(self.above_mm) @ self._turn[2]).min()) + self.origin_height_mm
+        return min(super().deepest_mm, max(_STAYS_OFF * lowest_mm, 0.0))
 
     @property
     def _upright_symmetry(self) -> Symmetry:
@@ -264,7 +276,7 @@ class ConvexMesh(RoundedHull):
 
     @property
     def _corners_mm(self) -> Floats:
-        return _hull_mm(self.hull_mm) + np.array([0.0, 0.0, self.edge_radius_mm])
+        return _points_mm(self.hull_mm) + np.array([0.0, 0.0, self.edge_radius_mm])
 
 
 AnyIndenter = Sphere | Cylinder | Cone | Edge | Box | Ellipsoid | ConvexMesh
@@ -311,20 +323,25 @@ def _from_table(values: dict[str, Any], folder: Path, fields: dict[str, Any]) ->
 
 
 def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) -> Any:
+    known = [field for field in shape.model_fields if field not in ("hull_mm", "above_mm")]
+    known += [] if mesh is None else ["unit"]
     for name in fields:
-        if name not in shape.model_fields:
-            known = ", ".join(field for field in shape.model_fields if field != "hull_mm")
-            raise ValueError(f"{name}: a {shape.shape} has none; it has {known}")
+        if name not in known:
+            raise ValueError(f"{name}: a {shape.shape} has none; it has {', '.join(known)}")
     return shape(**fields) if mesh is None else shape.load(mesh, **fields)
 
 
+def _by(size_mm: Floats) -> str:
+    return " × ".join(f"{side:.3g}" for side in size_mm)
+
+
 @lru_cache(maxsize=8)
-def _hull_mm(points: tuple[tuple[float, float, float], ...]) -> Floats:
+def _points_mm(points: tuple[tuple[float, float, float], ...]) -> Floats:
     return np.array(points)
 
 
 @lru_cache(maxsize=8)
 def _hull_symmetry(points: tuple[tuple[float, float, float], ...]) -> Symmetry:
-    corners = {tuple(corner) for corner in (_hull_mm(points).round(4) + 0.0).tolist()}
+    corners = {tuple(corner) for corner in (_points_mm(points).round(4) + 0.0).tolist()}
     images = ({(-x + 0.0, y, z) for x, y, z in corners}, {(x, -y + 0.0, z) for x, y, z in corners})
     return Symmetry.MIRROR if all(image == corners for image in images) else Symmetry.NONE

@@ -2,8 +2,10 @@
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
+import trimesh
 
 from gelgap.cli.main import main
 
@@ -35,3 +37,18 @@ def test_a_press_may_twist(capsys: pytest.CaptureFixture[str], refused: Callable
     assert report["torque_n_mm"][2] > 1e-4
     assert report["settings"]["pose"]["twist_deg"] == 5.0
     assert "twist_deg = 100: must be in [−90, 90]°" in refused("press", "--twist-deg", "100")
+
+
+def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused: Callable[..., str]) -> None:
+    tip = trimesh.util.concatenate(
+        [trimesh.creation.box((0.003, 0.003, 0.012)), trimesh.creation.box((0.016, 0.016, 0.004))]
+    )
+    tip.vertices[8:, 2] -= 0.008
+    tip.export(tmp_path / "tip.stl")
+    press = ("press", "--depth-mm", "9", "--indenter", str(tmp_path / "tip.stl"))
+    assert "are they in m? give --mesh-unit" in refused(*press)
+    assert "16 × 16 × 4 mm" in refused(*press, "--mesh-unit", "m")
+    message = refused(*press, "--mesh-unit", "m", "--flip")
+    assert "3 × 3 × 12 mm, the convex end of a body of 16 × 16 × 16 mm" in message
+    assert "touches by its top (+z of the file)" in message
+    assert "flip: a box has none" in refused("press", "--indenter", "box", "--flip")
