@@ -25,6 +25,7 @@ _CONVEX_WITHIN_MM = 0.05
 _PLACES = 2000
 # One that is convex over less of its height is not pressed.
 _LEAST_CONVEX_MM = 0.1
+_FLAT_SHARE = 1e-6
 _JUST_BELOW_MM = 1e-4
 _NUMBERS_AT_A_TIME = 10_000_000
 
@@ -50,7 +51,9 @@ def convex_part(
         mesh = _read(path, unit)
         if flip:
             mesh.vertices *= [1, -1, -1]
-        return _part(mesh, path.name, edge_radius_mm)
+        # Trimesh divides by the volume, which a flat body has not.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return _part(mesh, path.name, edge_radius_mm)
     except QhullError:
         raise ValueError(f"indenter = {str(path)!r}: is flat where it touches the gel") from None
     except ValueError as error:
@@ -63,7 +66,7 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
     if unit is not None and unit not in _UNITS:
         raise ValueError(f"unit = {unit!r}: must be {', '.join(_UNITS)}")
     if not path.is_file():
-        raise FileNotFoundError(f"mesh {path} does not exist")
+        raise FileNotFoundError(f"mesh {path} {'is a folder' if path.exists() else 'does not exist'}")
     suffix = path.suffix.lower()
     if suffix in _CAD_SUFFIXES:
         raise ValueError("is no mesh but a CAD file; export STL, OBJ or GLB from the CAD program")
@@ -80,9 +83,11 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
     size = mesh.extents.max()
     size_mm = size * trimesh.units.unit_conversion(_UNITS.get(unit, unit), "mm")
     if not _SMALLEST_MM <= size_mm <= _LARGEST_MM:
+        smaller = "um" if unit == "mm" else "mm"
+        likely = "m" if size_mm < _SMALLEST_MM else smaller
         raise ValueError(
             f"is {size_mm:.6g} mm large if its numbers are in {unit}, must be {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm; "
-            f"are they in {'m' if size_mm < _SMALLEST_MM else 'mm'}? give --mesh-unit (in a TOML file: unit)"
+            f"are they in {likely}? give --mesh-unit {likely} (in a TOML file: unit)"
         )
     mesh.vertices *= size_mm / size
     if len(bodies := scene.graph.nodes_geometry) > 1:
@@ -102,6 +107,8 @@ def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> tuple[Floats, Fl
         part = _below(mesh, convex_mm)
         above = mesh.vertices[mesh.vertices[:, 2] > convex_mm - _JUST_BELOW_MM]
         above = _extreme(above)
+    if part.convex_hull.volume < _FLAT_SHARE * convex_mm**3:
+        raise ValueError("is flat where it touches the gel")
     corners = np.array(part.convex_hull.vertices)
     is_top = corners[:, 2] > convex_mm - 2 * _JUST_BELOW_MM
     if len(above) and np.all(np.ptp(corners[is_top, :2], axis=0) > np.ptp(corners[:, :2], axis=0) - 1e-6):

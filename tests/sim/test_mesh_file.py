@@ -94,7 +94,7 @@ def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
 @pytest.mark.parametrize(
     ("name", "body", "fields", "message"),
     [
-        ("metres.stl", moved(BOX, 0, 1e-3), {}, "0.01 mm large .* are they in m. give --mesh-unit"),
+        ("metres.stl", moved(BOX, 0, 1e-3), {}, "0.01 mm large .* are they in m. give --mesh-unit m "),
         ("mm.glb", BOX, {}, "10000 mm large .* are they in mm"),
         ("box.stl", BOX, {"unit": "furlong"}, "unit = 'furlong': must be mm, cm, m"),
         ("box.stl", BOX, {"edge_radius_mm": 1.6}, r"edge_radius_mm = 1.6: must be less than 1.5 mm"),
@@ -102,6 +102,7 @@ def written(path: Path, body: trimesh.Trimesh | trimesh.Scene | str) -> Path:
         ("torus.stl", trimesh.creation.torus(3, 1), {}, "must be convex where it touches"),
         ("tube.stl", trimesh.creation.annulus(1, 3, 6), {}, "must be convex where it touches"),
         ("flat.stl", some(BOX, BOX.triangles[:, :, 2].max(axis=1) < 1), {}, "only 0 mm high"),
+        ("sheet.stl", some(BOX, BOX.triangles[:, :, 0].max(axis=1) < 0), {}, "is flat where it touches"),
         ("points.ply", trimesh.PointCloud(BOX.vertices), {}, "holds no triangles"),
         ("text.stl", "no mesh", {}, "holds no triangles"),
         ("empty.obj", "", {}, "is not a mesh|holds no triangles"),

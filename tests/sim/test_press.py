@@ -215,11 +215,11 @@ def test_load_control_finds_the_depth_of_a_force() -> None:
         pose_for_force(GEL, BALL, 50.0, quality="draft")
 
 
-@pytest.mark.usefixtures("coarse")
 def test_load_control_presses_a_tilted_face_until_all_of_it_touches() -> None:
-    tilted = Cylinder(edge_radius_mm=0.4, tilt_deg=(4.0, 0.0))
-    pose = pose_for_force(GEL, tilted, 1.0, quality="draft")
-    assert pose.depth_mm > tilted.shallowest_mm > 0.1
+    tilted = Cylinder(diameter_mm=8.0, tilt_deg=(15.0, 0.0))
+    assert tilted.shallowest_mm == pytest.approx((8 - 0.4) * np.sin(np.radians(15)))
+    with pytest.raises(ValueError, match="no depth on this gel lets all of the indenter"):
+        pose_for_force(GEL, tilted, 1.0)
 
 
 def test_a_pad_may_allow_less_depth_than_gel_and_indenter() -> None:
