@@ -63,7 +63,6 @@ def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
     sums = dict.fromkeys(("pictures", "in contact", "dropped", "written"), "sum")
     formats = dict.fromkeys(means, "{:.1f}".format) | dict.fromkeys(("r", "r at 0"), "{:.3f}".format)
     formats["lag"] = "{:.0f}".format
-    formats["range"] = lambda lags: "" if lags is None else f"{lags[0]}…{lags[1]}"
     names = {
         "in_contact": "in contact",
         "lag_range": "range",
@@ -72,6 +71,8 @@ def _table(clips: "Sequence[domains.ConvertedClip]") -> str:
     }
     every = pd.DataFrame(map(vars, clips)).rename(columns=names)
     every[[*means]] = every["reference_rgb"].tolist()
+    every["range"] = [f"{own.lag_range[0]}…{own.lag_range[1]}" if own.lag_range else "" for own in clips]
+    every = every.astype({"lag": float, "r": float, "r at 0": float})
     by_clip = every.set_index(["session", "name"])[[*sums, "lag", "range", "r", "r at 0", *means]]
     by_session = by_clip.groupby(level="session", sort=False).agg(sums | means)
     lines = [own.to_string(formatters=formats, na_rep="") + "\n" for own in (by_clip, by_session)]
