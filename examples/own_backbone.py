@@ -35,7 +35,8 @@ def main(source: Path, target: Path, function: str = "make_backbone", profile: s
         source, target, ("source-only", "adabn"), profile=Profile.preset(profile).replace(backbone=own)
     )
     for run in runs:
-        print(f"{function} {run.method:<12} mean error on the target {run.target_test.mean_mae_n:.3f} N")
+        if run.target_test is not None:  # a target without labels has no error
+            print(f"{function} {run.method:<12} mean error on the target {run.target_test.mean_mae_n:.3f} N")
 
 
 if __name__ == "__main__":

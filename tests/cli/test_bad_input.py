@@ -28,6 +28,11 @@ WRONG: dict[str, tuple[str, str]] = {
     "force_ranges": ("generate mb0i0 --out o --force-range fz_n=0", "--force-range = 'fz_n=0'"),
     "label_ranges": ("adapt --source . --target . --range fz_n=0", "--range = 'fz_n=0'"),
     "finished_runs": ("report no-such-folder", "runs = 'no-such-folder'"),
+    "check_selector": ("adapt --source . --target . --select magic", "--select = 'magic'"),
+    "check_mm_per_px": (
+        "calibrate p.toml --reference r.png --mm-per-px 15.9 -o f.toml",
+        "15.9 pixels per mm are 0.0629 mm per pixel",
+    ),
     "check_methods": ("adapt --source . --target . --method magic", "--method = 'magic'"),
 }
 """For each check a command line with a wrong value, and what the sentence says."""
