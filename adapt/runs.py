@@ -35,7 +35,7 @@ from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.progress import Progress, silent
-from gelgap.adapt.selection import LabelFree
+from gelgap.adapt.selection import Candidate, LabelFree, alarm, scores
 from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
@@ -384,16 +384,18 @@ def run_method(
     tested = {"target": frames.target_test, "source": frames.source_held_out}
     constant = {name: evaluate_constant_mean(train, part) for name, part in tested.items() if len(part)}
     arrays = {} if model is None else _seen(model, frames)
-    errors = {
-        name: evaluate_frames(part, arrays[f"{name}_predicted_n"])
-        for name, part in tested.items()
-        if len(part) and model is not None
-    }
+    judged = constant if arrays else {}
+    errors = {name: evaluate_frames(tested[name], arrays[f"{name}_predicted_n"]) for name in judged}
     label_free = None
     if model is not None and not len(frames.target_test):
-        starts = registry.find_method(method).needs_stage_1
-        before = _seen(stage1.model()[0], frames) if starts else None
-        label_free = LabelFree.of(arrays, before, train.labels.names)
+        candidate, starts = Candidate.of(arrays), registry.find_method(method).needs_stage_1
+        quantiles = np.quantile(arrays["target_predicted_n"], (0.05, 0.5, 0.95), axis=0).T.tolist()
+        label_free = LabelFree(
+            scores=scores(candidate),
+            scores_before=scores(Candidate.of(_seen(stage1.model()[0], frames))) if starts else {},
+            quantiles=dict(zip(train.labels.names, map(tuple, quantiles), strict=True)),
+            alarm=alarm(candidate),
+        )
     run = Run(
         key=run_key(frames, method, profile, stage1.seed, stage1.weights),
         source=train.name,

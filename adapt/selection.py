@@ -26,7 +26,6 @@ ALARM_RANK = 0.3
 _CONSTANT = 1e-6
 _NEIGHBOURS = 5
 _FOLDS = 3
-QUANTILES = (0.05, 0.5, 0.95)
 
 
 @dataclass(frozen=True)
@@ -176,20 +175,6 @@ class LabelFree:
     scores_before: dict[str, float]
     quantiles: dict[str, tuple[float, ...]]
     alarm: bool
-
-    @classmethod
-    def of(
-        cls, arrays: Mapping[str, np.ndarray], before: Mapping[str, np.ndarray] | None, labels: Sequence[str]
-    ) -> "LabelFree":
-        """Sum up a run's arrays, and those of stage 1."""
-        candidate, predicted = Candidate.of(arrays), arrays["target_predicted_n"]
-        at = np.quantile(predicted.astype(float), QUANTILES, axis=0).T.tolist()
-        return cls(
-            scores=scores(candidate),
-            scores_before={} if before is None else scores(Candidate.of(before)),
-            quantiles={name: tuple(own) for name, own in zip(labels, at, strict=True)},
-            alarm=alarm(candidate),
-        )
 
 
 def select(candidates: Sequence[Candidate], selector: str) -> int:

@@ -94,7 +94,7 @@ def test_frames_without_labels_are_trained_on_first(source, target, short, label
     assert (len(frames.target_train), len(frames.target_test)) == (trained, tested)
     assert frames.target_test.is_labelled.all()
     assert not len(frames.target_validation)
-    assert f"{labelled} of 96 frames of some have labels" in frames.notes[0]
+    assert f"{labelled} of 96 frames of some have fx_n, fy_n, fz_n" in frames.notes[0]
     assert f"{trained} are trained on without them, {tested} are tested on" in frames.notes[0]
 
 
