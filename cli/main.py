@@ -77,6 +77,10 @@ def parse(words: Sequence[str]) -> Command:
     # As a shell's variable that is not set leaves it; as a path it would be the working folder.
     if any(re.fullmatch(r"(--[\w-]+=)?", word) for word in words):
         fail(f"a value is empty: gelgap {shlex.join(words)}", EXIT_BAD_INPUT)
+    name = next(iter(words), None)
+    if name in COMMANDS:
+        return tyro.cli(COMMANDS[name], prog=f"gelgap {name}", args=words[1:])
+    # Of the list of commands each has a line; its own --help has all.
     listed = [
         Annotated[command, tyro.conf.subcommand(name, description=command.__doc__.partition("\n")[0])]
         for name, command in COMMANDS.items()

@@ -116,8 +116,8 @@ def force_notes(recipes: Sequence[DomainRecipe]) -> list[str]:
     return [
         f"the deepest press of {recipe.name}{others} takes about {force_n:.3g} N, beyond the declared Fz = "
         f"{recipe.force_range_n[2][0]:g} N: training refuses such frames; declare a wider range, "
-        f"for gelgap generate as --force-range fx_n=-{wide}:{wide} fy_n=-{wide}:{wide} fz_n=-{wide}:0, for gelgap "
-        f"pretrain as force_range_n = [[-{wide}, {wide}], [-{wide}, {wide}], [-{wide}, 0]] in the file of --ranges"
+        f"for gelgap pretrain as force_range_n = [[-{wide}, {wide}], [-{wide}, {wide}], [-{wide}, 0]] in the file of "
+        f"--ranges, for gelgap generate as --force-range fx_n=-{wide}:{wide} fy_n=-{wide}:{wide} fz_n=-{wide}:0"
     ]
 
 

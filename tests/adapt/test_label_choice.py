@@ -248,7 +248,6 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
         ),
         (["--range", "fz=-3:0"], "label 'fz' is unknown; known labels: fx_n"),
         (["--range", "fz_n=-3:0", "fz_n=-4:0"], "one stands twice"),
-        (["--classes", "from-force"], "--classes"),
     ],
 )
 def test_wrong_choices_are_refused(options, message, files, refused):
