@@ -16,16 +16,10 @@ from torch.nn import functional
 
 from gelgap.adapt.inputs import INPUTS, Displacements, InputMap
 from gelgap.adapt.profile import Profile
-from gelgap.domains import (
-    LabelledFrames,
-    PairedFrames,
-    force_classes,
-    labelled_for_run,
-    labelled_frames,
-    labels_of_run,
-    split_domains,
-    with_labels,
-)
+from gelgap.domains import LabelledFrames, split_domains, with_labels
+from gelgap.domains.frames.dataset import force_classes, labelled_frames, labels_of_run
+from gelgap.domains.frames.paired_frames import PairedFrames
+from gelgap.domains.frames.splits import labelled_for_run
 
 SAME_ASPECT = 0.02
 """Aspects that differ by no more than this share are taken for the same."""

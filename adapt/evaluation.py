@@ -27,10 +27,10 @@ from gelgap.domains import (
     QUANTITIES,
     GeneratedDomain,
     LabelledFrames,
-    labelled_frames,
     paired_contacts,
     with_labels,
 )
+from gelgap.domains.frames.dataset import labelled_frames
 
 CONSTANT, QUADRATIC, RIDGE = "constant mean", "quadratic in mean difference", "ridge on area and depth"
 BASELINES = (CONSTANT, QUADRATIC, RIDGE)

@@ -19,19 +19,18 @@ from gelgap.adapt.methods.base import descend
 from gelgap.adapt.model import AffineCorrection, ForceModel, with_statistics_of
 from gelgap.adapt.network import autocast, torch_threads
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.runs import Stage1
 from gelgap.adapt.trainer import train_source
+from gelgap.assets.progress import Progress, silent
 from gelgap.domains import (
     LabelledFrames,
     Labels,
     PressStream,
     join_domains,
-    labelled_frames,
     open_domain,
     with_labels,
-    within_range,
 )
+from gelgap.domains.frames.dataset import labelled_frames, within_range
 
 STEPS = 100
 """Steps of fine-tuning to a target, whatever the number of frames."""

@@ -15,7 +15,8 @@ from pydantic import FiniteFloat
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from gelgap.domains import LabelledFrames, PairedFrames
+    from gelgap.domains import LabelledFrames
+    from gelgap.domains.frames.paired_frames import PairedFrames
 
 _BATCH = 256
 # Of the largest singular value: directions of colour that hardly respond to a slope are not blown up to noise.

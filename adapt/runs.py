@@ -34,24 +34,20 @@ from gelgap.adapt.methods.base import FeatureCollapse, TrainingDiverged
 from gelgap.adapt.model import ForceModel
 from gelgap.adapt.network import load_checkpoint
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.selection import Candidate, LabelFree, alarm, scores
 from gelgap.adapt.trainer import adapt, train_source, untrained
 from gelgap.assets.array_file import read_arrays
 from gelgap.assets.checksums import checksum_problem, file_sha256, read_json, write_checksums
 from gelgap.assets.locks import sole_use
 from gelgap.assets.names import is_plain_name
+from gelgap.assets.progress import Progress, silent
 from gelgap.assets.settings import one_sentence
 from gelgap.assets.whole_file import warn, whole_file, write_whole
-from gelgap.domains import (
-    GeneratedDomain,
-    LabelledFrames,
-    label_notes,
-    labelled_frames,
-    open_domain,
-    open_domains,
-    unseen_differences,
-)
+from gelgap.domains import GeneratedDomain, LabelledFrames, open_domain
+from gelgap.domains.frames.dataset import labelled_frames
+from gelgap.domains.frames.folders import open_domains
+from gelgap.domains.inspection import label_notes
+from gelgap.domains.sweep import unseen_differences
 
 LOG = logging.getLogger(__name__)
 _RECORD, _PREDICTIONS, _MODEL, _RESUME = "run.json", "predictions.npz", "model.pt", "resume.pt"

@@ -42,8 +42,8 @@ from gelgap.adapt.network import (
     torch_threads,
 )
 from gelgap.adapt.profile import Profile
-from gelgap.adapt.progress import Progress, silent
 from gelgap.adapt.selection import effective_rank
+from gelgap.assets.progress import Progress, silent
 from gelgap.assets.whole_file import warn, whole_file
 from gelgap.domains import LabelledFrames, with_labels
 

@@ -15,7 +15,6 @@ import pandas as pd
 
 from gelgap.benchmarks.common import processor_s, show, write_json
 from gelgap.domains import (
-    DomainFolder,
     DomainRecipe,
     LabelledFrames,
     generate_recipes,
@@ -24,6 +23,7 @@ from gelgap.domains import (
     plan_generation,
     preset_recipes,
 )
+from gelgap.domains.formats.domain_folder import DomainFolder
 from gelgap.sim import ContactPath
 
 READING_SIZE_PX = 64

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from gelgap import adapt, domains
 from gelgap.assets.names import quoted, unknown_name
+from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
 SELECTION = "selection.csv"
@@ -105,7 +106,7 @@ class Adapt(opt.Command):
         changes["backbone"] = self.backbone and adapt.use_backbone(self.backbone)
         given = {name: value for name, value in changes.items() if value is not None}
         profiles = [opt.named(adapt.Profile, name).replace(**given) for name in self.profile]
-        with adapt.console_progress() as progress:
+        with shown_progress() as progress:
             runs = adapt.adapt_folders(
                 self.source,
                 self.target,

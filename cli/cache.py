@@ -2,9 +2,13 @@
 
 from dataclasses import dataclass
 from datetime import timedelta
+from typing import TYPE_CHECKING
 
-from gelgap import domains, render, sim
+from gelgap import sim
 from gelgap.cli import options as opt
+
+if TYPE_CHECKING:
+    from gelgap.sim.solution import CacheEntry
 
 
 @dataclass(frozen=True)
@@ -25,19 +29,23 @@ class Cache(opt.Command):
 
     def run(self, started: float) -> None:
         """List or clear the cache."""
+        from gelgap.domains.frames.stored import clear_picture_cache
+        from gelgap.render.light.spectra import clear_led_cache
+        from gelgap.sim.solution import cache_entries, cache_use
+
         if self.clear:
-            render.clear_led_cache()
-            if pictures := domains.clear_picture_cache():
+            clear_led_cache()
+            if pictures := clear_picture_cache():
                 print(f"{pictures / 1e6:.1f} MB of shrunken pictures deleted")
             use, verb = sim.clear_cache(), "deleted"
         else:
-            for entry in sim.cache_entries():
+            for entry in cache_entries():
                 print(_line(entry))
-            use, verb = sim.cache_use(), "holds"
+            use, verb = cache_use(), "holds"
         print(f"{use.folder} {verb} {use.solutions} solutions, {use.bytes / 1e6:.1f} MB")
 
 
-def _line(entry: "sim.CacheEntry") -> str:
+def _line(entry: "CacheEntry") -> str:
     age = timedelta(seconds=max(0, round(entry.age_s)))
     head = f"{entry.key[:12]}  {entry.bytes / 1e6:6.2f} MB  {age!s:>17} old"
     problem = entry.problem

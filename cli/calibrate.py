@@ -89,6 +89,7 @@ class Calibrate(opt.Command):
 
     def run(self, started: float) -> None:
         """Fit and write the sensor."""
+        from gelgap.domains.calibration_presses import lit_from_dents
         from gelgap.render.calibration.pictures import check_presses
 
         if self.held_out_parts == 1:
@@ -96,7 +97,7 @@ class Calibrate(opt.Command):
         sensor, reference, presses = self._inputs()
         if sensor.illumination is None:
             check_presses(reference, presses)
-            sensor = domains.lit_from_dents(sensor, reference, presses)
+            sensor = lit_from_dents(sensor, reference, presses)
         fit = render.calibrate_light(
             sensor,
             reference,
@@ -121,6 +122,7 @@ class Calibrate(opt.Command):
 
     def _inputs(self) -> "tuple[render.Sensor, np.ndarray, tuple[render.PressPicture, ...]]":
         from gelgap.assets.image_file import read_image
+        from gelgap.domains.calibration_presses import taxim_presses
         from gelgap.render.calibration.pictures import read_presses
 
         if self.from_taxim is not None:
@@ -128,7 +130,7 @@ class Calibrate(opt.Command):
                 raise ValueError(
                     "from_taxim brings its own presses and reference; leave out PRESSES and --reference"
                 )
-            found = domains.taxim_presses(self.from_taxim, self.mm_per_px)
+            found = taxim_presses(self.from_taxim, self.mm_per_px)
             start, reference, presses = found.start, found.reference, found.presses
         elif self.presses and self.reference and (self.sensor is None) != (self.mm_per_px is None):
             presses, reference = read_presses(self.presses), read_image(self.reference)

@@ -4,11 +4,14 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from gelgap import adapt, domains, render, sim
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
+
+if TYPE_CHECKING:
+    from gelgap.adapt.result_table import NamedFigure
 
 SOURCE, TARGET = "mb0i0", "wmb1i1"
 METHODS = ("source-only", "adabn", "dsan")
@@ -48,6 +51,7 @@ class Demo(opt.Command):
     def run(self, started: float) -> None:
         """Generate source and target, train, adapt, write the report and print its tables; finished parts are kept."""
         from gelgap.adapt.report import axis_table, error_table, training_table
+        from gelgap.adapt.result_table import write_pages
 
         path, profile = sim.load_path(self.path), adapt.Profile.preset(self.profile)
         print(f"1/3  generating {SOURCE} and {TARGET} on the path {self.path}")
@@ -81,7 +85,7 @@ class Demo(opt.Command):
         print("3/3  writing the report")
         tables = [error_table(runs), axis_table(runs), training_table(runs)]
         figures = [samples(self.out / "data"), scatter(runs)]
-        page = adapt.write_pages(self.out, "report", headline(runs), tables, figures)
+        page = write_pages(self.out, "report", headline(runs), tables, figures)
         for table in tables:
             table.show()
         print(f"{headline(runs)}\n\n{time.perf_counter() - started:.0f} s in all; report: {page}")
@@ -100,10 +104,12 @@ def headline(runs: "Sequence[adapt.Run]") -> str:
     return told
 
 
-def samples(data: Path) -> "adapt.NamedFigure":
+def samples(data: Path) -> "NamedFigure":
     """Draw a contact in both domains: the frame dragged furthest right and down of the tenth nearest to 0.6 mm."""
     import numpy as np
     from matplotlib.figure import Figure
+
+    from gelgap.adapt.result_table import NamedFigure
 
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     for row, name in zip(figure.subplots(2, 4), (SOURCE, TARGET), strict=True):
@@ -123,12 +129,15 @@ def samples(data: Path) -> "adapt.NamedFigure":
     caption = (
         f"The same commanded contact in both domains, about {SAMPLE_DEPTH_MM} mm deep and dragged sideways"
     )
-    return adapt.NamedFigure("samples", caption, figure)
+    return NamedFigure("samples", caption, figure)
 
 
-def scatter(runs: "Sequence[adapt.Run]") -> "adapt.NamedFigure":
+def scatter(runs: "Sequence[adapt.Run]") -> "NamedFigure":
     """Draw predicted against true force on the target."""
+    from gelgap.adapt.report import force_scatter
+    from gelgap.adapt.result_table import NamedFigure
+
     arrays = {run.method: adapt.load_predictions(run) for run in runs}
     predicted = {method: own["target_predicted_n"] for method, own in arrays.items()}
-    figure = adapt.force_scatter(arrays[METHODS[0]]["target_true_n"], predicted)
-    return adapt.NamedFigure("scatter", f"Predicted against true force, test frames of {TARGET}", figure)
+    figure = force_scatter(arrays[METHODS[0]]["target_true_n"], predicted)
+    return NamedFigure("scatter", f"Predicted against true force, test frames of {TARGET}", figure)

@@ -28,8 +28,9 @@ OptionalColumn = Literal[
 
 def force_ranges(texts: tuple[str, ...]) -> tuple[tuple[float, float], ...]:
     """Return the ranges of Fx, Fy and Fz of texts such as `fz_n=-40:0`; an axis that is not named has the paper's."""
-    given = label_ranges(texts)
-    papers = dict(zip(domains.FORCE_COLUMNS, domains.PAPER_FORCE_RANGE_N, strict=True))
+    from gelgap.domains.frames.labels import PAPER_RANGES
+
+    given, papers = label_ranges(texts), PAPER_RANGES
     if others := sorted(given.keys() - papers.keys()):
         raise ValueError(f"{others[0]} is no axis of the force; known: {', '.join(papers)}")
     return tuple((papers | given).values())
@@ -101,6 +102,8 @@ class Generate(opt.Command):
 
     def run(self, started: float) -> None:
         """Plan and run the generation."""
+        from gelgap.domains.sweep import write_sweep
+
         self.generation.check()
         self._check_choices()
         recipes, variants = self._recipes()
@@ -109,7 +112,7 @@ class Generate(opt.Command):
             return
         self.generation.generate(recipes, self.out)
         if variants:
-            print(f"gaps to the base: {domains.write_sweep(variants, self.out)}")
+            print(f"gaps to the base: {write_sweep(variants, self.out)}")
 
     def _check_choices(self) -> None:
         """Refuse options that lack or exclude each other."""
@@ -134,6 +137,7 @@ class Generate(opt.Command):
         """Return the domains to make and, of a sweep, its variants."""
         from gelgap.assets.image_file import read_image
         from gelgap.assets.toml_file import named_in_errors
+        from gelgap.domains.sweep import sweep_variants
 
         settings = {
             "indenter": self.body.make(),
@@ -151,7 +155,7 @@ class Generate(opt.Command):
         if self.rendered_without_markers:
             settings["inpainted"] = ()
         if self.sweep:
-            variants = domains.sweep_variants(domains.Sweep.load(self.sweep), **settings)
+            variants = sweep_variants(domains.Sweep.load(self.sweep), **settings)
             return tuple(variant.recipe for variant in variants), variants
         if self.recipe:
             return domains.load_recipes(self.recipe, **settings), ()

@@ -30,7 +30,10 @@ class Inspect(opt.Command):
 
     def run(self, started: float) -> None:
         """Print the facts, and write the page."""
-        folders = domains.domain_folders(self.folder)
+        from gelgap.domains.frames.folders import domain_folders
+        from gelgap.domains.inspection import gap_rows
+
+        folders = domain_folders(self.folder)
         if self.html is not None and len(folders) > 1:
             names = ", ".join(folder.name for folder in folders)
             raise ValueError(f"--html shows one domain; {self.folder} holds {names}: name one of them")
@@ -40,7 +43,7 @@ class Inspect(opt.Command):
             print(domains.inspect_domain(folder))
             if base is not None:
                 print(f"  gap from {self.gap_to}:")
-                for what, value in domains.gap_rows(domains.open_domain(folder), base):
+                for what, value in gap_rows(domains.open_domain(folder), base):
                     print(f"    {what}: {value}")
         if intact:
             print(intact)
@@ -53,7 +56,9 @@ def _verified(folders: tuple[Path, ...]) -> str:
 
     What gelgap generated it makes again, real data it cannot.
     """
-    generated = all((folder / domains.MANIFEST).exists() for folder in folders)
+    from gelgap.domains.formats.domain_folder import MANIFEST
+
+    generated = all((folder / MANIFEST).exists() for folder in folders)
     damages = [(folder.name, damage) for folder in folders for damage in domains.verify_domain(folder)]
     if not damages:
         return "every file is what its manifest says" if generated else "every picture and force is readable"

@@ -183,7 +183,7 @@ class IndenterOptions:
     mesh_unit: Annotated[MeshUnit | None, optional("{mm,cm,m,inch,um}", "the file's own; mm")] = None
     """Unit of a mesh file that does not state it."""
 
-    def make(self) -> "sim.AnyIndenter":
+    def make(self) -> "sim.Indenter":
         """Return the indenter."""
         given = {
             name: value for name, value in vars(self).items() if value is not None and value is not False

@@ -102,6 +102,8 @@ class Pretrain(opt.Command):
         )
         if self.generation.dry_run:
             return
+        from gelgap.adapt.few_labels import pretrain_on_stream
+
         with shown_progress() as progress:
             every = {"frames_per_epoch": frames_per_epoch, "progress": progress}
-            print(adapt.pretrain_on_stream(stream, self.out, profile, self.seed, **every))
+            print(pretrain_on_stream(stream, self.out, profile, self.seed, **every))

@@ -49,6 +49,8 @@ class Render(opt.Command):
         import cv2
         import numpy as np
 
+        from gelgap.render.imaging import sensor_noise
+
         try:
             state = sim.MembraneState.load(self.state)
         except ValueError as error:
@@ -66,7 +68,7 @@ class Render(opt.Command):
         if self.linear is not None:
             np.save(self.linear, linear)
         if self.noise_seed is not None:
-            linear = render.sensor_noise(linear, sensor.camera, np.random.default_rng(self.noise_seed))
+            linear = sensor_noise(linear, sensor.camera, np.random.default_rng(self.noise_seed))
         if not cv2.imwrite(str(self.output), render.encode(linear)[..., ::-1]):
             raise RuntimeError(f"{self.output} could not be written")
         print(f"wrote {self.output}" + (f" and {self.linear}" if self.linear else ""))

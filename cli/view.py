@@ -43,8 +43,10 @@ class View(opt.Command):
             raise ValueError(f"gelgap view needs the package viser; install it with: {INSTALL}")
         import webbrowser
 
+        from gelgap.view.state import Configuration
+
         sensor, gel = opt.named(render.Sensor, self.sensor), opt.named(sim.Elastomer, self.elastomer)
-        configuration = view.Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
+        configuration = Configuration(gel, sensor, opt.light_in(sensor, self.illumination))
         page = view.open_page(configuration, self.host, self.port)
         try:
             print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)

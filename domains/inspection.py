@@ -20,7 +20,7 @@ from gelgap.domains.frames.splits import paired_contacts
 from gelgap.domains.frames.stored import GeneratedDomain, StoredFrames
 from gelgap.domains.frames.tables import GROUPS
 from gelgap.domains.sweep import domain_gap, unseen_differences
-from gelgap.render import picture_gap
+from gelgap.render.imaging import picture_gap
 
 _SHARES = (0, 0.05, 0.5, 0.95, 1)
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")

@@ -25,21 +25,21 @@ from gelgap.domains.formats.shards import OptionalColumn
 from gelgap.domains.frames.labels import PAPER_FORCE_RANGE_N
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import (
-    DEPTHS_PER_DESCENT,
-    AnyIndenter,
     ContactPath,
-    DrawnPath,
     Elastomer,
     ForcePath,
     Pose,
     PosePath,
     QualityName,
     Sphere,
-    Symmetry,
     load_indenter,
     load_path,
-    path_on_gel,
 )
+from gelgap.sim.indenter import Symmetry
+from gelgap.sim.path import DrawnPath
+from gelgap.sim.plan import DEPTHS_PER_DESCENT
+from gelgap.sim.press import path_on_gel
+from gelgap.sim.shapes import AnyIndenter
 
 LOG = logging.getLogger(__name__)
 Interval = tuple[float, float]

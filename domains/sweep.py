@@ -17,7 +17,8 @@ from gelgap.assets.whole_file import write_whole
 from gelgap.domains.generation.shard import renderer_of
 from gelgap.domains.pretraining import RisingInterval
 from gelgap.domains.recipe import DomainRecipe, differing_fields, make_recipes, read_with_path
-from gelgap.render import Markers, Variation, reference_gap, vary_illumination, vary_sensor
+from gelgap.render import Markers, Variation, vary_illumination, vary_sensor
+from gelgap.render.renderer import reference_gap
 
 Value = float | int | str | bool | None
 

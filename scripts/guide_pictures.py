@@ -135,7 +135,8 @@ def browser_page(address: str) -> Iterator[Any]:
 
 def draw_view(path: Path) -> None:
     """Open the page on a press, wait until the gel is solved and the browser has drawn it, and take the picture."""
-    from gelgap.view import Configuration, open_page
+    from gelgap.view import open_page
+    from gelgap.view.state import Configuration
 
     start = replace(PAGE_POSE, depth_mm=0.7)
     gel, sensor = Elastomer.preset("e04"), Sensor.preset("paper")

@@ -66,7 +66,7 @@ def test_what_is_public_says_its_types(room: str) -> None:
     functions = [
         function for name in names_in_stub(room) for function in public_functions(getattr(module, name))
     ]
-    assert len(functions) > 5
+    assert functions
     assert [function.__qualname__ for function in functions if not is_annotated(function)] == []
 
 

@@ -11,21 +11,15 @@ import pytest
 import torch
 from quick_solves import coarsen
 
-from gelgap.adapt import (
-    ForceModel,
-    Profile,
-    adapt_folders,
-    load_predictions,
-    load_runs,
-    make_network,
-)
-from gelgap.adapt.network import load_imagenet_weights
+from gelgap.adapt import ForceModel, Profile, adapt_folders, load_predictions, load_runs
+from gelgap.adapt.network import load_imagenet_weights, make_network
 from gelgap.assets import asset_path
 from gelgap.domains import Sweep, generate, open_domain
 from gelgap.domains.formats.pictures import encode_jpeg, encode_png
 from gelgap.render import Illumination, Sensor
 from gelgap.render.calibration.pictures import read_presses
-from gelgap.sim import ContactPath, MembraneState, grid_axes, load_path
+from gelgap.sim import ContactPath, MembraneState, load_path
+from gelgap.sim.membrane import grid_axes
 
 DOMAIN = "mb0i0"
 FRAMES = 12

@@ -11,7 +11,8 @@ from PIL import Image
 
 from gelgap.assets.whole_file import write_whole
 from gelgap.render import Camera
-from gelgap.sim import AnyIndenter, MembraneState, SolvedPose
+from gelgap.sim import MembraneState, SolvedPose
+from gelgap.sim.shapes import AnyIndenter
 
 MESH_SUFFIXES = (".glb", ".ply")
 Colouring = Literal["picture", "displacement", "pressure"]

@@ -14,8 +14,8 @@ from gelgap.render import (
     RgbSpectrum,
     Sensor,
     encode,
-    picture_gap,
 )
+from gelgap.render.imaging import picture_gap
 from gelgap.sim import MembraneState, QualityName
 
 SIZE_PX = (320, 240)

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from gelgap.sim import PoseLibrary, SolvedPose, plan_visit, solved_pose
+from gelgap.sim import PoseLibrary, SolvedPose
+from gelgap.sim.plan import plan_visit, solved_pose
 from gelgap.view.state import LibraryRequest, PoseRequest
 
 Request = LibraryRequest | PoseRequest

@@ -16,8 +16,8 @@ from gelgap.sim import (
     QualityName,
     SolvedPose,
     Sphere,
-    is_interior,
 )
+from gelgap.sim.scene import is_interior
 from gelgap.view.pictures import Light, Picture, PictureMaker
 
 SHALLOWEST_MM, DEEPEST_MM, FARTHEST_MM = 0.1, 1.0, 0.6

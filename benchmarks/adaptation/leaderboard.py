@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from gelgap.adapt import ResultTable, evaluate_constant_mean, evaluate_predictions
-from gelgap.adapt.evaluation import evaluate_baselines
+from gelgap.adapt import ResultTable, evaluate_predictions
+from gelgap.adapt.evaluation import evaluate_baselines, evaluate_constant_mean
 from gelgap.assets.names import is_plain_name
 from gelgap.assets.whole_file import write_whole
 from gelgap.benchmarks.adaptation import board, designs

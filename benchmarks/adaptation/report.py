@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gelgap.adapt import write_pages
+from gelgap.adapt.result_table import write_pages
 from gelgap.benchmarks.adaptation import groups, inputs_and_lights, tuning
 from gelgap.benchmarks.adaptation.study import BOARD, RUNS, Part, Study, is_benchmark
 

@@ -98,8 +98,8 @@ def tune(study: Study) -> None:
 
 def scored_run(study: Study, run: Setting) -> Results:
     """Do one run, and score it by the selectors, which see no target label; `alarm`: it may predict a constant."""
-    from gelgap.adapt import Candidate, as_judged_on_source
-    from gelgap.adapt.selection import alarm, scores
+    from gelgap.adapt.evaluation import as_judged_on_source
+    from gelgap.adapt.selection import Candidate, alarm, scores
 
     frames, model, results = trained(study, run)
     if model is None:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from gelgap import sim
 from gelgap.benchmarks import fem
 from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
-from gelgap.sim import AnyIndenter, Elastomer, MembraneState, Pose, Sharing, Solve, SolvePlan, Sphere
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Solve, SolvePlan, Sphere
 from gelgap.sim.plan import plan_visit
+from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
 
 if TYPE_CHECKING:

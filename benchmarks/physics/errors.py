@@ -9,7 +9,8 @@ import pandas as pd
 from gelgap.benchmarks.common import rms
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
 from gelgap.render.imaging import psnr_db
-from gelgap.sim import Box, Edge, MembraneState, Traction, traction_map
+from gelgap.sim import Box, Edge, MembraneState, Traction
+from gelgap.sim.traction import traction_map
 
 Picture = Callable[[MembraneState], np.ndarray]
 """Renders a membrane."""

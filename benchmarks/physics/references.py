@@ -14,7 +14,8 @@ from gelgap.assets import asset_path
 from gelgap.benchmarks.common import Results
 from gelgap.benchmarks.fem.spheres import Press, solve_press
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
-from gelgap.sim import AnyIndenter, Box, Cone, Cylinder, Edge, Elastomer, Pose, Sphere
+from gelgap.sim import Box, Cone, Cylinder, Edge, Elastomer, Pose, Sphere
+from gelgap.sim.shapes import AnyIndenter
 
 FORCE_UNCERTAINTY_PERCENT = 0.3
 DRAG_UNCERTAINTY_PERCENT = 4.0  # of Fx

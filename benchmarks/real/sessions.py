@@ -19,8 +19,9 @@ from gelgap.benchmarks.adaptation.board import CEILING, METHODS, Changes, Group
 from gelgap.benchmarks.adaptation.study import Study, control_of, grid, train_once, versions_line
 from gelgap.benchmarks.common import Results, Setting, bootstrap, result_table, write_json
 from gelgap.benchmarks.real.published_sets import converted_wedge
-from gelgap.domains import LabelledFrames, Labels, force_classes, open_domain, with_labels
+from gelgap.domains import LabelledFrames, Labels, open_domain, with_labels
 from gelgap.domains.formats.convert import CONTACT_N
+from gelgap.domains.frames.dataset import force_classes
 
 SESSIONS = ("2023-12-06", "2023-12-16")
 """The two sessions with objects in common."""

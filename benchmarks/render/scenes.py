@@ -11,7 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from gelgap.assets import asset_path
-from gelgap.render import Coating, Emitter, Illumination, Sensor, Variation, vary_illumination, vary_sensor
+from gelgap.render import (
+    Coating,
+    Illumination,
+    Sensor,
+    Variation,
+    vary_illumination,
+    vary_sensor,
+)
+from gelgap.render.light.leds import Emitter
 
 Membrane = tuple[np.ndarray, np.ndarray, np.ndarray]
 STORED_SAMPLES, STORED_SIZE_PX = 1024, (128, 96)

@@ -233,7 +233,7 @@ class GeneratedDomain(StoredFrames):
     @property
     def traction_half_extent_mm(self) -> tuple[float, float]:
         """How far from the sensor's centre, along x and y, the cells of `traction` reach: beyond the view."""
-        from gelgap.render import view_half_extent_mm
+        from gelgap.render.surface import view_half_extent_mm
 
         return view_half_extent_mm(self.recipe.sensor.camera, self.size_px)
 

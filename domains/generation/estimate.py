@@ -12,7 +12,10 @@ from gelgap.domains.generation.cluster import check_scheduler
 from gelgap.domains.generation.plan import GenerationPlan, plan_generation
 from gelgap.domains.generation.shard import picture_cells
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.sim import MembraneState, expected_force_n, grid_axes, has_solution
+from gelgap.sim import MembraneState
+from gelgap.sim.membrane import grid_axes
+from gelgap.sim.press import expected_force_n
+from gelgap.sim.solution import has_solution
 
 LOG = logging.getLogger(__name__)
 # Seconds of a core of a server of 2023: the start of a process, a frame.

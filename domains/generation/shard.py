@@ -16,8 +16,10 @@ from gelgap.domains.frames.labels import FORCE_COLUMNS
 from gelgap.domains.frames.splits import PARTS, draw_parts
 from gelgap.domains.generation.plan import FrameBatch
 from gelgap.domains.recipe import DomainRecipe
-from gelgap.render import Illumination, MembraneRenderer, Sensor, view_half_extent_mm
-from gelgap.sim import MembraneState, Pose, traction_map
+from gelgap.render import Illumination, MembraneRenderer, Sensor
+from gelgap.render.surface import view_half_extent_mm
+from gelgap.sim import MembraneState, Pose
+from gelgap.sim.traction import traction_map
 
 Row = dict[str, Any]
 # One renderer holds the light of the undeformed membrane, half a megabyte and more; a sweep has hundreds of lights.

@@ -14,14 +14,13 @@ from gelgap.adapt import (
     adapt_folders,
     affine_correction,
     fine_tune,
-    force_scatter,
     load_predictions,
     load_run,
     split_for_training,
     train_source,
     write_report,
 )
-from gelgap.adapt.report import axis_table, error_table
+from gelgap.adapt.report import axis_table, error_table, force_scatter
 from gelgap.assets.checksums import SUMS
 from gelgap.cli.main import main
 from gelgap.domains import ArrayFrames, Labels, with_labels

@@ -11,7 +11,8 @@ from gelgap.adapt.evaluation import (
     pose_oracle,
     worse_than_constant,
 )
-from gelgap.domains import ArrayFrames, make_recipes, unseen_differences
+from gelgap.domains import ArrayFrames, make_recipes
+from gelgap.domains.sweep import unseen_differences
 
 
 def labelled(force_n: np.ndarray, contact_class: np.ndarray, point_id: np.ndarray) -> ArrayFrames:

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from gelgap.adapt import (
-    AffineCorrection,
     ForceModel,
     affine_correction,
     camera_pictures,
@@ -21,6 +20,7 @@ from gelgap.adapt import (
     predict_each,
     train_source,
 )
+from gelgap.adapt.model import AffineCorrection
 from gelgap.adapt.prediction import range_note
 from gelgap.domains import ArrayFrames, Labels
 

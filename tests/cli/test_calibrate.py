@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from gelgap.cli.main import main
-from gelgap.render import HeldOut, LightCalibration, Scattered, Sensor
+from gelgap.render import LightCalibration, Sensor
+from gelgap.render.calibration.calibrator import HeldOut
 from gelgap.render.calibration.pictures import read_presses
 from gelgap.render.flat_field import FlatFieldMaps
+from gelgap.render.light.scattered import Scattered
 
 
 def test_the_list_that_help_shows_can_be_pasted(

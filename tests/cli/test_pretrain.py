@@ -11,7 +11,9 @@ from quick_solves import shrink_libraries
 from gelgap.adapt import ForceModel, Profile, train_source
 from gelgap.cli.main import main
 from gelgap.cli.pretrain import Factor
-from gelgap.domains import RANDOM_FACTORS, domain_folders, open_domain
+from gelgap.domains import open_domain
+from gelgap.domains.frames.folders import domain_folders
+from gelgap.domains.pretraining import RANDOM_FACTORS
 
 
 def test_a_pretrained_network_is_where_training_starts(

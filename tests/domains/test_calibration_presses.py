@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gelgap.domains import taxim_presses
-from gelgap.domains.calibration_presses import INSTALL
+from gelgap.domains.calibration_presses import INSTALL, taxim_presses
 
 
 def parts(n=3):

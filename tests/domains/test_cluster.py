@@ -12,8 +12,7 @@ from types import SimpleNamespace
 import pytest
 
 from gelgap.assets.progress import silent
-from gelgap.domains import dask_client
-from gelgap.domains.generation.cluster import run
+from gelgap.domains.generation.cluster import dask_client, run
 
 
 @pytest.fixture(scope="module")

@@ -311,7 +311,7 @@ def test_a_plain_data_loader_gives_the_same_batches(data: Path, workers: int):
 def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from gelgap.domains import clear_picture_cache
+    from gelgap.domains.frames.stored import clear_picture_cache
 
     shutil.copytree(data / "mb0i1", tmp_path / "copy", ignore=shutil.ignore_patterns(".cache"))
     monkeypatch.setenv("GELGAP_CACHE", str(tmp_path / "cache"))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gelgap.domains import drawn_illumination, drawn_lights, in_drawn_lights, make_recipes
+from gelgap.domains import drawn_lights, in_drawn_lights, make_recipes
+from gelgap.domains.drawn_lights import drawn_illumination
 from gelgap.domains.generation.plan import plan_generation
 from gelgap.render import Illumination, MembraneRenderer
 from gelgap.sim import Pose, PosePath

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from gelgap.domains import domain_folders, inspect_domain, verify_domain, write_overview
+from gelgap.domains import inspect_domain, verify_domain, write_overview
+from gelgap.domains.frames.folders import domain_folders
 
 
 def test_the_facts_are_those_of_the_data(data: Path):

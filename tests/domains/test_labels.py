@@ -10,16 +10,15 @@ import pytest
 from gelgap.domains import (
     ArrayFrames,
     Labels,
-    force_classes,
     inspect_domain,
     join_domains,
-    labels_of_run,
     open_domain,
-    open_domains,
     verify_domain,
     with_labels,
     write_overview,
 )
+from gelgap.domains.frames.dataset import force_classes, labels_of_run
+from gelgap.domains.frames.folders import open_domains
 from gelgap.domains.frames.labels import covering
 
 
@@ -213,7 +212,7 @@ def test_domains_without_a_common_label_say_what_they_have():
 
 
 def test_inspect_and_adapt_say_the_same_of_forces_that_pull(tmp_path: Path):
-    from gelgap.domains import label_notes
+    from gelgap.domains.inspection import label_notes
 
     folder = folder_of(tmp_path / "pulled", [{"fz_n": 0.5}, {"fz_n": -2.0}])
     (note,) = label_notes(open_domain(folder))

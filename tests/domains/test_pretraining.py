@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from gelgap.domains import (
-    RANDOM_FACTORS,
-    PretrainingRanges,
-    plan_generation,
-    pretraining_recipes,
-)
+from gelgap.domains import PretrainingRanges, plan_generation, pretraining_recipes
+from gelgap.domains.pretraining import RANDOM_FACTORS
 
 RANGES = PretrainingRanges(
     **{

@@ -10,7 +10,8 @@ from gelgap.domains import DomainRecipe, make_recipes
 from gelgap.domains.formats import shards
 from gelgap.domains.formats.shards import IMAGE, LABELS, OPTIONAL
 from gelgap.domains.generation.shard import picture_cells
-from gelgap.sim import MembraneState, grid_axes
+from gelgap.sim import MembraneState
+from gelgap.sim.membrane import grid_axes
 
 GUIDE = Path(__file__).parents[2] / "docs" / "data.md"
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from gelgap.benchmarks.render.scenes import sphere_dent
-from gelgap.domains import lit_from_dents
+from gelgap.domains.calibration_presses import lit_from_dents
 from gelgap.render.calibration.calibrator import (
     LightTask,
     _at_limits,

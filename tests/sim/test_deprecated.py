@@ -11,9 +11,9 @@ from gelgap.sim import (
     known_pace,
     measured_pace,
     plan_path,
-    plan_visit,
     solve_in_full,
 )
+from gelgap.sim.plan import plan_visit
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.49, friction=0.5)
 

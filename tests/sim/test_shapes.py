@@ -9,7 +9,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gelgap.sim import (
-    AnyIndenter,
     Box,
     Cone,
     ConvexMesh,
@@ -27,6 +26,7 @@ from gelgap.sim import (
 from gelgap.sim.indenter import Symmetry
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.rounded import Shape
+from gelgap.sim.shapes import AnyIndenter
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
 ALONE = Sharing(cache=False)

@@ -6,15 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim import (
-    Cylinder,
-    Elastomer,
-    Pose,
-    Sphere,
-    plan_visit,
-    slip_between,
-    solve_slip,
-)
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, solve_slip
+from gelgap.sim.plan import plan_visit
+from gelgap.sim.slip import slip_between
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
 PRESS = Pose(depth_mm=0.4)

@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim import Elastomer, Pose, Sphere, Traction, plan_visit, traction_map
+from gelgap.sim import Elastomer, Pose, Sphere, Traction
+from gelgap.sim.plan import plan_visit
 from gelgap.sim.solution import solution_bytes, solution_from_bytes
+from gelgap.sim.traction import traction_map
 
 pytestmark = pytest.mark.numerical
 

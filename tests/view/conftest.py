@@ -6,8 +6,7 @@ import pytest
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import Elastomer, PoseLibrary, Sphere
 from gelgap.sim.membrane import _SECTORS, table_radius_mm
-from gelgap.view import Configuration, LiveModel
-from gelgap.view.state import LibraryRequest
+from gelgap.view.state import Configuration, LibraryRequest, LiveModel
 
 RADIUS_MM = table_radius_mm(np.arange(90.0))
 

@@ -12,9 +12,8 @@ import pytest
 from loaded_file import load_file
 
 from gelgap.sim import Pose, PoseLibrary, SolvedPose
-from gelgap.view import Configuration
 from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
-from gelgap.view.state import LibraryRequest
+from gelgap.view.state import Configuration, LibraryRequest
 
 pytest.importorskip("viser")
 PICTURES = load_file(Path(__file__).parents[2] / "scripts" / "guide_pictures.py")

@@ -9,10 +9,10 @@ from gelgap.cli.main import main
 from gelgap.domains import domain_gap, load_recipes
 from gelgap.render import Illumination, Sensor
 from gelgap.sim import Elastomer
-from gelgap.view import Configuration
 from gelgap.view.panels import compare
 from gelgap.view.pictures import PictureMaker
 from gelgap.view.saving import recipe_toml, sensor_files, settings_toml
+from gelgap.view.state import Configuration
 
 
 @pytest.fixture

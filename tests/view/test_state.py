@@ -8,8 +8,8 @@ import pytest
 
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, Pose, PoseLibrary, SolvedPose
-from gelgap.view import Configuration, LiveModel
 from gelgap.view.pictures import SIZE_PX
+from gelgap.view.state import Configuration, LiveModel
 
 SOFT = Elastomer.preset("e02")
 

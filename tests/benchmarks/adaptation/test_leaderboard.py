@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from run_records import Record, record, write_runs
 
-from gelgap.adapt import ResultTable, evaluate_constant_mean, split_for_training
+from gelgap.adapt import ResultTable, split_for_training
+from gelgap.adapt.evaluation import evaluate_constant_mean
 from gelgap.benchmarks.adaptation import designs
 from gelgap.benchmarks.adaptation.groups import RULES
 from gelgap.benchmarks.adaptation.leaderboard import main, ranked, write_record

@@ -66,7 +66,7 @@ def test_records_of_another_configuration_are_not_gone_on_from(same_data, differ
 
 
 def test_a_runs_settings_stand_above_the_methods_own(same_data):
-    from gelgap.adapt import transfer_weight
+    from gelgap.adapt.methods.registry import transfer_weight
 
     (run,) = grid(CASES, ["daregram"], [0], (("adapt_epochs", 3),), lambda _: [(("transfer_weight", 0.7),)])
     profile = same_data.profile_of(run)

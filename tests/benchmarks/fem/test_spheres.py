@@ -8,7 +8,7 @@ import pytest
 
 from gelgap.assets import asset_path
 from gelgap.benchmarks.fem.spheres import Pad, Press, solve_press, touched
-from gelgap.sim import bonded_layer_force_n
+from gelgap.sim.press import bonded_layer_force_n
 
 REFERENCE_UNCERTAINTY = 0.003
 SURFACE_UNCERTAINTY_MM = 0.003

@@ -16,7 +16,8 @@ from gelgap.benchmarks.physics.references import (
     press_cases,
     tabled_sphere,
 )
-from gelgap.sim import Elastomer, MembraneState, Pose, grid_axes
+from gelgap.sim import Elastomer, MembraneState, Pose
+from gelgap.sim.membrane import grid_axes
 
 
 def test_tables_have_profiles_that_fit_their_depths():
