@@ -10,6 +10,7 @@ from gelgap.assets.names import quoted, unknown_name
 from gelgap.assets.progress import shown_progress
 from gelgap.cli import options as opt
 
+CONSTANT_MEAN = "constant-mean"
 SELECTION = "selection.csv"
 
 
@@ -151,7 +152,11 @@ def _show(runs: "Sequence[adapt.Run]") -> None:
         for table in label_free_tables(runs):
             table.show()
     else:
-        done = {titles[run.key]: run.target_test for run in runs if not run.problem}
+        done = {
+            titles[run.key]: run.target_test
+            for run in runs
+            if not run.problem and run.method != CONSTANT_MEAN
+        }
         rules = {"constant mean": first.target_constant_mean} | first.baselines | first.oracles
         print(f"{first.group}, {first.target_test.n} target test frames")
         print(errors_text(rules | done))

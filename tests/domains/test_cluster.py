@@ -140,9 +140,14 @@ def test_a_solution_is_dropped_after_the_last_batch_that_needs_it(monkeypatch: p
 
     alive = weakref.WeakSet()
     batches = [SimpleNamespace(solve_keys=keys) for keys in ("ab", "b", "c")]
-    plan = SimpleNamespace(
-        batches=batches, solves="abc", sources={key: SimpleNamespace(run=solve) for key in "abc"}
-    )
+    sources = {
+        key: SimpleNamespace(
+            solves=[SimpleNamespace(key=key, run=solve)],
+            served_by=lambda solutions, _, key=key: solutions[key],
+        )
+        for key in "abc"
+    }
+    plan = SimpleNamespace(batches=batches, solves="abc", sources=sources)
     monkeypatch.setattr("gelgap.domains.generation.cluster.render_batch", lambda *_: [len(alive)])
     assert list(run(plan, silent, "synchronous", None)) == [2, 1, 1]
 
