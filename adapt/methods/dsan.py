@@ -1,7 +1,7 @@
 """DSAN, the paper's method: align the features of each contact class by the local MMD (LMMD) [1].
 
 As in the authors' code, a class is aligned only if some source frame has it and it is the likeliest of some target
-frame. Records count such classes (`common_classes`) and steps without any, whose loss is 0 (`no_common_class`).
+frame.
 
 [1] Zhu et al., "Deep subdomain adaptation network for image classification", IEEE TNNLS 2020.
 """
