@@ -44,7 +44,6 @@ QUICKEST = {
     r"PoseRanges\(0.1, 1.0, travel_mm=0.6\)": "PoseRanges(0.05, 0.55, travel_mm=0.25)",
     r'TactileSensor\("b0"': 'TactileSensor("b0", deepest_mm=0.45, farthest_mm=0.15',
     r"--preset paper --out paper-data$": "--preset paper --out paper-data --dry-run",
-    r"--preset smoke --quality draft": f"mb0i0 wmb1i1 --path tiny.toml {SMALL}",
     r"--sweep sweep.toml": f"--sweep sweep.toml {SMALL}",
     r"--recipe gap.toml": f"--recipe gap.toml {SMALL}",
     r"tuned.pt --profile cpu --split-by clip": "tuned.pt --profile smoke",

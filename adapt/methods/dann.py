@@ -1,7 +1,7 @@
 """A domain discriminator on the features, whose gradient is reversed (DANN, CDAN).
 
-DANN [1]: the loss and its reversal are tllib's. Deviations: the discriminator is narrower (128, not 1024) and
-standardises its input instead of its hidden layers; λ_t ends at the method's weight, not at 1.
+DANN [1]: the loss and its reversal are tllib's. Deviations: the discriminator is narrower (128, not 1024), sees the
+joint batch and standardises its input instead of its hidden layers; λ_t ends at the method's weight, not at 1.
 
 CDAN [2]: the published discriminator sees the outer product of feature and class probabilities. Forces have no classes:
 here it is the outer product of the feature with (1, F̂), F̂ the normalised force (or other labels) without gradient, so

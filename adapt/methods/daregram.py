@@ -2,7 +2,7 @@
 
 Deviations from the authors' code: the pseudo-inverse is cut in a gap of both spectra, at most two from where they
 cut, exactly on a singular value, so that rounding decides (at their rank the value is theirs: see
-`tests/adapt/test_published_losses.py`); the cut never lies below rounding; the B×B dual matrix is inverted instead of
+`tests/adapt/test_losses.py`); the cut never lies below rounding; the B×B dual matrix is inverted instead of
 the (D+1)×(D+1) one; the gradient of the inverse is exact; a column that is zero in both domains counts as aligned;
 float64.
 
