@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.sim.estimate import diagnose
-from gelgap.sim.indenter import Floats, Indenter
+from gelgap.sim.indenter import Floats, Indenter, rotation
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
     MembraneState,
@@ -19,11 +19,12 @@ from gelgap.sim.membrane import (
     polar_table,
     press_onto,
     pressure_table,
+    traction_table,
 )
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
-from gelgap.sim.slip import Slip, slip_between
+from gelgap.sim.slip import Slip, Stand, slip_between
 from gelgap.sim.solution import Record, Solution
-from gelgap.sim.traction import Traction, traction_map
+from gelgap.sim.traction import Traction, balanced_traction
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,11 @@ class SolvedPose(MembraneState):
 
     def traction(self) -> Traction:
         """Return the contact stress on the membrane."""
-        return traction_map(self)
+        own, stress_mpa = self.contact_solve, np.zeros((*self.contact.shape, 3))
+        if own.placement is not None:
+            per_modulus = own.around(traction_table(own.solution, own.record), self)
+            stress_mpa = own.placement.frame.field_on_sensor(per_modulus * own.modulus_ratio)
+        return balanced_traction(self, (own.pose.point_x_mm, own.pose.point_y_mm), stress_mpa)
 
     def slip(self) -> Slip:
         """Return how far the membrane has slid over the indenter since the press straight down.
@@ -69,7 +74,12 @@ class SolvedPose(MembraneState):
         ValueError
             If this pose or that one makes no contact.
         """
-        return slip_between(self.contact_solve.press(), self.contact_solve)
+        before, after = self.contact_solve.press(), self.contact_solve
+        first = before.state()
+        then = after.state((first.x_mm[-1], first.y_mm[-1]))
+        if then.contact.shape != first.contact.shape:
+            first = before.state((then.x_mm[-1], then.y_mm[-1]))
+        return slip_between(first, before.stand(), then, after.stand())
 
 
 @dataclass(frozen=True)
@@ -138,6 +148,13 @@ class ContactSolve:
         """Return a table's field (ny, nx, channels) on a state's grid, in the contact's frame."""
         extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
         return table.around(self.pose, self.placement.frame, extent_mm)[1]
+
+    def stand(self) -> Stand:
+        """Return where the indenter is, and how it is turned, on the sensor."""
+        pose = self.pose
+        height_mm = self.indenter.turned(pose.turn_deg).origin_height_mm
+        origin_mm = self.indenter_mm + np.array([pose.point_x_mm, pose.point_y_mm, height_mm])
+        return Stand(origin_mm, rotation(np.array(pose.turn_deg)))
 
     def press(self) -> "ContactSolve":
         """Return the last pose on the indenter's way before it went sideways or turned."""

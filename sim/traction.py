@@ -7,16 +7,12 @@ loses of the force and the torque is given back where the stress is, so that the
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gelgap.assets.names import one_line
 from gelgap.sim.indenter import Floats
-from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, traction_table
-
-if TYPE_CHECKING:
-    from gelgap.sim.solved import SolvedPose
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState
 
 COARSE_SHAPE = (24, 32)
 
@@ -103,16 +99,11 @@ class Traction:
             )
 
 
-def traction_map(state: "SolvedPose") -> Traction:
-    """Return the contact stress of a solved pose."""
-    own, places = state.contact_solve, state.places_mm
-    point_mm = own.pose.point_x_mm, own.pose.point_y_mm
-    area_mm2 = np.linalg.norm(_area_vectors_mm2(places), axis=-1)
-    if own.placement is None:
-        return Traction(state, point_mm, np.zeros_like(places), area_mm2, 0.0)
-    found = own.around(traction_table(own.solution, own.record), state)
-    found = own.placement.frame.field_on_sensor(found * own.modulus_ratio)
-    return _balanced(Traction(state, point_mm, found, area_mm2, 0.0))
+def balanced_traction(state: MembraneState, point_mm: tuple[float, float], traction_mpa: Floats) -> Traction:
+    """Return a state's contact stress (ny, nx, 3), changed so that its integrals are the state's force and torque."""
+    area_mm2 = np.linalg.norm(_area_vectors_mm2(state.places_mm), axis=-1)
+    found = Traction(state, point_mm, traction_mpa, area_mm2, 0.0)
+    return _balanced(found) if traction_mpa.any() else found
 
 
 def _balanced(found: Traction) -> Traction:
