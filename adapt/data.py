@@ -159,8 +159,6 @@ class Draw(IntEnum):
     STAGE_2 = 2
     STAGE_2_TARGET = 3
     STATISTICS = 4
-    SOURCE_PASS = 5
-    TARGET_PASS = 6
     COLOURS = 7
     MARKERS = 8
     LABELLED = 9

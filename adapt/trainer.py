@@ -1,7 +1,7 @@
 """Training: stage 1 learns the source's forces, stage 2 goes on while a method adapts the network to the target.
 
-Both stages are one loop, `Trainer.train`, which can be resumed after each epoch. What tells methods apart is the loss
-that they add to a step.
+Both stages are one loop, `train`, which can be resumed after each epoch. What tells methods apart is the loss that they
+add to a step.
 """
 
 import copy
@@ -86,15 +86,21 @@ def train_source(
         raise ValueError(f"input {profile.input}: needs the weights of a pretrained network (--weights)")
     if weights is not None:
         load_start(model.network, Path(weights), source.labels.names)
-    title = f"source {source.name}"
-    trainer = Trainer(model.network, profile, seed, source, None, title, resume_file, progress)
-    trainer.frames_of_epoch = frames_of_epoch
     with torch_threads(profile.threads):
-        trainer.train()
+        records = train(
+            model.network,
+            profile,
+            seed,
+            source,
+            title=f"source {source.name}",
+            resume_file=resume_file,
+            progress=progress,
+            frames_of_epoch=frames_of_epoch,
+        )
         if profile.colour_mixing or profile.marker_hiding or profile.shift_px:
             estimate_statistics(model.network, source, profile, seed)
     model.network.eval()
-    history = tuple(map(asdict, trainer.records))
+    history = tuple(map(asdict, records))
     return replace(model, history=history, input_map=input_map(source, profile, model.device))
 
 
@@ -162,14 +168,29 @@ def adapt(
         method=method,
         input_map=input_map(target, profile, model.device),
     )
-    title = f"{method} {source.name} → {target.name}"
-    trainer = Trainer(adapted.network, profile, seed, source, target, title, resume_file, progress)
-    if watch is not None:
-        trainer.watch = lambda epoch, network: watch(epoch, replace(adapted, network=network.eval()))
+
+    def show(epoch: int, network: ForceNetwork) -> None:
+        watch(epoch, replace(adapted, network=network.eval()))
+
+    records: list[EpochRecord] = []
     with torch_threads(profile.threads):
-        chosen.adapt(trainer)  # most methods call `trainer.train`
+        if chosen.trains:
+            records = train(
+                adapted.network,
+                profile,
+                seed,
+                source,
+                target,
+                chosen,
+                title=f"{method} {source.name} → {target.name}",
+                resume_file=resume_file,
+                progress=progress,
+                watch=None if watch is None else show,
+            )
+        else:
+            chosen.adapt(Adaptation(adapted.network, profile, seed, source, target))
     adapted.network.eval()
-    return replace(adapted, history=(*model.history, *map(asdict, trainer.records)))
+    return replace(adapted, history=(*model.history, *map(asdict, records)))
 
 
 @dataclass(frozen=True)
@@ -211,11 +232,25 @@ class EpochRecord:
         return "  ".join(f"{name} {value:.4f}" for name, value in self.losses.items()) + skipped
 
 
-@dataclass
-class Trainer(Adaptation):
-    """Trains a network in place, and is what a method works with while it adapts one; stage 1 needs no target.
+def train(
+    network: ForceNetwork,
+    profile: Profile,
+    seed: int,
+    source_frames: LabelledFrames,
+    target_frames: LabelledFrames | None = None,
+    method: Method | None = None,
+    *,
+    title: str,
+    resume_file: Path | None = None,
+    progress: Progress = silent,
+    watch: Callable[[int, ForceNetwork], None] | None = None,
+    frames_of_epoch: Callable[[int], LabelledFrames] | None = None,
+) -> list[EpochRecord]:
+    """Train a network in place by SGD and return what the epochs did.
 
-    Attributes
+    Stage 1 learns the source's labels; stage 2, where there is a method, the method's loss of both domains, too.
+
+    Parameters
     ----------
     title
         What progress and errors call the stage.
@@ -225,184 +260,203 @@ class Trainer(Adaptation):
         Called after each epoch of stage 2 with its number and a copy of the network as stopping there would leave it.
     frames_of_epoch
         Gives the source's frames of each epoch after the first, where they are drawn anew.
-    records
-        What the epochs did.
+    """
+    target, final_weight = None, 0.0
+    epochs, rate = profile.source_epochs, profile.source_learning_rate
+    if method is not None:
+        epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
+        final_weight = method.settings.final_weight(profile)
+        target = TrainingDomain(target_frames, profile, network.device, labelled=method.uses_target_labels)
+        method.to(network.device).begin(network)
+    source = TrainingDomain(source_frames, profile, network.device, labelled=True)
+    steps = steps_per_epoch(len(source), profile.batch_size)
+    optimizer = _make_optimizer(network, method, profile, rate)
+    average = copy.deepcopy(network).requires_grad_(False) if profile.averaging else None
+    parts = {"network": network, "companion": method, "optimizer": optimizer, "average": average}
+    state = {name: part for name, part in parts.items() if part is not None}
+    records = _resume(resume_file, state)
+    skipped_in_a_row = 0
+    for epoch in range(len(records), epochs):
+        log = EpochLog()
+        network.train()
+        if frames_of_epoch is not None and epoch > 0:
+            drawn = frames_of_epoch(epoch)
+            del source  # one domain's pictures at a time
+            source = TrainingDomain(drawn, profile, network.device, labelled=True)
+        for number, batches in enumerate(batches_of(epoch, source, target, profile, seed), epoch * steps):
+            log.batch_is_made()
+            _set_rate(optimizer, profile, number)
+            optimizer.zero_grad(set_to_none=True)
+            weight = final_weight * transfer_factor(number, steps * epochs, profile)
+            step = Step(number, weight, generator(seed, Draw.METHOD, number))
+            of_source, of_target = _activations(network, profile, seed, *batches, method, step)
+            loss, losses, diagnostics = _losses(of_source, of_target, method, step, profile)
+            loss.backward()
+            norm = _gradient_norm(network, method)
+            finite = bool(torch.isfinite(norm) & torch.isfinite(loss))
+            if finite:
+                optimizer.step()
+                if average is not None:
+                    # At first the average is short, so that it forgets where training began.
+                    move_towards(average, network, 1 - min(profile.averaging, (1 + number) / (10 + number)))
+                if method is not None:
+                    method.after_step(network)
+            skipped_in_a_row = 0 if finite else skipped_in_a_row + 1
+            if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
+                raise _diverged(title, losses, norm)
+            log.add(of_source, losses, diagnostics, norm if finite else None)
+        records.append(log.record(title, epoch + 1))
+        if method is not None:
+            _check_collapse(records)
+        _store(resume_file, state, records)
+        if watch is not None:
+            reached = copy.deepcopy(average or network)
+            _finish(reached, method, target_frames, profile, seed)
+            watch(epoch + 1, reached)
+        progress(title, epoch + 1, epochs, str(records[-1]))
+    if average is not None:
+        network.load_state_dict(average.state_dict())
+    if method is not None:
+        _finish(network, method, target_frames, profile, seed)
+    return records
+
+
+def batches_of(
+    epoch: int, source: TrainingDomain, target: TrainingDomain | None, profile: Profile, seed: int
+) -> Iterator[tuple[Batch, Batch | None]]:
+    """Yield the batches of an epoch, of the source and in stage 2 of the target; an epoch always has the same.
+
+    An epoch is one pass over the source. The target is cycled, permutation after permutation.
     """
 
-    title: str = ""
-    resume_file: Path | None = None
-    progress: Progress = silent
-    watch: Callable[[int, ForceNetwork], None] | None = None
-    frames_of_epoch: Callable[[int], LabelledFrames] | None = None
-    records: list[EpochRecord] = field(default_factory=list)
+    def order(domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
+        """Return which frames make the batches of one pass, and which batches are shown without markers."""
+        key = seed, draw, number
+        rows = epoch_order(len(domain), profile.batch_size, *key)
+        return zip(rows, hidden_batches(len(rows), profile.marker_hiding, *key), strict=True)
 
-    def train(self, method: Method | None = None) -> None:
-        """Train by SGD: stage 1 on the source's labels; stage 2, where there is a method, on its loss of both, too."""
-        network, profile, target, final_weight = self.network, self.profile, None, 0.0
-        epochs, rate = profile.source_epochs, profile.source_learning_rate
-        if method is not None:
-            epochs, rate = profile.adapt_epochs, profile.adapt_learning_rate
-            final_weight = method.settings.final_weight(profile)
-            labelled = method.uses_target_labels
-            target = TrainingDomain(self.target, profile, network.device, labelled=labelled)
-            method.to(network.device).begin(network)
-        source = TrainingDomain(self.source, profile, network.device, labelled=True)
-        steps = steps_per_epoch(len(source), profile.batch_size)
-        optimizer = _make_optimizer(network, method, profile, rate)
-        parameters = [p for module in (network, method) if module is not None for p in module.parameters()]
-        average = copy.deepcopy(network).requires_grad_(False) if profile.averaging else None
-        state = {"network": network, "companion": method, "optimizer": optimizer, "average": average}
-        state = {name: part for name, part in state.items() if part is not None}
-        records = self._resume(state)
-        skipped_in_a_row = 0
-        for epoch in range(len(records), epochs):
-            log = EpochLog()
-            network.train()
-            if self.frames_of_epoch is not None and epoch > 0:
-                drawn = self.frames_of_epoch(epoch)
-                del source  # one domain's pictures at a time
-                source = TrainingDomain(drawn, profile, network.device, labelled=True)
-            for number, batches in enumerate(self.batches(epoch, source, target), start=epoch * steps):
-                log.batch_is_made()
-                for group in optimizer.param_groups:  # the paper's schedule (section IV-B)
-                    factor = (1 + profile.rate_decay * number) ** -profile.rate_power
-                    group["lr"] = group["initial_lr"] * factor
-                optimizer.zero_grad(set_to_none=True)
-                weight = final_weight * transfer_factor(number, steps * epochs, profile)
-                step = Step(number, weight, generator(self.seed, Draw.METHOD, number))
-                of_source, of_target = self._activations(*batches, method, step)
-                losses = {"regression": functional.mse_loss(of_source.prediction, of_source.force)}
-                loss, transfer = losses["regression"], None
-                if method is not None:
-                    loss = profile.regression_weight * loss
-                    if method.uses_classifier:
-                        classes = functional.cross_entropy(of_source.logits, of_source.contact_class)
-                        loss = loss + profile.classification_weight * classes
-                        losses["classification"] = classes
-                    transfer = method.loss(of_source, of_target, step)
-                    if transfer is not None:
-                        loss = loss + transfer.weight * transfer.value
-                        losses["transfer"] = transfer.value
-                loss.backward()
-                norm = nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
-                finite = bool(torch.isfinite(norm) & torch.isfinite(loss))
-                if finite:
-                    optimizer.step()
-                    if average is not None:
-                        # At first the average is short, so that it forgets where training began.
-                        move_towards(
-                            average, network, 1 - min(profile.averaging, (1 + number) / (10 + number))
-                        )
-                    if method is not None:
-                        method.after_step(network)
-                skipped_in_a_row = 0 if finite else skipped_in_a_row + 1
-                if skipped_in_a_row == MAX_SKIPPED_IN_A_ROW:
-                    values = ", ".join(f"{name} = {float(x.detach()):.3g}" for name, x in losses.items())
-                    raise TrainingDiverged(
-                        f"{self.title}: {skipped_in_a_row} steps in a row had a loss or gradient that is not "
-                        f"finite ({values}, gradient norm {float(norm):.3g}); lower the learning rate or the "
-                        "transfer weight"
-                    )
-                log.add(of_source, losses, transfer and transfer.diagnostics, norm if finite else None)
-            records.append(log.record(self.title, epoch + 1))
-            if method is not None:
-                _check_collapse(records)
-            self._store(state, records)
-            if self.watch is not None:
-                self.watch(epoch + 1, self._finished(copy.deepcopy(average or network), method))
-            self.progress(self.title, epoch + 1, epochs, str(records[-1]))
-        self.records += records
-        if average is not None:
-            network.load_state_dict(average.state_dict())
-        if method is not None:
-            self._finished(network, method)
+    stage = Draw.STAGE_1 if target is None else Draw.STAGE_2
+    of_source = starmap(source.batch, order(source, stage, epoch))
+    if target is None:
+        return zip(of_source, repeat(None), strict=False)
+    done = epoch * steps_per_epoch(len(source), profile.batch_size)
+    cycle, offset = divmod(done, steps_per_epoch(len(target), profile.batch_size))
+    cycles = (order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
+    of_target = starmap(target.batch, islice(chain.from_iterable(cycles), offset, None))
+    return zip(of_source, of_target, strict=False)
 
-    def batches(
-        self, epoch: int, source: TrainingDomain, target: TrainingDomain | None
-    ) -> Iterator[tuple[Batch, Batch | None]]:
-        """Yield the batches of an epoch, of the source and in stage 2 of the target; an epoch always has the same.
 
-        An epoch is one pass over the source. The target is cycled, permutation after permutation.
-        """
-        stage = Draw.STAGE_1 if target is None else Draw.STAGE_2
-        of_source = starmap(source.batch, self._order(source, stage, epoch))
-        if target is None:
-            return zip(of_source, repeat(None), strict=False)
-        done = epoch * steps_per_epoch(len(source), self.profile.batch_size)
-        cycle, offset = divmod(done, steps_per_epoch(len(target), self.profile.batch_size))
-        cycles = (self._order(target, Draw.STAGE_2_TARGET, number) for number in count(cycle))
-        of_target = starmap(target.batch, islice(chain.from_iterable(cycles), offset, None))
-        return zip(of_source, of_target, strict=False)
+def _losses(
+    source: Activations, target: Activations | None, method: Method | None, step: Step, profile: Profile
+) -> tuple[Tensor, dict[str, Tensor], Mapping[str, float | Tensor]]:
+    """Return the loss of a step, what it is made of, and what the method reports."""
+    loss = functional.mse_loss(source.prediction, source.force)
+    losses = {"regression": loss}
+    if method is None:
+        return loss, losses, {}
+    loss = profile.regression_weight * loss
+    if method.uses_classifier:
+        losses["classification"] = functional.cross_entropy(source.logits, source.contact_class)
+        loss = loss + profile.classification_weight * losses["classification"]
+    transfer = method.loss(source, target, step)
+    if transfer is None:
+        return loss, losses, {}
+    losses["transfer"] = transfer.value
+    return loss + transfer.weight * transfer.value, losses, transfer.diagnostics
 
-    def _order(self, domain: TrainingDomain, draw: Draw, number: int) -> Iterator[tuple[np.ndarray, bool]]:
-        """Return which frames make the batches of one pass over a domain, and which are shown without markers."""
-        key = self.seed, draw, number
-        order = epoch_order(len(domain), self.profile.batch_size, *key)
-        return zip(order, hidden_batches(len(order), self.profile.marker_hiding, *key), strict=True)
 
-    def _activations(
-        self, source: Batch, target: Batch | None, method: Method | None, step: Step
-    ) -> tuple[Activations, Activations | None]:
-        """Return the network's output for the batches of a step, changed at random as the profile and method say."""
-        network, profile, seed = self.network, self.profile, self.seed
-        key = seed, Draw.STAGE_1 if target is None else Draw.STAGE_2, step.number
-        mixed = mix_colours(source.inputs, profile.colour_mixing, generator(Draw.COLOURS, *key))
-        shown = [shift_pictures(mixed, profile.shift_px, generator(Draw.SHIFTS, *key))]
-        if target is not None:
-            rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
-            target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
-            shown = [
-                method.augment_source(shown[0], target.inputs, step),
-                method.augment(target.inputs, step),
-            ]
-        with autocast(profile, network.device):
-            if target is not None and profile.batch_statistics == "joint":
-                features = network.features(torch.cat(shown)).split(list(map(len, shown)))
-            else:
-                features = [network.features(pictures) for pictures in shown]
-        of_source = self._heads(features[0].float(), source, method)
-        return of_source, None if target is None else self._heads(features[1].float(), target, method)
+def _activations(
+    network: ForceNetwork,
+    profile: Profile,
+    seed: int,
+    source: Batch,
+    target: Batch | None,
+    method: Method | None,
+    step: Step,
+) -> tuple[Activations, Activations | None]:
+    """Return the network's output for the batches of a step, changed at random as the profile and method say."""
+    key = seed, Draw.STAGE_1 if target is None else Draw.STAGE_2, step.number
+    mixed = mix_colours(source.inputs, profile.colour_mixing, generator(Draw.COLOURS, *key))
+    shown = [shift_pictures(mixed, profile.shift_px, generator(Draw.SHIFTS, *key))]
+    if target is not None:
+        rng = generator(Draw.SHIFTS, seed, Draw.STAGE_2_TARGET, step.number)
+        target = target._replace(inputs=shift_pictures(target.inputs, profile.shift_px, rng))
+        of_source = method.augment_source(shown[0], target.inputs, step)
+        shown = [of_source, method.augment(target.inputs, step)]
+    with autocast(profile, network.device):
+        if target is not None and profile.batch_statistics == "joint":
+            features = network.features(torch.cat(shown)).split(list(map(len, shown)))
+        else:
+            features = [network.features(pictures) for pictures in shown]
 
-    def _heads(self, features: Tensor, batch: Batch, method: Method | None) -> Activations:
-        share, logits = self.profile.classification_feedback, None
+    def heads(features: Tensor, batch: Batch) -> Activations:
+        share, logits = profile.classification_feedback, None
         if method is not None and method.uses_classifier:
-            logits = self.network.classifier(share * features + (1 - share) * features.detach())
-        return Activations(features, self.network.regressor(features), logits, **batch._asdict())
+            logits = network.classifier(share * features + (1 - share) * features.detach())
+        return Activations(features, network.regressor(features), logits, **batch._asdict())
 
-    def _finished(self, network: ForceNetwork, method: Method) -> ForceNetwork:
-        """Turn a network in training into the result, under the target's statistics where domains have their own."""
-        method.finish(network)
-        if self.profile.judges_by_own_statistics:
-            estimate_statistics(network, self.target, self.profile, self.seed)
-        return network
+    activations = heads(features[0].float(), source)
+    return activations, None if target is None else heads(features[1].float(), target)
 
-    def _store(self, state: Mapping[str, Any], records: list[EpochRecord]) -> None:
-        """Write what resuming needs."""
-        if self.resume_file is None:
-            return
-        content = {name: part.state_dict() for name, part in state.items()}
-        with whole_file(self.resume_file) as temporary:
-            torch.save(content | {"records": list(map(asdict, records))}, temporary)
 
-    def _resume(self, state: Mapping[str, Any]) -> list[EpochRecord]:
-        """Take the state of an interrupted training, and return the records of its epochs.
+def _set_rate(optimizer: torch.optim.SGD, profile: Profile, number: int) -> None:
+    """Set the learning rates of a step by the paper's schedule (section IV-B)."""
+    factor = (1 + profile.rate_decay * number) ** -profile.rate_power
+    for group in optimizer.param_groups:
+        group["lr"] = group["initial_lr"] * factor
 
-        Nothing is taken from a file that cannot be read or is of another training: training begins anew.
-        """
-        if self.resume_file is None or not self.resume_file.is_file():
-            return []
-        before = {name: copy.deepcopy(part.state_dict()) for name, part in state.items()}
-        try:
-            content = load_checkpoint(self.resume_file)
-            for name, part in state.items():
-                part.load_state_dict(content[name])
-            return [EpochRecord(**record) for record in content["records"]]
-        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-            for name, part in state.items():
-                part.load_state_dict(before[name])
-            reason = " ".join(str(error).split())[:200]
-            warn(f"{self.resume_file} cannot be resumed from ({reason}): training begins anew")
-            return []
+
+def _gradient_norm(network: ForceNetwork, method: Method | None) -> Tensor:
+    """Return the norm of all gradients, also of what the method owns."""
+    parameters = [*network.parameters(), *(() if method is None else method.parameters())]
+    return nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
+
+
+def _diverged(title: str, losses: Mapping[str, Tensor], norm: Tensor) -> TrainingDiverged:
+    values = ", ".join(f"{name} = {float(x.detach()):.3g}" for name, x in losses.items())
+    return TrainingDiverged(
+        f"{title}: {MAX_SKIPPED_IN_A_ROW} steps in a row had a loss or gradient that is not finite ({values}, "
+        f"gradient norm {float(norm):.3g}); lower the learning rate or the transfer weight"
+    )
+
+
+def _finish(
+    network: ForceNetwork, method: Method, target: LabelledFrames, profile: Profile, seed: int
+) -> None:
+    """Turn a network in training into the result, under the target's statistics where domains have their own."""
+    method.finish(network)
+    if profile.judges_by_own_statistics:
+        estimate_statistics(network, target, profile, seed)
+
+
+def _store(resume_file: Path | None, state: Mapping[str, Any], records: list[EpochRecord]) -> None:
+    """Write what resuming needs."""
+    if resume_file is None:
+        return
+    content = {name: part.state_dict() for name, part in state.items()}
+    with whole_file(resume_file) as temporary:
+        torch.save(content | {"records": list(map(asdict, records))}, temporary)
+
+
+def _resume(resume_file: Path | None, state: Mapping[str, Any]) -> list[EpochRecord]:
+    """Take the state of an interrupted training, and return the records of its epochs.
+
+    Nothing is taken from a file that cannot be read or is of another training: training begins anew.
+    """
+    if resume_file is None or not resume_file.is_file():
+        return []
+    before = {name: copy.deepcopy(part.state_dict()) for name, part in state.items()}
+    try:
+        content = load_checkpoint(resume_file)
+        for name, part in state.items():
+            part.load_state_dict(content[name])
+        return [EpochRecord(**record) for record in content["records"]]
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        for name, part in state.items():
+            part.load_state_dict(before[name])
+        reason = " ".join(str(error).split())[:200]
+        warn(f"{resume_file} cannot be resumed from ({reason}): training begins anew")
+        return []
 
 
 class EpochLog:

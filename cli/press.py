@@ -16,8 +16,13 @@ DEFAULT_GEL = {"young_modulus_mpa": 0.3, "poisson_ratio": 0.49, "friction": 0.8}
 DEFAULT_DEPTH_MM = 0.6
 MESH_PICTURE_PX = (640, 480)
 DIAGNOSTICS = (
-    *("slip", "sticking_fraction", "coarse", "folded"),
-    *("force_error_n", "contact_radius_error_mm", "membrane_error_mm"),
+    "slip",
+    "sticking_fraction",
+    "coarse",
+    "folded",
+    "force_error_n",
+    "contact_radius_error_mm",
+    "membrane_error_mm",
 )
 
 
@@ -100,22 +105,19 @@ class Press(opt.Command):
         if self.normal_force_n is not None:
             pressed = sim.pose_for_force(elastomer, indenter, self.normal_force_n, point_mm, self.quality)
             pose = replace(pose, depth_mm=pressed.depth_mm)
-        scene = elastomer, indenter, pose, self.quality
-        solved = sim.solve_in_full(*scene)
-        state, found = solved.state, solved.state.diagnostics
+        state = sim.solve_pose(elastomer, indenter, pose, self.quality)
+        found = state.diagnostics
         if self.save is not None:
             state.save(self.save)
         if self.traction is not None:
-            sim.solve_traction(*scene).save(self.traction)
+            state.traction().save(self.traction)
         if self.slip is not None:
-            sim.solve_slip(*scene).save(self.slip)
+            state.slip().save(self.slip)
         if self.mesh is not None:
             sensor, light = render.Sensor.preset("paper"), render.Illumination.preset("i0")
             renderer = render.MembraneRenderer(sensor, light, MESH_PICTURE_PX)
             picture = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm)
-            view.save_mesh(
-                self.mesh, solved, point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture
-            )
+            view.save_mesh(self.mesh, state, point_mm, indenter.turned(pose.turn_deg), sensor.camera, picture)
         report = {
             "indenter": indenter.label,
             "force_n": state.force_n.tolist(),

@@ -5,7 +5,6 @@ from .library import LibraryPlan as LibraryPlan
 from .library import PoseLibrary as PoseLibrary
 from .library import PoseRanges as PoseRanges
 from .membrane import MembraneState as MembraneState
-from .membrane import SolvedPose as SolvedPose
 from .path import ContactPath as ContactPath
 from .path import ForcePath as ForcePath
 from .path import PosePath as PosePath
@@ -14,7 +13,6 @@ from .plan import Solve as Solve
 from .plan import SolvePlan as SolvePlan
 from .plan import plan_solves as plan_solves
 from .press import pose_for_force as pose_for_force
-from .press import solve_in_full as solve_in_full
 from .press import solve_pose as solve_pose
 from .press import solve_poses as solve_poses
 from .problem import QualityName as QualityName
@@ -29,7 +27,6 @@ from .shapes import Edge as Edge
 from .shapes import Ellipsoid as Ellipsoid
 from .shapes import load_indenter as load_indenter
 from .slip import Slip as Slip
-from .slip import solve_slip as solve_slip
 from .solution import clear_cache as clear_cache
+from .solved import SolvedPose as SolvedPose
 from .traction import Traction as Traction
-from .traction import solve_traction as solve_traction

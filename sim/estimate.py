@@ -7,6 +7,7 @@ the same causes.
 
 import math
 from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +39,14 @@ _LARGEST_CENTRE_SHARE = 0.1
 # Estimates of a component of force, as a share of the whole force, above which a quality does not keep its promise:
 # errors above twice the estimate are rare, and twice this is promised.
 LARGEST_ESTIMATE = {"draft": 0.03, "standard": 0.02, "fine": 0.01}
+
+
+class Errors(NamedTuple):
+    """Estimates of a state's errors, as standard deviations: force (3,), contact radius, displacement (rms)."""
+
+    force_n: Floats
+    contact_radius_mm: float
+    membrane_mm: float
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,6 @@ from gelgap.sim.estimate import Diagnostics
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     MembraneState,
-    SolvedPose,
     covered_extent_mm,
     grid_axes,
     is_folded,
@@ -241,6 +240,27 @@ def _excess(library: "PoseLibrary", between: tuple[float, float]) -> float:
     return max(_rms(rows["force_share"]) / FORCE_BOUND, _rms(rows["membrane_um"]) / MEMBRANE_BOUND_UM)
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class LibraryPose(MembraneState):
+    """The membrane at a pose between those of a library; without contact it has no neighbours there."""
+
+    neighbours: "_Neighbours | None" = None
+    modulus_mpa: float = 0.0
+
+    @cached_property
+    def pressure_mpa(self) -> NDArray[np.float32]:
+        """The normal pressure on the rest grid, (ny, nx)."""
+        if self.neighbours is None:
+            return np.zeros(self.contact.shape, np.float32)
+        field = self.neighbours.field(self.neighbours.library.pressure_mpa, (self.x_mm, self.y_mm))
+        return np.float32(self.modulus_mpa) * field[..., 0].clip(min=0.0)
+
+    @property
+    def indenter_mm(self) -> Floats:
+        """How far the indenter (3,) has come from touching the gel."""
+        return np.zeros(3) if self.neighbours is None else self.neighbours.indenter_mm
+
+
 @dataclass(frozen=True, eq=False)
 class PoseLibrary:
     """Equilibria at some depths and travels, for a modulus of 1 MPa; any pose in its ranges follows by interpolation.
@@ -293,7 +313,7 @@ class PoseLibrary:
         pose: Pose,
         half_extent_mm: tuple[float, float] = (0.0, 0.0),
         axes_mm: tuple[Floats, Floats] | None = None,
-    ) -> MembraneState:
+    ) -> LibraryPose:
         """Return the membrane of a pose, the forces those of the elastomer's modulus.
 
         It lies on `axes_mm` (x, y), or on a grid of 0.1 mm that reaches `half_extent_mm` from the sensor's centre. It
@@ -315,7 +335,8 @@ class PoseLibrary:
         if axes_mm is None:
             axes_mm = grid_axes(covered_extent_mm(elastomer, indenter, pose, half_extent_mm))
         if pose.depth_mm == 0:
-            return MembraneState.untouched(*axes_mm)
+            flat = MembraneState.untouched(*axes_mm)
+            return LibraryPose(*axes_mm, flat.displacement_mm, flat.contact, flat.force_n)
         near = _Neighbours(self, pose)
         displacement_mm = near.field(self.displacement_mm, axes_mm)
         x_mm, y_mm = axes_mm[0] - pose.point_x_mm, axes_mm[1] - pose.point_y_mm
@@ -330,7 +351,7 @@ class PoseLibrary:
         if self.held_out is not None:
             off_n = self.errors["force_rms_percent"] / 100 * float(np.linalg.norm(force_n))
             off_mm = self.errors["membrane_rms_um"] / 1000
-        return MembraneState(
+        return LibraryPose(
             *axes_mm,
             displacement_mm,
             contact,
@@ -346,20 +367,16 @@ class PoseLibrary:
                 coarse=bool(near.flags("coarse").any()),
                 folded=folded,
             ),
+            neighbours=near,
+            modulus_mpa=modulus,
         )
 
-    def pose(self, elastomer: Elastomer, pose: Pose) -> SolvedPose:
-        """Return a pose with the pressure on its membrane and the indenter's place, on the grid of `grid_axes`.
+    def pose(self, elastomer: Elastomer, pose: Pose) -> LibraryPose:
+        """Return the membrane of a pose on the grid of `grid_axes`.
 
         Unlike for `state`, the contact point may be near the pad's edge, which is left out.
         """
-        state = self.state(elastomer.model_copy(update=_WITHOUT_EDGES), pose, axes_mm=grid_axes())
-        if pose.depth_mm == 0:
-            return SolvedPose.untouched()
-        near = _Neighbours(self, pose)
-        pressure_mpa = near.field(self.pressure_mpa, (state.x_mm, state.y_mm))[..., 0].clip(min=0.0)
-        modulus = np.float32(elastomer.mujoco_moduli.young_modulus_mpa)
-        return SolvedPose(state, modulus * pressure_mpa, near.indenter_mm)
+        return self.state(elastomer.model_copy(update=_WITHOUT_EDGES), pose, axes_mm=grid_axes())
 
     def errors_of(
         self, plan: SolvePlan, solutions: Mapping[str, Solution], picture: PictureOf | None = None
@@ -429,7 +446,7 @@ class _Neighbours:
     """
 
     def __init__(self, library: PoseLibrary, pose: Pose) -> None:
-        self._library, self._pose = library, pose
+        self.library, self._pose = library, pose
         depths = np.concatenate([[0.0], np.sqrt(library.depths_mm)])
         above, self._by_depth = _weights(depths, math.sqrt(pose.depth_mm))
         self._touching, self._depths = above > 0, np.maximum(above - 1, 0)
@@ -449,12 +466,12 @@ class _Neighbours:
                     table += np.float32(weights[i, j]) * tables[depth, travel]
         x_mm, y_mm = axes_mm[0] - self._pose.point_x_mm, axes_mm[1] - self._pose.point_y_mm
         found = np.empty((len(y_mm), len(x_mm), table.shape[-1]), np.float32)
-        _place(table, self._library.radius_mm, x_mm, y_mm, self._cosine, self._sine, found)
+        _place(table, self.library.radius_mm, x_mm, y_mm, self._cosine, self._sine, found)
         return found
 
     def value(self, name: str) -> Any:
         """Return a number of `_GROWTH`, in the axes of a drag along x."""
-        values = self._library.numbers[name][np.ix_(self._depths, self._travels)]
+        values = self.library.numbers[name][np.ix_(self._depths, self._travels)]
         weights = np.outer(self._by_depth, self._by_travel)
         return self._pose.depth_mm ** _GROWTH[name] * np.tensordot(weights, values, 2)
 
@@ -472,7 +489,7 @@ class _Neighbours:
     def flags(self, name: str) -> NDArray[np.bool_]:
         """Return what is so of each of the equilibria that have weight."""
         depths, travels = np.abs(self._by_depth) > 1e-9, np.abs(self._by_travel) > 1e-9
-        return self._library.numbers[name][np.ix_(self._depths[depths], self._travels[travels])]
+        return self.library.numbers[name][np.ix_(self._depths[depths], self._travels[travels])]
 
 
 def _weights(nodes: Floats, value: float) -> tuple[NDArray[np.intp], Floats]:

@@ -5,14 +5,13 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gelgap.assets.array_file import read_arrays
-from gelgap.assets.names import one_line
-from gelgap.sim.estimate import Diagnostics
+from gelgap.sim.estimate import Diagnostics, Errors
 from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
 from gelgap.sim.solution import Record, Solution
@@ -60,7 +59,7 @@ def grid_axes(half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> tupl
     return x_mm, y_mm
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MembraneState:
     """The outer membrane on its rest grid, in the sensor's frame.
 
@@ -112,11 +111,18 @@ class MembraneState:
         """Where the grid's points are on the deformed membrane, (ny, nx, 3)."""
         return self.rest_mm + self.displacement_mm
 
-    @classmethod
-    def untouched(cls, x_mm: Floats, y_mm: Floats) -> Self:
+    @property
+    def error(self) -> Errors:
+        """How far the state may be off: the estimates of its `diagnostics`."""
+        found = self.diagnostics
+        return Errors(np.array(found.force_error_n), found.contact_radius_error_mm, found.membrane_error_mm)
+
+    @staticmethod
+    def untouched(x_mm: Floats, y_mm: Floats) -> "MembraneState":
         """Return the undeformed membrane, without contact, on a grid's axes."""
         shape = (len(y_mm), len(x_mm))
-        return cls(x_mm, y_mm, np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool), np.zeros(3))
+        displacement_mm, contact = np.zeros((*shape, 3), np.float32), np.zeros(shape, dtype=bool)
+        return MembraneState(x_mm, y_mm, displacement_mm, contact, np.zeros(3))
 
     def save(self, path: str | Path) -> None:
         """Write the state to an npz file (keys x_mm, y_mm, displacement_mm, contact, force_n, and scalars)."""
@@ -124,8 +130,8 @@ class MembraneState:
         with Path(path).open("wb") as file:
             np.savez_compressed(file, **arrays)
 
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
+    @staticmethod
+    def load(path: str | Path) -> "MembraneState":
         """Read a state that `save` wrote, or any npz with x_mm, y_mm and displacement_mm.
 
         Raises
@@ -150,7 +156,7 @@ class MembraneState:
         for name in ("x_mm", "y_mm"):
             if arrays[name].ndim != 1:
                 raise ValueError(f"{name} in {path} has shape {arrays[name].shape}: must be (n,)")
-        untouched = cls.untouched(arrays["x_mm"], arrays["y_mm"])
+        untouched = MembraneState.untouched(arrays["x_mm"], arrays["y_mm"])
         found: dict[str, Any] = {}
         for name, values in arrays.items():
             like = getattr(untouched, name)
@@ -190,27 +196,6 @@ def is_folded(x_mm: Floats, y_mm: Floats, displacement_mm: NDArray[np.float32]) 
     lower = right_x * across_y - across_x * right_y
     upper = across_x * up_y - up_x * across_y
     return bool(min(lower.min(), upper.min()) < -FOLDED_AREA * GRID_SPACING_MM**2)
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedPose:
-    """A membrane and what else its solve tells.
-
-    `pressure_mpa` is the normal pressure on the rest grid, (ny, nx), and `indenter_mm` (3,) how far the indenter has
-    come from where it touches the gel, in the sensor's frame: less deep than commanded if a spring mounts it.
-    """
-
-    __repr__ = one_line
-
-    state: MembraneState
-    pressure_mpa: NDArray[np.float32]
-    indenter_mm: Floats
-
-    @classmethod
-    def untouched(cls) -> Self:
-        """Return the membrane without contact."""
-        state = MembraneState.untouched(*grid_axes())
-        return cls(state, np.zeros(state.contact.shape, np.float32), np.zeros(3))
 
 
 def press_onto(

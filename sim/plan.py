@@ -4,7 +4,7 @@ import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -17,20 +17,15 @@ from gelgap.sim.indenter import Floats, Indenter
 from gelgap.sim.membrane import (
     GRID_HALF_EXTENT_MM,
     MembraneState,
-    PolarTable,
-    SolvedPose,
     contact_radius_mm,
-    covered_extent_mm,
-    grid_axes,
-    is_folded,
     polar_table,
-    press_onto,
     pressure_table,
 )
 from gelgap.sim.path import ContactPath, PosePath
 from gelgap.sim.problem import ContactProblem, SolveProgress, silent
 from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose, Scene, Sharing, canonical_frame
 from gelgap.sim.solution import Solution, load_solution, store_solution
+from gelgap.sim.solved import ContactSolve, Placement, SolvedPose
 
 LOG = logging.getLogger(__name__)
 # At most this many depths share a descent, whose mesh is made for the largest contact: it is this many times as wide as
@@ -129,15 +124,6 @@ class Solve:
 
 
 @dataclass(frozen=True)
-class Placement:
-    """How a pose follows from a solve: by which of its records, seen from which frame."""
-
-    solve: int
-    record: int
-    frame: CanonicalFrame
-
-
-@dataclass(frozen=True)
 class SolvePlan:
     """The distinct solves of poses, and what follows from them; a pose without contact has no placement."""
 
@@ -157,39 +143,16 @@ class SolvePlan:
         pose_index: int,
         solution: Solution | None,
         half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM,
-    ) -> MembraneState:
+    ) -> SolvedPose:
         """Return the membrane of a pose, made from the solution of its solve; without contact it needs none.
 
         Its grid covers the contact and reaches at least `half_extent_mm` from the sensor's centre along x and y, but
         no further than the pad if that is larger than the grid by default.
         """
-        pose, placement = self.poses[pose_index], self.placements[pose_index]
-        indenter = self.indenter if placement is None else solution.problem.body_at(placement.record)
-        extent_mm = covered_extent_mm(self.elastomer, indenter, pose, half_extent_mm)
-        axes_mm = grid_axes(extent_mm)
-        if placement is None:
-            return MembraneState.untouched(*axes_mm)
-        record, ratio = solution.records[placement.record], self.modulus_ratio(solution)
-        table, radius_mm = _table_and_radius(solution, placement.record)
-        rest_mm, displacement_mm = table.around(pose, placement.frame, extent_mm)
-        origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
-        contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
-        displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
-        folded = is_folded(*axes_mm, displacement_mm)
-        return MembraneState(
-            *axes_mm,
-            displacement_mm,
-            contact,
-            force_n=placement.frame.on_sensor(record.force_n * ratio),
-            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * ratio),
-            contact_radius_mm=radius_mm,
-            converged=record.converged and not folded,
-            diagnostics=diagnose(solution.problem, record, radius_mm, ratio, folded=folded),
+        contact = ContactSolve(
+            self.elastomer, self.indenter, self.poses[pose_index], self.placements[pose_index], solution
         )
-
-    def modulus_ratio(self, solution: Solution) -> float:
-        """Return by how much forces are larger than those of the solved gel, which stands for all moduli."""
-        return self.elastomer.mujoco_moduli.young_modulus_mpa / solution.problem.moduli.young_modulus_mpa
+        return contact.state(half_extent_mm)
 
 
 def joined(plans: Sequence[SolvePlan]) -> SolvePlan:
@@ -202,13 +165,6 @@ def joined(plans: Sequence[SolvePlan]) -> SolvePlan:
         solves += plan.solves
     poses = tuple(pose for plan in plans for pose in plan.poses)
     return replace(plans[0], poses=poses, solves=tuple(solves), placements=tuple(placements))
-
-
-@lru_cache(maxsize=64)
-def _table_and_radius(solution: Solution, record_index: int) -> tuple[PolarTable, float]:
-    """Return the membrane of a record and its contact radius, which many poses share."""
-    record = solution.records[record_index]
-    return polar_table(solution, record), contact_radius_mm(solution, record)
 
 
 def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
@@ -229,19 +185,6 @@ def equilibrium(solution: Solution, placement: Placement) -> dict[str, Any]:
         "coarse": found.coarse,
         "errors": (*force_errors_n, found.contact_radius_error_mm, found.membrane_error_mm),
     }
-
-
-def solved_pose(plan: SolvePlan, pose_index: int, solution: Solution | None) -> SolvedPose:
-    """Return `plan.state` of a pose with pressure and indenter."""
-    placement = plan.placements[pose_index]
-    if placement is None:
-        return SolvedPose.untouched()
-    state, record = plan.state(pose_index, solution), solution.records[placement.record]
-    table = pressure_table(solution, record)
-    half_extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
-    _, pressure = table.around(plan.poses[pose_index], placement.frame, half_extent_mm)
-    pressure = pressure[..., 0] * plan.modulus_ratio(solution)
-    return SolvedPose(state, pressure.astype(np.float32), placement.frame.on_sensor(record.indenter_mm))
 
 
 def plan_solves(

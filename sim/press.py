@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.membrane import MembraneState, SolvedPose
 from gelgap.sim.path import ContactPath, ForcePath, PosePath
-from gelgap.sim.plan import plan_visit, solved_pose
+from gelgap.sim.plan import plan_visit
 from gelgap.sim.scene import Elastomer, Pose, Sharing, deepest_mm
+from gelgap.sim.solved import SolvedPose
 
 # Load control ends within this share of its force, or gives up after this many corrections of the depth.
 _FORCE_TOLERANCE = 0.01
@@ -22,7 +22,7 @@ def solve_pose(
     pose: Pose,
     quality: str = "standard",
     sharing: Sharing | None = None,
-) -> MembraneState:
+) -> SolvedPose:
     """Solve one pose: straight down, then sideways.
 
     Raises
@@ -39,7 +39,7 @@ def solve_poses(
     poses: Sequence[Pose],
     quality: str = "standard",
     sharing: Sharing | None = None,
-) -> tuple[MembraneState, ...]:
+) -> tuple[SolvedPose, ...]:
     """Solve poses that the indenter visits one after the other at one point, as the depths of one descent.
 
     The first is reached straight down and then sideways, each further one in a straight line from the one before.
@@ -52,20 +52,6 @@ def solve_poses(
     plan = plan_visit(elastomer, indenter, poses, quality, sharing)
     solution = plan.solves[0].run() if plan.solves else None
     return tuple(plan.state(index, solution) for index in range(len(poses)))
-
-
-def solve_in_full(
-    elastomer: Elastomer, indenter: Indenter, pose: Pose, quality: str = "standard"
-) -> SolvedPose:
-    """Solve one pose, the same solve as that of `solve_pose`, and return pressure and indenter as well.
-
-    Raises
-    ------
-    ValueError
-        If the pose lies off the pad or deeper than it allows, or there is no such quality.
-    """
-    plan = plan_visit(elastomer, indenter, (pose,), quality)
-    return solved_pose(plan, 0, plan.solves[0].run() if plan.solves else None)
 
 
 def pose_for_force(

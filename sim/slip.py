@@ -1,15 +1,14 @@
 """How far the membrane has slid over the indenter, from one pose of a contact to a later one."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from gelgap.assets.names import one_line
-from gelgap.sim.indenter import Floats, Indenter, rotation
-from gelgap.sim.plan import SolvePlan, plan_visit
-from gelgap.sim.scene import Elastomer, Pose
-from gelgap.sim.solution import Solution
+from gelgap.sim.indenter import Floats
+from gelgap.sim.membrane import MembraneState
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,49 +32,20 @@ class Slip:
             np.savez_compressed(file, x_mm=self.x_mm, y_mm=self.y_mm, slip_mm=self.slip_mm)
 
 
-def slip_between(plan: SolvePlan, before: int, after: int, solution: Solution | None) -> Slip:
-    """Return how far the membrane has slid over the indenter between two poses that one solve visits.
+class Stand(NamedTuple):
+    """Where an indenter's origin (3,) is on the sensor, and how it is turned (3, 3)."""
+
+    origin_mm: Floats
+    turn: Floats
+
+
+def slip_between(first: MembraneState, first_stand: Stand, then: MembraneState, then_stand: Stand) -> Slip:
+    """Return how far the membrane has slid over the indenter between two poses of one solve, on one grid.
 
     Where the membrane sticks, it goes where the indenter's travel and turn carry it; slip is how far it is from there.
-
-    Raises
-    ------
-    ValueError
-        If a pose makes no contact.
     """
-    for pose in (before, after):
-        if plan.placements[pose] is None:
-            raise ValueError(f"depth_mm = {plan.poses[pose].depth_mm:g}: a pose without contact has no slip")
-    first = plan.state(before, solution)
-    then = plan.state(after, solution, (first.x_mm[-1], first.y_mm[-1]))
-    if then.contact.shape != first.contact.shape:
-        first = plan.state(before, solution, (then.x_mm[-1], then.y_mm[-1]))
-    (origin_mm, turn), (origin_then_mm, turn_then) = (
-        _stand(plan, pose, solution) for pose in (before, after)
-    )
-    carried_mm = origin_then_mm + (first.places_mm - origin_mm) @ (turn_then @ turn.T).T
+    turn = then_stand.turn @ first_stand.turn.T
+    carried_mm = then_stand.origin_mm + (first.places_mm - first_stand.origin_mm) @ turn.T
     touching = first.contact & then.contact
     slip_mm = np.where(touching[..., None], then.places_mm - carried_mm, np.nan)
     return Slip(then.x_mm, then.y_mm, slip_mm)
-
-
-def _stand(plan: SolvePlan, pose_index: int, solution: Solution) -> tuple[Floats, Floats]:
-    """Return where an indenter's origin is (3,), and how it is turned (3, 3), on the sensor."""
-    pose, placement = plan.poses[pose_index], plan.placements[pose_index]
-    height_mm = plan.indenter.turned(pose.turn_deg).origin_height_mm
-    travel_mm = placement.frame.on_sensor(solution.records[placement.record].indenter_mm)
-    origin_mm = travel_mm + np.array([pose.point_x_mm, pose.point_y_mm, height_mm])
-    return origin_mm, rotation(np.array(pose.turn_deg))
-
-
-def solve_slip(elastomer: Elastomer, indenter: Indenter, pose: Pose, quality: str = "standard") -> Slip:
-    """Solve a pose, the same solve as that of `solve_pose`, and return its slip since the press: see `slip_between`.
-
-    Raises
-    ------
-    ValueError
-        If the pose makes no contact, lies off the pad or deeper than it allows, or there is no such quality.
-    """
-    press = replace(pose, shear_x_mm=0.0, shear_y_mm=0.0, twist_deg=0.0, roll_deg=(0.0, 0.0))
-    plan = plan_visit(elastomer, indenter, (press, pose), quality)
-    return slip_between(plan, 0, 1, plan.solves[0].run() if plan.solves else None)

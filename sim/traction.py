@@ -12,11 +12,7 @@ import numpy as np
 
 from gelgap.assets.names import one_line
 from gelgap.sim.indenter import Floats
-from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState, traction_table
-from gelgap.sim.plan import SolvePlan, plan_visit
-from gelgap.sim.scene import Elastomer, Pose
-from gelgap.sim.shapes import AnyIndenter
-from gelgap.sim.solution import Solution
+from gelgap.sim.membrane import GRID_HALF_EXTENT_MM, MembraneState
 
 COARSE_SHAPE = (24, 32)
 
@@ -103,35 +99,11 @@ class Traction:
             )
 
 
-def traction_map(
-    plan: SolvePlan, pose_index: int, solution: Solution | None, state: MembraneState | None = None
-) -> Traction:
-    """Return the contact stress of a pose, from the solution of its solve; its `state` is made if it is not given."""
-    state = state or plan.state(pose_index, solution)
-    pose, placement = plan.poses[pose_index], plan.placements[pose_index]
-    point_mm, places = (pose.point_x_mm, pose.point_y_mm), state.places_mm
-    area_mm2 = np.linalg.norm(_area_vectors_mm2(places), axis=-1)
-    if placement is None:
-        return Traction(state, point_mm, np.zeros_like(places), area_mm2, 0.0)
-    table = traction_table(solution, solution.records[placement.record])
-    extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
-    _, found = table.around(pose, placement.frame, extent_mm)
-    found = placement.frame.field_on_sensor(found * plan.modulus_ratio(solution))
-    return _balanced(Traction(state, point_mm, found, area_mm2, 0.0))
-
-
-def solve_traction(
-    elastomer: Elastomer, indenter: AnyIndenter, pose: Pose, quality: str = "standard"
-) -> Traction:
-    """Solve one pose, the same solve as that of `solve_pose`, and return its contact stress.
-
-    Raises
-    ------
-    ValueError
-        If the pose lies off the pad or deeper than it allows, or there is no such quality.
-    """
-    plan = plan_visit(elastomer, indenter, (pose,), quality)
-    return traction_map(plan, 0, plan.solves[0].run() if plan.solves else None)
+def balanced_traction(state: MembraneState, point_mm: tuple[float, float], traction_mpa: Floats) -> Traction:
+    """Return a state's contact stress (ny, nx, 3), changed so that its integrals are the state's force and torque."""
+    area_mm2 = np.linalg.norm(_area_vectors_mm2(state.places_mm), axis=-1)
+    found = Traction(state, point_mm, traction_mpa, area_mm2, 0.0)
+    return _balanced(found) if traction_mpa.any() else found
 
 
 def _balanced(found: Traction) -> Traction:

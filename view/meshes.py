@@ -12,6 +12,7 @@ from PIL import Image
 from gelgap.assets.whole_file import write_whole
 from gelgap.render import Camera
 from gelgap.sim import MembraneState, SolvedPose
+from gelgap.sim.library import LibraryPose
 from gelgap.sim.shapes import AnyIndenter
 
 MESH_SUFFIXES = (".glb", ".ply")
@@ -57,7 +58,9 @@ def coloured_mesh(
     return _textured(points, np.stack([u, v], axis=-1), np.ones((rows, columns), bool), texture)
 
 
-def indenter_centre_mm(solved: SolvedPose, point_mm: tuple[float, float], indenter: AnyIndenter) -> NDArray:
+def indenter_centre_mm(
+    solved: LibraryPose | SolvedPose, point_mm: tuple[float, float], indenter: AnyIndenter
+) -> NDArray:
     """Return where the origin (3,) of the indenter is, a sphere's centre."""
     return np.array([*point_mm, indenter.origin_height_mm]) + solved.indenter_mm
 
@@ -69,7 +72,7 @@ def indenter_mesh(indenter: AnyIndenter) -> trimesh.Trimesh:
 
 
 def mesh_bytes(
-    solved: SolvedPose,
+    solved: LibraryPose | SolvedPose,
     point_mm: tuple[float, float],
     indenter: AnyIndenter,
     camera: Camera,
@@ -77,7 +80,7 @@ def mesh_bytes(
     suffix: str,
 ) -> bytes:
     """Return membrane and indenter as a file: `.glb`, textured, in metres, or `.ply`, coloured by vertex, in mm."""
-    membrane = membrane_mesh(solved.state, camera, picture)
+    membrane = membrane_mesh(solved, camera, picture)
     body = indenter_mesh(indenter)
     body.apply_translation(indenter_centre_mm(solved, point_mm, indenter))
     body.visual.vertex_colors = np.tile(np.array(_INDENTER_RGBA, np.uint8), (len(body.vertices), 1))
@@ -90,7 +93,7 @@ def mesh_bytes(
 
 def save_mesh(
     path: str | Path,
-    solved: SolvedPose,
+    solved: LibraryPose | SolvedPose,
     point_mm: tuple[float, float],
     indenter: AnyIndenter,
     camera: Camera,

@@ -61,7 +61,7 @@ def sentence_html(sentence: str, bad: bool) -> str:
 
 def _figures(shown: Shown, colours: str) -> dict[str, Any]:
     """Return the figures of what is shown, and how far its physics can be trusted, as `panel.html` takes them."""
-    state = shown.solved.state
+    state = shown.solved
     found = state.diagnostics
     # Adding zero turns −0.000 into 0.000.
     forces = zip("xyz", state.force_n.round(3) + 0.0, found.force_error_n, strict=True)
@@ -132,7 +132,7 @@ def compare(source: Configuration, target: Configuration, pictures: PictureMaker
 def gap_html(gap: DomainGap, source: Shown, target: Shown) -> str:
     """Return the gap and the forces of both sides as HTML."""
     forces = [
-        " ".join(f"{value:+.2f}" for value in shown.solved.state.force_n.round(2) + 0.0)
+        " ".join(f"{value:+.2f}" for value in shown.solved.force_n.round(2) + 0.0)
         for shown in (source, target)
     ]
     rows = (

@@ -144,7 +144,7 @@ def _form(led: Led) -> tuple:
 
 def _coloured(shown: Shown, colouring: Colouring) -> tuple[trimesh.Trimesh, str]:
     """Return the membrane, and what its colours mean; nothing where it wears the picture."""
-    state = shown.solved.state
+    state = shown.solved
     if colouring == "picture":
         return membrane_mesh(state, shown.configuration.sensor.camera, shown.picture, _EVERY), ""
     if colouring == "displacement":

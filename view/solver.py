@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from gelgap.sim import PoseLibrary, SolvedPose
-from gelgap.sim.plan import plan_visit, solved_pose
+from gelgap.sim.plan import plan_visit
 from gelgap.view.state import LibraryRequest, PoseRequest
 
 Request = LibraryRequest | PoseRequest
@@ -146,7 +146,7 @@ def answer_to(request: Request, connection: Connection) -> Answer:
             before += solve.problem.load_steps
         if isinstance(request, LibraryRequest):
             return Solved(request, request.plan.build(solutions))
-        return Solved(request, solved_pose(plan, 0, next(iter(solutions.values()), None)))
+        return Solved(request, plan.state(0, next(iter(solutions.values()), None)))
     except Superseded:
         raise
     except Exception as error:

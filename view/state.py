@@ -16,7 +16,9 @@ from gelgap.sim import (
     QualityName,
     SolvedPose,
     Sphere,
+    solve_pose,
 )
+from gelgap.sim.library import LibraryPose
 from gelgap.sim.scene import is_interior
 from gelgap.view.pictures import Light, Picture, PictureMaker
 
@@ -103,7 +105,7 @@ class Shown:
     """
 
     configuration: Configuration
-    solved: SolvedPose
+    solved: LibraryPose | SolvedPose
     picture: Picture
     source: str
     exact: bool
@@ -162,7 +164,7 @@ class LiveModel:
                 self.pictures.renderer(configuration.light)
             with _timed("picture", stages_ms):
                 picture = self.pictures.picture(
-                    configuration.light, solved.state, configuration.markers, configuration.noise
+                    configuration.light, solved, configuration.markers, configuration.noise
                 )
         else:
             picture = before.picture
@@ -170,7 +172,7 @@ class LiveModel:
         self._before = shown, membrane, seen
         return shown
 
-    def _solved(self, configuration: Configuration) -> tuple[SolvedPose, str, bool]:
+    def _solved(self, configuration: Configuration) -> tuple[LibraryPose | SolvedPose, str, bool]:
         """Return the physics of a configuration, what to say about it, and whether this pose itself was solved."""
         request = configuration.exact_pose
         if request in self._exact:
@@ -184,7 +186,8 @@ class LiveModel:
         elif self._last_library is not None:
             said = "until this gel is solved: the one before, its force scaled by Young's modulus"
         else:
-            return SolvedPose.untouched(), "no contact is shown until this gel is solved", False
+            flat = solve_pose(configuration.elastomer, configuration.indenter, Pose(depth_mm=0.0))
+            return flat, "no contact is shown until this gel is solved", False
         return self._last_library.pose(configuration.elastomer, configuration.pose), said, False
 
 

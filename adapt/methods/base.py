@@ -1,6 +1,6 @@
 """What an adaptation method is, what it may work with, and how a training may fail."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from gelgap.adapt.data import Draw, epoch_order, network_inputs, normalised_labels
+from gelgap.adapt.data import normalised_labels
 from gelgap.adapt.model import estimate_statistics
 from gelgap.adapt.network import Activations, ForceNetwork
 from gelgap.adapt.profile import Profile
@@ -77,9 +77,9 @@ class TransferLoss:
     diagnostics: Mapping[str, float | Tensor] = field(default_factory=dict)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Adaptation:
-    """What a method may work with while it adapts `network` in place: training frames of both domains.
+    """What a method without a loss works with while it adapts `network` in place: training frames of both domains.
 
     Of the target it is given pictures alone, and of the source also the labels, normalised to [0, 1].
     """
@@ -88,11 +88,7 @@ class Adaptation:
     profile: Profile
     seed: int
     source: LabelledFrames
-    target: LabelledFrames | None = None
-
-    def train(self, method: "Method") -> None:
-        """Run stage 2 with the method's loss."""
-        raise NotImplementedError
+    target: LabelledFrames
 
     def estimate_target_statistics(self) -> None:
         """Replace the batch normalisations' statistics by those of the target's pictures."""
@@ -101,25 +97,6 @@ class Adaptation:
     def source_mean(self) -> np.ndarray:
         """Return the mean normalised labels (k,) of the source's frames."""
         return normalised_labels(self.source).mean(axis=0)
-
-    def source_batches(self, epoch: int) -> Iterator[Tensor]:
-        """Yield the network's inputs for the source's frames in shuffled batches, one pass."""
-        return (inputs for _, inputs in self._batches(self.source, Draw.SOURCE_PASS, epoch))
-
-    def labelled_source_batches(self, epoch: int) -> Iterator[tuple[Tensor, Tensor]]:
-        """Yield the same with their normalised labels (B, k)."""
-        force = torch.from_numpy(normalised_labels(self.source)).to(self.network.device)
-        for rows, inputs in self._batches(self.source, Draw.SOURCE_PASS, epoch):
-            yield inputs, force[torch.from_numpy(rows)]
-
-    def target_batches(self, epoch: int) -> Iterator[Tensor]:
-        """Yield the network's inputs for the target's frames in shuffled batches, one pass."""
-        return (inputs for _, inputs in self._batches(self.target, Draw.TARGET_PASS, epoch))
-
-    def _batches(self, frames: LabelledFrames, draw: Draw, epoch: int) -> Iterator[tuple[np.ndarray, Tensor]]:
-        pictures = network_inputs(frames, self.profile, self.network.device)
-        for rows in epoch_order(len(frames), self.profile.batch_size, self.seed, draw, epoch):
-            yield rows, pictures.inputs(rows)
 
 
 class Method(nn.Module):
@@ -177,9 +154,13 @@ class Method(nn.Module):
                 f"{source.name} are of one: take more frames, or choose another method"
             )
 
+    @property
+    def trains(self) -> bool:
+        """Whether stage 2 trains the network by the method's loss: unless the method has an `adapt` of its own."""
+        return type(self).adapt is Method.adapt
+
     def adapt(self, adaptation: Adaptation) -> None:
-        """Adapt the network; by default stage 2 with this method's loss."""
-        adaptation.train(self)
+        """Adapt the network in another way; a method that has this is not trained."""
 
     def begin(self, network: ForceNetwork) -> None:
         """Prepare for stage 2 of a network; by default nothing."""

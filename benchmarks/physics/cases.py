@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from gelgap import sim
 from gelgap.benchmarks import fem
 from gelgap.benchmarks.common import Results, Setting, key_of, run_missing
-from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Solve, SolvePlan, Sphere
+from gelgap.sim import Elastomer, MembraneState, Pose, Sharing, Solve, SolvedPose, SolvePlan, Sphere
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.shapes import AnyIndenter
 from gelgap.sim.solution import Solution, solution_bytes, solution_from_bytes
@@ -97,7 +97,7 @@ class Case:
         kept = {name: getattr(self.truth, name)[:count] for name in ("force_n", "radius_mm", "profiles")}
         return replace(self, poses=self.poses[:count], truth=replace(self.truth, **kept))
 
-    def states(self, solution: Solution) -> tuple[MembraneState, ...]:
+    def states(self, solution: Solution) -> tuple[SolvedPose, ...]:
         """Return the membrane at each pose."""
         return tuple(self.plan.state(index, solution) for index in range(len(self.poses)))
 

@@ -10,7 +10,6 @@ from gelgap.benchmarks.common import rms
 from gelgap.benchmarks.physics.cases import Case, Floats, Solver, Truth
 from gelgap.render.imaging import psnr_db
 from gelgap.sim import Box, Edge, MembraneState, Traction
-from gelgap.sim.traction import traction_map
 
 Picture = Callable[[MembraneState], np.ndarray]
 """Renders a membrane."""
@@ -41,8 +40,7 @@ def errors(case: Case, solved: Any, picture: Picture | None = None) -> dict[str,
     force_n, surfaces = np.array([state.force_n for state in states]), []
     if isinstance(case.indenter, Edge | Box) and len(truth.profiles[0]) == 3:
         along = int(isinstance(case.indenter, Box))  # axis x or y
-        maps = [traction_map(case.plan, k, solved.solution, state) for k, state in enumerate(states)]
-        force_n = np.array([middle_force_n(found, along) for found in maps])
+        force_n = np.array([middle_force_n(state.traction(), along) for state in states])
         surfaces = [middle_errors(*pair, along) for pair in zip(states, truth.profiles, strict=True)]
     elif truth.profiles:
         right = [truth.state(index, state) for index, state in enumerate(states)]

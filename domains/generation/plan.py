@@ -14,14 +14,15 @@ from gelgap.sim import (
     Elastomer,
     Indenter,
     LibraryPlan,
-    MembraneState,
     Pose,
     PosePath,
     PoseRanges,
     Solve,
+    SolvedPose,
     SolvePlan,
     plan_solves,
 )
+from gelgap.sim.library import LibraryPose
 from gelgap.sim.plan import PoseSource, joined
 from gelgap.sim.scene import is_interior
 
@@ -71,7 +72,7 @@ class Contacts:
             return self.library.key
         return self.own.solve_key(index) if self.own.placements[index] is not None else None
 
-    def state(self, index: int, source: Any, half_extent_mm: tuple[float, float]) -> MembraneState:
+    def state(self, index: int, source: Any, half_extent_mm: tuple[float, float]) -> LibraryPose | SolvedPose:
         """Return the membrane of a pose from what the source that `source_key` names is served by."""
         if self._is_interpolated(index):
             return source.state(self.own.elastomer, self.poses[index], half_extent_mm)

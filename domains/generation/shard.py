@@ -19,7 +19,6 @@ from gelgap.domains.recipe import DomainRecipe
 from gelgap.render import Illumination, MembraneRenderer, Sensor
 from gelgap.render.surface import view_half_extent_mm
 from gelgap.sim import MembraneState, Pose
-from gelgap.sim.traction import traction_map
 
 Row = dict[str, Any]
 # One renderer holds the light of the undeformed membrane, half a megabyte and more; a sweep has hundreds of lights.
@@ -74,8 +73,7 @@ def render_batch(batch: FrameBatch, solutions: dict[str, Any]) -> list[Shard]:
                 try:
                     coarse_n = None
                     if any("traction" in recipe.columns for recipe in recipes):
-                        traction = traction_map(batch.contacts.own, place, source, state)
-                        coarse_n = traction.coarse_n(half_extent_mm=extent)
+                        coarse_n = state.traction().coarse_n(half_extent_mm=extent)
                     cells = picture_cells(recipes, frame, state, coarse_n)
                 except (MemoryError, OSError):
                     raise  # the machine's trouble, not this frame's

@@ -7,10 +7,9 @@ import torch
 from gelgap.adapt.data import Draw, TrainingDomain, hidden_batches, network_inputs
 from gelgap.adapt.evaluation import as_judged_on_source
 from gelgap.adapt.model import ForceModel
-from gelgap.adapt.network import make_network
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.runs import stage1_profile
-from gelgap.adapt.trainer import Trainer, adapt, train_source
+from gelgap.adapt.trainer import adapt, batches_of, train_source
 from gelgap.domains import ArrayFrames
 
 DOT = (slice(14, 17), slice(18, 21))
@@ -54,14 +53,13 @@ def test_hidden_frames_lose_their_markers_in_picture_and_reference(source, profi
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_stage_2_hides_markers_in_both_domains_independently(source, target, profile, share, easy_markers):
     hiding = profile.replace(marker_hiding=share)
-    trainer = Trainer(make_network(hiding, source.n_classes, 0), hiding, 0, dotted(source))
     domains = [TrainingDomain(dotted(own), hiding, "cpu", labelled=False) for own in (source, target)]
     with_markers = [
         {picture.numpy().tobytes() for picture in domain.pictures.inputs(np.arange(len(domain)))}
         for domain in domains
     ]
     shown = []
-    for pair in (pair for epoch in range(8) for pair in trainer.batches(epoch, *domains)):
+    for pair in (pair for epoch in range(8) for pair in batches_of(epoch, *domains, hiding, 0)):
         for batch, known in zip(pair, with_markers, strict=True):
             shown.append(all(picture.numpy().tobytes() in known for picture in batch.inputs))
     of_source, of_target = np.array(shown).reshape(-1, 2).T

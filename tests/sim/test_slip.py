@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, solve_slip
-from gelgap.sim.plan import plan_visit
-from gelgap.sim.slip import slip_between
+from gelgap.sim import Cylinder, Elastomer, Pose, Sphere, solve_pose, solve_poses
 
 GEL = Elastomer(young_modulus_mpa=0.3, poisson_ratio=0.48, friction=10.0)
 PRESS = Pose(depth_mm=0.4)
@@ -34,7 +32,7 @@ def sizes_mm(slip_mm: np.ndarray) -> np.ndarray:
     ],
 )
 def test_what_sticks_goes_where_the_indenter_carries_it(body: Sphere | Cylinder, pose: Pose) -> None:
-    found = sizes_mm(solve_slip(GEL, body, pose, "draft").slip_mm)
+    found = sizes_mm(solve_pose(GEL, body, pose, "draft").slip().slip_mm)
     assert len(found) > 150
     assert np.median(found) < 2e-3
     assert np.quantile(found, 0.9) < 0.02
@@ -43,7 +41,7 @@ def test_what_sticks_goes_where_the_indenter_carries_it(body: Sphere | Cylinder,
 def test_without_friction_the_indenter_goes_and_the_membrane_stays(tmp_path: Path) -> None:
     gel = GEL.model_copy(update={"friction": 0.0})
     pose = Pose(depth_mm=0.4, shear_y_mm=-0.5, point_x_mm=1.5)
-    found = solve_slip(gel, Sphere(), pose, "draft")
+    found = solve_pose(gel, Sphere(), pose, "draft").slip()
     np.testing.assert_allclose(np.nanmean(found.slip_mm, axis=(0, 1)), [0.0, 0.5, 0.0], atol=0.03)
     touched = found.x_mm[np.isfinite(found.slip_mm).all(axis=-1).any(axis=0)]
     assert touched.mean() == pytest.approx(1.5, abs=0.1)
@@ -53,10 +51,9 @@ def test_without_friction_the_indenter_goes_and_the_membrane_stays(tmp_path: Pat
 
 
 def test_a_twist_in_full_slip_turns_the_membrane_back() -> None:
-    gel, poses = GEL.model_copy(update={"friction": 0.2}), (PRESS, replace(PRESS, twist_deg=20.0))
-    plan = plan_visit(gel, Cylinder(edge_radius_mm=0.3), poses, "draft")
-    solution = plan.solves[0].run()
-    found, state = slip_between(plan, 0, 1, solution), plan.state(1, solution)
+    gel, pose = GEL.model_copy(update={"friction": 0.2}), replace(PRESS, twist_deg=20.0)
+    state = solve_pose(gel, Cylinder(edge_radius_mm=0.3), pose, "draft")
+    found = state.slip()
     assert state.diagnostics.slip == "gross"
     assert sizes_mm(found.slip_mm).max() == pytest.approx(state.diagnostics.slip_mm, rel=0.1)
     x, y = np.meshgrid(found.x_mm, found.y_mm)
@@ -65,9 +62,15 @@ def test_a_twist_in_full_slip_turns_the_membrane_back() -> None:
     np.testing.assert_allclose(np.nanmean(found.slip_mm[..., :2], axis=(0, 1)), 0.0, atol=2e-3)
 
 
-def test_a_pose_without_contact_has_no_slip() -> None:
-    with pytest.raises(ValueError, match="depth_mm = 0: a pose without contact"):
-        solve_slip(GEL, Sphere(), Pose(depth_mm=0.0), "draft")
-    plan = plan_visit(GEL, Sphere(), (Pose(depth_mm=0.0), PRESS), "draft")
-    with pytest.raises(ValueError, match="without contact"):
-        slip_between(plan, 0, 1, plan.solves[0].run())
+def test_slip_counts_from_the_press_before_the_travel() -> None:
+    pressed, dragged, back = solve_poses(GEL, Sphere(), (PRESS, DRAG, PRESS), "draft")
+    assert not sizes_mm(pressed.slip().slip_mm).any()
+    assert sizes_mm(back.slip().slip_mm).any()
+    alone = solve_pose(GEL, Sphere(), DRAG, "draft")
+    np.testing.assert_array_equal(dragged.slip().slip_mm, alone.slip().slip_mm)
+
+
+@pytest.mark.parametrize("poses", [(Pose(depth_mm=0.0),), (Pose(depth_mm=0.0), DRAG)])
+def test_a_pose_without_contact_has_no_slip(poses: tuple[Pose, ...]) -> None:
+    with pytest.raises(ValueError, match=r"depth_mm = 0.*: a pose without contact"):
+        solve_poses(GEL, Sphere(), poses, "draft")[-1].slip()

@@ -8,7 +8,6 @@ import pytest
 from gelgap.sim import Elastomer, Pose, Sphere, Traction
 from gelgap.sim.plan import plan_visit
 from gelgap.sim.solution import solution_bytes, solution_from_bytes
-from gelgap.sim.traction import traction_map
 
 pytestmark = pytest.mark.numerical
 
@@ -20,7 +19,7 @@ POSES = (Pose(depth_mm=0.3), Pose(depth_mm=0.3, shear_x_mm=-0.05, shear_y_mm=0.2
 def maps() -> tuple[Traction, ...]:
     plan = plan_visit(GEL, Sphere(), POSES, "draft")
     solution = solution_from_bytes(solution_bytes(plan.solves[0].run()))
-    return tuple(traction_map(plan, index, solution) for index in range(len(POSES)))
+    return tuple(plan.state(index, solution).traction() for index in range(len(POSES)))
 
 
 def test_a_maps_integrals_are_force_and_torque(maps: tuple[Traction, ...]) -> None:

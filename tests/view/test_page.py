@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from loaded_file import load_file
 
-from gelgap.sim import Pose, PoseLibrary, SolvedPose
+from gelgap.sim import Pose, PoseLibrary, solve_pose
 from gelgap.view.solver import Answer, Failed, Progress, Request, Solved
-from gelgap.view.state import Configuration, LibraryRequest
+from gelgap.view.state import Configuration, PoseRequest
 
 pytest.importorskip("viser")
 PICTURES = load_file(Path(__file__).parents[2] / "scripts" / "guide_pictures.py")
@@ -38,7 +38,9 @@ class FakeSolver:
         if self.reason:
             self._on_answer(Failed(request, self.reason))
             return
-        result = self._library if isinstance(request, LibraryRequest) else SolvedPose.untouched()
+        result = self._library
+        if isinstance(request, PoseRequest):
+            result = solve_pose(request.elastomer, request.indenter, Pose(depth_mm=0.0))
         self._on_answer(Solved(request, result))
 
     def close(self) -> None:
@@ -70,7 +72,7 @@ def test_turned_knobs_change_picture_and_force(page: Any) -> None:
     before = page.shown
     page.controls.depth.value = 0.9
     settled(page, lambda: page.shown.configuration.pose.depth_mm == 0.9)
-    assert page.shown.solved.state.force_n[2] < before.solved.state.force_n[2] < 0
+    assert page.shown.solved.force_n[2] < before.solved.force_n[2] < 0
     assert (page.shown.picture != before.picture).any()
     page.controls.elastomer.value = "e08"
     settled(page, lambda: page.shown.configuration.elastomer.young_modulus_mpa == 0.8)

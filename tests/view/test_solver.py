@@ -39,7 +39,7 @@ def test_a_pose_is_solved_with_progress() -> None:
     line = Line()
     answer = answer_to(SHALLOW, line)
     assert isinstance(answer, Solved)
-    assert answer.result.state.force_n[2] < 0
+    assert answer.result.force_n[2] < 0
     assert answer.result.pressure_mpa.max() > 0
     done = [progress.done for progress in line.sent]
     assert done == sorted(done)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gelgap.render import Illumination, MembraneRenderer, Sensor
-from gelgap.sim import Elastomer, Pose, PoseLibrary, SolvedPose
+from gelgap.sim import Elastomer, Pose, PoseLibrary, solve_pose
 from gelgap.view.pictures import SIZE_PX
 from gelgap.view.state import Configuration, LiveModel
 
@@ -53,7 +53,7 @@ def test_the_picture_is_that_of_a_renderer_made_anew(
 ) -> None:
     model.show(start)
     shown = model.show(CHANGES[change][0](start))
-    configuration, state = shown.configuration, shown.solved.state
+    configuration, state = shown.configuration, shown.solved
     renderer = MembraneRenderer(configuration.sensor, configuration.illumination, SIZE_PX)
     rng = np.random.default_rng(0) if configuration.noise else None
     anew = renderer.picture(state.x_mm, state.y_mm, state.displacement_mm, configuration.markers, rng)
@@ -68,7 +68,7 @@ def test_light_leaves_the_physics_alone(model: LiveModel, start: Configuration) 
 
 def test_modulus_scales_the_force_and_keeps_the_picture(model: LiveModel, start: Configuration) -> None:
     before, after = model.show(start), model.show(replace(start, elastomer=SOFT))
-    np.testing.assert_allclose(after.solved.state.force_n, before.solved.state.force_n / 2, rtol=1e-9)
+    np.testing.assert_allclose(after.solved.force_n, before.solved.force_n / 2, rtol=1e-9)
     assert after.picture is before.picture
 
 
@@ -79,7 +79,7 @@ def test_a_gel_without_a_library_says_so_and_shows_the_one_before(
     model.show(start)
     shown = model.show(other)
     assert "until this gel is solved" in shown.source
-    assert shown.solved.state.force_n[2] < 0
+    assert shown.solved.force_n[2] < 0
     request = model.lacks(other)
     assert request.elastomer == other.elastomer
     model.add_library(request, dents)
@@ -89,7 +89,7 @@ def test_a_gel_without_a_library_says_so_and_shows_the_one_before(
 
 def test_before_anything_is_solved_the_membrane_is_flat(start: Configuration) -> None:
     shown = LiveModel().show(start)
-    assert not shown.solved.state.displacement_mm.any()
+    assert not shown.solved.displacement_mm.any()
     assert "no contact is shown" in shown.source
 
 
@@ -97,7 +97,7 @@ def test_a_pose_solved_by_itself_is_shown_until_the_contact_changes(
     model: LiveModel, start: Configuration
 ) -> None:
     drawn = model.show(start)
-    model.add_pose(start.exact_pose, SolvedPose.untouched())
+    model.add_pose(start.exact_pose, solve_pose(start.elastomer, start.indenter, Pose(depth_mm=0.0)))
     exact = model.show(start)
     assert exact.exact
     assert exact.source == "this pose, solved at standard"
@@ -105,7 +105,7 @@ def test_a_pose_solved_by_itself_is_shown_until_the_contact_changes(
     assert model.show(replace(start, markers=False)).exact
     moved = model.show(replace(start, pose=Pose(depth_mm=0.5)))
     assert not moved.exact
-    assert moved.solved.state.force_n[2] < 0
+    assert moved.solved.force_n[2] < 0
     assert model.show(start).exact
 
 
@@ -123,6 +123,6 @@ def test_an_illumination_with_other_leds_is_taken_over(model: LiveModel, start: 
     model.show(start)
     shown = model.show(replace(start, illumination=Illumination.preset("i2")))
     assert shown.stages_ms.keys() == SEEN
-    state = shown.solved.state
+    state = shown.solved
     anew = MembraneRenderer(start.sensor, Illumination.preset("i2"), SIZE_PX)
     np.testing.assert_array_equal(shown.picture, anew.picture(state.x_mm, state.y_mm, state.displacement_mm))

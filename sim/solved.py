@@ -1,0 +1,184 @@
+"""The answer of a solve at one pose: the membrane, and all that follows from it when it is asked for."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gelgap.sim.estimate import diagnose
+from gelgap.sim.indenter import Floats, Indenter, rotation
+from gelgap.sim.membrane import (
+    GRID_HALF_EXTENT_MM,
+    MembraneState,
+    PolarTable,
+    contact_radius_mm,
+    covered_extent_mm,
+    grid_axes,
+    is_folded,
+    polar_table,
+    press_onto,
+    pressure_table,
+    traction_table,
+)
+from gelgap.sim.scene import CanonicalFrame, Elastomer, Pose
+from gelgap.sim.slip import Slip, Stand, slip_between
+from gelgap.sim.solution import Record, Solution
+from gelgap.sim.traction import Traction, balanced_traction
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How a pose follows from a solve: by which of its records, seen from which frame."""
+
+    solve: int
+    record: int
+    frame: CanonicalFrame
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class SolvedPose(MembraneState):
+    """The membrane at a pose that was solved; pressure, stress and slip follow from the same solve when asked for."""
+
+    contact_solve: "ContactSolve"
+
+    @cached_property
+    def pressure_mpa(self) -> NDArray[np.float32]:
+        """The normal pressure on the rest grid, (ny, nx)."""
+        own = self.contact_solve
+        if own.placement is None:
+            return np.zeros(self.contact.shape, np.float32)
+        pressure = own.around(pressure_table(own.solution, own.record), self)[..., 0]
+        return (pressure * own.modulus_ratio).astype(np.float32)
+
+    @property
+    def indenter_mm(self) -> Floats:
+        """How far the indenter (3,) has come from touching the gel: less deep than commanded if a spring mounts it."""
+        return self.contact_solve.indenter_mm
+
+    def traction(self) -> Traction:
+        """Return the contact stress on the membrane."""
+        own, stress_mpa = self.contact_solve, np.zeros((*self.contact.shape, 3))
+        if own.placement is not None:
+            per_modulus = own.around(traction_table(own.solution, own.record), self)
+            stress_mpa = own.placement.frame.field_on_sensor(per_modulus * own.modulus_ratio)
+        return balanced_traction(self, (own.pose.point_x_mm, own.pose.point_y_mm), stress_mpa)
+
+    def slip(self) -> Slip:
+        """Return how far the membrane has slid over the indenter since the press straight down.
+
+        That is the last pose on the indenter's way before it went sideways or turned.
+
+        Raises
+        ------
+        ValueError
+            If this pose or that one makes no contact.
+        """
+        before, after = self.contact_solve.press(), self.contact_solve
+        first = before.state()
+        then = after.state((first.x_mm[-1], first.y_mm[-1]))
+        if then.contact.shape != first.contact.shape:
+            first = before.state((then.x_mm[-1], then.y_mm[-1]))
+        return slip_between(first, before.stand(), then, after.stand())
+
+
+@dataclass(frozen=True)
+class ContactSolve:
+    """What a pose follows from: the scene, and the solve that serves it; without contact there is no placement."""
+
+    elastomer: Elastomer
+    indenter: Indenter
+    pose: Pose
+    placement: Placement | None
+    solution: Solution | None
+
+    @property
+    def record(self) -> Record:
+        return self.solution.records[self.placement.record]
+
+    @property
+    def modulus_ratio(self) -> float:
+        """By how much forces are larger than those of the solved gel, which stands for all moduli."""
+        solved = self.solution.problem.moduli
+        return self.elastomer.mujoco_moduli.young_modulus_mpa / solved.young_modulus_mpa
+
+    @property
+    def indenter_mm(self) -> Floats:
+        """How far the indenter (3,) has come from touching the gel, on the sensor."""
+        return (
+            np.zeros(3) if self.placement is None else self.placement.frame.on_sensor(self.record.indenter_mm)
+        )
+
+    def state(self, half_extent_mm: tuple[float, float] = GRID_HALF_EXTENT_MM) -> SolvedPose:
+        """Return the membrane on a grid that covers the contact and reaches at least `half_extent_mm`.
+
+        It reaches no further than the pad if that is larger than the grid by default.
+        """
+        placement, indenter = self.placement, self.indenter
+        if placement is not None:
+            indenter = self.solution.problem.body_at(placement.record)
+        extent_mm = covered_extent_mm(self.elastomer, indenter, self.pose, half_extent_mm)
+        x_mm, y_mm = grid_axes(extent_mm)
+        if placement is None:
+            flat = MembraneState.untouched(x_mm, y_mm)
+            return SolvedPose(
+                x_mm, y_mm, flat.displacement_mm, flat.contact, flat.force_n, contact_solve=self
+            )
+        record, ratio = self.record, self.modulus_ratio
+        table, radius_mm = _table_and_radius(self.solution, placement.record)
+        rest_mm, displacement_mm = table.around(self.pose, placement.frame, extent_mm)
+        origin_mm = record.indenter_mm + np.array([0.0, 0.0, indenter.origin_height_mm])
+        contact = press_onto(indenter, rest_mm, displacement_mm, origin_mm)
+        displacement_mm = placement.frame.field_on_sensor(displacement_mm).astype(np.float32)
+        folded = is_folded(x_mm, y_mm, displacement_mm)
+        return SolvedPose(
+            x_mm,
+            y_mm,
+            displacement_mm,
+            contact,
+            force_n=placement.frame.on_sensor(record.force_n * ratio),
+            torque_n_mm=placement.frame.torque_on_sensor(record.torque_n_mm * ratio),
+            contact_radius_mm=radius_mm,
+            converged=record.converged and not folded,
+            diagnostics=diagnose(self.solution.problem, record, radius_mm, ratio, folded=folded),
+            contact_solve=self,
+        )
+
+    def around(self, table: PolarTable, state: MembraneState) -> Floats:
+        """Return a table's field (ny, nx, channels) on a state's grid, in the contact's frame."""
+        extent_mm = float(state.x_mm[-1]), float(state.y_mm[-1])
+        return table.around(self.pose, self.placement.frame, extent_mm)[1]
+
+    def stand(self) -> Stand:
+        """Return where the indenter is, and how it is turned, on the sensor."""
+        pose = self.pose
+        height_mm = self.indenter.turned(pose.turn_deg).origin_height_mm
+        origin_mm = self.indenter_mm + np.array([pose.point_x_mm, pose.point_y_mm, height_mm])
+        return Stand(origin_mm, rotation(np.array(pose.turn_deg)))
+
+    def press(self) -> "ContactSolve":
+        """Return the last pose on the indenter's way before it went sideways or turned."""
+        if self.placement is None:
+            raise ValueError(f"depth_mm = {self.pose.depth_mm:g}: a pose without contact has no slip")
+        problem, way = self.solution.problem, [self.placement.record]
+        while problem.parents[way[-1]] >= 0:
+            way.append(problem.parents[way[-1]])
+        leans = problem.commands[:, [0, 1, 3, 4, 5]].any(axis=1)
+        # The way begins straight down.
+        press = way.pop()
+        while way and not leans[way[-1]]:
+            press = way.pop()
+        depth_mm = -problem.waypoints_mm[press][2]
+        if depth_mm == 0:
+            raise ValueError("depth_mm = 0 on the way to this pose: a pose without contact has no slip")
+        pose = replace(
+            self.pose, depth_mm=depth_mm, shear_x_mm=0.0, shear_y_mm=0.0, twist_deg=0.0, roll_deg=(0.0, 0.0)
+        )
+        return replace(self, pose=pose, placement=replace(self.placement, record=press))
+
+
+@lru_cache(maxsize=64)
+def _table_and_radius(solution: Solution, record_index: int) -> tuple[PolarTable, float]:
+    """Return the membrane of a record and its contact radius, which many poses share."""
+    record = solution.records[record_index]
+    return polar_table(solution, record), contact_radius_mm(solution, record)
