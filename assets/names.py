@@ -77,11 +77,17 @@ def one_line(self: object) -> str:
 
 
 def _brief(value: object) -> str:
-    """Return an array's shape, a preset's name, how many objects a tuple has, and of other objects the type."""
+    """Return an array's shape, a preset's name, how many entries something long has, and of other objects the type."""
     if hasattr(value, "ndim") and value.ndim > 0:
         return f"array {value.shape}" if value.size > 3 else str(value.round(4).tolist())
-    if isinstance(value, tuple) and value and hasattr(value[0], "__dict__"):
-        return f"{len(value)} × {type(value[0]).__name__}"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, tuple) and value:
+        # The first may be None.
+        if hasattr(value[-1], "__dict__"):
+            return f"{len(value)} × {type(value[-1]).__name__}"
+        if isinstance(value[0], tuple) and len(repr(value)) > LONGEST_QUOTED:
+            return f"{len(value)} × {len(value[0])} numbers"
     if hasattr(value, "__dict__"):
         return repr(value.name) if getattr(value, "name", "") else f"{type(value).__name__}(…)"
     return f"{len(value)} entries" if isinstance(value, dict) else reprlib.repr(value)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gelgap.assets.names import one_line
 from gelgap.sim.indenter import Floats
 from gelgap.sim.problem import ContactProblem
 from gelgap.sim.solution import Record, SolveDiagnostics, sticks
@@ -61,6 +62,8 @@ class Diagnostics(SolveDiagnostics):
     force's estimate is above what its quality promises, and `folded` if its membrane folds over, so that no camera sees
     it as it is.
     """
+
+    __repr__ = one_line
 
     fz_error_n: float = 0.0
     shear_error_n: float = 0.0

@@ -5,13 +5,13 @@ at most 1/across, so that cells on another body are no wider than where its own 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
 from gelgap.sim.indenter import Floats, Indenter
-from gelgap.sim.problem import ContactProblem
+from gelgap.sim.problem import QUALITIES, ContactProblem
 
 # By how many times 1/across the normal of the indenter's surface may turn from one cell to the next.
 _TURN_PER_CELL = 2.0
@@ -110,12 +110,23 @@ def _sizes_under(
 
 def check_sharpness(problem: ContactProblem) -> None:
     """Raise ValueError if the indenter's surface, where it is pressed, has an edge that the mesh does not serve."""
-    served_mm, indenter = _SHARPEST_CELLS * problem.cell_mm, problem.indenter
-    for (body, depth_mm), axis in product(problem.stands, (0, 1)):
-        _, radius = body.curvature(depth_mm, axis, served_mm)
-        # Over such a step an edge of this radius turns by one radian, and any sharper one by more.
-        if radius.min(initial=np.inf) < 0.98 * served_mm:
-            raise ValueError(
-                f"indenter ({indenter.label}): has an edge sharper than the mesh at quality {problem.quality.name} "
-                f"serves; the smallest radius that it serves here is {served_mm:.2g} mm: give a larger edge_radius_mm"
-            )
+    if _is_served(problem):
+        return
+    names = list(QUALITIES)
+    finer = names[names.index(problem.quality.name) + 1 :]
+    serving = [name for name in finer if _is_served(replace(problem, quality=QUALITIES[name]))]
+    remedy = f"quality {serving[0]} serves it" if serving else "give a larger edge_radius_mm"
+    raise ValueError(
+        f"indenter ({problem.indenter.label}): has an edge sharper than the mesh at quality {problem.quality.name} "
+        f"serves; the smallest radius that it serves here is {_SHARPEST_CELLS * problem.cell_mm:.2g} mm: {remedy}"
+    )
+
+
+def _is_served(problem: ContactProblem) -> bool:
+    served_mm = _SHARPEST_CELLS * problem.cell_mm
+    radii_mm = [
+        body.curvature(depth_mm, axis, served_mm)[1].min(initial=np.inf)
+        for (body, depth_mm), axis in product(problem.stands, (0, 1))
+    ]
+    # Over such a step an edge of this radius turns by one radian, and any sharper one by more.
+    return min(radii_mm) >= 0.98 * served_mm

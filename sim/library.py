@@ -113,6 +113,8 @@ class PoseRanges:
 class LibraryPlan:
     """The solves of a library: those of its poses at `depths` depths, and one for each depth that is held out."""
 
+    __repr__ = one_line
+
     elastomer: Elastomer
     indenter: Indenter
     ranges: PoseRanges

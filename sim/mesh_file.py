@@ -18,10 +18,12 @@ MeshUnit = Literal["mm", "cm", "m", "inch", "um"]
 # By trimesh's names.
 _UNITS = {"mm": "mm", "cm": "cm", "m": "m", "inch": "inch", "um": "microns"}
 _CAD_SUFFIXES = (".step", ".stp", ".iges", ".igs", ".brep", ".sldprt", ".f3d", ".fcstd", ".ipt", ".blend")
-_SMALLEST_MM, _LARGEST_MM = 0.1, 500.0
+_SMALLEST_MM, _LARGEST_MM = 0.5, 500.0
 _MOST_CORNERS = 4000
 # A body is convex if its hull's surface is nowhere further from its own, at this many places.
 _CONVEX_WITHIN_MM = 0.05
+# Surfaces that are nowhere further apart are taken as the same.
+SAME_MM = 5e-3
 _PLACES = 2000
 # One that is convex over less of its height is not pressed.
 _LEAST_CONVEX_MM = 0.1
@@ -83,11 +85,15 @@ def _read(path: Path, unit: MeshUnit | None) -> "Trimesh":
     size = mesh.extents.max()
     size_mm = size * trimesh.units.unit_conversion(_UNITS.get(unit, unit), "mm")
     if not _SMALLEST_MM <= size_mm <= _LARGEST_MM:
-        smaller = "um" if unit == "mm" else "mm"
-        likely = "m" if size_mm < _SMALLEST_MM else smaller
+        would_be_mm = {name: size * trimesh.units.unit_conversion(_UNITS[name], "mm") for name in _UNITS}
+        served = [
+            f"{other} makes it {other_mm:.3g} mm"
+            for other, other_mm in would_be_mm.items()
+            if _SMALLEST_MM <= other_mm <= _LARGEST_MM
+        ]
         raise ValueError(
             f"is {size_mm:.6g} mm large if its numbers are in {unit}, must be {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm; "
-            f"are they in {likely}? give --mesh-unit {likely} (in a TOML file: unit)"
+            f"give --mesh-unit (in a TOML file: unit): {', '.join(served) or 'no unit makes it so'}"
         )
     mesh.vertices *= size_mm / size
     if len(bodies := scene.graph.nodes_geometry) > 1:
@@ -111,14 +117,25 @@ def _part(mesh: "Trimesh", name: str, edge_radius_mm: float) -> tuple[Floats, Fl
         raise ValueError("is flat where it touches the gel")
     corners = np.array(part.convex_hull.vertices)
     is_top = corners[:, 2] > convex_mm - 2 * _JUST_BELOW_MM
-    if len(above) and np.all(np.ptp(corners[is_top, :2], axis=0) > np.ptp(corners[:, :2], axis=0) - 1e-6):
+    # A body that ends below the level has no corners there.
+    has_lid = len(above) > 0 and is_top.any()
+    if has_lid and np.all(np.ptp(corners[is_top, :2], axis=0) > np.ptp(corners[:, :2], axis=0) - 1e-6):
         # Else the rounding would reach down from the cut.
         corners = np.concatenate([corners, corners[is_top] + [0.0, 0.0, convex_mm]])
-    corners = _fewer(corners, name)
+    corners, moved_mm = _fewer(corners)
     if edge_radius_mm:
-        corners = _fewer(_eroded(corners, edge_radius_mm), name)
-    lowest = corners[corners[:, 2] < corners[:, 2].min() + 1e-6]
-    origin = np.array([*lowest[:, :2].mean(axis=0), corners[:, 2].min()])
+        corners, moved_again_mm = _fewer(_eroded(corners, edge_radius_mm))
+        moved_mm += moved_again_mm
+    if moved_mm:
+        LOG.warning(
+            "%s: is reduced to %d corners, which moves its surface by up to %.2g mm",
+            name,
+            len(corners),
+            moved_mm,
+        )
+    lowest = corners[corners[:, 2] < corners[:, 2].min() + SAME_MM]
+    middle = (lowest.min(axis=0) + lowest.max(axis=0)) / 2
+    origin = np.array([*middle[:2], corners[:, 2].min()])
     return corners - origin, above - origin + [0.0, 0.0, edge_radius_mm]
 
 
@@ -170,20 +187,18 @@ def _below(mesh: "Trimesh", level_mm: float) -> "Trimesh":
     return Trimesh(vertices, faces)
 
 
-def _fewer(corners: Floats, name: str) -> Floats:
-    """Return the corners (n, 3) of a convex hull, or of too many the extreme ones."""
+def _fewer(corners: Floats) -> tuple[Floats, float]:
+    """Return the corners (n, 3) of a convex hull, or of too many the extreme ones, and by how much that moves it."""
     from scipy.spatial import ConvexHull
 
     if len(corners) <= _MOST_CORNERS:
-        return corners
+        return corners, 0.0
     kept = _extreme(corners)
     planes = ConvexHull(kept).equations
     beyond_mm = max(
         float((some @ planes[:, :3].T + planes[:, 3]).max()) for some in _in_parts(corners, len(planes))
     )
-    reduced = f"its {len(corners)} corners are reduced to {len(kept)}"
-    LOG.warning("%s: %s, which moves its surface by up to %.2g mm", name, reduced, beyond_mm)
-    return kept
+    return kept, beyond_mm
 
 
 def _eroded(corners: Floats, radius_mm: float) -> Floats:

@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from gelgap.assets import load_preset
+from gelgap.assets.names import one_line
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.scene import NO_CLASS, Pose
 
@@ -99,6 +100,8 @@ class DrawnPath(ContactPath):
 @dataclass(frozen=True)
 class PosePath:
     """Any poses under a name, in the order of their frames."""
+
+    __repr__ = one_line
 
     name: str
     poses: tuple[Pose, ...]
@@ -201,6 +204,8 @@ class ForcePath:
 
     `in_newtons` is the path with a force (positive, N) where each depth would stand.
     """
+
+    __repr__ = one_line
 
     in_newtons: ContactPath | PosePath
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from gelgap.assets.locks import cache_folder, key_lock
+from gelgap.assets.names import one_line
 from gelgap.assets.progress import shown_progress
 from gelgap.sim.estimate import diagnose
 from gelgap.sim.grading import check_sharpness
@@ -59,6 +60,8 @@ class PoseSource(Protocol):
 @dataclass(frozen=True)
 class Solve:
     """One problem to solve, perhaps found in the cache."""
+
+    __repr__ = one_line
 
     problem: ContactProblem
     cached: bool = True
@@ -126,6 +129,8 @@ class Solve:
 @dataclass(frozen=True)
 class SolvePlan:
     """The distinct solves of poses, and what follows from them; a pose without contact has no placement."""
+
+    __repr__ = one_line
 
     elastomer: Elastomer
     indenter: Indenter

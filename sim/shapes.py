@@ -13,7 +13,7 @@ from gelgap.assets.names import unknown_name
 from gelgap.assets.settings import within
 from gelgap.assets.toml_file import named_in_errors, read_toml
 from gelgap.sim.indenter import Floats, Indenter, Sphere, Symmetry
-from gelgap.sim.mesh_file import MeshUnit, convex_part
+from gelgap.sim.mesh_file import SAME_MM, MeshUnit, convex_part
 from gelgap.sim.rounded import RoundedHull, RoundedProfile, Shape
 
 # Bodies whose height no field says are as high as they are wide, and at least this high.
@@ -252,7 +252,7 @@ class ConvexMesh(RoundedHull):
         size_mm, whole = np.ptp(self._corners_mm, axis=0) + 2 * self.edge_radius_mm, ""
         if self.above_mm:
             above_mm = _points_mm(self.above_mm)
-            size_mm[2] = above_mm[:, 2].min()
+            size_mm[2] = min(size_mm[2], above_mm[:, 2].min())
             whole_mm = np.maximum(size_mm, [*np.ptp(above_mm[:, :2], axis=0), above_mm[:, 2].max()])
             whole = f", the convex end of a body of {_by(whole_mm)} mm whose rest stays off the gel"
         side = "top (+z of the file)" if self.flip else "bottom (−z of the file)"
@@ -327,7 +327,8 @@ def _made(shape: type[Any], fields: dict[str, Any], mesh: Path | None = None) ->
     known += [] if mesh is None else ["unit"]
     for name in fields:
         if name not in known:
-            raise ValueError(f"{name}: a {shape.shape} has none; it has {', '.join(known)}")
+            named = "--mesh-unit (in a TOML file: unit)" if name == "unit" else name
+            raise ValueError(f"{named}: a {shape.shape} has none; it has {', '.join(known)}")
     return shape(**fields) if mesh is None else shape.load(mesh, **fields)
 
 
@@ -342,6 +343,11 @@ def _points_mm(points: tuple[tuple[float, float, float], ...]) -> Floats:
 
 @lru_cache(maxsize=8)
 def _hull_symmetry(points: tuple[tuple[float, float, float], ...]) -> Symmetry:
-    corners = {tuple(corner) for corner in (_points_mm(points).round(4) + 0.0).tolist()}
-    images = ({(-x + 0.0, y, z) for x, y, z in corners}, {(x, -y + 0.0, z) for x, y, z in corners})
-    return Symmetry.MIRROR if all(image == corners for image in images) else Symmetry.NONE
+    """Return whether the hull reaches as far in directions as in their mirror images, whatever its corners are."""
+    from trimesh.creation import icosphere
+
+    directions, corners = icosphere(subdivisions=3).vertices, _points_mm(points)
+    reach_mm = (directions @ corners.T).max(axis=1)
+    mirrored = (((directions * sign) @ corners.T).max(axis=1) for sign in ([-1, 1, 1], [1, -1, 1]))
+    is_mirrored = all(np.abs(reach_mm - image_mm).max() < SAME_MM for image_mm in mirrored)
+    return Symmetry.MIRROR if is_mirrored else Symmetry.NONE

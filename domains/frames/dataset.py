@@ -138,7 +138,9 @@ class LabelledFrames(ABC):
         if not len(self):
             return None
         shown = np.linspace(0, len(self) - 1, min(len(self), _SHOWN_FRAMES)).astype(int)
-        size_px = self.image_size_px(_SHOWN_PX)
+        height_px, own_px = self.picture(0).shape[:2]
+        width_px = min(_SHOWN_PX, own_px)
+        size_px = width_px, max(1, round(height_px * width_px / own_px))
         return encode_png(np.hstack([resized(self.picture(index), size_px) for index in shown]))
 
     def __getitem__(self, index: int) -> Frame:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from gelgap.assets.names import one_line
 from gelgap.render.calibration.fit import MOST_BLUR_PX, LightFit
 from gelgap.render.calibration.light import Bars, Light, gain_of
 from gelgap.render.calibration.pictures import PlainTable, PressPicture, check_presses
@@ -66,6 +67,8 @@ class SphereSize:
     The interval's ends are the nearest sizes tried that are worse: their mean square over presses exceeds the best's by
     two standard errors of the difference, or they are the last ones tried.
     """
+
+    __repr__ = one_line
 
     tried_mm: np.ndarray  # (sizes,)
     rms_code_values: np.ndarray  # (sizes,)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
+from gelgap.assets.names import one_line
 from gelgap.assets.settings import PresetSettings, Settings
 from gelgap.render.camera import Camera
 from gelgap.render.light.scattered import Scattered
@@ -45,6 +46,8 @@ class Emitter:
     uniformly (Lambertian) on the side of `normal` and are black on the other. A `point` radiates alike in all
     directions, and its `radiance_rgb` is its intensity in linear camera RGB × mm².
     """
+
+    __repr__ = one_line
 
     kind: LedKind
     center_mm: np.ndarray

@@ -46,7 +46,7 @@ def test_a_mesh_file_is_read_in_its_unit_and_turned_over(tmp_path: Path, refused
     tip.vertices[8:, 2] -= 0.008
     tip.export(tmp_path / "tip.stl")
     press = ("press", "--depth-mm", "9", "--indenter", str(tmp_path / "tip.stl"))
-    assert "are they in m? give --mesh-unit" in refused(*press)
+    assert "give --mesh-unit (in a TOML file: unit): " in refused(*press)
     assert "16 × 16 × 4 mm" in refused(*press, "--mesh-unit", "m")
     message = refused(*press, "--mesh-unit", "m", "--flip")
     assert "3 × 3 × 12 mm, the convex end of a body of 16 × 16 × 16 mm" in message

@@ -320,3 +320,13 @@ def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
     assert len(list((tmp_path / "cache" / "images").glob("*.npy"))) == 1
     assert clear_picture_cache() > 0
     assert not list((tmp_path / "cache" / "images").glob("*.npy"))
+
+
+@pytest.mark.parametrize(("height_px", "width_px", "shown_px"), [(60, 80, 80), (240, 240, 160)])
+def test_a_notebook_shows_pictures_of_any_size_in_their_aspect(
+    height_px: int, width_px: int, shown_px: int
+) -> None:
+    reference = np.zeros((height_px, width_px, 3), np.uint8)
+    frames = ArrayFrames("own", np.stack([reference, reference]), reference, np.zeros((2, 3)))
+    shown = decode_image(frames._repr_png_())
+    assert shown.shape == (shown_px * height_px // width_px, 2 * shown_px, 3)

@@ -202,3 +202,9 @@ def _store_concurrently(solution) -> None:
     for worker in workers:
         worker.join()
         assert worker.exitcode == 0
+
+
+def test_plans_and_paths_are_shown_in_one_line() -> None:
+    plan = plan_solves(GEL, Sphere(), SHORT)
+    for shown in (plan, plan.solves[0], PosePath("own", plan.poses), plan.state(0, None).diagnostics):
+        assert len(repr(shown)) < 300

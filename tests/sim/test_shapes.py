@@ -160,6 +160,7 @@ def test_what_is_not_served_is_refused(name: str, fields: dict, message: str) ->
     ("body", "depth_mm", "message"),
     [
         (Cylinder(edge_radius_mm=0.02), 0.3, "smallest radius that it serves"),
+        (Box(edge_radius_mm=0.1), 0.3, "0.15 mm: quality standard serves it"),
         (ConvexMesh(hull_mm=TETRAHEDRON), 0.3, "sharper"),
         (Box(tilt_deg=(10, 0)), 0.2, "lifts the far side"),
         (Box(size_mm=(40, 30)), 0.2, "at most the pad's"),
