@@ -128,13 +128,14 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
         return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in problems)
     frames = open_domain(folder)
     assert isinstance(frames, PictureFiles)
-    found = picture_damages(frames, decode=True)
+    found = []
     for path in frames.reference_paths:
         try:
             frames.rest_picture(path)
         except ValueError as error:
-            found.append(Damage(str(path.relative_to(frames.folder)), str(error)))
-    return tuple(found)
+            problem = str(error).partition("; `gelgap")[0]
+            found.append(Damage(str(path.relative_to(frames.folder)), problem))
+    return (*picture_damages(frames, decode=True), *found)
 
 
 def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:
@@ -180,12 +181,16 @@ def label_notes(frames: LabelledFrames) -> list[str]:
 
 def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damage]:
     """Return the pictures whose size differs from the reference's, or that cannot be decoded."""
-    found, (width, height) = [], frames.size_px
+    found = []
+    try:
+        width, height = frames.size_px
+    except ValueError:  # The reference is unreadable, and sizes are not compared.
+        width = height = 0
     for index in range(len(frames)):
         try:
             data = frames.encoded_picture(index)
             size_px = stated_size_px(data)
-            if size_px != (width, height):
+            if width and size_px != (width, height):
                 raise ValueError(f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px")
             if decode:
                 decode_image(data)
