@@ -3,7 +3,9 @@
 import base64
 import io
 import json
+import logging
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from gelgap.domains.frames.tables import GROUPS
 from gelgap.domains.sweep import domain_gap, unseen_differences
 from gelgap.render.imaging import picture_gap
 
+LOG = logging.getLogger(__name__)
 _SHARES = (0, 0.05, 0.5, 0.95, 1)
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
@@ -170,6 +173,13 @@ def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, st
 
 def _colours(mean: float, percentile_95: float) -> str:
     return f"mean {mean:.2f}, 95th percentile {percentile_95:.2f}"
+
+
+def log_notes(data_sets: Iterable[LabelledFrames], further: Iterable[str] = ()) -> None:
+    """Say once what is unusual about data sets, each by its name, and further sentences."""
+    notes = [f"{own.name}: {note}" for own in data_sets for note in (*own.notes, *label_notes(own))]
+    for note in dict.fromkeys((*notes, *further)):
+        LOG.warning("%s", note)
 
 
 def label_notes(frames: LabelledFrames) -> list[str]:

@@ -269,8 +269,8 @@ class Clip:
             )
         if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
             raise ValueError(
-                f"clip {self.name}: its pictures begin {self.time_s[0] - measured_s[0]:.10g} s after its labels and have "
-                "no time in common; count both from the same moment (a video's first picture is at 0 s)"
+                f"clip {self.name}: its pictures begin {self.time_s[0] - measured_s[0]:.10g} s after its labels and "
+                "have no time in common; count both from the same moment (a video's first picture is at 0 s)"
             )
 
     def _pressed_signal(self) -> np.ndarray:

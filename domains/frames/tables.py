@@ -44,7 +44,15 @@ _BEFORE_AXIS = r"(?:(?:.*\W)?(?:wrench|force|torque|ft)[./])?"
 UNITS = {
     "N": {"N": 1, "mN": 1e-3, "cN": 1e-2, "µN": 1e-6, "kN": 1e3, "g": 9.80665e-3, "kg": 9.80665}
     | {"lb": 4.4482216, "oz": 0.27801385},
-    "N·mm": {"N·mm": 1, "N·m": 1e3, "N·cm": 10, "mN·m": 1, "mN·mm": 1e-3, "kg·cm": 98.0665, "in·lb": 112.98483}
+    "N·mm": {
+        "N·mm": 1,
+        "N·m": 1e3,
+        "N·cm": 10,
+        "mN·m": 1,
+        "mN·mm": 1e-3,
+        "kg·cm": 98.0665,
+        "in·lb": 112.98483,
+    }
     | {"lb·in": 112.98483, "in·oz": 7.0615518, "oz·in": 7.0615518},
     "mm": {"mm": 1, "cm": 10, "m": 1e3, "µm": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4},
     "s": {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60},
@@ -101,7 +109,9 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
                 "line is the header, numbers are written with a decimal point, and texts with a comma in quotes"
             )
     if len(rows) > 1 and (of_columns := _row_of_units(rows[0])):
-        header = [f"{name} ({unit})" if unit else name for name, unit in zip(header, of_columns, strict=False)]
+        header = [
+            f"{name} ({unit})" if unit else name for name, unit in zip(header, of_columns, strict=False)
+        ]
         del rows[0]
     return [(name, [row[place] for row in rows]) for place, name in enumerate(header)]
 
