@@ -191,7 +191,9 @@ def _known_columns(
     notes += [f"{problem}; not read" for problem in unusable.values()]
     for unit in dict.fromkeys(without_unit.values()):
         headers = [header for header, own in without_unit.items() if own == unit]
-        notes.append(f"no unit is stated: {', '.join(headers)} {_are(headers)} read in {unit}")
+        notes.append(
+            f"no unit is stated: {', '.join(headers)} {'are' if headers[1:] else 'is'} read in {unit}"
+        )
     if unread:
         notes.append(f"columns that are not read: {', '.join(unread)}")
     return found, notes
@@ -207,10 +209,6 @@ def _check_unlabelled(unusable: dict[str, str], unread: Iterable[str]) -> None:
                 f"column {header!r} does not say which axis of the force it is: write a column for each that was "
                 "measured, fx_n, fy_n, fz_n in N (pressing gives a negative fz_n), or take it out"
             )
-
-
-def _are(names: list[str]) -> str:
-    return "are" if len(names) > 1 else "is"
 
 
 def _own_unit(ours: str) -> str:
