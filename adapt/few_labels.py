@@ -31,6 +31,7 @@ from gelgap.domains import (
     with_labels,
 )
 from gelgap.domains.frames.dataset import labelled_frames, within_range
+from gelgap.domains.inspection import log_notes
 
 STEPS = 100
 """Steps of fine-tuning to a target, whatever the number of frames."""
@@ -238,6 +239,7 @@ def pretrain(
     if len(folders) < 2:
         raise ValueError(f"{len(folders)} domains: pretraining needs 2 or more, the last to judge by")
     domains = [open_domain(folder) for folder in folders]
+    log_notes(domains)
     within = [within_range(domain) for domain in domains]
     held_out = max(1, len(domains) // _HELD_OUT_OF)
     seen, unseen = join_domains(within[:-held_out]), join_domains(within[-held_out:])
@@ -373,6 +375,7 @@ def finetune(
             f"frames = {frames}, clips = {clips}: give one of the two, how many labelled frames or clips are learnt"
         )
     shown, tested = open_domain(on), open_domain(test)
+    log_notes((shown, tested))
     is_same = Path(on).resolve() == Path(test).resolve()
     model = of_common_labels(ForceModel.load(checkpoint), shown, tested)
     labelled, others = (labelled_frames(with_labels(part, model.labels)) for part in (shown, tested))

@@ -6,7 +6,6 @@ the result.
 
 import hashlib
 import json
-import logging
 import platform
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -46,10 +45,9 @@ from gelgap.assets.whole_file import warn, whole_file, write_whole
 from gelgap.domains import GeneratedDomain, LabelledFrames, open_domain
 from gelgap.domains.frames.dataset import labelled_frames
 from gelgap.domains.frames.folders import open_domains
-from gelgap.domains.inspection import label_notes
+from gelgap.domains.inspection import log_notes
 from gelgap.domains.sweep import unseen_differences
 
-LOG = logging.getLogger(__name__)
 _RECORD, _PREDICTIONS, _MODEL, _RESUME = "run.json", "predictions.npz", "model.pt", "resume.pt"
 _ARRAYS = ("target_predicted_n", "target_features", "source_true_n", "source_predicted_n", "source_features")
 _METHODS_VERSION = 3
@@ -185,11 +183,7 @@ def adapt_folders(
             )
     out = None if out_dir is None else Path(out_dir)
     groups, stages = [], dict[tuple[str, str], Stage1]()
-    notes = [
-        f"{frames.name}: {note}"
-        for frames in (source, *targets)
-        for note in (*frames.notes, *label_notes(frames))
-    ]
+    notes: list[str] = []
     for domain in targets:
         for own in profiles:
             notes += size_notes(source, domain, own)
@@ -201,8 +195,7 @@ def adapt_folders(
             stage1 = stages.setdefault(key, Stage1(frames.source_train, own, seed, weights, out, progress))
             # The source's pictures are in memory once for all targets.
             groups.append(_Group(source, domain, replace(frames, source_train=stage1.source_train), stage1))
-    for note in dict.fromkeys(notes):
-        LOG.warning("%s", note)
+    log_notes((source, *targets), notes)
     for group in groups:
         group.check(methods)
     return [run for group in groups for run in group.runs(methods)]

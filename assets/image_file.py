@@ -105,7 +105,9 @@ def stated_size_px(data: bytes) -> tuple[int, int]:
     """
     try:
         with Image.open(io.BytesIO(data), formats=FORMATS) as image:
-            size, turned = image.size, image.getexif().get(_EXIF_ORIENTATION) in _QUARTER_TURNS
+            # Pillow gives the size of a TIFF as turned already.
+            turned = image.format != "TIFF" and image.getexif().get(_EXIF_ORIENTATION) in _QUARTER_TURNS
+            size = image.size
             problem = _kind_problem(image)
         # `verify` must be the first use of an open image, and compares the checksums of a PNG alone.
         with Image.open(io.BytesIO(data), formats=FORMATS) as image:

@@ -3,7 +3,9 @@
 import base64
 import io
 import json
+import logging
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from gelgap.domains.frames.tables import GROUPS
 from gelgap.domains.sweep import domain_gap, unseen_differences
 from gelgap.render.imaging import picture_gap
 
+LOG = logging.getLogger(__name__)
 _SHARES = (0, 0.05, 0.5, 0.95, 1)
 _COLOURS = ("#c1553b", "#3b7f54", "#35609f")
 
@@ -128,13 +131,14 @@ def verify_domain(folder: Path | str) -> tuple[Damage, ...]:
         return tuple(Damage(MANIFEST, f"vouches for what cannot be used: {problem}") for problem in problems)
     frames = open_domain(folder)
     assert isinstance(frames, PictureFiles)
-    found = picture_damages(frames, decode=True)
+    found = []
     for path in frames.reference_paths:
         try:
             frames.rest_picture(path)
         except ValueError as error:
-            found.append(Damage(str(path.relative_to(frames.folder)), str(error)))
-    return tuple(found)
+            problem = str(error).partition("; `gelgap")[0]
+            found.append(Damage(str(path.relative_to(frames.folder)), problem))
+    return (*picture_damages(frames, decode=True), *found)
 
 
 def gap_rows(frames: LabelledFrames, base: LabelledFrames) -> list[tuple[str, str]]:
@@ -171,6 +175,13 @@ def _colours(mean: float, percentile_95: float) -> str:
     return f"mean {mean:.2f}, 95th percentile {percentile_95:.2f}"
 
 
+def log_notes(data_sets: Iterable[LabelledFrames], further: Iterable[str] = ()) -> None:
+    """Say once what is unusual about data sets, each by its name, and further sentences."""
+    notes = [f"{own.name}: {note}" for own in data_sets for note in (*own.notes, *label_notes(own))]
+    for note in dict.fromkeys((*notes, *further)):
+        LOG.warning("%s", note)
+
+
 def label_notes(frames: LabelledFrames) -> list[str]:
     """Return what is unusual about labels, in sentences: forces that pull the sensor."""
     if pulling := int((frames.columns.get("fz_n", np.zeros(0)) > 0).sum()):
@@ -180,12 +191,16 @@ def label_notes(frames: LabelledFrames) -> list[str]:
 
 def picture_damages(frames: StoredFrames, *, decode: bool = False) -> list[Damage]:
     """Return the pictures whose size differs from the reference's, or that cannot be decoded."""
-    found, (width, height) = [], frames.size_px
+    found = []
+    try:
+        width, height = frames.size_px
+    except ValueError:  # The reference is unreadable, and sizes are not compared.
+        width = height = 0
     for index in range(len(frames)):
         try:
             data = frames.encoded_picture(index)
             size_px = stated_size_px(data)
-            if size_px != (width, height):
+            if width and size_px != (width, height):
                 raise ValueError(f"{size_px[0]}×{size_px[1]} px, the reference has {width}×{height} px")
             if decode:
                 decode_image(data)

@@ -165,10 +165,11 @@ class PosePath:
         Raises
         ------
         ValueError
-            If the number is below 1, or a range is not a pair of rising numbers.
+            If the number is below 1, the seed below 0, or a range is not a pair of rising numbers.
         """
-        if not isinstance(number, int) or number < 1:
-            raise ValueError(f"number = {number!r} of path {name}: must be a whole number from 1")
+        for field, value, least in (("number", number, 1), ("seed", seed, 0)):
+            if not isinstance(value, int) or isinstance(value, bool) or value < least:
+                raise ValueError(f"{field} = {value!r} of path {name}: must be a whole number from {least}")
         _check_number(number, name)
         ranges = {
             "point_x_mm": point_x_mm,

@@ -269,8 +269,8 @@ class Clip:
             )
         if self.time_s[0] > measured_s[-1] or measured_s[0] > self.time_s[-1]:
             raise ValueError(
-                f"clip {self.name}: its pictures span {self.time_s[0]:g}…{self.time_s[-1]:g} s, its labels "
-                f"{measured_s[0]:g}…{measured_s[-1]:g} s; count both from the same moment"
+                f"clip {self.name}: its pictures begin {self.time_s[0] - measured_s[0]:.10g} s after its labels and "
+                "have no time in common; count both from the same moment (a video's first picture is at 0 s)"
             )
 
     def _pressed_signal(self) -> np.ndarray:
@@ -295,11 +295,16 @@ class Clip:
 
         Where force is a line in the signal plus noise, twice the log likelihood of a lag is −n log(1 − r²), and falls
         by 4 at the ends of an interval of 95 %. Errors of neighbouring pictures go together, so n is divided by the sum
-        of their autocorrelation up to its first zero.
+        of their autocorrelation up to its first zero. Clocks alone give one lag while the signal rises and while it
+        falls; compressed video shows slow changes late and gives two, which the range includes.
         """
         signal = self._pressed_signal()
         pressed_n = [_pressing_n(self.labels_at(lag)) for lag in self.lags]
-        correlations = np.array([_correlation(signal, own) for own in pressed_n])
+        is_rising = np.gradient(np.convolve(np.pad(signal, 2, "edge"), np.ones(5) / 5, "valid")) > 0
+        correlations, rising, falling = (
+            np.array([_correlation(signal[part], own[part]) for own in pressed_n])
+            for part in (slice(None), is_rising, ~is_rising)
+        )
         if np.isnan(correlations).all():
             raise ValueError(
                 f"clip {self.name}: its force or its pictures do not change, or fewer than {_FEWEST_FRAMES} pictures "
@@ -308,10 +313,11 @@ class Clip:
         best = int(np.nanargmax(correlations))
         unexplained = np.where(correlations > 0, 1 - correlations**2, 1.0)
         independent = _independent_errors(signal, pressed_n[best])
-        fitting = np.flatnonzero(unexplained <= unexplained[best] * np.exp(4 / independent))
+        fitting = np.flatnonzero(unexplained <= unexplained[best] * np.exp(4 / independent)).tolist()
+        fitting += [int(np.nanargmax(own)) for own in (rising, falling) if not np.isnan(own).all()]
         return LagEstimate(
             self.lags[best],
-            (self.lags[fitting[0]], self.lags[fitting[-1]]),
+            (self.lags[min(fitting)], self.lags[max(fitting)]),
             correlations[best],
             correlations[self.lags.index(0)],
         )

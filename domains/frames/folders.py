@@ -33,7 +33,7 @@ PUBLISHED_PARTS = ("train", "test")
 PUBLISHED_FORCES = ("Fx(N)", "Fy(N)", "Fz(N)")
 _ALIASES = {"inpainting": "wmb0i0"}
 
-REFERENCE_STEMS = ("reference", "ref", "background", "bg", "nocontact")
+REFERENCE_STEMS = ("reference", "ref", "rest", "background", "bg", "nocontact")
 REFERENCES = "references"
 IMAGES = "images"
 
@@ -117,9 +117,6 @@ def _pictures(folder: Path) -> list[Path]:
 
 def _is_reference(picture: Path) -> bool:
     return plain_name(picture.stem) in REFERENCE_STEMS
-
-
-_LARGEST_LIKELY_N = 150.0
 
 
 class PictureFiles(StoredFrames):
@@ -229,6 +226,8 @@ def _picture_folder(folder: Path) -> PictureFiles:
         ):
             kinds = ", ".join(f"{count} {kind or 'others'}" for kind, count in others.items())
             notes.append(f"not read, beside {len(paths)} pictures without a table: {kinds}")
+        if twice := len(paths) - len({path.with_suffix("") for path in paths}):
+            notes.append(f"{twice} pictures have the name of another and a different ending: each is a frame")
     columns = {"frame_id": np.arange(len(paths))} | columns
     if repeated := len(paths) - len(set(paths)):
         notes.append(f"{repeated} rows name a picture that a row before them names")
@@ -237,8 +236,6 @@ def _picture_folder(folder: Path) -> PictureFiles:
     if ranges != PAPER_RANGES:
         told = Labels.of({name: ranges[name] for name in forces})
         notes.append(f"forces go beyond the paper's range: the declared range is {told}")
-    if (largest_n := np.abs(list(ranges.values())).max()) > _LARGEST_LIKELY_N:
-        notes.append(f"forces reach {largest_n:g} N, beyond any such sensor's: are they in mN?")
     own = _own_references(tables[0], columns) if tables else []
     references = list(dict.fromkeys(own)) or [_shared_reference(folder, columns, paths, notes)]
     if own:

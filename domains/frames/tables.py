@@ -36,17 +36,28 @@ PICTURE_NAMES = (
 )
 TEXTS = GROUPS | {"split": ("split",), "reference": ("reference",), "picture": PICTURE_NAMES}
 COLUMNS = NUMBERS | WHOLE_NUMBERS | TEXTS
-# One force of several axes, or of none that is known.
-_WHOLE_FORCES = ("force", "forces", "wrench", "ft", "force torque", "load")
+# What a table without labels may hold as such: one force of several axes, or of none that is known.
+_FORCE_LIKE = re.compile(r"(?<![a-z])(forces?|wrench|ft|load|f[\W_]?[xyzn]?)(?![a-z])", re.IGNORECASE)
+# Programs name what an axis belongs to before it: `wrench.force.z`, `/ft/wrench/force/z`, `Force.Fz`.
+_BEFORE_AXIS = r"(?:(?:.*\W)?(?:wrench|force|torque|ft)[./])?"
 
 UNITS = {
-    "N": {"n": 1, "mn": 1e-3, "kn": 1e3, "g": 9.80665e-3, "kg": 9.80665, "lb": 4.4482216, "oz": 0.27801385},
-    "N·mm": {"nmm": 1, "nm": 1e3, "ncm": 10, "mnm": 1, "mnmm": 1e-3, "kgcm": 98.0665, "inlb": 112.98483}
-    | {"lbin": 112.98483, "inoz": 7.0615518, "ozin": 7.0615518},
-    "mm": {"mm": 1, "cm": 10, "m": 1e3, "um": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4},
-    "s": {"s": 1, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60},
+    "N": {"N": 1, "mN": 1e-3, "cN": 1e-2, "µN": 1e-6, "kN": 1e3, "g": 9.80665e-3, "kg": 9.80665}
+    | {"lb": 4.4482216, "oz": 0.27801385},
+    "N·mm": {
+        "N·mm": 1,
+        "N·m": 1e3,
+        "N·cm": 10,
+        "mN·m": 1,
+        "mN·mm": 1e-3,
+        "kg·cm": 98.0665,
+        "in·lb": 112.98483,
+    }
+    | {"lb·in": 112.98483, "in·oz": 7.0615518, "oz·in": 7.0615518},
+    "mm": {"mm": 1, "cm": 10, "m": 1e3, "µm": 1e-3, "nm": 1e-6, "in": 25.4, "inch": 25.4},
+    "s": {"s": 1, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60},
 }
-"""What one of each unit is in gelgap's; names as `_plain_unit` writes them."""
+"""What one of each unit is in gelgap's."""
 _LONG_UNITS = {"newton": "n", "newtons": "n", "grams": "g", "inches": "in", "microns": "um"}
 _LONG_UNITS |= {"sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us"}
 _UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.-]*)(?:in[\s_]+)?(?P<appended>.+))?"
@@ -54,6 +65,7 @@ _UNIT = r"\s*(?:[(\[{<](?P<bracketed>.*)[)\]}>]|[/,](?P<listed>.+)|(?P<gap>[\s_.
 EMPTY = ("", "-", "nan", "na", "n/a", "#n/a", "null", "none")
 # Times without a unit are seconds if they are closer than this; milliseconds of a log at 1 kHz are 1 apart.
 _LONGEST_LIKELY_STEP_S = 0.5
+_LARGEST_LIKELY_N = 150.0
 
 
 class _UnusableError(ValueError):
@@ -64,6 +76,7 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
     """Return the columns of a CSV table, (header, cells), without spaces around them.
 
     Tabs or semicolons separate its columns if the header has one, else commas. It is in UTF-8, or UTF-16 with a mark.
+    Comments above the header (`# …`, and Excel's `sep=;`) are skipped, and units in a row below it are put into it.
 
     Raises
     ------
@@ -78,6 +91,9 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
     is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = data.decode("utf-16" if is_utf_16 else "utf-8-sig")
+        if "\0" in text:
+            raise csv.Error("it holds zero bytes, as UTF-16 without a mark does")
+        text = re.sub(r"\A(?:\s*(?:#|sep=).*\n)+", "", text)
         separator = next((mark for mark in "\t;" if mark in text.partition("\n")[0]), ",")
         lines = csv.reader(io.StringIO(text, newline=""), delimiter=separator, skipinitialspace=True)
         rows = [row for row in ([cell.strip() for cell in line] for line in lines) if any(row)]
@@ -89,10 +105,22 @@ def read_table(path: Path) -> list[tuple[str, list[str]]]:
     for number, row in enumerate(rows, 1):
         if len(row) < len(header) or any(row[len(header) :]):
             raise ValueError(
-                f"{path}: row {number} below the header has {len(row)} cells, and the header {len(header)}; numbers "
-                "are written with a decimal point, and texts with a comma in quotes"
+                f"{path}: row {number} below the header has {len(row)} cells, and the header {len(header)}; the first "
+                "line is the header, numbers are written with a decimal point, and texts with a comma in quotes"
             )
+    if len(rows) > 1 and (of_columns := _row_of_units(rows[0])):
+        header = [
+            f"{name} ({unit})" if unit else name for name, unit in zip(header, of_columns, strict=False)
+        ]
+        del rows[0]
     return [(name, [row[place] for row in rows]) for place, name in enumerate(header)]
+
+
+def _row_of_units(row: list[str]) -> list[str] | None:
+    """Return the units in a row that holds nothing else; None for another row."""
+    units = [cell.strip("()[]{}<>-") for cell in row]
+    known = {_plain_unit(unit) for of_one in UNITS.values() for unit in of_one}
+    return units if any(units) and all(_plain_unit(unit) in known for unit in units if unit) else None
 
 
 def known_columns(
@@ -151,6 +179,9 @@ def _known_columns(
                 without_unit[header] = _own_unit(ours)
             elif UNITS[_own_unit(ours)][unit] != 1:
                 notes.append(f"{header!r} is converted to {_own_unit(ours)}")
+            largest = np.nanmax(np.abs(values))
+            if _own_unit(ours) == "N" and largest > _LARGEST_LIKELY_N:
+                notes.append(f"{header!r} reaches {largest:g} N, beyond any such sensor's: is it in mN?")
     for name in needed:
         if name not in found:
             there = ", ".join(header for header, _ in columns if header)
@@ -158,9 +189,11 @@ def _known_columns(
     if not known_labels(found):
         _check_unlabelled(unusable, unread)
     notes += [f"{problem}; not read" for problem in unusable.values()]
-    if without_unit:
-        told = ", ".join(f"{header} is read in {unit}" for header, unit in without_unit.items())
-        notes.append(f"no unit is stated: {told}")
+    for unit in dict.fromkeys(without_unit.values()):
+        headers = [header for header, own in without_unit.items() if own == unit]
+        notes.append(
+            f"no unit is stated: {', '.join(headers)} {'are' if headers[1:] else 'is'} read in {unit}"
+        )
     if unread:
         notes.append(f"columns that are not read: {', '.join(unread)}")
     return found, notes
@@ -171,10 +204,10 @@ def _check_unlabelled(unusable: dict[str, str], unread: Iterable[str]) -> None:
     for name in known_labels(unusable):
         raise ValueError(unusable[name])
     for header in unread:
-        if _unit(header, _WHOLE_FORCES, "N") is not None:
+        if _FORCE_LIKE.search(header):
             raise ValueError(
                 f"column {header!r} does not say which axis of the force it is: write a column for each that was "
-                "measured, fx_n, fy_n, fz_n in N (pressing gives a negative fz_n)"
+                "measured, fx_n, fy_n, fz_n in N (pressing gives a negative fz_n), or take it out"
             )
 
 
@@ -183,7 +216,7 @@ def _own_unit(ours: str) -> str:
 
 
 def _unit(header: str, names: Iterable[str], own_unit: str) -> str | None:
-    """Return the unit that a header states, a key of `UNITS[own_unit]`, empty where it states none.
+    """Return the unit that a header states, a key of `UNITS[own_unit]` or another name, empty where it states none.
 
     None if it is none of the names. `Fz [mN]`, `Force Z, mN`, `fz/mN`, `Fz_mN` and `FzmN` state one.
 
@@ -194,19 +227,26 @@ def _unit(header: str, names: Iterable[str], own_unit: str) -> str | None:
     """
     # Longest first: `time stamp` is no `time` with a unit.
     any_name = "|".join(name.replace(" ", r"[\W_]*") for name in sorted(names, key=len, reverse=True))
-    stated = re.fullmatch(f"(?:{any_name}){_UNIT}", header, re.IGNORECASE)
+    before = _BEFORE_AXIS if own_unit.startswith("N") else ""
+    stated = re.fullmatch(f"{before}(?:{any_name}){_UNIT}", header, re.IGNORECASE)
     if stated is None:
         return None
     told = stated["bracketed"] or stated["listed"] or stated["appended"] or ""
-    unit = re.sub(r"[\s·⋅*.^_-]|f(?=$|cm|in)", "", told.lower().replace("µ", "u").replace("μ", "u"))
-    unit = _LONG_UNITS.get(unit, unit)
-    known = UNITS.get(own_unit, {})
-    if not told or unit in known:
-        return unit
-    is_unit = stated["gap"] and any(unit in others for others in UNITS.values())
+    known = {_plain_unit(unit): unit for unit in UNITS.get(own_unit, ())}
+    if not told or _plain_unit(told) in known:
+        return known.get(_plain_unit(told), "")
+    is_unit = stated["gap"] and _row_of_units([told])
     if not known or (stated["appended"] and not is_unit):
         return None
-    raise ValueError(f"column {header!r} states the unit {told!r}: known units are {', '.join(known)}")
+    raise ValueError(
+        f"column {header!r} states the unit {told!r}: known units are {', '.join(UNITS[own_unit])}"
+    )
+
+
+def _plain_unit(told: str) -> str:
+    """Return a unit in lower case, without what stands between its parts and without the f of gf, kgf, lbf, ozf."""
+    plain = re.sub(r"[\s·⋅*.^_-]", "", told.lower().replace("µ", "u").replace("μ", "u"))
+    return _LONG_UNITS.get(plain, re.sub("(?<=[gbz])f", "", plain))
 
 
 def _values(ours: str, header: str, cells: list[str], unit: str) -> np.ndarray:
@@ -250,7 +290,7 @@ def _texts(ours: str, header: str, cells: list[str]) -> np.ndarray:
             raise kind(
                 f"column {header!r}: every row must hold a name, and row {row} below the header holds {held}"
             )
-    return np.array(cells, dtype=object)
+    return np.array([cell.replace("\\", "/") for cell in cells] if ours == "picture" else cells, dtype=object)
 
 
 def _numbers(header: str, cells: list[str]) -> np.ndarray:
@@ -261,13 +301,13 @@ def _numbers(header: str, cells: list[str]) -> np.ndarray:
         if cell.lower() in EMPTY:
             continue
         try:
-            numbers[row] = float(cell)
+            numbers[row] = float(cell.replace("−", "-"))
         except ValueError:
             wrong[row] = cell
         if np.isinf(numbers[row]):
             wrong[row] = cell
     for row, cell in wrong.items():
-        remedy = "; write a decimal point" if re.fullmatch(r"[-+]?\d+,\d+", cell) else ""
+        remedy = "; write a decimal point, and no commas between thousands" if "," in cell else ""
         kind = _UnusableError if np.isnan(numbers).all() else ValueError
         raise kind(
             f"column {header!r}: every row must hold a finite number or nothing, and row {row + 1} below the header "

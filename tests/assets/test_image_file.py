@@ -73,10 +73,11 @@ def test_other_kinds_are_refused(data: bytes, problem: str) -> None:
         decode_image(data)
 
 
-def test_a_file_that_is_turned_by_its_exif_is_read_as_viewers_show_it() -> None:
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF"])
+def test_a_file_that_is_turned_by_its_exif_is_read_as_viewers_show_it(kind: str) -> None:
     exif = Image.Exif()
     exif[0x0112] = 6  # a quarter turn clockwise
-    data = pillow_file(COLOUR, "JPEG", exif=exif, quality=100)
+    data = pillow_file(COLOUR, kind, exif=exif)
     assert decode_image(data).shape == (16, 12, 3)
     assert stated_size_px(data) == (12, 16)
 

@@ -189,6 +189,11 @@ def picture_folder(folder: Path, text: str) -> Path:
         ),
         ("picture,fz_n\n0.png,soft\n1.png,hard\n", "row 1 below the header holds 'soft'"),
         ('picture,force\n0.png,"[0.1, 0.2]"\n', "'force' does not say which axis"),
+        ("picture,Normal Force (N)\n0.png,1\n", "'Normal Force .*' does not say which axis"),
+        ("picture,Fz_filtered\n0.png,1\n", "'Fz_filtered' does not say which axis"),
+        ('picture,Fz (mN)\n0.png,"-1,234.5"\n', "'-1,234.5'; write a decimal point, and no commas between"),
+        ("ATI NET F/T\npicture,Fz\n0.png,-1\n", "the header 1; the first line is the header"),
+        ("picture,Fz (V)\n0.png,-1\n", "known units are N, mN"),
         ("picture,Fz (mN),Fz (N)\n0.png,-50,-0.05\n", r"'Fz \(mN\)' and 'Fz \(N\)' mean the same, fz_n"),
     ],
 )
@@ -201,7 +206,8 @@ def test_millinewtons_and_repeated_pictures_are_noted(tmp_path: Path):
     text = "picture,fz_n\n0.png,0\n1.png,-2500\n1.png,-2500\n"
     notes = " ".join(open_domain(picture_folder(tmp_path, text)).notes)
     assert "1 rows name a picture that a row before them names" in notes
-    assert "forces reach 2500 N, beyond any such sensor's: are they in mN?" in notes
+    assert "'fz_n' reaches 2500 N, beyond any such sensor's: is it in mN?" in notes
+    assert "no unit" not in notes
 
 
 @pytest.mark.parametrize(
@@ -216,7 +222,9 @@ def test_millinewtons_and_repeated_pictures_are_noted(tmp_path: Path):
             for header in ("Fz", "fz_n", "Fz(N)", "Force_z", "FzN", "fz in N", "Z Force (Newton)")
         ],
         *[("Fz (g)", "fz_n", 9.80665e-3), ("Fz (gf)", "fz_n", 9.80665e-3), ("fz kgf", "fz_n", 9.80665)],
-        *[("Fz (lbf)", "fz_n", 4.4482216), ("Fz_oz", "fz_n", 0.27801385)],
+        *[("Fz (lbf)", "fz_n", 4.4482216), ("Fz_oz", "fz_n", 0.27801385), ("Fz [cN]", "fz_n", 1e-2)],
+        *[("wrench.force.z", "fz_n", 1), ("/ft/wrench/force/z", "fz_n", 1), ("Force.Fz (mN)", "fz_n", 1e-3)],
+        *[("Tx (N-m)", "mx_nmm", 1e3), ("Tx (lbf-in)", "mx_nmm", 112.98483)],
         *[
             ("Mx (Nm)", "mx_nmm", 1e3),
             ("Tx (N·m)", "mx_nmm", 1e3),
@@ -271,8 +279,37 @@ def test_a_column_that_nobody_needs_is_skipped_and_said(tmp_path: Path):
         assert told in notes
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# sensor 5\n# today\npicture,Fz (mN)\n0.png,0\n1.png,-500\n",
+        "sep=;\npicture;Fz (mN)\n0.png;0\n1.png;-500\n",
+        "picture,Fz\n,[mN]\n0.png,0\n1.png,-500\n",
+        "picture,Fz\n.\\0.png,0\n1.png,−0.5\n",
+    ],
+)
+def test_what_programs_write_around_the_numbers_is_read(tmp_path: Path, text: str):
+    picture_folder(tmp_path, text)
+    assert open_domain(tmp_path).columns["fz_n"].tolist() == [0, -0.5]
+
+
+def test_pictures_saved_twice_are_counted(tmp_path: Path):
+    for name in ("0.png", "0.jpg", "1.png", "rest.png"):
+        picture(tmp_path / name, 60)
+    data = open_domain(tmp_path)
+    assert len(data) == 3
+    assert "1 pictures have the name of another" in " ".join(data.notes)
+
+
 @pytest.mark.parametrize(("encoding", "separator"), [("utf-16", "\t"), ("utf-8-sig", ";"), ("utf-8", "\t")])
 def test_tables_of_excel_are_read(tmp_path: Path, encoding: str, separator: str):
     text = "picture,Fz (mN)\n0.png,0\n1.png,-500\n".replace(",", separator)
     (picture_folder(tmp_path, "") / "labels.csv").write_bytes(text.encode(encoding))
     assert open_domain(tmp_path).columns["fz_n"].tolist() == [0, -0.5]
+
+
+def test_verify_names_every_picture_beside_an_unreadable_reference(tmp_path: Path):
+    picture_folder(tmp_path, "picture,fz_n\n0.png,0\n1.png,-1\n2.png,-1\n")
+    for name in ("reference.png", "1.png"):
+        (tmp_path / name).write_bytes(b"no image")
+    assert [damage.file for damage in verify_domain(tmp_path)] == ["1.png", "reference.png"]

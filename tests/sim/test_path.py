@@ -121,6 +121,9 @@ def test_presets_that_list_poses(name: str) -> None:
         ("depths_mm = [0.1]", "points_x_mm"),
         (f"{GRID}\ncontacts_per_point = 5", "must be 1 to 4"),
         (f"{GRID}\ncontacts_per_point = 1.5", "must be a whole number"),
+        ("[random]\nnumber = true", "number = True of path .*: must be a whole number from 1"),
+        ('[random]\nnumber = 3\nseed = "1"', "seed = '1' of path .*: must be a whole number from 0"),
+        ("[random]\nnumber = 3\nseed = true", "seed = True of path"),
         ("=", "not valid TOML"),
     ],
 )
