@@ -57,15 +57,6 @@ def inpaint_telea(picture: np.ndarray, mask: np.ndarray, radius_px: float = 3.0)
     return cv2.inpaint(np.ascontiguousarray(picture), mask.astype(np.uint8), radius_px, cv2.INPAINT_TELEA)
 
 
-def inpaint_biharmonic(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the uint8 picture with the masked pixels filled by the biharmonic equation: smoother, slower."""
-    from skimage.restoration import inpaint_biharmonic as fill
-
-    _check(picture, mask)
-    filled = fill(picture.astype(np.float64) / 255, mask, split_into_regions=True, channel_axis=2)
-    return np.clip(np.round(255 * filled), 0, 255).astype(np.uint8)
-
-
 def _check(picture: np.ndarray, mask: np.ndarray | None = None) -> None:
     if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
         raise ValueError(f"picture must be uint8 (h, w, 3), not {picture.dtype} {picture.shape}")
