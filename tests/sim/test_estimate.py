@@ -84,7 +84,7 @@ def test_a_membrane_that_lies_on_itself_is_folded() -> None:
 
 
 def test_a_solved_state_that_is_folded_does_not_count_as_converged(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gelgap.sim.plan.is_folded", lambda *_: True)
+    monkeypatch.setattr("gelgap.sim.solved.is_folded", lambda *_: True)
     (state,) = solve_poses(GEL, Sphere(), [Pose(depth_mm=0.3)], "draft")
     assert state.diagnostics.folded
     assert not state.converged
