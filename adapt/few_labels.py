@@ -389,10 +389,12 @@ def finetune(
             raise ValueError(f"{on}: all of its {len(drawn)} frames are drawn; leave some to test on")
     before = len(drawn) + len(others)
     few, others = within_range(labelled.take(drawn)), within_range(others)
-    if not (len(few) and len(others)):
-        raise ValueError(
-            f"{on}, {test}: no labelled, or no other frame lies within the model's {model.labels}"
-        )
+    for what, part in (
+        (f"{on}: none of the {len(drawn)} drawn frames", few),
+        (f"{test}: none of the others", others),
+    ):
+        if not len(part):
+            raise ValueError(f"{what} lies within the ranges that the model was trained in, {model.labels}")
     model = with_statistics_of(model, shown)
     tuned = fine_tune(model, few, steps=NEW_SENSOR_STEPS, learning_rate=NEW_SENSOR_LEARNING_RATE, seed=seed)
     return Finetuning(

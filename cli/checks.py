@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from types import FunctionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -24,6 +25,21 @@ def check_values(command: Command) -> None:
     groups = [value for value in vars(command).values() if is_dataclass(value)]
     if problems := [problem for part in (command, *groups) for problem in _problems(part)]:
         raise ValueError("; ".join(problems))
+    written: dict[Path, str] = {}
+    for name, path in _output_files(command):
+        if path in written:
+            raise ValueError(f"{written[path]} and {name} name the same file, {path}: give each its own")
+        written[path] = name
+
+
+def _output_files(command: Command) -> Iterator[tuple[str, Path]]:
+    hints = get_type_hints(type(command), include_extras=True)
+    for field in fields(command):
+        path, notes = getattr(command, field.name), _notes(hints[field.name])
+        if path is not None and any(
+            getattr(note, "__qualname__", "").startswith("output_file.") for note in notes
+        ):
+            yield f"--{field.name.replace('_', '-')}", path.resolve()
 
 
 def _problems(options: Any) -> Iterator[str]:

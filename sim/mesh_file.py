@@ -159,7 +159,7 @@ def _convex_mm(mesh: "Trimesh") -> float:
         raise ValueError(
             f"must be convex where it touches the gel: its surface lies {off_mm:.2g} mm inside its convex hull, of "
             f"{_CONVEX_WITHIN_MM:g} mm at most, at x, y = {place[0]:.2f}, {place[1]:.2f} mm, {place[2]:.2f} mm above "
-            "the lowest point; press another side (--flip, in a TOML file flip, turns it over)"
+            "the lowest point; press its other side, with --flip or without (in a TOML file: flip)"
         )
     return float(levels[convex])
 

@@ -74,6 +74,13 @@ def test_a_wrong_value_is_one_sentence_and_nothing_is_written(
     assert os.listdir() == ["file.txt"]
 
 
+def test_two_outputs_do_not_share_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["press", "--save", str(tmp_path / "a.npz"), "--traction", f"{tmp_path}/./a.npz"])
+    assert stop.value.code == 2
+    assert "--save and --traction name the same file" in capsys.readouterr().err
+
+
 def options_of(command: str, field: str) -> set[str]:
     hint = get_type_hints(COMMANDS[command])[field]
     return set(get_args(hint))
