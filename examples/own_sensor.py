@@ -15,7 +15,7 @@ import numpy as np
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, Pose, Sphere, solve_pose
 
-SENSOR = Path(__file__).with_suffix(".toml")
+SENSOR = Path("examples/own_sensor.toml")
 
 
 def main(
