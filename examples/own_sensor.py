@@ -15,15 +15,13 @@ import numpy as np
 from gelgap.render import MembraneRenderer, Sensor
 from gelgap.sim import Elastomer, Pose, Sphere, solve_pose
 
-SENSOR = Path("examples/own_sensor.toml")
-
 
 def main(
-    sensor_file: Path | str = SENSOR,
+    sensor_file: Path | str | None = None,
     picture: Path | str = "own_sensor.png",
     quality: str = "standard",
 ) -> np.ndarray:
-    sensor = Sensor.load(sensor_file)
+    sensor = Sensor.load(sensor_file or Path(__file__).with_suffix(".toml"))
     assert sensor.illumination is not None, "the file describes LEDs as well"
     gel = Elastomer(young_modulus_mpa=0.25, poisson_ratio=0.485, friction=0.7, thickness_mm=4.25)
     state = solve_pose(gel, Sphere(diameter_mm=4.0), Pose(depth_mm=0.8, shear_x_mm=0.3), quality)
