@@ -228,5 +228,5 @@ def _extreme(points: Floats) -> Floats:
 
 
 def _in_parts(points: Floats, others: int) -> list[Floats]:
-    """Return points in parts small enough to be taken with each of so many others at once."""
+    """Return points in parts, each small enough to be compared with all of the others at once."""
     return np.array_split(points, 1 + len(points) * others // _NUMBERS_AT_A_TIME)
