@@ -8,8 +8,8 @@ import numpy as np
 from gelgap.render.rasterizer import NOWHERE_MM
 from gelgap.render.sensor import LARGEST_PITCH_MM, Markers, marker_rest_mm
 
-# Cells of a list of dots: by the width of a dot, so that dots that touch lose 2 % of their area at most, and in all along
-# the list's longer side.
+# Cells of a list of dots: by the width of a dot, so that dots that touch lose 2 % of their area at most, and at most
+# along the list's longer side.
 _CELLS_PER_DOT, _MOST_CELLS = 16, 1000
 
 
