@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import tyro
 
 from gelgap.assets.names import quoted
-from gelgap.cli.options import Command
+from gelgap.cli.options import Command, output_file
 
 _POSITIONAL = get_args(tyro.conf.Positional[int])[1]
 
@@ -26,32 +26,35 @@ def check_values(command: Command) -> None:
     if problems := [problem for part in (command, *groups) for problem in _problems(part)]:
         raise ValueError("; ".join(problems))
     written: dict[Path, str] = {}
-    for name, path in _output_files(command):
-        if path in written:
-            raise ValueError(f"{written[path]} and {name} name the same file, {path}: give each its own")
-        written[path] = name
+    for name, path, notes in _options(command):
+        if path is not None and any(_is_check_of_output_file(note) for note in notes):
+            first = written.setdefault(path.resolve(), name)
+            if first != name:
+                raise ValueError(
+                    f"{first} and {name} name the same file, {path.resolve()}: give each its own"
+                )
 
 
-def _output_files(command: Command) -> Iterator[tuple[str, Path]]:
-    hints = get_type_hints(type(command), include_extras=True)
-    for field in fields(command):
-        path, notes = getattr(command, field.name), _notes(hints[field.name])
-        if path is not None and any(
-            getattr(note, "__qualname__", "").startswith("output_file.") for note in notes
-        ):
-            yield f"--{field.name.replace('_', '-')}", path.resolve()
+def _options(options: Any) -> Iterator[tuple[str, Any, list[Any]]]:
+    """Yield the options of a command or of a group: how each is typed, its value, and the notes in its annotation."""
+    hints = get_type_hints(type(options), include_extras=True)
+    for field in fields(options):
+        notes = _notes(hints[field.name])
+        name = field.name if _POSITIONAL in notes else f"--{field.name.replace('_', '-')}"
+        yield name, getattr(options, field.name), notes
+
+
+def _is_check_of_output_file(note: Any) -> bool:
+    return isinstance(note, FunctionType) and note.__qualname__.startswith(f"{output_file.__name__}.")
 
 
 def _problems(options: Any) -> Iterator[str]:
-    hints = get_type_hints(type(options), include_extras=True)
-    for field in fields(options):
-        value, notes = getattr(options, field.name), _notes(hints[field.name])
+    for name, value, notes in _options(options):
         for check in notes if value is not None else ():
             if isinstance(check, FunctionType):
                 try:
                     check(value)
                 except (ValueError, OSError) as error:
-                    name = field.name if _POSITIONAL in notes else f"--{field.name.replace('_', '-')}"
                     typed = " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
                     reason = getattr(error, "strerror", None)
                     yield f"{name} = {quoted(typed)}: {f'cannot be used ({reason})' if reason else error}"

@@ -78,18 +78,23 @@ class Render(opt.Command):
 
         from gelgap.assets.whole_file import write_whole
         from gelgap.domains.formats.pictures import encode_png
-        from gelgap.domains.formats.shards import HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM
+        from gelgap.domains.formats.shards import (
+            HEIGHT_MAP_OFFSET_MM,
+            HEIGHT_MAP_SCALE,
+            HEIGHT_MAP_STEP_MM,
+            height_codes,
+        )
 
         if self.height_map.suffix.lower() == ".npy":
             np.save(self.height_map, height_mm)
             print(f"wrote {self.height_map}: height towards the camera in mm")
             return
         low, step = HEIGHT_MAP_OFFSET_MM, HEIGHT_MAP_STEP_MM
-        codes = np.rint((height_mm - low) / step)
+        codes = height_codes(height_mm)
         if codes.min() < 0 or codes.max() > 65535:
             raise ValueError(
                 f"--height-map {self.height_map}: a 16-bit PNG holds {low:g} to {low + 65535 * step:.2f} mm, and "
                 f"heights are {height_mm.min():.2f} to {height_mm.max():.2f} mm: write a .npy"
             )
         write_whole(self.height_map, encode_png(codes.astype(np.uint16)))
-        print(f"wrote {self.height_map}: height towards the camera in mm is {low:g} + {step:g} × code")
+        print(f"wrote {self.height_map}: {HEIGHT_MAP_SCALE}")

@@ -101,9 +101,14 @@ class Column:
     cell: Callable[[View], Any] | None = None
 
 
+def height_codes(height_mm: np.ndarray) -> np.ndarray:
+    """Return heights as whole codes of a 16-bit map, as float, so that one beyond 0 to 65535 can be seen."""
+    return np.rint((height_mm - HEIGHT_MAP_OFFSET_MM) / HEIGHT_MAP_STEP_MM)
+
+
 def _height_map(view: View) -> dict[str, Any]:
     height_mm = view.renderer.height_map_mm(*view.membrane)
-    codes = np.clip(np.rint((height_mm - HEIGHT_MAP_OFFSET_MM) / HEIGHT_MAP_STEP_MM), 0, 65535)
+    codes = np.clip(height_codes(height_mm), 0, 65535)
     return picture_cell(codes.astype(np.uint16))
 
 
@@ -138,7 +143,9 @@ def _point_list(points: np.ndarray) -> list[list[float]]:
 _CLASS = "0 without contact; −1 off the paper's grid"
 _DIRECTION = "commanded direction of the travel; null without travel"
 _RADIUS = "deformed radius where the normal pressure vanishes"
-_HEIGHT = f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGHT_MAP_STEP_MM:g} × code"
+HEIGHT_MAP_SCALE = (
+    f"height towards the camera in mm is {HEIGHT_MAP_OFFSET_MM:g} + {HEIGHT_MAP_STEP_MM:g} × code"
+)
 _REST = "(x, y) of each dot on the undeformed membrane"
 _SEEN = "(x, y) of each dot in the picture, pixel centres at +0.5"
 _TORQUE = "torque of the indenter on the sensor about the contact point on the undeformed membrane"
@@ -179,7 +186,7 @@ OptionalColumn = Literal[
     "turn",
 ]
 OPTIONAL: dict[str, tuple[Column, ...]] = {
-    "height_map": (Column("height_map", PICTURE, "mm", _HEIGHT, cell=_height_map),),
+    "height_map": (Column("height_map", PICTURE, "mm", HEIGHT_MAP_SCALE, cell=_height_map),),
     "contact_mask": (
         Column("contact_mask", PICTURE, "", "255 where the indenter touches", cell=_contact_mask),
     ),

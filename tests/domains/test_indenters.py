@@ -50,6 +50,7 @@ def test_six_axes_and_forces_by_cell_belong_together(folder: Path) -> None:
     force = np.stack([table[f"f{axis}_n"] for axis in "xyz"], axis=1)
     cells = np.array(table["traction_n"]).reshape(9, 24, 32, 3)
     np.testing.assert_allclose(cells.sum(axis=(1, 2)), force, atol=1e-6)
+    np.testing.assert_array_equal(open_domain(folder).traction_map_n(4), cells[4])
     # Dragged along y, the force's line passes beside the contact point.
     torque = np.stack([table[f"t{axis}_n_mm"] for axis in "xyz"], axis=1)[2::3]
     assert (torque[:, 0] < 0).all()
