@@ -155,6 +155,20 @@ def test_drags_that_branch_off_one_press_are_those_solved_apart(cache: Path) -> 
         assert record.converged == other.converged
 
 
+def test_a_mirrored_corner_of_a_harder_gel_has_the_mirrored_force_and_torque(cache: Path) -> None:
+    drag = Pose(depth_mm=0.1, point_x_mm=3.5, point_y_mm=2.5, shear_x_mm=0.05)
+    mirrored = replace(drag, point_x_mm=-3.5, shear_x_mm=-0.05)
+    harder = SMALL.model_copy(update={"young_modulus_mpa": 0.6})
+    one, other = _plan(SMALL, PosePath("one", (drag,))), _plan(harder, PosePath("other", (mirrored,)))
+    assert one.solves[0].key == other.solves[0].key
+    solution = one.solves[0].run()
+    here, there = one.state(0, solution), other.state(0, solution)
+    assert np.abs(here.torque_n_mm).min() > 1e-6
+    np.testing.assert_allclose(there.force_n, 2 * here.force_n * [-1, 1, 1], rtol=1e-12)
+    # A torque is an axial vector: a mirror across x turns it round, but for its part along x.
+    np.testing.assert_allclose(there.torque_n_mm, 2 * here.torque_n_mm * [1, -1, -1], rtol=1e-12)
+
+
 def test_a_trajectory_is_one_solve_that_remembers_its_way(cache: Path) -> None:
     there_and_back = [(0.0, 0.0, 0.2), (0.2, 0.0, 0.2), (0.0, 0.0, 0.2)]
     path = PosePath.from_trajectories(

@@ -104,15 +104,6 @@ def test_a_turn_or_a_tilt_takes_symmetries_away(body: Shape, symmetry: Symmetry)
     assert body.symmetry is symmetry
 
 
-def test_a_meshs_rounded_corners_are_a_box() -> None:
-    box = Box(size_mm=(4, 3), edge_radius_mm=0.5)
-    core = trimesh.creation.box((3, 2, 9)).vertices + np.array([0, 0, 4.5])
-    mesh = ConvexMesh(hull_mm=tuple(map(tuple, core.tolist())), edge_radius_mm=0.5)
-    points = np.random.default_rng(0).uniform(-4, 4, (200, 3))
-    points[:, 2] = np.abs(points[:, 2])
-    np.testing.assert_allclose(mesh.project(points).distance_mm, box.project(points).distance_mm, atol=1e-9)
-
-
 def test_a_curve_is_as_sharp_as_it_is() -> None:
     _, radius = Cylinder(edge_radius_mm=0.2).curvature(0.3, 0, 0.05)
     assert radius.min() == pytest.approx(0.2, rel=0.02)
