@@ -120,9 +120,7 @@ def test_what_makes_a_fit_doubtful_is_said(
     ("name", "content", "problem"),
     [
         ("labels.csv", "file,depth_mm\np.png,0.6\n", "is not a TOML file"),
-        ("clip.mp4", "\0\0ftypisom", "is not a TOML file"),
         ("own.toml", "[camera]\n", "has no table [[presses]]"),
-        ("own.toml", "file,depth_mm\n", "is not valid TOML"),
         ("15.9", None, "does not exist"),
     ],
 )
@@ -141,11 +139,7 @@ def test_another_file_than_a_list_of_presses_is_refused(
 
 @pytest.mark.parametrize(
     ("scale", "said"),
-    [
-        ("15.9", "15.9 pixels per mm are 0.0629 mm per pixel"),
-        ("0", "must lie in [0.001, 1] mm per pixel"),
-        ("0.01", "images would show 0.32 mm of the gel"),
-    ],
+    [("0", "must lie in [0.001, 1] mm per pixel"), ("0.01", "images would show 0.32 mm of the gel")],
 )
 def test_a_scale_that_cannot_be_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: str, said: str

@@ -56,7 +56,6 @@ def test_what_can_be_left_out_is_what_is_drawn() -> None:
     ("options", "sentence"),
     [
         ("--profile paper", "--size = 160 120: must be at least the 256 × 256 px of profile paper"),
-        ("--size 60 48", "--size = 60 48: must be at least the 64 × 48 px of profile cpu"),
         ("--frames-per-domain 8", "frames_per_domain = 8: must be 9 or more"),
     ],
 )

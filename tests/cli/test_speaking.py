@@ -43,7 +43,6 @@ def test_a_press_shows_its_load_steps_and_leaves_standard_output_clean(
     ("arguments", "words"),
     [
         (["press"], "start over"),
-        (["render", "a.npz", "-o", "b.png"], "start over"),
         (["generate", "mb0i0", "--out", "o"], "finished shards and solves are kept"),
         (["adapt", "--source", "a", "--target", "b"], "finished runs and epochs are kept"),
         (["export", "a", "--out", "o"], "only solved physics is sure to be kept"),

@@ -25,8 +25,6 @@ def test_without_viser_it_says_how_to_install_it(
     ("arguments", "words"),
     [
         (["--sensor", "papre"], ("sensor preset 'papre'", "did you mean")),
-        (["--elastomer", "b9"], ("elastomer preset 'b9'", "known presets")),
-        (["--illumination", "i9"], ("illumination preset 'i9'", "known presets")),
         (["--port", "70000"], ("--port = '70000'", "[0, 65535]")),
     ],
 )
