@@ -1,6 +1,7 @@
 """Runs of the board: what is missing, which records are refused, methods of one's own, and the report of all parts."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -127,13 +128,14 @@ def test_ctrl_c_ends_with_a_sentence(tmp_path):
         time.sleep(0.05)
         assert process.poll() is None
     process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=60)
+    _, error = process.communicate(timeout=300)
     # What an import that was broken off has half made may complain as the process ends, after the sentence.
     progress, sentence, _ = error.partition(
         "interrupted; finished runs are kept, run the same command again to go on\n"
     )
     assert (process.returncode, bool(sentence)) == (130, True), error
-    assert all(": 0 of " in line for line in progress.splitlines()), error
+    # However late the signal comes on a busy machine: some frames may be made by then.
+    assert all(re.search(r": \d+ of \d+", line) for line in progress.splitlines()), error
 
 
 def test_no_records_is_one_sentence(tmp_path):
