@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import get_type_hints
 
 import numpy as np
-import pytest
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -52,6 +51,10 @@ def sources(folder: str) -> list[Path]:
     return found
 
 
+def by_room() -> list[tuple[str, Path]]:
+    return [(room, source) for room in ALLOWED for source in sources(room)]
+
+
 def module_name(source: Path) -> str:
     parts = source.relative_to(ROOT).with_suffix("").parts
     return ".".join(("gelgap", *parts)).removesuffix(".__init__")
@@ -74,9 +77,8 @@ def imported_names(source: Path) -> frozenset[str]:
     return frozenset(names)
 
 
-@pytest.mark.parametrize("room", ALLOWED)
-def test_a_room_imports_only_the_rooms_below_it(room: str) -> None:
-    for source in sources(room):
+def test_a_room_imports_only_the_rooms_below_it() -> None:
+    for room, source in by_room():
         rooms = {
             name.split(".")[1] for name in imported_names(source) if name.startswith("gelgap.")
         } & ALLOWED.keys()
@@ -89,10 +91,9 @@ def test_nothing_imports_a_room_by_its_bare_name() -> None:
         assert not tops & set(ALLOWED), source
 
 
-@pytest.mark.parametrize("room", ALLOWED)
-def test_modules_of_a_room_do_not_import_each_other_in_a_circle(room: str) -> None:
+def test_modules_do_not_import_each_other_in_a_circle() -> None:
     """Imports for types count too: who reads the one file has to read the other."""
-    modules = {module_name(source): source for source in sources(room)}
+    modules = {module_name(source): source for _, source in by_room()}
     numbers = {name: number for number, name in enumerate(modules)}
     matrix = np.zeros((len(modules), len(modules)), dtype=bool)
     for name, source in modules.items():
@@ -108,11 +109,12 @@ def test_modules_of_a_room_do_not_import_each_other_in_a_circle(room: str) -> No
     assert circles == []
 
 
-@pytest.mark.parametrize("room", ["sim", "render", "domains", "view", "adapt"])
-def test_a_room_does_not_enter_through_its_own_face(room: str) -> None:
-    face = {f"gelgap.{room}.{name}" for name in import_module(f"gelgap.{room}").__all__}
-    modules = {module_name(source) for source in sources(room)}
-    offenders = [str(source) for source in sources(room) if imported_names(source) & (face - modules)]
+def test_a_room_does_not_enter_through_its_own_face() -> None:
+    offenders = []
+    for room in ("sim", "render", "domains", "view", "adapt"):
+        face = {f"gelgap.{room}.{name}" for name in import_module(f"gelgap.{room}").__all__}
+        modules = {module_name(source) for source in sources(room)}
+        offenders += [str(source) for source in sources(room) if imported_names(source) & (face - modules)]
     assert offenders == []
 
 
@@ -148,26 +150,29 @@ def test_no_file_is_longer_than_a_reader_can_hold() -> None:
     assert {str(source): lines for source, lines in lengths.items() if lines > MOST_LINES_OF_A_FILE} == {}
 
 
-@pytest.mark.parametrize("room", ALLOWED)
-def test_a_short_module_has_more_than_one_importer_or_is_part_of_it(room: str) -> None:
+def test_a_short_module_has_more_than_one_importer_or_is_part_of_it() -> None:
     """What a room's face (`__init__.pyi`) names is for everybody; a benchmark that the registry names is a command."""
-    faces = [
-        re.sub(r"from \.([\w.]+)", rf"from gelgap.{room}.\1", face.read_text("utf-8"))
-        for face in (ROOT / room).glob("__init__.pyi")
-    ]
     importers = defaultdict(set)
-    for source in (source for other in ALLOWED for source in sources(other)):
+    for _, source in by_room():
         for name in imported_names(source):
             importers[name].add(source)
     offenders = []
-    for source in sources(room):
+    for room, source in by_room():
         name = module_name(source)
-        public = any(f"from {name} import" in face for face in faces)
+        public = any(f"from {name} import" in face for face in faces(room))
         short = line_count(source) < LEAST_LINES_OF_A_FILE and not source.name.startswith("__")
         stands_alone = str(source.relative_to(ROOT)).startswith(STAND_ALONE)
         if short and not public and not stands_alone and len(importers[name]) == 1:
             offenders.append(name)
     assert offenders == []
+
+
+def faces(room: str) -> list[str]:
+    """Return the text of a room's face, if it has one, with its imports in full."""
+    return [
+        re.sub(r"from \.([\w.]+)", rf"from gelgap.{room}.\1", face.read_text("utf-8"))
+        for face in (ROOT / room).glob("__init__.pyi")
+    ]
 
 
 def test_what_the_package_imports_is_declared() -> None:

@@ -8,8 +8,6 @@ from importlib import import_module
 from pathlib import Path
 from types import FunctionType
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 ROOMS = ("sim", "render", "domains", "view", "adapt")
 
@@ -37,19 +35,13 @@ def test_every_room_that_installs_says_that_it_is_typed() -> None:
     assert "py.typed" in settings["package-data"]["*"]
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_all_names_what_the_stub_lists(room: str) -> None:
-    listed = names_in_stub(room)
-    assert len(listed) == len(set(listed))
-    assert set(import_module(f"gelgap.{room}").__all__) == set(listed)
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_each_name_is_there_with_a_docstring(room: str) -> None:
-    module = import_module(f"gelgap.{room}")
-    assert [name for name in names_in_stub(room) if not hasattr(module, name)] == []
-    undescribed = [name for name in names_in_stub(room) if not is_described(getattr(module, name))]
-    assert undescribed == []
+def test_names_of_stub_guide_and_module_are_the_same_and_described() -> None:
+    for room in ROOMS:
+        module, listed, rows = import_module(f"gelgap.{room}"), names_in_stub(room), names_in_guide(room)
+        assert len(listed) == len(set(listed))
+        assert set(module.__all__) == set(listed) == rows.keys()
+        assert [name for name in listed if not is_described(getattr(module, name))] == []
+        assert [name for name, what in rows.items() if not what.strip()] == []
 
 
 def is_described(thing: object) -> bool:
@@ -60,12 +52,11 @@ def is_described(thing: object) -> bool:
     return bool(text) and not text.startswith(f"{thing.__name__}(")
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_what_is_public_says_its_types(room: str) -> None:
-    module = import_module(f"gelgap.{room}")
-    functions = [
-        function for name in names_in_stub(room) for function in public_functions(getattr(module, name))
+def test_what_is_public_says_its_types() -> None:
+    things = [
+        getattr(import_module(f"gelgap.{room}"), name) for room in ROOMS for name in names_in_stub(room)
     ]
+    functions = [function for thing in things for function in public_functions(thing)]
     assert functions
     assert [function.__qualname__ for function in functions if not is_annotated(function)] == []
 
@@ -87,11 +78,3 @@ def is_annotated(function: FunctionType) -> bool:
     """Whether a function's result and all its parameters but self and cls have types."""
     parameters = inspect.signature(function).parameters.keys() - {"self", "cls"}
     return parameters | {"return"} <= function.__annotations__.keys()
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_the_guide_lists_each_name_once_and_no_other(room: str) -> None:
-    rows = names_in_guide(room)
-    assert rows.keys() - set(names_in_stub(room)) == set()
-    assert set(names_in_stub(room)) - rows.keys() == set()
-    assert [name for name, what in rows.items() if not what.strip()] == []

@@ -83,23 +83,6 @@ def held(folder: Path, name: str = ".lock") -> subprocess.Popen:
         (["benchmark", "physics", "--quick", "--out", "OUT"], "", ".lock-physics"),
         (["report", "OUT"], "", ".lock"),
         (["export", "DATA", "--out", "OUT/export"], ".export.building", ".lock"),
-        (
-            [
-                "generate",
-                "mb0i0",
-                "--path",
-                "smoke",
-                "--quality",
-                "draft",
-                "--size",
-                "64",
-                "48",
-                "--out",
-                "OUT",
-            ],
-            "",
-            ".lock",
-        ),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",
 )

@@ -239,13 +239,7 @@ def test_the_command_adapts_folders_of_one_axis_by_clips(source, target, short, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--labels", "fz"], "fz"),
         (["--range", "fz_n=-3"], "must be a label, its lower and its upper bound, as fz_n=-30:0"),
-        (
-            ["--range", "fz_n=0:-3"],
-            "'fz_n=0:-3': range of fz_n is [0, -3]: the lower bound must be below the upper",
-        ),
-        (["--range", "fz=-3:0"], "label 'fz' is unknown; known labels: fx_n"),
         (["--range", "fz_n=-3:0", "fz_n=-4:0"], "one stands twice"),
     ],
 )

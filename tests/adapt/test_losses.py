@@ -22,13 +22,13 @@ from gelgap.adapt.methods.dan import (
     multi_gaussian,
     squared_distances,
 )
-from gelgap.adapt.methods.dann import DANN, domain_loss, multilinear_map, reverse_gradient
+from gelgap.adapt.methods.dann import CDAN, DANN, domain_loss, multilinear_map, reverse_gradient
 from gelgap.adapt.methods.daregram import daregram
-from gelgap.adapt.methods.dsan import lmmd
+from gelgap.adapt.methods.dsan import DSAN, lmmd
 from gelgap.adapt.methods.fourier_style import in_the_style_of
 from gelgap.adapt.methods.registry import find_method
 from gelgap.adapt.methods.rsd import projection_distance
-from gelgap.adapt.methods.uga import Evidence, evidential_loss
+from gelgap.adapt.methods.uga import Evidence, evidential_loss, similar
 from gelgap.adapt.network import Activations
 from gelgap.assets import asset_path
 from gelgap.assets.array_file import read_arrays
@@ -383,6 +383,127 @@ def test_stable_daregram_is_the_definition_at_a_gap() -> None:
     values_s, values_t = (torch.linalg.eigvalsh(gram(x)).flip(0)[:5] for x in (s, t))
     expected = 0.5 * angle + 0.003 * torch.dist(values_s, values_t) / 5
     assert float(daregram(s, t, 0.5, 0.003, 0.9999)) == pytest.approx(float(expected), rel=1e-6)
+
+
+STEP = Step(number=0, weight=0.5, rng=np.random.default_rng(0))
+
+
+def brute_force_lmmd(s, t, source_group, target_probability):
+    """LMMD by loops over classes and frames; a class counts that both batches have, by label and by argmax."""
+    distances = squared_distances(torch.cat([s, t]))
+    kernel = multi_gaussian(distances, bandwidth(distances, False)).tolist()
+    of_source, of_target = source_group.tolist(), target_probability.tolist()
+    guessed = [row.index(max(row)) for row in of_target]
+    common, n = sorted(set(of_source) & set(guessed)), len(of_source)
+    total = 0.0
+    for c in common:
+        w_s = [float(group == c) / of_source.count(c) for group in of_source]
+        mass = sum(row[c] for row in of_target)
+        signed = w_s + [-row[c] / mass for row in of_target]
+        total += sum(signed[i] * signed[j] * kernel[i][j] for i in range(2 * n) for j in range(2 * n))
+    return total / max(len(common), 1), common
+
+
+def dsan_batches(n_classes, classes, seed=0):
+    """Activations of 8 frames each, source frames of the classes given, targets with softmax labels."""
+    rng = np.random.default_rng(seed)
+    s, t = (torch.from_numpy(rng.standard_normal((8, 12)) + shift).float() for shift in (0.0, 0.3))
+    logits = torch.from_numpy(2 * rng.standard_normal((8, n_classes))).float()
+    prediction = torch.full((8, 3), 0.5)
+    source = Activations(s, prediction, contact_class=torch.tensor(classes))
+    return source, Activations(t, prediction, logits=logits)
+
+
+def test_dsan_aligns_the_classes_of_the_source_that_are_argmax_in_the_target():
+    seed = 0
+    rng = np.random.default_rng(seed)
+    source, target = dsan_batches(12, rng.integers(0, 12, 8).tolist(), seed)
+    dsan = DSAN(DSAN.Settings(), 12, 12)
+    expected, common = brute_force_lmmd(
+        source.features, target.features, source.contact_class, target.logits.softmax(dim=1)
+    )
+    present = len(set(source.contact_class.tolist()))
+    assert 0 < len(common) < present
+    found = dsan.loss(source, target, STEP)
+    assert found.weight == STEP.weight
+    assert float(found.value) == pytest.approx(expected, rel=1e-4)
+    assert found.diagnostics == {"common_classes": len(common), "no_common_class": 0}
+
+
+def test_dsan_without_a_common_class_has_no_loss_and_says_so():
+    source, target = dsan_batches(6, 8 * [5])
+    target.logits[:, 5] = -9.0
+    source.features.requires_grad_(True)
+    dsan = DSAN(DSAN.Settings(), 12, 6)
+    found = dsan.loss(source, target, STEP)
+    found.value.backward()
+    assert found.value.item() == 0
+    assert not source.features.grad.any()
+    assert found.diagnostics == {"common_classes": 0, "no_common_class": 1}
+
+
+def adversarial_activations(features: torch.Tensor) -> Activations:
+    return Activations(features=features, prediction=features[:, :3].sigmoid())
+
+
+def test_the_features_gradient_is_minus_lambda_times_the_discriminators():
+    generator = torch.Generator().manual_seed(0)
+    s, t = (torch.rand(12, 6, generator=generator, dtype=torch.float64) for _ in range(2))
+    dann = DANN(DANN.Settings(), 6, 1).double().eval()
+    plain = s.clone().requires_grad_(True)
+    logits = dann.discriminator(torch.cat([plain, t]))[:, 0]
+    domain_loss(logits[:12], logits[12:]).backward()
+    of_discriminator = [p.grad.clone() for p in dann.discriminator.parameters()]
+    for weight in (1.0, 0.003, 0.0):
+        step = Step(number=0, weight=weight, rng=np.random.default_rng(0))
+        dann.zero_grad()
+        features = s.clone().requires_grad_(True)
+        found = dann.loss(adversarial_activations(features), adversarial_activations(t), step)
+        assert found.weight == 1
+        found.value.backward()
+        torch.testing.assert_close(features.grad, -weight * plain.grad, rtol=1e-12, atol=0)
+        for ours, full in zip(dann.discriminator.parameters(), of_discriminator, strict=True):
+            torch.testing.assert_close(ours.grad, full, rtol=1e-12, atol=0)
+
+
+def test_cdan_shows_the_feature_given_a_force_that_it_does_not_move():
+    features, prediction = (torch.rand(6, width, requires_grad=True) for width in (4, 3))
+    cdan = CDAN(CDAN.Settings(), 4, 1)
+    shown = cdan.conditioned(features, Activations(features, prediction))
+    shown.square().sum().backward()
+    assert features.grad.any()
+    assert prediction.grad is None
+    expected = torch.cat([features, *(features * force[:, None] for force in prediction.T)], dim=1)
+    torch.testing.assert_close(shown, expected)
+
+
+def test_the_evidential_loss_is_least_near_the_force_and_honest_evidence():
+    force = torch.full((1, 3), 0.5)
+
+    def loss(prediction: float, beta: float) -> float:
+        evidence = Evidence(*(torch.full((1, 3), value) for value in (1.0, 2.0, beta)))
+        return float(evidential_loss(force, torch.full((1, 3), prediction), evidence))
+
+    assert loss(0.5, 0.01) < loss(0.7, 0.01)
+    assert loss(0.7, 0.04) < loss(0.7, 1e-4), "a wrong force with little spread costs more"
+
+
+def test_frames_are_mixed_with_those_of_similar_force():
+    pool = torch.tensor([[0.1, 0.5, 0.5], [0.9, 0.5, 0.5]])
+    queries = torch.tensor([[0.1, 0.5, 0.5], [0.9, 0.5, 0.5]]).repeat(50, 1)
+    uniform = torch.rand(100, generator=torch.Generator().manual_seed(0))
+    partners = similar(queries, pool, 0.1, uniform)
+    assert partners.tolist() == [0, 1] * 50
+    assert set(similar(queries, pool, 100.0, uniform).tolist()) == {0, 1}
+
+
+def test_style_is_the_low_frequencies_amplitude():
+    rng = torch.Generator().manual_seed(0)
+    source, target = torch.randn(2, 3, 12, 16, generator=rng), torch.randn(2, 3, 12, 16, generator=rng)
+    torch.testing.assert_close(in_the_style_of(source, source, 0.5), source, atol=1e-5, rtol=1e-4)
+    styled = torch.fft.fft2(in_the_style_of(source, 3 * target, 0.1))
+    torch.testing.assert_close(styled.abs()[..., 0, 0], 3 * torch.fft.fft2(target).abs()[..., 0, 0])
+    torch.testing.assert_close(styled.abs()[..., 5, 7], torch.fft.fft2(source).abs()[..., 5, 7])
 
 
 if __name__ == "__main__":

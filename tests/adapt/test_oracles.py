@@ -37,7 +37,7 @@ def linear_gel(stiffness: float, mount: float | None) -> Presses:
     return Presses(labelled(force, np.array(classes), np.array(points)), command, mount)
 
 
-@pytest.mark.parametrize("mount", [None, 20.0, 2.0])
+@pytest.mark.parametrize("mount", [None, 2.0])
 def test_geometry_oracle_is_the_sources_force_at_the_targets_contact(mount):
     soft, hard = linear_gel(1.0, mount), linear_gel(1.5, mount)
     np.testing.assert_allclose(hard.actual_mm, hard.frames.force_n / 1.5, atol=1e-12)

@@ -123,7 +123,6 @@ def write_pictures(folder: Path, frames) -> None:
             r"backbone 'absent\.py:maps': absent\.py could not be imported \(FileNotFoundError",
         ),
         ("net.py:number", "number is not a function of"),
-        ("net.py:other", "other is not a function of"),
         ("net.py:nothing", "it makes NoneType, not a torch.nn.Module"),
         ("net.py:one_number", r"returns \(\d+,\) for 2 pictures \(3, 32, 40\); \(2, features\) or"),
         ("vgg", "backbone 'vgg' is unknown; known: resnet18, resnet50, file.py:make_backbone"),

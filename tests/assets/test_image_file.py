@@ -41,7 +41,7 @@ def test_8_bits_grey_and_opaque_alpha_are_read(suffix: str) -> None:
     assert np.array_equal(decode_image(encoded(opaque, suffix)), PIXELS)
 
 
-@pytest.mark.parametrize("bits", [8, 10, 12, 14])
+@pytest.mark.parametrize("bits", [8, 12])
 def test_fewer_bits_in_16_are_refused(bits: int) -> None:
     with pytest.raises(ValueError, match=f"cameras of {bits} bits"):
         decode_image(encoded((PIXELS.astype(np.uint32) * (2**bits - 1) // 255).astype(np.uint16)))
@@ -56,7 +56,6 @@ COLOUR = Image.fromarray(PIXELS)
     [
         (pillow_file(TRANSPARENT, "PNG"), "transparent"),
         (pillow_file(COLOUR.convert("CMYK"), "JPEG"), "kind CMYK"),
-        (pillow_file(COLOUR.convert("F"), "TIFF"), "kind F"),
         (pillow_file(COLOUR.convert("I"), "TIFF"), "kind I"),
         (pillow_file(COLOUR, "TIFF", save_all=True, append_images=[COLOUR]), "2 images"),
         (pillow_file(COLOUR, "PNG", save_all=True, append_images=[TRANSPARENT]), "2 images"),
@@ -64,7 +63,6 @@ COLOUR = Image.fromarray(PIXELS)
         (pillow_file(Image.new("1", (60000, 60000)), "PNG"), "more than 67108864 pixels"),
         (encoded(PIXELS)[:-40], "not a readable image"),
         (encoded(PIXELS, ".jpg")[:-80], "its end is missing"),
-        (b"", "neither PNG"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

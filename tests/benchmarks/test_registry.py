@@ -13,11 +13,11 @@ from gelgap.cli.main import main
 REGISTRY = Path(inspect.getfile(Benchmark))
 
 
-@pytest.mark.parametrize("benchmark", BENCHMARKS.values(), ids=BENCHMARKS)
-def test_every_benchmark_has_the_protocol(benchmark: Benchmark):
-    names = ["quick", "out_dir", "data"] if benchmark.needs_data else ["quick", "out_dir"]
-    function = resolve_name(f"gelgap.benchmarks.{benchmark.place}")
-    assert list(inspect.signature(function).parameters) == names
+def test_every_benchmark_has_the_protocol():
+    for name, benchmark in BENCHMARKS.items():
+        parameters = ["quick", "out_dir", "data"] if benchmark.needs_data else ["quick", "out_dir"]
+        function = resolve_name(f"gelgap.benchmarks.{benchmark.place}")
+        assert list(inspect.signature(function).parameters) == parameters, name
 
 
 def test_no_study_imports_the_registry():
@@ -43,7 +43,6 @@ def test_the_command_measures_what_was_asked_for(monkeypatch, tmp_path):
         (["real"], "--data is missing"),
         (["physics", "--data", "."], "--data is for benchmarks of real data alone"),
         (["adaptation-tuning", "--quick"], "this benchmark has no quick form"),
-        (["few-labels"], "invalid choice 'few-labels'"),
     ],
 )
 def test_what_a_benchmark_does_not_take_is_refused_before_anything_is_written(

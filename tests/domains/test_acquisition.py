@@ -75,10 +75,9 @@ def test_force_noise_and_bias_change_labels_and_nothing_else(make, data: Path, t
     assert len(paired_contacts(clean, noisy)[0]) == 26
 
 
-@pytest.mark.parametrize("bad", [{"tilt_deg": 9.0}, {"force_noise_n": -1.0}, {"wobble": 1.0}])
-def test_bad_errors_are_refused(bad: dict):
-    with pytest.raises(ValueError, match=next(iter(bad))):
-        AcquisitionError(**bad)
+def test_bad_errors_are_refused():
+    with pytest.raises(ValueError, match="tilt_deg"):
+        AcquisitionError(tilt_deg=9.0)
 
 
 def test_a_path_of_one_level_has_no_room_to_move_in():

@@ -55,7 +55,6 @@ def test_lights_start_where_the_presses_show_them(tmp_path):
         {"f0": np.array([{"a": 1}], dtype=object)},
         {"imgs": np.zeros((3, 24, 30, 3), np.uint8)},
         {"touch_radius": np.zeros(2)},
-        {"f0": np.zeros((24, 32, 3))},
         {"touch_center": np.array([["a", "b"]] * 3)},
     ],
 )

@@ -70,9 +70,7 @@ def test_a_scheduler_that_is_no_address_is_refused_before_anything_is_written(ma
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "address", ["tcp://127.0.0.1:9", "tcp://no-such-host.invalid:8786", "127.0.0.1:99999"]
-)
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "127.0.0.1:99999"])
 def test_a_scheduler_that_does_not_answer_is_known_before_anything_is_written(address, make, tmp_path: Path):
     with pytest.raises(RuntimeError, match=f"no Dask scheduler answers at {address} .*dask scheduler"):
         make(tmp_path, scheduler=address)

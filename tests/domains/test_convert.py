@@ -37,10 +37,6 @@ def test_a_users_recordings_are_lined_up_by_their_own_clocks(tmp_path: Path):
             "the column time_s is needed; there are when, fz_n",
         ),
         (lambda mine: (mine / "press-1.csv").write_text("time_s,depth_mm\n1,2\n"), "one of fx_n, fy_n, fz_n"),
-        (
-            lambda mine: (mine / "press-1.csv").write_text("time_s,fz_n\n1,a\n"),
-            "row 1 below the header holds 'a'",
-        ),
         (lambda mine: (mine / "press-1.csv").write_text("time_s,fz_n\n1,9\n2,0\n"), "turn its sign"),
         (
             lambda mine: (mine / "press-1.csv").write_text("time_s,fz_n\n1,-9\n0,0\n"),
@@ -138,8 +134,9 @@ def write_noisy_clip(
     return folder
 
 
-@pytest.mark.parametrize("kind", ["png", "mp4"])
-@pytest.mark.parametrize("lag", range(-6, 7))
+@pytest.mark.parametrize(
+    ("kind", "lag"), [("png", -6), ("png", 0), ("png", 1), ("png", 6), ("mp4", -3), ("mp4", 4)]
+)
 def test_the_lag_of_a_noisy_clip_that_starts_at_rest_is_found(tmp_path: Path, kind: str, lag: int):
     (clip,) = convert(write_noisy_clip(tmp_path / "mine", kind, lag), "recordings", tmp_path / "out")
     assert clip.lag == lag
@@ -152,6 +149,19 @@ def test_the_range_of_a_slow_press_on_compressed_video_has_the_lag(tmp_path: Pat
     mine = write_noisy_clip(tmp_path / "mine", "mp4", 2, frames=210, press_frames=180)
     (clip,) = convert(mine, "recordings", tmp_path / "out")
     assert clip.lag_range[0] <= 2 <= clip.lag_range[1]
+
+
+def test_the_reference_is_of_the_pictures_before_the_contact_less_the_last(tmp_path: Path):
+    """A lag may be wrong by one frame: the last picture before the contact may show it."""
+    mine, levels = tmp_path / "mine", [100, 140, *[200] * 18]
+    rows = [{"picture": f"{k}.png", "time_s": k / 30} for k in range(len(levels))]
+    write_table(mine / "press/times.csv", rows)
+    for row, level in zip(rows, levels, strict=True):
+        cv2.imwrite(str(mine / "press" / row["picture"]), np.full((24, 32, 3), level, np.uint8))
+    write_table(mine / "press.csv", [{"time_s": k / 30, "fz_n": -max(k - 1, 0)} for k in range(len(levels))])
+    convert(mine, "recordings", tmp_path / "out", lag=0)
+    first, *_ = rows_of(tmp_path / "out/mine")
+    assert (cv2.imread(str(tmp_path / "out/mine" / first["reference"])) == 100).all()
 
 
 def test_a_stated_lag_is_taken_and_a_hole_of_the_log_has_no_labels(tmp_path: Path):
@@ -169,8 +179,6 @@ def test_a_stated_lag_is_taken_and_a_hole_of_the_log_has_no_labels(tmp_path: Pat
     ("text", "message"),
     [
         ("time,Fz (N)\n0,-1\n1,-2\n2,-3\n", "'time' states no unit, and its values are 1 apart"),
-        ("time_s,Fz (V)\n0,-1\n1,-2\n", r"'Fz \(V\)' states the unit 'V': known units are N, mN"),
-        ("time_s,time (ms),fz_n\n0,0,-1\n1,1000,-2\n", r"'time_s' and 'time \(ms\)' mean the same, time_s"),
         ("time_s,fz_n\n0,-1\n,-2\n", "row 2 below the header has no time"),
     ],
 )

@@ -85,7 +85,7 @@ def test_the_cache_holds_area_means_and_survives_a_change_of_the_array(data: Pat
         frames.images(160)
 
 
-@pytest.mark.parametrize("size_px", [(160, 120), (80, 60), (64, 48), (50, 37)])
+@pytest.mark.parametrize("size_px", [(160, 120), (50, 37)])
 def test_smaller_pictures_are_area_means_bit_for_bit(size_px: tuple[int, int]):
     picture = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
     assert np.array_equal(
@@ -296,14 +296,13 @@ def test_torch_batches_are_pairs_of_normalised_pictures(data: Path, pairing: str
     assert torch.equal(one, inputs[0])
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_a_plain_data_loader_gives_the_same_batches(data: Path, workers: int):
+def test_a_plain_data_loader_gives_the_same_batches(data: Path):
     from torch import Generator, equal
     from torch.utils.data import DataLoader
 
     pairs = open_domain(data / "mb0i1").torch((40, 30))
-    plain = DataLoader(pairs, 8, shuffle=True, num_workers=workers, generator=Generator().manual_seed(3))
-    batches = list(zip(plain, pairs.loader(batch_size=8, seed=3, workers=workers), strict=True))
+    plain = DataLoader(pairs, 8, shuffle=True, num_workers=2, generator=Generator().manual_seed(3))
+    batches = list(zip(plain, pairs.loader(batch_size=8, seed=3, workers=2), strict=True))
     assert len(batches) == 4
     assert all(equal(one, other) for pair in batches for one, other in zip(*pair, strict=True))
 
@@ -322,11 +321,8 @@ def test_a_chosen_cache_folder_holds_the_pictures_and_is_cleared(
     assert not list((tmp_path / "cache" / "images").glob("*.npy"))
 
 
-@pytest.mark.parametrize(("height_px", "width_px", "shown_px"), [(60, 80, 80), (240, 240, 160)])
-def test_a_notebook_shows_pictures_of_any_size_in_their_aspect(
-    height_px: int, width_px: int, shown_px: int
-) -> None:
-    reference = np.zeros((height_px, width_px, 3), np.uint8)
+def test_a_notebook_shows_large_pictures_smaller_in_their_aspect() -> None:
+    reference = np.zeros((180, 240, 3), np.uint8)
     frames = ArrayFrames("own", np.stack([reference, reference]), reference, np.zeros((2, 3)))
     shown = decode_image(frames._repr_png_())
-    assert shown.shape == (shown_px * height_px // width_px, 2 * shown_px, 3)
+    assert shown.shape == (120, 2 * 160, 3)

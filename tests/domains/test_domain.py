@@ -14,7 +14,7 @@ def test_every_known_domain_is_found_by_its_name():
     assert all(Domain.parse(domain.name) == domain for domain in known_domains())
 
 
-@pytest.mark.parametrize("name", ["", "b0i0", "mb9i0", "mb0i9", "mb0", "MB0I0", "wmb0i0 "])
+@pytest.mark.parametrize("name", ["", "mb9i0", "wmb0i0 "])
 def test_an_unknown_name_lists_what_is_known(name: str):
     with pytest.raises(ValueError, match=r"unknown.*b0, b1, b2.*i0, i1, i2"):
         Domain.parse(name)

@@ -86,7 +86,6 @@ def test_quirks_are_told(tmp_path: Path):
             r"lacks one of the columns Fx\(N\)",
         ),
         (lambda folder: picture(folder / "test/images/0.jpg", 9, (32, 24)), r"frame 12 is 32×24 px.*64×48"),
-        (lambda folder: (folder / "test/images/0.jpg").write_bytes(b"no picture"), "damaged"),
     ],
 )
 def test_what_does_not_match_is_an_error(tmp_path: Path, change, message: str):
@@ -187,13 +186,7 @@ def picture_folder(folder: Path, text: str) -> Path:
             "picture,fz_n,label\n0.png,0,0.2\n1.png,-1,0.9\n",
             "whole number, and row 1 below the header holds '0.2'",
         ),
-        ("picture,fz_n\n0.png,soft\n1.png,hard\n", "row 1 below the header holds 'soft'"),
-        ('picture,force\n0.png,"[0.1, 0.2]"\n', "'force' does not say which axis"),
         ("picture,Normal Force (N)\n0.png,1\n", "'Normal Force .*' does not say which axis"),
-        ("picture,Fz_filtered\n0.png,1\n", "'Fz_filtered' does not say which axis"),
-        ('picture,Fz (mN)\n0.png,"-1,234.5"\n', "'-1,234.5'; write a decimal point, and no commas between"),
-        ("ATI NET F/T\npicture,Fz\n0.png,-1\n", "the header 1; the first line is the header"),
-        ("picture,Fz (V)\n0.png,-1\n", "known units are N, mN"),
         ("picture,Fz (mN),Fz (N)\n0.png,-50,-0.05\n", r"'Fz \(mN\)' and 'Fz \(N\)' mean the same, fz_n"),
     ],
 )
@@ -213,33 +206,32 @@ def test_millinewtons_and_repeated_pictures_are_noted(tmp_path: Path):
 @pytest.mark.parametrize(
     ("header", "column", "factor"),
     [
-        *[
-            (header, "fz_n", 1e-3)
-            for header in ("Fz (mN)", "Fz [mN]", "Fz_mN", "fz/mN", "Force Z, mN", "force.z mN")
-        ],
-        *[
-            (header, "fz_n", 1)
-            for header in ("Fz", "fz_n", "Fz(N)", "Force_z", "FzN", "fz in N", "Z Force (Newton)")
-        ],
-        *[("Fz (g)", "fz_n", 9.80665e-3), ("Fz (gf)", "fz_n", 9.80665e-3), ("fz kgf", "fz_n", 9.80665)],
-        *[("Fz (lbf)", "fz_n", 4.4482216), ("Fz_oz", "fz_n", 0.27801385), ("Fz [cN]", "fz_n", 1e-2)],
-        *[("wrench.force.z", "fz_n", 1), ("/ft/wrench/force/z", "fz_n", 1), ("Force.Fz (mN)", "fz_n", 1e-3)],
-        *[("Tx (N-m)", "mx_nmm", 1e3), ("Tx (lbf-in)", "mx_nmm", 112.98483)],
-        *[
-            ("Mx (Nm)", "mx_nmm", 1e3),
-            ("Tx (N·m)", "mx_nmm", 1e3),
-            ("Mx (N*m)", "mx_nmm", 1e3),
-            ("Tx", "mx_nmm", 1),
-        ],
-        *[("Mx [N.mm]", "mx_nmm", 1), ("torque x (mNm)", "mx_nmm", 1), ("Mx_Ncm", "mx_nmm", 10)],
-        *[("depth (um)", "depth_mm", 1e-3), ("depth (µm)", "depth_mm", 1e-3), ("depth_μm", "depth_mm", 1e-3)],
-        *[("x (cm)", "x_mm", 10), ("x/m", "x_mm", 1e3), ("x_in", "x_mm", 25.4)],
-        *[
-            ("time (us)", "time_s", 1e-6),
-            ("t_ns", "time_s", 1e-9),
-            ("timestamp [s]", "time_s", 1),
-            ("ts", "time_s", 1),
-        ],
+        ("Fz (mN)", "fz_n", 1e-3),
+        ("Fz_mN", "fz_n", 1e-3),
+        ("fz/mN", "fz_n", 1e-3),
+        ("Force Z, mN", "fz_n", 1e-3),
+        ("Force.Fz (mN)", "fz_n", 1e-3),
+        ("Force_z", "fz_n", 1),
+        ("FzN", "fz_n", 1),
+        ("Z Force (Newton)", "fz_n", 1),
+        ("/ft/wrench/force/z", "fz_n", 1),
+        ("Fz (g)", "fz_n", 9.80665e-3),
+        ("fz kgf", "fz_n", 9.80665),
+        ("Fz_oz", "fz_n", 0.27801385),
+        ("Fz [cN]", "fz_n", 1e-2),
+        ("Fz (uN)", "fz_n", 1e-6),
+        ("Tx (N-m)", "mx_nmm", 1e3),
+        ("Mx (N·m)", "mx_nmm", 1e3),
+        ("Tx (lbf-in)", "mx_nmm", 112.98483),
+        ("Mx [N.mm]", "mx_nmm", 1),
+        ("torque x (mNm)", "mx_nmm", 1),
+        ("depth (um)", "depth_mm", 1e-3),
+        ("depth_μm", "depth_mm", 1e-3),
+        ("x/m", "x_mm", 1e3),
+        ("x_in", "x_mm", 25.4),
+        ("time (us)", "time_s", 1e-6),
+        ("t_ns", "time_s", 1e-9),
+        ("ts", "time_s", 1),
     ],
 )
 def test_the_unit_of_a_header_is_converted(tmp_path: Path, header: str, column: str, factor: float):
@@ -250,9 +242,7 @@ def test_the_unit_of_a_header_is_converted(tmp_path: Path, header: str, column: 
     assert any("is converted to" in note for note in data.notes) == (factor != 1)
 
 
-@pytest.mark.parametrize(
-    "header", ["Fz (V)", "Fz (counts)", "x (px)", "Fz (%)", "Fz (mm)", "Fz_mm", "Fz/kPa"]
-)
+@pytest.mark.parametrize("header", ["Fz (V)", "Fz (%)", "Fz_mm"])
 def test_an_unknown_unit_or_one_of_another_quantity_is_refused(tmp_path: Path, header: str):
     with pytest.raises(ValueError, match=rf"{re.escape(header)}' states the unit '.*': known units are"):
         open_domain(picture_folder(tmp_path, f"picture,{header}\n0.png,-50\n"))
@@ -301,7 +291,7 @@ def test_pictures_saved_twice_are_counted(tmp_path: Path):
     assert "1 pictures have the name of another" in " ".join(data.notes)
 
 
-@pytest.mark.parametrize(("encoding", "separator"), [("utf-16", "\t"), ("utf-8-sig", ";"), ("utf-8", "\t")])
+@pytest.mark.parametrize(("encoding", "separator"), [("utf-16", "\t"), ("utf-8-sig", ";")])
 def test_tables_of_excel_are_read(tmp_path: Path, encoding: str, separator: str):
     text = "picture,Fz (mN)\n0.png,0\n1.png,-500\n".replace(",", separator)
     (picture_folder(tmp_path, "") / "labels.csv").write_bytes(text.encode(encoding))

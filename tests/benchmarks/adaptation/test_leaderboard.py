@@ -140,9 +140,6 @@ def test_a_guests_short_source_only_puts_nobody_out(study, folder):
         ({"predicted_n": np.zeros((1, 3))}, "no finite prediction for each of the"),
         ({"predicted_n": np.full((8, 3), np.nan)}, "no finite prediction for each of the"),
         ({"predicted_n": None}, "no finite prediction for each of the"),
-        ({"predicted_n": "x"}, "no finite prediction for each of the"),
-        ({"mae_n": "much"}, ""),
-        # Predictions better than the target's own labels give.
         ({"off_n": 0.001}, "is below 0.0500 N, the ceiling's"),
         ({"method": "adabn"}, "another record of it has more runs, or was read first"),
     ],
