@@ -41,6 +41,16 @@ def test_light_adds_up(renderer, dent):
     np.testing.assert_allclose(sum(parts), whole.linear(*dent(0.8, (0.3, 0.0)), markers=False), atol=2e-6)
 
 
+@pytest.mark.parametrize(("channel", "rgb"), [(0, (1, 0, 0)), (2, (0, 0, 1))], ids=["red", "blue"])
+def test_an_led_of_one_colour_lights_that_channel_alone(dent, channel, rgb):
+    led = {"position_mm": (-10, 0, -3), "facing": (1, 0, 0.1), "spectrum": {"rgb": rgb}}
+    coating = Coating(specular=0.5, roughness=0.3)
+    sensor = Sensor.preset("paper").model_copy(update={"coating": coating})
+    render = MembraneRenderer(sensor, Illumination(leds=(led,)), (64, 48), "draft")
+    lit = render.linear(*dent(0.6), markers=False).any(axis=(0, 1))
+    assert np.flatnonzero(lit).tolist() == [channel]
+
+
 def test_every_illumination_preset_gives_a_mid_bright_reference(renderer):
     references = {}
     for name in ("i0", "i1", "i2"):
