@@ -9,7 +9,7 @@ import pytest
 import torch
 from network_weights import weights
 
-from gelgap.adapt.data import Draw, epoch_order, network_inputs, split_for_training
+from gelgap.adapt.data import Draw, TrainingDomain, epoch_order, network_inputs, split_for_training
 from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
 from gelgap.adapt.methods.base import Method
 from gelgap.adapt.methods.registry import find_method, make_method, method_names, register
@@ -17,7 +17,7 @@ from gelgap.adapt.model import ForceModel
 from gelgap.adapt.profile import Profile
 from gelgap.adapt.report import write_report
 from gelgap.adapt.runs import adapt_folders, load_predictions, load_runs, run_key, stage1_key, stage1_profile
-from gelgap.adapt.trainer import adapt, train_source
+from gelgap.adapt.trainer import adapt, batches_of, train_source
 from gelgap.domains import ArrayFrames, join_domains
 
 
@@ -68,6 +68,15 @@ def test_mixed_statistics_are_those_of_both_domains_in_turn(stage1, source, targ
     assert statistics
     for name in statistics:
         torch.testing.assert_close(found[name], expected[name], rtol=1e-4, atol=1e-6)
+
+
+def test_a_smaller_target_is_cycled_on_from_epoch_to_epoch(source, target, profile):
+    """Five epochs of six batches are six passes over a target of five."""
+    small = altered(target.take(np.arange(80)), contact_class=np.arange(80))
+    domains = [TrainingDomain(frames, profile, "cpu", labelled=True) for frames in (source, small)]
+    batches = [of_target for epoch in range(5) for _, of_target in batches_of(epoch, *domains, profile, 0)]
+    shown = torch.cat([batch.contact_class for batch in batches])
+    assert torch.bincount(shown).tolist() == 80 * [6]
 
 
 def test_with_mixed_statistics_both_domains_are_judged_by_one_model(stage1, source, target):
