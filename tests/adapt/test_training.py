@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from network_weights import weights
+from torch.optim.optimizer import register_optimizer_step_pre_hook
 
 from gelgap.adapt.data import Draw, TrainingDomain, epoch_order, network_inputs, split_for_training
 from gelgap.adapt.evaluation import as_judged_on_source, evaluate, evaluate_constant_mean
@@ -40,6 +41,22 @@ def test_same_seed_same_weights_another_seed_others(source, profile):
     torch.rand(7)
     np.testing.assert_array_equal(weights(first), weights(train_source(source, short, seed=3)))
     assert np.abs(weights(first) - weights(train_source(source, short, seed=4))).max() > 1e-3
+
+
+def test_the_learning_rate_falls_by_the_schedule(source, profile):
+    rates = []
+    falling = profile.replace(source_epochs=2, rate_decay=0.5, rate_power=0.75)
+    noting = register_optimizer_step_pre_hook(
+        lambda optimizer, *_: rates.append([group["lr"] for group in optimizer.param_groups])
+    )
+    try:
+        train_source(source, falling)
+    finally:
+        noting.remove()
+    expected = falling.source_learning_rate * (1 + 0.5 * np.arange(len(rates))) ** -0.75
+    assert len(rates) > 8
+    for of_group in zip(*rates, strict=True):
+        assert of_group == pytest.approx(expected)
 
 
 def test_no_transfer_takes_only_normalisation_from_the_target(stage1, source, target):
