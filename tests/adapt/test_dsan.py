@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from gelgap.adapt.methods.base import Step
-from gelgap.adapt.methods.dan import bandwidth, multi_gaussian, squared_distances
-from gelgap.adapt.methods.dsan import DSAN
+from gelgap.adapt.methods.mmd import DSAN, bandwidth, multi_gaussian, squared_distances
 from gelgap.adapt.network import Activations
 from gelgap.adapt.trainer import adapt, train_source
 
