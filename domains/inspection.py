@@ -281,7 +281,7 @@ def _samples(frames: LabelledFrames) -> list[dict[str, bytes | str]]:
     chosen = (
         order[np.unique(np.linspace(0, len(order) - 1, _MOST_SAMPLES).astype(int))] if len(order) else order
     )
-    shown = [{"png": encode_png(frames.reference), "caption": "reference"}]
+    shown: list[dict[str, bytes | str]] = [{"png": encode_png(frames.reference), "caption": "reference"}]
     for index in chosen.tolist():
         values = ", ".join(f"{frames.columns[name][index]:.2f}" for name in names) or f"frame {index}"
         units = ", ".join(dict.fromkeys(QUANTITIES[name].unit for name in names))
